@@ -1,0 +1,32 @@
+"""polyida: flexible multibody dynamics with polygonal elements, one model through two kinds of integrator."""
+
+from importlib import import_module
+
+_PLACES = {
+    "InputError": "errors", "Model": "model", "Needs": "model", "check_derivatives": "model",
+    "Material": "body.material", "Plate": "body.plate", "PointMass": "body.point_mass",
+    "PointLoad": "body.loads", "EdgeTraction": "body.loads",
+    "Revolute": "joint.revolute", "AngleMotor": "joint.angle_motor", "Clamp": "joint.clamp", "ground": "joint.attachment",
+    "Scene": "scene", "solve": "integrate.solve", "Trajectory": "trajectory", "von_mises": "trajectory", "load": "trajectory_file",
+    "consistent_state": "integrate.start", "GeneralizedAlpha": "integrate.generalized_alpha", "IDA": "integrate.ida",
+}
+_MODULES = {"mesh": "mesh", "profile": "profile", "problems": "problems", "export": "show.vtu", "study": "study", "show": "show"}
+
+__version__ = "0.1.0"
+__all__ = [*_PLACES, *_MODULES]
+
+
+def __getattr__(name):
+    """Names are imported when they are first used: importing polyida costs nothing that a script does not need."""
+    if name in _PLACES:
+        value = getattr(import_module(f"polyida.{_PLACES[name]}"), name)
+    elif name in _MODULES:
+        value = import_module(f"polyida.{_MODULES[name]}")
+    else:
+        raise AttributeError(f"module 'polyida' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__():
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,61 @@
+"""A scene as plain arrays: what the compiled kernels take, and nothing else."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class SceneArrays(NamedTuple):
+    """Bodies, points and joints of a scene. Bodies' nodes are concatenated; equal meshes share one operator.
+
+    Operators: concatenated arrays of `element.operator.ReferenceOperator` with the start of each (`at`, (operators + 1, 7): layout,
+    corners, gradients, weights, pairs, indptr, nnz). Bodies: operator number, first node, first block of the tangent, c1, nu, rho t.
+    Points: weighted sums of nodal positions in CSR form (`dz = A u`), their value at rest, the mass they carry.
+    Joints: kind (0 linear pair, 1 motor), first row, points a and b (-1: ground), drive number, matrix Q (linear) or R(theta0) (motor),
+    vector of the ground side (motor). Loads: nodal forces times a drive. weight: nodal gravity force, (nodes, 2).
+    """
+
+    at: np.ndarray
+    layout: np.ndarray
+    corners: np.ndarray
+    gradients: np.ndarray
+    weights: np.ndarray
+    pairs: np.ndarray
+    indptr: np.ndarray
+    indices: np.ndarray
+    mass: np.ndarray
+    body_operator: np.ndarray
+    body_node: np.ndarray
+    body_block: np.ndarray
+    body_c1: np.ndarray
+    body_nu: np.ndarray
+    body_density: np.ndarray
+    weight: np.ndarray
+    point_ptr: np.ndarray
+    point_nodes: np.ndarray
+    point_weights: np.ndarray
+    point_rest: np.ndarray
+    point_mass: np.ndarray
+    gravity: np.ndarray
+    joint_kind: np.ndarray
+    joint_row: np.ndarray
+    joint_a: np.ndarray
+    joint_b: np.ndarray
+    joint_drive: np.ndarray
+    joint_matrix: np.ndarray
+    joint_ground: np.ndarray
+    load_ptr: np.ndarray
+    load_nodes: np.ndarray
+    load_values: np.ndarray
+    load_drive: np.ndarray
+
+
+def concatenated(arrays, dtype, tail=()):
+    """One C-contiguous writeable array of the parts, of the given dtype, also where there is no part."""
+    parts = [np.asarray(part, dtype).reshape((-1, *tail)) for part in arrays]
+    return np.ascontiguousarray(np.concatenate(parts)) if parts else np.zeros((0, *tail), dtype)
+
+
+def starts(parts):
+    """Offsets of concatenated parts, (parts + 1,) int64."""
+    return np.concatenate([[0], np.cumsum([len(part) for part in parts], dtype=np.int64)]).astype(np.int64)

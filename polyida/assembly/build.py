@@ -1,0 +1,120 @@
+"""From the parts of a scene to its arrays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.assembly.arrays import SceneArrays, concatenated, starts
+from polyida.assembly.joint_table import Drives, JointTable
+from polyida.assembly.points import Points
+from polyida.body.loads import EdgeTraction, PointLoad
+from polyida.body.plate import Plate
+from polyida.body.point_mass import PointMass
+from polyida.element.wachspress import reference_operator
+from polyida.joint.angle_motor import AngleMotor
+from polyida.joint.clamp import Clamp
+from polyida.joint.revolute import Revolute
+
+
+@dataclass(frozen=True)
+class Body:
+    """A plate in its place among the scene's nodes: `nodes` is its slice of the node list, `operator` its reference operator."""
+
+    name: str
+    plate: object
+    operator: object
+    nodes: slice
+
+    @property
+    def mesh(self):
+        """The plate's mesh, turned by its angle."""
+        return self.plate.placed
+
+    @property
+    def points(self):
+        """Reference positions, (N, 2), m."""
+        return self.plate.points
+
+
+def of_kind(parts, *kinds):
+    """{name: part} of the given kinds, in order."""
+    return {name: part for name, part in parts.items() if isinstance(part, kinds)}
+
+
+def bodies_of(parts):
+    """Bodies in order; plates on one mesh share one reference operator."""
+    operators, bodies, first = {}, [], 0
+    for name, plate in of_kind(parts, Plate).items():
+        key = (id(plate.placed), plate.element)
+        if key not in operators:
+            operators[key] = reference_operator(plate.placed)
+        bodies.append(Body(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
+        first += plate.mesh.n_nodes
+    return bodies
+
+
+def assemble(bodies, parts, gravity):
+    """(SceneArrays, Points, JointTable, profiles, {mass or load name: point}) of the parts."""
+    first_node = {body.plate: body.nodes.start for body in bodies}
+    points, drives = Points(first_node), Drives()
+    corners = np.concatenate([body.points for body in bodies])
+    table = JointTable(points, drives, np.ptp(corners, axis=0).max())
+    for name, joint in of_kind(parts, Revolute, Clamp, AngleMotor).items():
+        table.add(name, joint)
+    held = {}
+    for name, mass in of_kind(parts, PointMass).items():
+        held[name] = points.add(mass.at)
+        points.mass[held[name]] += mass.mass
+    loads = of_kind(parts, PointLoad, EdgeTraction)
+    for name, load in loads.items():
+        if not isinstance(load, EdgeTraction):
+            held[name] = points.add(load.at)
+    fields = operator_arrays(bodies) | body_arrays(bodies, gravity) | load_arrays(loads, drives, first_node)
+    arrays = SceneArrays(**fields, **points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
+    return arrays, points, table, drives.profiles, held
+
+
+def operator_arrays(bodies):
+    """Concatenated reference operators, each once."""
+    operators = list({id(body.operator): body.operator for body in bodies}.values())
+    parts = {
+        "layout": (np.int64, (6,)), "corners": (np.int32, ()), "gradients": (float, ()), "weights": (float, ()),
+        "pairs": (np.int32, ()), "indptr": (np.int32, ()), "indices": (np.int32, ()), "mass": (float, ()),
+    }
+    lists = {name: [getattr(operator, name) for operator in operators] for name in parts}
+    fields = {name: concatenated(lists[name], dtype, tail) for name, (dtype, tail) in parts.items()}
+    order = ("layout", "corners", "gradients", "weights", "pairs", "indptr", "indices")
+    number = {id(operator): k for k, operator in enumerate(operators)}
+    return fields | {
+        "at": np.ascontiguousarray(np.stack([starts(lists[name]) for name in order], axis=1)),
+        "body_operator": np.array([number[id(body.operator)] for body in bodies], np.int64),
+    }
+
+
+def body_arrays(bodies, gravity):
+    """Per-body coefficients and the nodal weight."""
+    c1, ratio, density, weight = [], [], [], []
+    for body in bodies:
+        plate, operator = body.plate, body.operator
+        modulus, nu = plate.material.in_plane
+        c1.append(plate.thickness * modulus / (1 - nu**2))
+        ratio.append(nu)
+        density.append(plate.material.rho * plate.thickness)
+        lumped = np.add.reduceat(operator.mass, operator.indptr[:-1]) * density[-1]
+        weight.append(np.outer(lumped, gravity))
+    return {
+        "body_node": starts([range(body.mesh.n_nodes) for body in bodies]),
+        "body_block": starts([body.operator.indices for body in bodies]),
+        "body_c1": np.array(c1), "body_nu": np.array(ratio), "body_density": np.array(density),
+        "weight": concatenated(weight, float, (2,)),
+    }
+
+
+def load_arrays(loads, drives, first_node):
+    """Nodal forces of the loads and the number of the profile that scales each."""
+    nodes = [load.at.nodes + first_node[load.at.body] for load in loads.values()]
+    return {
+        "load_ptr": starts(nodes), "load_nodes": concatenated(nodes, np.int32),
+        "load_values": concatenated([load.nodal() for load in loads.values()], float, (2,)),
+        "load_drive": np.array([drives.add(load.profile) for load in loads.values()], np.int64),
+    }

@@ -1,0 +1,76 @@
+"""The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
+
+from polyida.assembly.joints import compiled, joint_forces, point_values, spread
+from polyida.element import kernels
+
+
+@compiled
+def equilibrium(s, drives, u, a, lam, r, phi, rotation, dz, forces):
+    """Fill r (nodes, 2), phi (m,), rotation (nodes, 2), dz and forces (points, 2) at displacements u, accelerations a, multipliers lam.
+
+    rotation is the area-weighted sum of (F11 + F22, F21 - F12), whose direction is the nodal rotation; pass (0, 2) to skip it.
+    Returns (least det F of all elements, least cosine of a motor's angle error); the first is nan where u is not finite.
+    """
+    r[:] = -s.weight
+    rotation[:] = 0.0
+    least = 1e300
+    for b in range(s.body_operator.shape[0]):
+        o, n0 = s.body_operator[b], s.body_node[b]
+        p, e = s.at[o], s.at[o + 1]
+        det = kernels.internal_force(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]],
+                                     n0, s.body_c1[b], s.body_nu[b], u, r, rotation)
+        if not det >= least:
+            least = det
+        kernels.mass_product(s.indptr[p[5]:e[5]], s.indices[p[6]:e[6]], s.mass[p[6]:e[6]], s.body_density[b], n0, a, r)
+    for k in range(s.load_drive.shape[0]):
+        factor = drives[s.load_drive[k], 0]
+        for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
+            r[s.load_nodes[i], 0] -= factor * s.load_values[i, 0]
+            r[s.load_nodes[i], 1] -= factor * s.load_values[i, 1]
+    point_values(s, a, dz)
+    for f in range(dz.shape[0]):
+        forces[f, 0] = s.point_mass[f] * (dz[f, 0] - s.gravity[0])
+        forces[f, 1] = s.point_mass[f] * (dz[f, 1] - s.gravity[1])
+    point_values(s, u, dz)
+    cosine = joint_forces(s, drives, dz, lam, phi, forces)
+    spread(s, forces, r)
+    return least, cosine
+
+
+@compiled
+def tangent_blocks(s, u, c_m, c_q, blocks):
+    """Fill blocks (nnz, 2, 2) = c_m M + c_q dg_int/dq of the plates on their nodal pattern, without masses at points and joints."""
+    blocks[:] = 0.0
+    for b in range(s.body_operator.shape[0]):
+        o, first = s.body_operator[b], s.body_block[b]
+        p, e = s.at[o], s.at[o + 1]
+        if c_q != 0.0:
+            kernels.tangent(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]],
+                            s.pairs[p[4]:e[4]], s.body_node[b], first, s.body_c1[b], s.body_nu[b], u, c_q, blocks)
+        if c_m != 0.0:
+            scale = c_m * s.body_density[b]
+            for k in range(e[6] - p[6]):
+                mass = scale * s.mass[p[6] + k]
+                blocks[first + k, 0, 0] += mass
+                blocks[first + k, 1, 1] += mass
+
+
+@compiled
+def strain_energy(s, u):
+    """Elastic energy of all plates, J."""
+    total = 0.0
+    for b in range(s.body_operator.shape[0]):
+        o = s.body_operator[b]
+        p, e = s.at[o], s.at[o + 1]
+        total += kernels.strain_energy(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]],
+                                       s.body_node[b], s.body_c1[b], s.body_nu[b], u)
+    return total
+
+
+@compiled
+def momentum(s, a, r):
+    """r += M a with the masses at points left out."""
+    for b in range(s.body_operator.shape[0]):
+        o = s.body_operator[b]
+        p, e = s.at[o], s.at[o + 1]
+        kernels.mass_product(s.indptr[p[5]:e[5]], s.indices[p[6]:e[6]], s.mass[p[6]:e[6]], s.body_density[b], s.body_node[b], a, r)

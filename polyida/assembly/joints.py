@@ -1,0 +1,164 @@
+"""Joints on the values dz of the scene's points: phi, its derivatives, and the forces of the multipliers.
+
+`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. All of phi is a function of dz and of the drives (value, first
+and second derivative of each motor's angle). The chain rule with the constant A gives everything in q: `phi_q = phi_z A`.
+"""
+
+import numba
+import numpy as np
+
+LINEAR, MOTOR = 0, 1
+compiled = numba.njit(cache=True, nogil=True)
+
+
+@compiled
+def point_values(s, u, dz):
+    """dz = A u, (points, 2)."""
+    for f in range(dz.shape[0]):
+        x = y = 0.0
+        for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+            w, i = s.point_weights[k], s.point_nodes[k]
+            x += w * u[i, 0]
+            y += w * u[i, 1]
+        dz[f, 0] = x
+        dz[f, 1] = y
+
+
+@compiled
+def spread(s, forces, r):
+    """r += A^T forces."""
+    for f in range(forces.shape[0]):
+        x, y = forces[f, 0], forces[f, 1]
+        if x != 0.0 or y != 0.0:
+            for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+                w, i = s.point_weights[k], s.point_nodes[k]
+                r[i, 0] += w * x
+                r[i, 1] += w * y
+
+
+@compiled
+def turned_sides(s, j, drives, dz):
+    """(w, d): the direction of a turned by theta + theta0, and the direction of b."""
+    a, b = s.joint_a[j], s.joint_b[j]
+    ex, ey = s.joint_ground[j, 0], s.joint_ground[j, 1]
+    if a >= 0:
+        ax, ay = s.point_rest[a, 0] + dz[a, 0], s.point_rest[a, 1] + dz[a, 1]
+    else:
+        ax, ay = ex, ey
+    if b >= 0:
+        bx, by = s.point_rest[b, 0] + dz[b, 0], s.point_rest[b, 1] + dz[b, 1]
+    else:
+        bx, by = ex, ey
+    c, n = turn(s, j, drives)
+    return c * ax - n * ay, n * ax + c * ay, bx, by
+
+
+@compiled
+def turn(s, j, drives):
+    """Cosine and sine of theta + theta0."""
+    theta = drives[s.joint_drive[j], 0]
+    c0, n0 = s.joint_matrix[j, 0, 0], s.joint_matrix[j, 1, 0]
+    c, n = np.cos(theta), np.sin(theta)
+    return c * c0 - n * n0, n * c0 + c * n0
+
+
+@compiled
+def joint_forces(s, drives, dz, lam, phi, forces):
+    """Fill phi; forces += phi_z^T lam. Returns the least cosine of a motor's angle error (1 without motors)."""
+    least = 1.0
+    for j in range(s.joint_kind.shape[0]):
+        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
+        if s.joint_kind[j] == LINEAR:
+            _linear_forces(s, j, k, a, b, dz, lam, phi, forces)
+            continue
+        wx, wy, bx, by = turned_sides(s, j, drives, dz)
+        phi[k] = wx * by - wy * bx
+        least = min(least, (wx * bx + wy * by) / np.sqrt((wx * wx + wy * wy) * (bx * bx + by * by)))
+        if a >= 0:
+            c, n = turn(s, j, drives)
+            forces[a, 0] += lam[k] * (c * by - n * bx)
+            forces[a, 1] += lam[k] * (-n * by - c * bx)
+        if b >= 0:
+            forces[b, 0] -= lam[k] * wy
+            forces[b, 1] += lam[k] * wx
+    return least
+
+
+@compiled
+def _linear_forces(s, j, k, a, b, dz, lam, phi, forces):
+    x = y = 0.0
+    if a >= 0:
+        x, y = dz[a, 0], dz[a, 1]
+        forces[a, 0] += lam[k]
+        forces[a, 1] += lam[k + 1]
+    if b >= 0:
+        q = s.joint_matrix[j]
+        x -= q[0, 0] * dz[b, 0] + q[0, 1] * dz[b, 1]
+        y -= q[1, 0] * dz[b, 0] + q[1, 1] * dz[b, 1]
+        forces[b, 0] -= q[0, 0] * lam[k] + q[1, 0] * lam[k + 1]
+        forces[b, 1] -= q[0, 1] * lam[k] + q[1, 1] * lam[k + 1]
+    phi[k] = x
+    phi[k + 1] = y
+
+
+@compiled
+def joint_jacobian(s, drives, dz, phi_z):
+    """Fill phi_z (m, 2 points), dense."""
+    phi_z[:] = 0.0
+    for j in range(s.joint_kind.shape[0]):
+        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
+        if s.joint_kind[j] == LINEAR:
+            if a >= 0:
+                phi_z[k, 2 * a] = 1.0
+                phi_z[k + 1, 2 * a + 1] = 1.0
+            if b >= 0:
+                for i in range(2):
+                    for l in range(2):
+                        phi_z[k + i, 2 * b + l] = -s.joint_matrix[j, i, l]
+            continue
+        wx, wy, bx, by = turned_sides(s, j, drives, dz)
+        if a >= 0:
+            c, n = turn(s, j, drives)
+            phi_z[k, 2 * a] = c * by - n * bx
+            phi_z[k, 2 * a + 1] = -n * by - c * bx
+        if b >= 0:
+            phi_z[k, 2 * b] = -wy
+            phi_z[k, 2 * b + 1] = wx
+
+
+@compiled
+def joint_curvature(s, drives, lam, curvature):
+    """curvature += d(phi_z^T lam)/dz, (2 points, 2 points): lam R^T J between the two directions of a motor."""
+    for j in range(s.joint_kind.shape[0]):
+        a, b = s.joint_a[j], s.joint_b[j]
+        if s.joint_kind[j] == MOTOR and a >= 0 and b >= 0:
+            c, n = turn(s, j, drives)
+            g = lam[s.joint_row[j]]
+            block = ((-n * g, c * g), (-c * g, -n * g))
+            for i in range(2):
+                for l in range(2):
+                    curvature[2 * a + i, 2 * b + l] += block[i][l]
+                    curvature[2 * b + l, 2 * a + i] += block[i][l]
+
+
+@compiled
+def joint_rates(s, drives, dz, vz, phi_t, bias):
+    """Fill phi_t (m,) and the bias of the acceleration constraint `(phi_q v)_q v + 2 phi_qt v + phi_tt` (m,)."""
+    phi_t[:] = 0.0
+    bias[:] = 0.0
+    for j in range(s.joint_kind.shape[0]):
+        if s.joint_kind[j] != MOTOR:
+            continue
+        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
+        wx, wy, bx, by = turned_sides(s, j, drives, dz)
+        c, n = turn(s, j, drives)
+        rate, second = drives[s.joint_drive[j], 1], drives[s.joint_drive[j], 2]
+        ux = uy = dx = dy = 0.0
+        if a >= 0:
+            ux, uy = c * vz[a, 0] - n * vz[a, 1], n * vz[a, 0] + c * vz[a, 1]
+        if b >= 0:
+            dx, dy = vz[b, 0], vz[b, 1]
+        along = wx * bx + wy * by
+        phi_t[k] = -rate * along
+        mixed = -rate * (ux * bx + uy * by + wx * dx + wy * dy)
+        bias[k] = 2.0 * (ux * dy - uy * dx) + 2.0 * mixed - second * along - rate * rate * (wx * by - wy * bx)

@@ -1,0 +1,236 @@
+"""The model of a scene: one residual and one constraint vector, from compiled kernels."""
+
+from functools import cached_property
+
+import numpy as np
+
+from polyida.assembly import equilibrium as compiled
+from polyida.assembly import joints as rows
+from polyida.assembly.build import assemble, bodies_of
+from polyida.element import kernels
+from polyida.joint.angle_motor import AngleMotor
+from polyida.model import Model, Needs
+
+
+class SceneModel(Model):
+    """Plates, joints and masses as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
+
+    bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read. `rows` names the slice
+    of phi and lam that belongs to each joint. Matrices are scipy.sparse.
+    """
+
+    undamped_flexible = True
+
+    def __init__(self, parts, gravity):
+        self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
+        self.bodies = bodies_of(parts)
+        self.arrays, points, table, self.profiles, self._held = assemble(self.bodies, parts, gravity)
+        self.labels, self.rows, self.joints = table.labels, table.rows, table.sides
+        self.n_nodes = self.bodies[-1].nodes.stop
+        self.n, self.m = 2 * self.n_nodes, len(self.labels)
+        self.n_points = len(points.nodes)
+        motors = self.arrays.joint_kind == rows.MOTOR
+        both = motors & (self.arrays.joint_a >= 0) & (self.arrays.joint_b >= 0)
+        self.needs = Needs(mass_varies=False, velocity_forces=False, driven=bool(motors.any()), phi_q_varies=bool(both.any()))
+        self.reference = np.concatenate([body.points for body in self.bodies])
+
+    def drives(self, t):
+        """Value, first and second derivative of every profile at time t, (profiles, 3)."""
+        return np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
+
+    def kinks(self, t0, t1):
+        """Times in (t0, t1) at which a profile is not smooth, sorted."""
+        times = {float(kink) for profile in self.profiles for kink in profile.kinks}
+        return tuple(sorted(time for time in times if t0 < time < t1))
+
+    def constraint_name(self, row):
+        """The joint and axis of a row of phi."""
+        return self.labels[row]
+
+    def evaluate(self, t, q, a, lam, rotation=None):
+        """(r (n,), phi (m,), rotation, least det F, least motor cosine) in one compiled pass."""
+        r, phi = np.empty((self.n_nodes, 2)), np.empty(self.m)
+        rotation = np.empty((0, 2)) if rotation is None else rotation
+        dz, forces = np.empty((2, self.n_points, 2))
+        det, cosine = compiled.equilibrium(self.arrays, self.drives(t), _nodal(q), _nodal(a), _flat(lam), r, phi, rotation, dz, forces)
+        return r.ravel(), phi, rotation, det, cosine
+
+    def residual(self, t, q, v, a, lam):
+        """`r = M a + g + phi_q^T lam`, (n,)."""
+        return self.evaluate(t, q, a, lam)[0]
+
+    def phi(self, t, q):
+        """Constraints, (m,), in m (points) and m of turned direction (motors)."""
+        phi, dz = np.empty(self.m), self.dz(q)
+        rows.joint_forces(self.arrays, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
+        return phi
+
+    def force(self, t, q, v):
+        """g = g_int - g_ext, (n,)."""
+        return self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0]
+
+    def mass(self, q=None):
+        """Mass matrix, constant, (n, n) sparse."""
+        return self._mass
+
+    @cached_property
+    def _mass(self):
+        mass = self._sparse(np.zeros((self.n_nodes, 2)), 1.0, 0.0)
+        return (mass + self._points_t @ _diagonal(np.repeat(self.arrays.point_mass, 2)) @ self._points_t.T).tocsc()
+
+    def phi_q(self, t, q):
+        """Constraint Jacobian, (m, n) sparse; constant unless `needs.phi_q_varies` or `needs.driven`."""
+        return self._phi_q if not self.needs.driven else self._jacobian(t, q)
+
+    @cached_property
+    def _phi_q(self):
+        return self._jacobian(0.0, np.zeros(self.n))
+
+    def _jacobian(self, t, q):
+        from scipy.sparse import csr_array
+
+        phi_z = np.empty((self.m, 2 * self.n_points))
+        rows.joint_jacobian(self.arrays, self.drives(t), self.dz(q), phi_z)
+        return csr_array(csr_array(phi_z) @ self._points_t.T)
+
+    def phi_t(self, t, q):
+        """Partial derivative of phi in time, (m,)."""
+        return self._rates(t, q, np.zeros(self.n))[0]
+
+    def phi_bias(self, t, q, v):
+        """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""
+        return self._rates(t, q, v)[1]
+
+    def _rates(self, t, q, v):
+        phi_t, bias = np.zeros((2, self.m))
+        if self.needs.driven:
+            rows.joint_rates(self.arrays, self.drives(t), self.dz(q), self.dz(v), phi_t, bias)
+        return phi_t, bias
+
+    def force_q(self, t, q, v):
+        """dg/dq, (n, n) sparse."""
+        return self._sparse(_nodal(q), 0.0, 1.0)
+
+    def force_v(self, t, q, v):
+        """dg/dv: zero."""
+        from scipy.sparse import csc_array
+
+        return csc_array((self.n, self.n))
+
+    def mass_a_q(self, q, a):
+        """d(M a)/dq: zero."""
+        return self.force_v(0.0, q, q)
+
+    def reaction_q(self, t, q, lam):
+        """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the motors on the points."""
+        from scipy.sparse import csr_array
+
+        curvature = np.zeros((2 * self.n_points, 2 * self.n_points))
+        rows.joint_curvature(self.arrays, self.drives(t), _flat(lam), curvature)
+        return self._points_t @ csr_array(curvature) @ self._points_t.T
+
+    def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
+        """`c_m M + c_q dr/dq`, (n, n) sparse."""
+        result = self._sparse(_nodal(q), 0.0, c_q) + c_m * self._mass
+        return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
+
+    def objection(self, t, q):
+        """Why a state cannot be accepted, or None: an element turned inside out, or a motor on the wrong half-turn."""
+        _, _, _, det, cosine = self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))
+        if not det > 0:
+            return f"an element is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
+        return f"a motor stands on the wrong half-turn (cosine of its angle error {cosine:.3g})" if not cosine > 0 else None
+
+    def potential(self, q):
+        """Strain energy and potential of gravity, J, relative to the reference configuration."""
+        return self.strain_energy(q) + self.gravity_potential(q)
+
+    def strain_energy(self, q):
+        """Elastic energy of all plates, J."""
+        return compiled.strain_energy(self.arrays, _nodal(q))
+
+    def gravity_potential(self, q):
+        """Potential of gravity on plates and masses, J, zero at q = 0."""
+        at_points = self.arrays.point_mass @ (self.dz(q) @ self.arrays.gravity)
+        return -float(np.sum(self.arrays.weight * _nodal(q)) + at_points)
+
+    def dz(self, q):
+        """Displacements of the points that joints and masses hold on to, (points, 2)."""
+        dz = np.empty((self.n_points, 2))
+        rows.point_values(self.arrays, _nodal(q), dz)
+        return dz
+
+    @cached_property
+    def _points_t(self):
+        """A^T as a sparse matrix, (n, 2 points)."""
+        from scipy.sparse import csr_array, kron
+
+        s = self.arrays
+        scalar = csr_array((s.point_weights, s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
+        return csr_array(kron(scalar, np.eye(2)).T)
+
+    @cached_property
+    def pattern(self):
+        """(indptr, indices) of the nodal block pattern of all plates, int32."""
+        s, indptr, indices = self.arrays, [np.zeros(1, np.int32)], []
+        for body, first in zip(self.bodies, s.body_block):
+            indptr.append(body.operator.indptr[1:] + np.int32(first))
+            indices.append(body.operator.indices + np.int32(body.nodes.start))
+        return np.concatenate(indptr), np.concatenate(indices)
+
+    def _sparse(self, u, c_m, c_q):
+        from scipy.sparse import bsr_array
+
+        indptr, indices = self.pattern
+        blocks = np.empty((len(indices), 2, 2))
+        compiled.tangent_blocks(self.arrays, u, c_m, c_q, blocks)
+        return bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
+
+    def stress(self, q):
+        """Cauchy stress of every element, (cells, 3): xx, yy, xy in Pa, plate after plate."""
+        parts = []
+        for body in self.bodies:
+            modulus, nu = body.plate.material.in_plane
+            out, operator = np.empty((body.mesh.n_cells, 3)), body.operator
+            kernels.stress(*operator.force_arrays, operator.lane_cells, operator.areas, body.nodes.start,
+                           modulus / (1 - nu**2), nu, _nodal(q), out)
+            parts.append(out)
+        return np.concatenate(parts)
+
+    def reactions(self, name, q, lam):
+        """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""
+        if not isinstance(self.joints[name], AngleMotor):
+            return lam.copy()
+        at = int(np.searchsorted(self.arrays.joint_row, self.rows[name].start))
+        sizes = np.ones(len(q))
+        for point in (self.arrays.joint_a[at], self.arrays.joint_b[at]):
+            if point >= 0:
+                sizes *= [np.hypot(*(self.arrays.point_rest[point] + self.dz(frame)[point])) for frame in q]
+        return -lam * sizes[:, None]
+
+    def points_of(self, name):
+        """Number of the point that a mass, load or joint holds on to; raises InputError where there is none of that name."""
+        from polyida.errors import InputError
+
+        if name in self._held:
+            return self._held[name]
+        if name in self.rows:
+            at = int(np.searchsorted(self.arrays.joint_row, self.rows[name].start))
+            b = self.arrays.joint_b[at]
+            return int(b if b >= 0 else self.arrays.joint_a[at])
+        known = ", ".join(map(repr, [*self._held, *self.rows]))
+        raise InputError(f"no mass, load or joint is called {name!r}; known: {known}")
+
+
+def _nodal(q):
+    return np.ascontiguousarray(q, float).reshape(-1, 2)
+
+
+def _flat(lam):
+    return np.ascontiguousarray(lam, float)
+
+
+def _diagonal(values):
+    from scipy.sparse import diags_array
+
+    return diags_array(values)

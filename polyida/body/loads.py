@@ -1,0 +1,48 @@
+"""Dead loads: forces that keep their direction, with a time profile."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.body.material import vector2
+from polyida.joint.attachment import Attachment, require_attachment
+from polyida.profile import Profile, as_profile, constant
+
+
+@dataclass(frozen=True, eq=False)
+class PointLoad:
+    """A force (fx, fy), N, at the mean point of an attachment, times a profile of time (1 where none is given)."""
+
+    at: Attachment
+    force: tuple
+    profile: Profile = constant(1.0)
+    name: str | None = None
+
+    def __post_init__(self):
+        require_attachment("PointLoad", self.at)
+        vector2("PointLoad", "force", self.force)
+        object.__setattr__(self, "profile", as_profile(self.profile, "PointLoad"))
+
+    def nodal(self):
+        """Nodal forces on the attachment's nodes at profile value 1, (k, 2), N."""
+        return np.outer(self.at.weights, np.asarray(self.force, float))
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeTraction:
+    """A traction (tx, ty), Pa, per reference area of a section of the boundary (length times thickness), times a profile of time."""
+
+    at: Attachment
+    traction: tuple
+    profile: Profile = constant(1.0)
+    name: str | None = None
+
+    def __post_init__(self):
+        require_attachment("EdgeTraction", self.at)
+        vector2("EdgeTraction", "traction", self.traction)
+        object.__setattr__(self, "profile", as_profile(self.profile, "EdgeTraction"))
+
+    def nodal(self):
+        """Nodal forces on the section's nodes at profile value 1, (k, 2), N: exact for the elements' linear edges."""
+        area = self.at.weights * self.at.length * self.at.body.thickness
+        return np.outer(area, np.asarray(self.traction, float))

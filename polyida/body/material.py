@@ -1,0 +1,60 @@
+"""St. Venant-Kirchhoff material of a plate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+
+
+@dataclass(frozen=True)
+class Material:
+    """St. Venant-Kirchhoff, `S = E/(1 - nu^2) [(1 - nu) E_GL + nu tr(E_GL) I]` in plane stress.
+
+    E: Young's modulus, Pa, > 0. nu: Poisson's ratio in (-1, 0.5). rho: density, kg/m3, > 0. plane: "stress" or "strain"; plane
+    strain is the same formula with E/(1 - nu^2) and nu/(1 - nu). Raises InputError naming the value that is out of range.
+    """
+
+    E: float
+    nu: float
+    rho: float
+    plane: str = "stress"
+
+    def __post_init__(self):
+        for name, value, good, want in (
+            ("E", self.E, _finite(self.E) and self.E > 0, "a positive modulus in Pa"),
+            ("nu", self.nu, _finite(self.nu) and -1 < self.nu < 0.5, "inside (-1, 0.5)"),
+            ("rho", self.rho, _finite(self.rho) and self.rho > 0, "a positive density in kg/m3"),
+            ("plane", self.plane, self.plane in ("stress", "strain"), '"stress" or "strain"'),
+        ):
+            if not good:
+                raise InputError(f"Material: {name} = {value!r} must be {want}")
+
+    @property
+    def in_plane(self):
+        """(modulus, ratio) that the plane-stress formula takes for this material."""
+        if self.plane == "stress":
+            return self.E, self.nu
+        return self.E / (1 - self.nu**2), self.nu / (1 - self.nu)
+
+
+def _finite(value):
+    return isinstance(value, (int, float, np.floating, np.integer)) and not isinstance(value, bool) and np.isfinite(value)
+
+
+def positive(part, name, value, unit):
+    """The value as a float; raises InputError naming part and value where it is not a finite number above zero."""
+    if not _finite(value) or value <= 0:
+        raise InputError(f"{part}: {name} = {value!r} must be a positive number of {unit}")
+    return float(value)
+
+
+def vector2(part, name, value):
+    """The value as two floats; raises InputError naming part and value otherwise."""
+    try:
+        pair = np.asarray(value, float)
+    except (TypeError, ValueError):
+        pair = np.empty(0)
+    if pair.shape != (2,) or not np.isfinite(pair).all():
+        raise InputError(f"{part}: {name} = {value!r} must be two finite numbers")
+    return pair

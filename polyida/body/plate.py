@@ -1,0 +1,88 @@
+"""A flexible plate: a polygon mesh of one material and thickness, placed in the plane."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from polyida.body.material import Material, _finite, positive, vector2
+from polyida.errors import InputError
+from polyida.joint.attachment import Attachment, of_node, of_section
+from polyida.mesh import PolygonMesh
+
+ELEMENTS = ("wachspress",)
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """A flexible plate in plane stress or plane strain, meshed by convex polygons.
+
+    mesh: PolygonMesh, m. thickness: m. origin: where the mesh's (0, 0) lies, m. angle: turn about it, rad. name: how joints, tables
+    and files call it (given by the scene where it is None). element: "wachspress".
+    Raises InputError for a thickness that is not positive, a cell that is not strictly convex, an unknown element.
+    """
+
+    mesh: PolygonMesh
+    material: Material
+    thickness: float
+    origin: tuple = (0.0, 0.0)
+    angle: float = 0.0
+    name: str | None = None
+    element: str = "wachspress"
+    label: str = field(init=False, repr=False)
+
+    def __post_init__(self):
+        label = f"plate {self.name!r}" if self.name else "Plate"
+        object.__setattr__(self, "label", label)
+        if not isinstance(self.mesh, PolygonMesh):
+            raise InputError(f"{label}: mesh is {type(self.mesh).__name__}, a polyida mesh is needed (polyida.mesh.rectangle, read, ...)")
+        if not isinstance(self.material, Material):
+            raise InputError(f"{label}: material is {self.material!r}, a polyida.Material is needed")
+        positive(label, "thickness", self.thickness, "metres")
+        vector2(label, "origin", self.origin)
+        if not _finite(self.angle):
+            raise InputError(f"{label}: angle = {self.angle!r} must be a finite number of rad")
+        if self.element not in ELEMENTS:
+            raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
+        self.mesh.require_convex()
+
+    @cached_property
+    def placed(self):
+        """The mesh turned by `angle`: itself where the angle is zero, so that equal plates share their operator."""
+        if self.angle == 0.0:
+            return self.mesh
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        return PolygonMesh(self.mesh.points @ np.array([[c, s], [-s, c]]), self.mesh.nodes, self.mesh.offsets, self.mesh.sections)
+
+    @cached_property
+    def points(self):
+        """Reference positions of the nodes in the scene, (N, 2), m."""
+        return self.placed.points + np.asarray(self.origin, float)
+
+    def section(self, selector) -> Attachment:
+        """The mean of a section of the boundary: a name of the mesh, a function of its points, or node indices.
+
+        Raises InputError where it selects no node.
+        """
+        return of_section(self, self.mesh.section(selector), _called(selector))
+
+    def rim(self, hole=0) -> Attachment:
+        """The mean of the rim of a hole of the mesh, by number or section name."""
+        return self.section(f"hole {hole}" if isinstance(hole, (int, np.integer)) else hole)
+
+    def node(self, where) -> Attachment:
+        """One node: its index, or the node nearest to a point (x, y) of the mesh.
+
+        A joint at one node does not converge under mesh refinement (its compliance grows with the logarithm of the size): use a
+        section unless that is what is studied.
+        """
+        if isinstance(where, (int, np.integer)):
+            if not 0 <= where < self.mesh.n_nodes:
+                raise InputError(f"{self.label}: node {where} does not exist, the mesh has nodes 0 to {self.mesh.n_nodes - 1}")
+            return of_node(self, int(where))
+        point = vector2(self.label, "node", where)
+        return of_node(self, int(np.argmin(((self.mesh.points - point) ** 2).sum(axis=1))))
+
+
+def _called(selector):
+    return selector if isinstance(selector, str) else "section"

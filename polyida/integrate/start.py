@@ -1,0 +1,93 @@
+"""Consistent start, the same for every integrator: positions and velocities on the constraints, accelerations and multipliers."""
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.integrate.state import State
+from polyida.linear.kkt import KKT, SingularSystem, require_independent
+
+VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
+
+
+def consistent_state(model, t0=0.0, q0=None, v0=None):
+    """A State at t0 that satisfies phi = 0, `phi_q v + phi_t = 0` and the equations of motion.
+
+    1. q0 (zeros where None) is projected on phi = 0, then v0 (zeros) on the velocity constraint, both in the metric of M.
+    2. `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`.
+    Raises InputError for wrong shapes or values, for a given q0 or v0 that violates its constraint by more than 1e-6 of its size,
+    and for redundant or inconsistent constraints.
+    """
+    q, v = _given(model, "q0", q0), _given(model, "v0", v0)
+    if not np.isfinite(t0):
+        raise InputError(f"t0 = {t0} must be a finite time in s")
+    if model.m:
+        require_independent(model, model.phi_q(t0, q))
+        _require_near(model, "q0", q0, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
+        q = _project_position(model, t0, q)
+        rate = model.phi_q(t0, q) @ v + model.phi_t(t0, q)
+        _require_near(model, "v0", v0, rate, max(1.0, np.abs(v).max(initial=0)))
+        if np.abs(rate).max() > 0:
+            v = v + _kkt(model, t0, q).solve(np.zeros(model.n), rate)[0]
+    a, lam = consistent_acceleration(model, t0, q, v)
+    return State(float(t0), q, v, a, lam)
+
+
+def consistent_acceleration(model, t, q, v):
+    """(a, lam) from the equations of motion and the second derivative of phi."""
+    bias = model.phi_bias(t, q, v) if model.m else np.zeros(0)
+    return _kkt(model, t, q).solve(model.force(t, q, v), bias)
+
+
+def jerk(model, state, h):
+    """q''' at a state, (n,), by central differences of consistent accelerations over h/20 on both sides."""
+    s = h / 20
+
+    def acceleration(s):
+        q = state.q + s * state.v + s * s / 2 * state.a
+        return consistent_acceleration(model, state.t + s, q, state.v + s * state.a)[0]
+
+    return (acceleration(s) - acceleration(-s)) / (2 * s)
+
+
+def _given(model, name, value):
+    if value is None:
+        return np.zeros(model.n)
+    try:
+        array = np.array(value, float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (model.n,) or not np.isfinite(array).all():
+        raise InputError(f"{name}: shape {array.shape}, it must be {model.n} finite numbers")
+    return array
+
+
+def _require_near(model, name, given, violation, size):
+    worst = int(np.argmax(np.abs(violation)))
+    if not np.isfinite(violation).all():
+        raise InputError(f"{name}: {model.constraint_name(worst)} is not finite at the start")
+    if given is not None and abs(violation[worst]) > VIOLATION * size:
+        what = "phi" if name == "q0" else "phi_q v + phi_t"
+        raise InputError(f"{name} violates the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0; "
+                         f"give a consistent {name}, or leave it out to have it made")
+
+
+def _project_position(model, t, q):
+    """Newton on phi = 0 along M^-1 B^T; stops where phi no longer falls."""
+    before = np.inf
+    for _ in range(50):
+        phi = model.phi(t, q)
+        size = np.abs(phi).max()
+        if size == 0.0 or (size >= 0.5 * before and size < 1e-10):
+            return q
+        before = size
+        q = q + _kkt(model, t, q).solve(np.zeros(model.n), phi)[0]
+    worst = int(np.argmax(np.abs(phi)))
+    raise InputError(f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "
+                     "no configuration near q0 satisfies all of them")
+
+
+def _kkt(model, t, q):
+    try:
+        return KKT(model.mass(q), model.phi_q(t, q))
+    except SingularSystem:
+        raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None

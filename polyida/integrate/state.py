@@ -1,0 +1,47 @@
+"""What an integrator takes and yields: a state, the counts of the work done, and how it says that it cannot go on."""
+
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class State:
+    """One accepted instant: t in s, q, v, a (n,), lam (m,).
+
+    `memory` is what the integrator that yielded the state needs besides to go on from it as if it had not stopped
+    (generalized-alpha: the algorithmic acceleration `a_alg` and its step; IDA: nothing). Another integrator ignores it.
+    """
+
+    t: float
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    memory: dict = field(default_factory=dict)
+
+
+@dataclass
+class Counts:
+    """Exact counts of the work done in a run; the same on every machine for fixed-step integrators."""
+
+    steps: int = 0
+    rejected: int = 0
+    newton_iterations: int = 0
+    residuals: int = 0
+    tangents: int = 0
+    factorizations: int = 0
+    solves: int = 0
+
+    def as_dict(self):
+        """The counts as a plain dictionary."""
+        return asdict(self)
+
+
+class StepFailure(Exception):
+    """An integrator cannot go on: where, why, and what it last saw. `solve` turns it into a status and keeps the run so far."""
+
+    def __init__(self, status, reason, t=float("nan"), **seen):
+        self.status, self.reason, self.t, self.seen = status, reason, t, seen
+        detail = ", ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in seen.items())
+        super().__init__(f"{reason} at t = {t:.9g} s" + (f" ({detail})" if detail else ""))

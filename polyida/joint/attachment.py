@@ -1,0 +1,88 @@
+"""Attachments: weighted sets of nodes at which joints, masses and loads take hold of a body."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+
+
+class Ground:
+    """The fixed frame. A joint to it holds the other side where it is in the reference configuration."""
+
+    def __repr__(self):
+        return "ground"
+
+
+ground = Ground()
+
+
+@dataclass(frozen=True, eq=False)
+class Attachment:
+    """A weighted set of nodes of a body.
+
+    Its point is `x = sum w_i x_i` (weights (k,), sum 1); its direction `d = sum w'_i x_i` (turn_weights (k,), sum 0, |d| = 1 in the
+    reference configuration), None where the set has no extent. length: of the section in m, 0 for a node.
+    """
+
+    body: object
+    nodes: np.ndarray
+    weights: np.ndarray
+    turn_weights: np.ndarray | None
+    length: float
+    name: str
+
+    @property
+    def point(self):
+        """Reference position of the point, (2,), m."""
+        return self.weights @ self.body.points[self.nodes]
+
+    @property
+    def direction(self):
+        """Reference direction, (2,), of length one, or None."""
+        return None if self.turn_weights is None else self.turn_weights @ self.body.points[self.nodes]
+
+    def __repr__(self):
+        return f"{self.body.label} {self.name}"
+
+
+def of_node(body, node):
+    """One node: it has a point and no direction."""
+    return Attachment(body, np.array([node], np.int32), np.ones(1), None, 0.0, f"node {node}")
+
+
+def of_section(body, section, name):
+    """Mean of a section: weights by tributary length l; `w'_i = l_i (eta_i - mean) / sum l (eta - mean)^2`, eta along its main axis.
+
+    The main axis is that of the largest second moment, so that the direction has length one on straight and round sections alike.
+    """
+    nodes, lengths = np.asarray(section.nodes, np.int32), np.asarray(section.lengths, float)
+    total = lengths.sum()
+    if len(nodes) == 1 or not total > 0:
+        if len(nodes) == 1:
+            return of_node(body, int(nodes[0]))
+        lengths, total = np.ones(len(nodes)), 0.0
+    weights = lengths / lengths.sum()
+    offset = body.points[nodes] - weights @ body.points[nodes]
+    moments, axes = np.linalg.eigh((weights[:, None] * offset).T @ offset)
+    axis = axes[:, 1] * (1.0 if axes[np.argmax(np.abs(axes[:, 1])), 1] > 0 else -1.0)
+    eta = offset @ axis
+    turn = weights * eta / moments[1] if moments[1] > 0 else None
+    return Attachment(body, nodes, weights, turn, float(total), name)
+
+
+def require_attachment(part, given):
+    """Raise InputError naming the part unless `given` is an attachment of a body."""
+    if not isinstance(given, Attachment):
+        raise InputError(f"{part}: {given!r} is no attachment; use plate.section(...), plate.rim(...) or plate.node(...)")
+
+
+def require_sides(part, a, b):
+    """Raise InputError unless both sides are attachments or ground, not both ground, not one body twice."""
+    for side in (a, b):
+        if side is not ground:
+            require_attachment(part, side)
+    if a is ground and b is ground:
+        raise InputError(f"{part}: both sides are ground; one must be an attachment of a body")
+    if a is not ground and b is not ground and a.body is b.body:
+        raise InputError(f"{part}: both sides belong to {a.body.label}; they must be of two bodies, or one of them ground")

@@ -1,0 +1,102 @@
+"""The saddle-point system of one Newton step, dense or sparse, scaled on request.
+
+```
+[ S    B^T ] [ dq   ]     [ r   ]
+[ B    0   ] [ dlam ] = - [ phi ]        S = c_m M + c_v C + c_q K,  B = phi_q
+```
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+
+SCALINGS = ("none", "bottasso", "physical")
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Row and column factors of the system: rows of r by `row`, multipliers by `column`; phi and q keep theirs.
+
+    Bottasso, Dopico, Trainelli 2008: row = beta h^2, column = 1/(beta h^2). Physical (Bauchau, Epple, Bottasso 2009): both
+    divided by, and multiplied with, s = m_r + gamma h d_r + beta h^2 k_r, of typical mass, damping and stiffness.
+    """
+
+    row: float = 1.0
+    column: float = 1.0
+
+
+def scaling_factors(kind, step_square, tangent):
+    """Scaling of a kind for beta h^2 = `step_square`; beta h^2 S has the typical size s, the mean of its diagonal."""
+    if kind == "none":
+        return Scaling()
+    if kind == "bottasso":
+        return Scaling(step_square, 1.0 / step_square)
+    size = step_square * float(np.mean(np.abs(tangent.diagonal())))
+    return Scaling(step_square / size, size / step_square) if size > 0 else Scaling()
+
+
+def assemble(tangent, phi_q, scaling=Scaling()):
+    """The scaled matrix, (n + m, n + m): dense where S is dense, CSC otherwise."""
+    if hasattr(tangent, "tocsc"):
+        from scipy.sparse import block_array, csr_array
+
+        border = csr_array(phi_q)
+        if not border.shape[0]:
+            return (scaling.row * tangent).tocsc()
+        return block_array([[scaling.row * tangent, scaling.row * scaling.column * border.T], [border, None]], format="csc")
+    n, m = tangent.shape[0], phi_q.shape[0]
+    matrix = np.zeros((n + m, n + m))
+    matrix[:n, :n] = scaling.row * tangent
+    matrix[:n, n:] = scaling.row * scaling.column * phi_q.T
+    matrix[n:, :n] = phi_q
+    return matrix
+
+
+class KKT:
+    """A factorization of the system; `solve` any number of right-hand sides."""
+
+    def __init__(self, tangent, phi_q, scaling=Scaling()):
+        self.n, self.scaling = tangent.shape[0], scaling
+        matrix = assemble(tangent, phi_q, scaling)
+        if isinstance(matrix, np.ndarray):
+            from scipy.linalg import lu_factor, lu_solve
+
+            if not np.isfinite(matrix).all():
+                raise SingularSystem("the iteration matrix is not finite")
+            factors = lu_factor(matrix, check_finite=False)
+            if not np.all(np.abs(np.diag(factors[0])) > 0):
+                raise SingularSystem("the iteration matrix is singular")
+            self._solve = lambda b: lu_solve(factors, b, check_finite=False)
+        else:
+            from scipy.sparse.linalg import splu
+
+            try:
+                self._solve = splu(matrix).solve
+            except RuntimeError as error:
+                raise SingularSystem("the iteration matrix is singular") from error
+
+    def solve(self, r, phi):
+        """(dq, dlam) for the residuals r (n,) and phi (m,)."""
+        x = self._solve(-np.concatenate([self.scaling.row * r, phi]))
+        return x[: self.n], self.scaling.column * x[self.n:]
+
+
+class SingularSystem(Exception):
+    """The system has no unique solution."""
+
+
+def require_independent(model, phi_q):
+    """Raise InputError naming the constraints where the rows of phi_q (m, n) are linearly dependent."""
+    rows = phi_q.toarray() if hasattr(phi_q, "toarray") else np.asarray(phi_q)
+    sizes = np.linalg.norm(rows, axis=1)
+    if not np.all(sizes > 0):
+        names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(sizes > 0)))
+        raise InputError(f"constraints {names}: phi_q has a row of zeros there; a constraint must depend on q")
+    unit = rows / sizes[:, None]
+    values, vectors = np.linalg.eigh(unit @ unit.T)
+    if values.size and values[0] < 1e-12 * values[-1]:
+        involved = np.flatnonzero(np.abs(vectors[:, 0]) > 0.05 * np.abs(vectors[:, 0]).max())
+        names = ", ".join(model.constraint_name(int(k)) for k in involved)
+        raise InputError(f"constraints {names} are redundant: one of them follows from the others (or contradicts them); remove it")

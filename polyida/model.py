@@ -1,0 +1,140 @@
+"""The seam: a model gives one residual r and one constraint vector phi, and every integrator solves those two."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida import differences
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a model needs evaluated anew. Everything that is False is computed once or never.
+
+    mass_varies: M depends on q. velocity_forces: g depends on v. driven: phi depends on t. phi_q_varies: phi is not linear in q.
+    """
+
+    mass_varies: bool = True
+    velocity_forces: bool = True
+    driven: bool = True
+    phi_q_varies: bool = True
+
+
+class Model:
+    """A constrained mechanical system `r = M(q) a + g(t, q, v) + phi_q^T lam = 0`, `phi(t, q) = 0` (index 3).
+
+    A model of one's own sets `n` and `m` and writes `mass`, `force`, `phi` and `phi_q`; all other derivatives have right
+    defaults by fourth-order central differences. Override them where the exact form is known, and check the override with
+    `check_derivatives`. Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
+    """
+
+    n: int
+    m: int
+    needs: Needs = Needs()
+    undamped_flexible = False  # True where undamped mesh modes make high BDF orders unstable
+
+    def mass(self, q):
+        """Mass matrix M, (n, n), symmetric."""
+        raise NotImplementedError
+
+    def force(self, t, q, v):
+        """Force g = g_gyr + g_int - g_ext, (n,): what stands on the left of r beside M a."""
+        raise NotImplementedError
+
+    def phi(self, t, q):
+        """Holonomic constraints, (m,)."""
+        return np.zeros(0)
+
+    def phi_q(self, t, q):
+        """Constraint Jacobian, (m, n)."""
+        return np.zeros((0, self.n))
+
+    def force_q(self, t, q, v):
+        """dg/dq, (n, n)."""
+        return differences.jacobian(lambda x: self.force(t, x, v), q, self.n)
+
+    def force_v(self, t, q, v):
+        """dg/dv, (n, n)."""
+        return differences.jacobian(lambda x: self.force(t, q, x), v, self.n)
+
+    def mass_a_q(self, q, a):
+        """d(M a)/dq, (n, n)."""
+        return differences.jacobian(lambda x: self.mass(x) @ a, q, self.n)
+
+    def reaction_q(self, t, q, lam):
+        """d(phi_q^T lam)/dq, (n, n)."""
+        return differences.jacobian(lambda x: self.phi_q(t, x).T @ lam, q, self.n)
+
+    def phi_t(self, t, q):
+        """Partial derivative of phi in time, (m,)."""
+        if not self.needs.driven:
+            return np.zeros(self.m)
+        return differences.along(lambda s: self.phi(t + s, q))
+
+    def phi_bias(self, t, q, v):
+        """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,), so that d2 phi/dt2 = phi_q a + phi_bias."""
+        if not (self.needs.driven or self.needs.phi_q_varies):
+            return np.zeros(self.m)
+        reach = min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(v).max(initial=0)))
+        return differences.along(lambda s: self.phi_q(t + s, q + s * v) @ v + self.phi_t(t + s, q + s * v), reach)
+
+    def potential(self, q):
+        """Potential energy of all conservative forces at q, J, or None where the model does not say."""
+        return None
+
+    def constraint_name(self, row):
+        """What row `row` of phi is called in a message."""
+        return f"phi[{row}]"
+
+    def kinks(self, t0, t1):
+        """Times in (t0, t1) at which a load or motor profile is not smooth, sorted."""
+        return ()
+
+    def residual(self, t, q, v, a, lam):
+        """`r = M a + g + phi_q^T lam`, (n,)."""
+        r = self.mass(q) @ a + self.force(t, q, v)
+        return r + self.phi_q(t, q).T @ lam if self.m else r
+
+    def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
+        """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n); terms that `needs` excludes are not evaluated."""
+        result = c_m * self.mass(q) + c_q * self.force_q(t, q, v)
+        if self.needs.velocity_forces and c_v:
+            result = result + c_v * self.force_v(t, q, v)
+        if self.needs.mass_varies:
+            result = result + c_q * self.mass_a_q(q, a)
+        if self.needs.phi_q_varies and self.m:
+            result = result + c_q * self.reaction_q(t, q, lam)
+        return result
+
+
+def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
+    """Compare every derivative of a model with central differences of what it is the derivative of.
+
+    States that are not given are drawn at random (q of size 1, v of size 1). Returns {name: relative error}, the largest
+    deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong.
+    """
+    random = np.random.default_rng(seed)
+    q, v, a = (random.standard_normal(model.n) if x is None else np.asarray(x, float) for x in (q, v, a))
+    lam = random.standard_normal(model.m) if lam is None else np.asarray(lam, float)
+    n, m = model.n, model.m
+    pairs = {
+        "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
+        "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
+        "mass_a_q": (model.mass_a_q(q, a), differences.jacobian(lambda x: model.mass(x) @ a, q, n)),
+        "tangent": (model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0),
+                    differences.jacobian(lambda x: model.residual(t, x, v, a, lam), q, n)),
+    }
+    if m:
+        pairs |= {
+            "phi_q": (model.phi_q(t, q), differences.jacobian(lambda x: model.phi(t, x), q, m)),
+            "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
+            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q))),
+            "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
+        }
+    return {name: _deviation(*pair) for name, pair in pairs.items()}
+
+
+def _deviation(exact, difference):
+    exact = exact.toarray() if hasattr(exact, "toarray") else np.asarray(exact)
+    size = max(np.abs(exact).max(initial=0), np.abs(difference).max(initial=0))
+    return float(np.abs(exact - difference).max(initial=0) / size) if size > 1e-12 else 0.0

@@ -1,0 +1,116 @@
+"""Time profiles of motors and loads: a value with its first and second derivative in time, and the times of its kinks."""
+
+from dataclasses import dataclass
+from typing import Callable
+
+import numpy as np
+
+from polyida.differences import along
+from polyida.errors import InputError
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A function of time `value(t)` with `d1(t)`, `d2(t)` and the times `kinks` at which it is not smooth.
+
+    `formula` describes a profile made by this module as plain data (kind, numbers), so that it can be stored in a file.
+    """
+
+    value: Callable
+    d1: Callable
+    d2: Callable
+    kinks: tuple = ()
+    formula: tuple = ()
+
+    def __call__(self, t):
+        return self.value(t)
+
+    def at(self, t):
+        """(value, first, second derivative) at time t."""
+        return self.value(t), self.d1(t), self.d2(t)
+
+
+def constant(value):
+    """The same value at all times."""
+    return polynomial([value])
+
+
+def polynomial(coefficients):
+    """`c0 + c1 t + c2 t^2 + ...`."""
+    c = np.polynomial.Polynomial(np.asarray(coefficients, float))
+    first, second = c.deriv(1), c.deriv(2)
+    return Profile(c, first, second, formula=("polynomial", *map(float, coefficients)))
+
+
+def quintic(start, end, duration, begin=0.0):
+    """Smooth move `start + (end - start)(10 s^3 - 15 s^4 + 6 s^5)`, s = (t - begin)/duration held to [0, 1].
+
+    Velocity and acceleration vanish at both ends. Raises InputError where duration is not positive.
+    """
+    return _move(start, end, duration, begin, "quintic", [0, 0, 0, 10, -15, 6])
+
+
+def ramp(start, end, duration, begin=0.0):
+    """Move of class C^4: the ninth-degree smooth step. Raises InputError where duration is not positive."""
+    return _move(start, end, duration, begin, "ramp", [0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
+
+
+def linear(start, end, duration, begin=0.0):
+    """Straight move from start to end, with a kink at both ends. Raises InputError where duration is not positive."""
+    return _move(start, end, duration, begin, "linear", [0, 1])
+
+
+def _move(start, end, duration, begin, kind, coefficients):
+    if not duration > 0:
+        raise InputError(f"profile.{kind}: duration {duration} s must be positive")
+    shape = np.polynomial.Polynomial(coefficients)
+    span = float(end) - float(start)
+
+    def derivative(order):
+        function, factor = shape.deriv(order) if order else shape, span / duration**order
+
+        def evaluate(t):
+            s = (np.asarray(t, float) - begin) / duration
+            inside = (s > 0) & (s < 1)
+            held = np.where(s >= 1, span, 0.0) + start if order == 0 else 0.0
+            moving = factor * function(np.clip(s, 0.0, 1.0)) + (start if order == 0 else 0.0)
+            return np.where(inside, moving, held)[()]
+
+        return evaluate
+
+    formula = (kind, float(start), float(end), float(duration), float(begin))
+    return Profile(derivative(0), derivative(1), derivative(2), (begin, begin + duration), formula)
+
+
+def sine(amplitude, frequency, phase=0.0):
+    """`amplitude sin(2 pi frequency t + phase)`; frequency in Hz, phase in rad."""
+    w = 2 * np.pi * frequency
+    return Profile(lambda t: amplitude * np.sin(w * t + phase), lambda t: amplitude * w * np.cos(w * t + phase),
+                   lambda t: -amplitude * w * w * np.sin(w * t + phase),
+                   formula=("sine", float(amplitude), float(frequency), float(phase)))
+
+
+def from_function(value, d1=None, d2=None, kinks=()):
+    """A profile from functions of time; derivatives that are not given are central differences of the one before."""
+    d1 = d1 or (lambda t: float(along(lambda s: value(t + s), 1e-2)))
+    d2 = d2 or (lambda t: float(along(lambda s: d1(t + s), 1e-2)))
+    return Profile(value, d1, d2, tuple(kinks))
+
+
+def as_profile(given, part):
+    """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise."""
+    if isinstance(given, Profile):
+        return given
+    if callable(given):
+        return from_function(given)
+    if isinstance(given, (int, float, np.floating)) and np.isfinite(given):
+        return constant(float(given))
+    raise InputError(f"{part}: {given!r} is no time profile: give a number, a function of t, or polyida.profile.*")
+
+
+MAKERS = {"polynomial": lambda *c: polynomial(c), "quintic": quintic, "ramp": ramp, "linear": linear, "sine": sine}
+
+
+def from_formula(formula):
+    """The profile that `Profile.formula` describes, or None where the formula is empty."""
+    return MAKERS[formula[0]](*formula[1:]) if formula else None

@@ -1,0 +1,58 @@
+"""What a user writes: parts that are added to a scene, which is then built into one model."""
+
+from polyida.assembly.scene_model import SceneModel
+from polyida.body.loads import EdgeTraction, PointLoad
+from polyida.body.material import vector2
+from polyida.body.plate import Plate
+from polyida.body.point_mass import PointMass
+from polyida.errors import InputError
+from polyida.joint.angle_motor import AngleMotor
+from polyida.joint.attachment import Attachment
+from polyida.joint.clamp import Clamp
+from polyida.joint.revolute import Revolute
+
+KINDS = {Plate: "plate", Revolute: "revolute", Clamp: "clamp", AngleMotor: "motor", PointMass: "mass", PointLoad: "load",
+         EdgeTraction: "traction"}
+
+
+class Scene:
+    """Flexible plates, joints, motors, masses and loads in the x-y plane.
+
+    gravity: acceleration (gx, gy), m/s2. `add` parts in any order, then `build` a model; a scene can be added to and built again.
+    """
+
+    def __init__(self, gravity=(0.0, 0.0)):
+        self.gravity = vector2("Scene", "gravity", gravity)
+        self.parts = {}
+
+    def add(self, part):
+        """Add a part and return it. Parts without a name are called by kind and number ("plate 1").
+
+        Raises InputError for what is no part, and for a name that is taken.
+        """
+        if type(part) not in KINDS:
+            raise InputError(f"Scene.add: {part!r} is no part of a scene; parts are {', '.join(kind.__name__ for kind in KINDS)}")
+        if any(part is known for known in self.parts.values()):
+            raise InputError(f"Scene.add: {part.name or KINDS[type(part)]!r} is in the scene already")
+        name = part.name or self._next_name(KINDS[type(part)])
+        if name in self.parts:
+            raise InputError(f"Scene.add: the name {name!r} is taken by a {KINDS[type(self.parts[name])]}; names must differ")
+        self.parts[name] = part
+        return part
+
+    def _next_name(self, kind):
+        number = 1 + sum(KINDS[type(part)] == kind for part in self.parts.values())
+        while f"{kind} {number}" in self.parts:
+            number += 1
+        return f"{kind} {number}"
+
+    def build(self):
+        """The model of the scene as it is now. Raises InputError naming the part that is wrong."""
+        plates = [part for part in self.parts.values() if isinstance(part, Plate)]
+        if not plates:
+            raise InputError("Scene.build: the scene has no plate")
+        for name, part in self.parts.items():
+            for side in (getattr(part, key, None) for key in ("a", "b", "at")):
+                if isinstance(side, Attachment) and not any(side.body is plate for plate in plates):
+                    raise InputError(f"{name}: {side!r} is of a body that is not in the scene; add it with scene.add")
+        return SceneModel(self.parts, self.gravity)

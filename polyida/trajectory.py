@@ -1,0 +1,136 @@
+"""What comes back from a run: the motion, the work done, how it ended, and what can be derived from it when asked."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.integrate.state import Counts
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Energies over time, (frames,), J; nan where the model does not state its potential. strain is part of potential's sum in total."""
+
+    kinetic: np.ndarray
+    potential: np.ndarray
+    strain: np.ndarray
+
+    @property
+    def total(self):
+        """kinetic + potential + strain."""
+        return self.kinetic + self.potential + self.strain
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """t (frames,), q, v, a (frames, n), lam (frames, m), and how the run went.
+
+    status: "done", "stopped" or the kind of failure; message: where and why; success: it reached its end. counts: exact work.
+    Energies, drift, positions, reactions and stresses are computed from the motion when they are asked for.
+    """
+
+    model: object
+    integrator: object
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    status: str = "done"
+    message: str = ""
+    counts: Counts = field(default_factory=Counts)
+    cpu_seconds: float = 0.0
+    wall_seconds: float = 0.0
+    machine: dict = field(default_factory=dict)
+    memory: dict = field(default_factory=dict)
+
+    @property
+    def success(self):
+        """True where the run reached its end."""
+        return self.status in ("done", "stopped")
+
+    @property
+    def steps(self):
+        """Accepted steps."""
+        return self.counts.steps
+
+    def __len__(self):
+        return len(self.t)
+
+    @cached_property
+    def drift(self):
+        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints)."""
+        return np.array([_largest(self.model.phi(t, q)) for t, q in zip(self.t, self.q)])
+
+    @cached_property
+    def velocity_drift(self):
+        """Largest |phi_q v + phi_t| of every frame, (frames,)."""
+        model = self.model
+        return np.array([_largest(model.phi_q(t, q) @ v + model.phi_t(t, q)) for t, q, v in zip(self.t, self.q, self.v)])
+
+    @cached_property
+    def energy(self):
+        """Kinetic, potential (gravity) and strain energy of every frame."""
+        kinetic = np.array([0.5 * v @ (self.model.mass(q) @ v) for q, v in zip(self.q, self.v)])
+        if hasattr(self.model, "strain_energy"):
+            strain = np.array([self.model.strain_energy(q) for q in self.q])
+            return Energy(kinetic, np.array([self.model.gravity_potential(q) for q in self.q]), strain)
+        potential = [self.model.potential(q) for q in self.q]
+        return Energy(kinetic, np.array([np.nan if value is None else value for value in potential]), np.zeros(len(self)))
+
+    def position(self, name):
+        """Path of a mass, load or joint, by name, or of an attachment, (frames, 2), m."""
+        nodes, weights = self._nodes_of(name)
+        moved = self.q.reshape(len(self), -1, 2)[:, nodes] + self.model.reference[nodes]
+        return np.einsum("k,fkx->fx", weights, moved)
+
+    def _nodes_of(self, name):
+        if not hasattr(self.model, "points_of"):
+            raise InputError(f"position({name!r}): {type(self.model).__name__} has no named points; read q")
+        if not isinstance(name, str):
+            body = next(body for body in self.model.bodies if body.plate is name.body)
+            return name.nodes + body.nodes.start, name.weights
+        s, point = self.model.arrays, self.model.points_of(name)
+        part = slice(s.point_ptr[point], s.point_ptr[point + 1])
+        return s.point_nodes[part], s.point_weights[part]
+
+    def reaction(self, name):
+        """What a joint does to its side b, (frames, k): force in N (revolute, clamp), torque in N m (angle motor, k = 1)."""
+        rows = getattr(self.model, "rows", {})
+        if name not in rows:
+            raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, rows))}")
+        return self.model.reactions(name, self.q, self.lam[:, rows[name]])
+
+    def node_positions(self, frame):
+        """Positions of all nodes in a frame, (nodes, 2), m."""
+        return self.model.reference + self.q[frame].reshape(-1, 2)
+
+    def stress(self, frame):
+        """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
+        return self.model.stress(self.q[frame])
+
+    def summary(self):
+        """One line: how it ended, what it cost, how well it held."""
+        c = self.counts
+        worst = f", |phi| <= {self.drift.max():.1e}" if self.model.m and len(self) else ""
+        return (f"{self.status}: {type(self.integrator).__name__} to t = {self.t[-1]:.6g} s, {c.steps} steps ({c.rejected} rejected), "
+                f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s{worst}"
+                + (f"; {self.message}" if self.message else ""))
+
+    def save(self, path, overwrite=False):
+        """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""
+        from polyida.trajectory_file import save
+
+        save(self, path, overwrite)
+
+
+def _largest(values):
+    return float(np.abs(values).max(initial=0.0))
+
+
+def von_mises(stress):
+    """Von Mises stress of plane stress components (..., 3): `sqrt(xx^2 - xx yy + yy^2 + 3 xy^2)`, same unit."""
+    xx, yy, xy = np.moveaxis(np.asarray(stress), -1, 0)
+    return np.sqrt(xx * xx - xx * yy + yy * yy + 3 * xy * xy)
