@@ -6,8 +6,12 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate import alpha_generic
+from polyida.integrate import alpha_scene
 from polyida.integrate.segments import segments
 from polyida.linear.kkt import SCALINGS
+
+
+LINEAR = ("auto", "band", "superlu", "kkt")
 
 
 @dataclass(frozen=True)
@@ -40,10 +44,11 @@ class GeneralizedAlpha:
 
     h: float
     rho_inf: float = 0.9
-    tolerance: float = 1e-3
+    tolerance: float = 1e-4
     scaling: str = "physical"
     max_iterations: int = 25
     start: str = "consistent"
+    linear: str = "auto"
 
     def __post_init__(self):
         number = (int, float, np.floating, np.integer)
@@ -53,6 +58,7 @@ class GeneralizedAlpha:
             ("tolerance", isinstance(self.tolerance, number) and 0 < self.tolerance < 1, "between 0 and 1"),
             ("scaling", self.scaling in SCALINGS, f"one of {', '.join(SCALINGS)}"),
             ("max_iterations", isinstance(self.max_iterations, int) and self.max_iterations > 0, "a positive whole number"),
+            ("linear", self.linear in LINEAR, f"one of {', '.join(LINEAR)}"),
             ("start", self.start in ("consistent", "plain"), '"consistent" or "plain"'),
         )
         for name, good, want in checks:
@@ -68,5 +74,6 @@ class GeneralizedAlpha:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         for begin, end in segments(model, state.t, t_end):
             count = max(1, int(np.ceil((end - begin) / self.h * (1 - 1e-12))))
-            for state in alpha_generic.advance(self, model, state, begin, end, count, counts):
+            method = alpha_generic if self.linear == "kkt" or not hasattr(model, "arrays") else alpha_scene
+            for state in method.advance(self, model, state, begin, end, count, counts):
                 yield state

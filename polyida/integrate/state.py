@@ -23,7 +23,10 @@ class State:
 
 @dataclass
 class Counts:
-    """Exact counts of the work done in a run; the same on every machine for fixed-step integrators."""
+    """Exact counts of the work done in a run; the same on every machine for fixed-step integrators.
+
+    solves are with the n x n factor. backend names what made it.
+    """
 
     steps: int = 0
     rejected: int = 0
@@ -32,6 +35,7 @@ class Counts:
     tangents: int = 0
     factorizations: int = 0
     solves: int = 0
+    backend: str = ""
 
     def as_dict(self):
         """The counts as a plain dictionary."""

@@ -1,0 +1,227 @@
+"""Numba kernels of one body: internal force, tangent, strain energy, stress and the product with the mass.
+
+    f_i = int t F S G_i,  K_ij = int t [(G_i . S G_j) I + B_i^T D B_j] = int t G_i A G_j,  W = int t S : E / 2
+
+Arguments: the packed arrays of a ReferenceOperator; `node_offset`, where the body's nodes begin in u; c1 = t E_mod /
+(1 - nu^2) in N/m; u (N, 2) displacements in m of all bodies. Arrays are contiguous, writeable float64. Results are
+added to the arrays given. numba's cache compares this file alone: after a change in lanes.py or material.py, touch it
+or delete __pycache__. Differences to the last corner replace displacements, so that the forces of a cell sum to zero
+and large translations cost no digits.
+"""
+
+import numpy as np
+from numba import njit
+
+from polyida.element.lanes import (
+    LANES,
+    add_pair,
+    gather,
+    lane,
+    load,
+    load2,
+    load4,
+    load8,
+    load_float,
+    load_integer,
+    load_pair,
+    misalignment,
+    prefetch_blocks,
+    scatter_add,
+    spread,
+    store,
+    zero_pair,
+    zeros2,
+    zeros3,
+    zeros4,
+)
+from polyida.element.material import (
+    add,
+    add_cauchy,
+    add_energy,
+    add_outer,
+    add_product,
+    add_rotation,
+    add_stiffness,
+    add_times,
+    difference,
+    first_piola,
+    moduli,
+    moduli_times,
+    negative,
+    scaled,
+    symmetric,
+    transposed,
+    watch,
+)
+
+kernel = njit(nogil=True, cache=True, error_model="numpy")
+part = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+@part
+def _room(layout, per_corner, per_corner_point):
+    """Scratch for the largest block, in vectors per corner and per corner and point; begins on a 64-byte boundary."""
+    vectors = 1
+    for b in range(layout.shape[0]):
+        vectors = max(vectors, layout[b, 0] * (per_corner + layout[b, 1] * per_corner_point))
+    room = np.empty((vectors + 1) * LANES)
+    return room[misalignment(room):]
+
+
+@part
+def _differences(u, corners, start, node_offset, m, out):
+    """Displacements of the corners against the last one, m, into out."""
+    last = gather(u, corners, start + m * LANES, node_offset)
+    for i in range(m):
+        store(out, 2 * i * LANES, difference(gather(u, corners, start + i * LANES, node_offset), last))
+
+
+@part
+def _gradient(gradients, start, differences, m):
+    """H at one point."""
+    h = zeros4()
+    for k in range(0, 2 * m * LANES, 2 * LANES):
+        h = add_outer(h, load2(differences, k), load2(gradients, start + k))
+    return h
+
+
+@kernel
+def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, f, rotation):
+    """Add the internal force to f (N, 2); return the least det F, nan where a displacement is not finite.
+
+    Adds to rotation (N, 2), at every node, the sum over its cells of area (F11 + F22, F21 - F12) of the cell's mean F:
+    their angle is the node's rotation. With rotation of shape (0, 2) this is left out.
+    """
+    room = _room(layout, 4, 0)
+    seen = spread(np.inf), spread(0.0)
+    for b in range(layout.shape[0]):
+        m, first = layout[b, 0] - 1, layout[b, 2]
+        force, size = room[2 * m * LANES:], 2 * m * LANES
+        _differences(u, corners, first, node_offset, m, room)
+        for k in range(0, size, 2 * LANES):
+            store(force, k, zeros2())
+        turn = zeros2()
+        for p in range(layout[b, 1]):
+            g, w = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
+            h = _gradient(gradients, g, room, m)
+            seen, turn = watch(seen, h), add_rotation(turn, w, h)
+            stress = first_piola(h, w, c1 * nu, c1 * (1.0 - nu))
+            for k in range(0, size, 2 * LANES):
+                store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
+        balance = zeros2()
+        for i in range(m):
+            own = load2(force, 2 * i * LANES)
+            scatter_add(f, corners, first + i * LANES, node_offset, own)
+            balance = difference(balance, own)
+        scatter_add(f, corners, first + m * LANES, node_offset, balance)
+        if rotation.shape[0] > 0:
+            for k in range(first, first + (m + 1) * LANES, LANES):
+                scatter_add(rotation, corners, k, node_offset, turn)
+    low, total = np.inf, 0.0
+    for k in range(LANES):
+        low, total = min(low, lane(seen[0], k)), total + lane(seen[1], k)
+    return low if np.isfinite(total) else np.nan
+
+
+@kernel
+def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, blocks):
+    """Add scale * K to blocks (M, 2, 2), the node pattern's 2 x 2 blocks, the body's own beginning at pair_offset."""
+    room = _room(layout, 6, 8)
+    for b in range(layout.shape[0]):
+        m, points, g = layout[b, 0] - 1, layout[b, 1], layout[b, 3]
+        sums, products = room[2 * m * LANES:], room[6 * m * LANES:]
+        _differences(u, corners, layout[b, 2], node_offset, m, room)
+        if b + 1 < layout.shape[0]:
+            for k in range(layout[b + 1, 0]**2):
+                prefetch_blocks(blocks, pairs, layout[b + 1, 5] + k * LANES, pair_offset)
+        for p in range(points):
+            start = g + 2 * p * m * LANES
+            a = moduli(_gradient(gradients, start, room, m), load(weights, layout[b, 4] + p * LANES),
+                       scale * c1 * nu, scale * c1 * (1.0 - nu))
+            for j in range(m):
+                store(products, 8 * (j * points + p) * LANES, moduli_times(a, load2(gradients, start + 2 * j * LANES)))
+        for k in range(0, 4 * m * LANES, 4 * LANES):
+            store(sums, k, zeros4())
+        for j in range(m):
+            for i in range(j + 1):
+                block = zeros4()
+                for p in range(points):
+                    block = add_stiffness(block, load2(gradients, g + 2 * (p * m + i) * LANES),
+                                          load8(products, 8 * (j * points + p) * LANES))
+                _add_block(block, i, j, m, pairs, layout[b, 5], pair_offset, blocks, sums)
+        _add_last(m, pairs, layout[b, 5], pair_offset, blocks, sums)
+
+
+@part
+def _add_block(block, i, j, m, pairs, start, pair_offset, blocks, sums):
+    """Add K_ij, i <= j, and its mirror image to the pattern and to the sums of their rows."""
+    if i == j:
+        block = symmetric(block)
+    else:
+        mirror = transposed(block)
+        scatter_add(blocks, pairs, start + (j * (m + 1) + i) * LANES, pair_offset, mirror)
+        store(sums, 4 * j * LANES, add(load4(sums, 4 * j * LANES), mirror))
+    scatter_add(blocks, pairs, start + (i * (m + 1) + j) * LANES, pair_offset, block)
+    store(sums, 4 * i * LANES, add(load4(sums, 4 * i * LANES), block))
+
+
+@part
+def _add_last(m, pairs, start, pair_offset, blocks, sums):
+    """Add the last corner's column and row: the rows of K sum to zero."""
+    total = zeros4()
+    for i in range(m):
+        block = negative(load4(sums, 4 * i * LANES))
+        scatter_add(blocks, pairs, start + (i * (m + 1) + m) * LANES, pair_offset, block)
+        scatter_add(blocks, pairs, start + (m * (m + 1) + i) * LANES, pair_offset, transposed(block))
+        total = add(total, load4(sums, 4 * i * LANES))
+    scatter_add(blocks, pairs, start + (m * (m + 1) + m) * LANES, pair_offset, symmetric(total))
+
+
+@kernel
+def strain_energy(layout, corners, gradients, weights, node_offset, c1, nu, u):
+    """Strain energy in J, summed with compensation."""
+    room = _room(layout, 2, 0)
+    state = zeros2()
+    for b in range(layout.shape[0]):
+        m = layout[b, 0] - 1
+        _differences(u, corners, layout[b, 2], node_offset, m, room)
+        for p in range(layout[b, 1]):
+            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
+            state = add_energy(state, h, load(weights, layout[b, 4] + p * LANES), c1 * nu, c1 * (1.0 - nu))
+    energy = 0.0
+    for k in range(LANES):
+        energy += lane(state[0], k)
+    return energy
+
+
+@kernel
+def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, c, nu, u, out):
+    """Cauchy stress (sxx, syy, sxy) in Pa, mean over the reference area of each cell, into out (cells, 3).
+
+    sigma = F S F^T / det F with F in the plane; c = E_mod / (1 - nu^2) in Pa. In plane stress the thinning of the plate
+    is left out (it would scale sigma by 1 / F33, about 1 + nu tr(E) / (1 - nu)); in plane strain the formula is exact.
+    """
+    out[:] = 0.0
+    room = _room(layout, 2, 0)
+    for b in range(layout.shape[0]):
+        m = layout[b, 0] - 1
+        _differences(u, corners, layout[b, 2], node_offset, m, room)
+        state = zeros3()
+        for p in range(layout[b, 1]):
+            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
+            state = add_cauchy(state, h, load(weights, layout[b, 4] + p * LANES), c * nu, c * (1.0 - nu))
+        for k in range(LANES):
+            cell = lane_cells[b * LANES + k]
+            out[cell, 0] += lane(state[0], k) / areas[cell]
+            out[cell, 1] += lane(state[1], k) / areas[cell]
+            out[cell, 2] += lane(state[2], k) / areas[cell]
+
+
+@kernel
+def mass_product(indptr, indices, mass, scale, node_offset, a, r):
+    """r (N, 2) += scale * (mass (x) I2) a for a body's node pattern; scale = rho * thickness in kg/m^2."""
+    for row in range(indptr.shape[0] - 1):
+        total = zero_pair()
+        for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
+            total = add_product(total, load_float(mass, k), load_pair(a, 2 * (load_integer(indices, k) + node_offset)))
+        add_pair(r, 2 * (row + node_offset), scaled(scale, total))

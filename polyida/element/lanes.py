@@ -1,0 +1,292 @@
+"""Eight numbers at a time: numba types for short vectors that LLVM keeps in registers.
+
+The kernels treat LANES cells of equal vertex count side by side. An explicit vector type makes the machine code
+independent of what an auto-vectoriser guesses and stays portable: LLVM splits a vector to fit the machine. Arithmetic
+goes through `traced`: a plain Python function of straight-line formulas is run once on stand-ins that emit the
+instructions. That costs numba no type inference, so kernels compile fast, and the same function works on numpy
+arrays. Accesses are not checked for bounds.
+"""
+
+from llvmlite import ir
+from numba.core import types
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, models, register_model
+
+LANES = 8
+
+INT32 = ir.IntType(32)
+
+
+class Vector(types.Type):
+    """`count` float64 held in registers."""
+
+    def __init__(self, count):
+        super().__init__(name=f"Vector{count}")
+        self.element = ir.VectorType(ir.DoubleType(), count)
+
+
+@register_model(Vector)
+class VectorModel(models.PrimitiveModel):
+    """An LLVM vector stands for a Vector."""
+
+    def __init__(self, dmm, fe_type):
+        super().__init__(dmm, fe_type, fe_type.element)
+
+
+lanes, pair = Vector(LANES), Vector(2)
+
+
+class Traced:
+    """Stand-in for a vector or a number: arithmetic on it emits instructions."""
+
+    def __init__(self, builder, value):
+        self.builder, self.value = builder, value
+
+    def _both(self, other):
+        """The two values, a single number spread over the lanes of its partner."""
+        a = self.value
+        b = other.value if isinstance(other, Traced) else ir.Constant(ir.DoubleType(), float(other))
+        if isinstance(a.type, ir.VectorType) or isinstance(b.type, ir.VectorType):
+            vector = a.type if isinstance(a.type, ir.VectorType) else b.type
+            return _spread(self.builder, a, vector), _spread(self.builder, b, vector)
+        return a, b
+
+    def _emit(self, instruction, operands):
+        return Traced(self.builder, getattr(self.builder, instruction)(*operands, flags=("contract",)))
+
+    def __add__(self, other):
+        return self._emit("fadd", self._both(other))
+
+    def __sub__(self, other):
+        return self._emit("fsub", self._both(other))
+
+    def __mul__(self, other):
+        return self._emit("fmul", self._both(other))
+
+    def __truediv__(self, other):
+        return self._emit("fdiv", self._both(other))
+
+    def __rsub__(self, other):
+        return self._emit("fsub", self._both(other)[::-1])
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def least(self, other):
+        """Lane by lane the smaller of the two; self where the comparison is undecided."""
+        less = self.builder.fcmp_ordered("<", other.value, self.value)
+        return Traced(self.builder, self.builder.select(less, other.value, self.value))
+
+
+def traced(outputs, vector=lanes):
+    """Let kernels call a function of vectors, tuples of them and floats; it returns `outputs` vectors, tuple if > 1."""
+    result = vector if outputs == 1 else types.UniTuple(vector, outputs)
+
+    def decorate(function):
+        def generic(self, args, kws):
+            return signature(result, *args)
+
+        def lower(context, builder, sig, args):
+            values = function(*(_stand_in(builder, *item) for item in zip(sig.args, args)))
+            return values.value if outputs == 1 else context.make_tuple(builder, result, [v.value for v in values])
+
+        template = type(f"Traced_{function.__name__}", (AbstractTemplate,), {"key": function, "generic": generic})
+        infer_global(function, types.Function(template))
+        lower_builtin(function, types.VarArg(types.Any))(lower)
+        return function
+
+    return decorate
+
+
+def _stand_in(builder, kind, value):
+    """Traced argument, or a tuple of them."""
+    if isinstance(kind, types.BaseTuple):
+        return tuple(Traced(builder, builder.extract_value(value, k)) for k in range(len(kind)))
+    return Traced(builder, value)
+
+
+def _spread(builder, value, vector):
+    """A number in every lane of a vector type; a vector as it is."""
+    if value.type == vector:
+        return value
+    single = builder.insert_element(ir.Constant(vector, ir.Undefined), value, INT32(0))
+    return _shuffle(builder, single, single, [0] * vector.count)
+
+
+def _shuffle(builder, a, b, pattern):
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(INT32, len(pattern)), pattern))
+
+
+def _joined(builder, parts):
+    """The parts (a power of two of them) one after the other in one vector."""
+    while len(parts) > 1:
+        span = list(range(2 * parts[0].type.count))
+        parts = [_shuffle(builder, a, b, span) for a, b in zip(parts[::2], parts[1::2])]
+    return parts[0]
+
+
+def _address(context, builder, array_type, array, index, element):
+    """Pointer to item `index` of the array's flat data, seen as `element`."""
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), element.as_pointer())
+
+
+def _read(builder, pointer, element):
+    return builder.load(pointer, align=4 if INT32 in (element, getattr(element, "element", None)) else 8)
+
+
+def _loader(result, element, count, doc):
+    """Intrinsic (array, start) -> `count` consecutive `element`s of the flat array."""
+
+    def load(typing_context, array, start):
+        def generate(context, builder, sig, args):
+            size = getattr(element, "count", 1)
+            values = [_read(builder, _address(context, builder, sig.args[0], args[0],
+                                              builder.add(args[1], args[1].type(k * size)), element), element)
+                      for k in range(count)]
+            if element == INT32:
+                return builder.sext(values[0], args[1].type)
+            return values[0] if count == 1 else context.make_tuple(builder, sig.return_type, values)
+
+        return result(array, types.intp), generate
+
+    load.__doc__ = doc
+    return intrinsic(load)
+
+
+load = _loader(lanes, lanes.element, 1, "One vector of the flat array.")
+load2 = _loader(types.UniTuple(lanes, 2), lanes.element, 2, "Two consecutive vectors.")
+load4 = _loader(types.UniTuple(lanes, 4), lanes.element, 4, "Four consecutive vectors.")
+load8 = _loader(types.UniTuple(lanes, 8), lanes.element, 8, "Eight consecutive vectors.")
+load_pair = _loader(pair, pair.element, 1, "Two numbers of the flat array.")
+load_float = _loader(types.float64, ir.DoubleType(), 1, "One number of the flat array.")
+load_integer = _loader(types.intp, INT32, 1, "One int32 of the flat array.")
+
+
+def _zeros(count):
+    """Intrinsic () -> a tuple of `count` zero vectors."""
+    kind = types.UniTuple(lanes, count)
+
+    def zeros(typing_context):
+        def generate(context, builder, sig, args):
+            return context.make_tuple(builder, kind, [ir.Constant(lanes.element, None)] * count)
+
+        return kind(), generate
+
+    return intrinsic(zeros)
+
+
+zeros2, zeros3, zeros4 = _zeros(2), _zeros(3), _zeros(4)
+
+
+@intrinsic
+def zero_pair(typing_context):
+    """(0, 0)."""
+    return pair(), lambda context, builder, sig, args: ir.Constant(pair.element, None)
+
+
+@intrinsic
+def spread(typing_context, value):
+    """A float in every lane."""
+    return lanes(types.float64), lambda context, builder, sig, args: _spread(builder, args[0], lanes.element)
+
+
+@intrinsic
+def store(typing_context, array, start, values):
+    """Write a tuple of vectors one after the other into the flat array."""
+
+    def generate(context, builder, sig, args):
+        for k in range(len(values)):
+            where = builder.add(args[1], args[1].type(k * LANES))
+            pointer = _address(context, builder, sig.args[0], args[0], where, lanes.element)
+            builder.store(builder.extract_value(args[2], k), pointer, align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, values), generate
+
+
+@intrinsic
+def lane(typing_context, value, index):
+    """One lane as a float."""
+    return types.float64(lanes, types.intp), lambda context, builder, sig, args: builder.extract_element(*args)
+
+
+@intrinsic
+def misalignment(typing_context, array):
+    """Numbers to skip so that the array begins on a 64-byte boundary."""
+
+    def generate(context, builder, sig, args):
+        address = builder.ptrtoint(context.make_array(sig.args[0])(context, builder, args[0]).data, ir.IntType(64))
+        return builder.and_(builder.lshr(builder.neg(address), address.type(3)), address.type(7))
+
+    return types.intp(array), generate
+
+
+def _rows(context, builder, array_type, array, places, width):
+    """Pointers to rows of `width` doubles; places = (type of int32 array, the array, start, offset to its numbers)."""
+    place_type, place_array, start, offset = places
+    integers = ir.VectorType(INT32, LANES)
+    numbers = _read(builder, _address(context, builder, place_type, place_array, start, integers), integers)
+    row = ir.VectorType(ir.DoubleType(), width)
+    for k in range(LANES):
+        number = builder.add(builder.sext(builder.extract_element(numbers, INT32(k)), offset.type), offset)
+        yield _address(context, builder, array_type, array, builder.mul(number, number.type(width)), row)
+
+
+@intrinsic
+def gather(typing_context, array, places, start, offset):
+    """(array[k, 0], array[k, 1]) for k = places[start : start + LANES] + offset, array (N, 2)."""
+
+    def generate(context, builder, sig, args):
+        pointers = _rows(context, builder, sig.args[0], args[0], (sig.args[1], *args[1:]), 2)
+        pairs = [_read(builder, pointer, pair.element) for pointer in pointers]
+        low, high = _joined(builder, pairs[:LANES // 2]), _joined(builder, pairs[LANES // 2:])
+        columns = [_shuffle(builder, low, high, list(range(k, 2 * LANES, 2))) for k in (0, 1)]
+        return context.make_tuple(builder, sig.return_type, columns)
+
+    return types.UniTuple(lanes, 2)(array, places, types.intp, types.intp), generate
+
+
+@intrinsic
+def scatter_add(typing_context, array, places, start, offset, values):
+    """array[k] += values lane after lane, for k = places[start : start + LANES] + offset.
+
+    array (N, 2) takes two vectors; array (N, 2, 2) takes four, [[v0, v1], [v2, v3]].
+    """
+
+    def generate(context, builder, sig, args):
+        columns = [builder.extract_value(args[4], k) for k in range(len(values))]
+        where = (sig.args[1], *args[1:4])
+        for k, pointer in enumerate(_rows(context, builder, sig.args[0], args[0], where, len(columns))):
+            halves = [_shuffle(builder, a, b, [k, LANES + k]) for a, b in zip(columns[::2], columns[1::2])]
+            row = _joined(builder, halves)
+            builder.store(builder.fadd(_read(builder, pointer, row.type), row), pointer, align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, places, types.intp, types.intp, values), generate
+
+
+@intrinsic
+def add_pair(typing_context, array, start, value):
+    """array.flat[start : start + 2] += value, a pair."""
+
+    def generate(context, builder, sig, args):
+        pointer = _address(context, builder, sig.args[0], args[0], args[1], pair.element)
+        builder.store(builder.fadd(_read(builder, pointer, pair.element), args[2]), pointer, align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, pair), generate
+
+
+@intrinsic
+def prefetch_blocks(typing_context, array, places, start, offset):
+    """Ask for array[k], k = places[start : start + LANES] + offset, array (N, 2, 2), to be brought near for writing."""
+
+    def generate(context, builder, sig, args):
+        byte = ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
+        request = builder.module.declare_intrinsic("llvm.prefetch", (byte,), kind)
+        for pointer in _rows(context, builder, sig.args[0], args[0], (sig.args[1], *args[1:]), 4):
+            builder.call(request, [builder.bitcast(pointer, byte), INT32(1), INT32(3), INT32(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, places, types.intp, types.intp), generate

@@ -1,0 +1,160 @@
+"""St. Venant-Kirchhoff at a point: plain formulas, traced into the kernels, valid for numpy arrays too.
+
+With H = sum_i u_i (x) G_i and F = I + H (plane stress, c = E_mod / (1 - nu^2)):
+
+    E = (H + H^T + H^T H) / 2,  S = spherical tr(E) I + deviatoric E,  spherical = c nu,  deviatoric = c (1 - nu)
+
+Plane strain is the same with E_mod / (1 - nu^2) and nu / (1 - nu) in place of E_mod and nu. Matrices are tuples by
+rows, symmetric ones (11, 12, 22). Strains are built from H, not from F^T F - I, which would lose the digits of small
+ones.
+"""
+
+from polyida.element.lanes import pair, traced
+
+
+@traced(2)
+def difference(a, b):
+    """a - b of two plane vectors."""
+    return a[0] - b[0], a[1] - b[1]
+
+
+@traced(4)
+def add_outer(h, d, g):
+    """H + d (x) G."""
+    return h[0] + d[0] * g[0], h[1] + d[0] * g[1], h[2] + d[1] * g[0], h[3] + d[1] * g[1]
+
+
+@traced(2)
+def add_times(f, p, g):
+    """f + P G."""
+    return f[0] + p[0] * g[0] + p[1] * g[1], f[1] + p[2] * g[0] + p[3] * g[1]
+
+
+@traced(1)
+def determinant(h):
+    """det F."""
+    return (1.0 + h[0]) * (1.0 + h[3]) - h[1] * h[2]
+
+
+def strain(h):
+    """Green-Lagrange E."""
+    e11 = h[0] + 0.5 * (h[0] * h[0] + h[2] * h[2])
+    e12 = 0.5 * ((h[1] + h[2]) + (h[0] * h[1] + h[2] * h[3]))
+    return e11, e12, h[3] + 0.5 * (h[1] * h[1] + h[3] * h[3])
+
+
+def second_piola(h, spherical, deviatoric):
+    """S."""
+    e11, e12, e22 = strain(h)
+    mean = spherical * (e11 + e22)
+    return mean + deviatoric * e11, deviatoric * e12, mean + deviatoric * e22
+
+
+@traced(4)
+def first_piola(h, w, spherical, deviatoric):
+    """w P = w F S."""
+    s11, s12, s22 = second_piola(h, spherical * w, deviatoric * w)
+    f11, f22 = 1.0 + h[0], 1.0 + h[3]
+    return f11 * s11 + h[1] * s12, f11 * s12 + h[1] * s22, h[2] * s11 + f22 * s12, h[2] * s12 + f22 * s22
+
+
+@traced(2)
+def watch(state, h):
+    """(least det F so far, sum of det F): nan and inf survive in the sum."""
+    det = determinant(h)
+    return state[0].least(det), state[1] + det
+
+
+@traced(2)
+def add_rotation(turn, w, h):
+    """turn + w (F11 + F22, F21 - F12)."""
+    return turn[0] + w * (2.0 + h[0] + h[3]), turn[1] + w * (h[2] - h[1])
+
+
+@traced(2)
+def add_energy(state, h, w, spherical, deviatoric):
+    """(sum, lost digits) of w S : E / 2 with compensated summation."""
+    s11, s12, s22 = second_piola(h, spherical, deviatoric)
+    e11, e12, e22 = strain(h)
+    term = 0.5 * w * (s11 * e11 + s22 * e22 + 2.0 * s12 * e12) - state[1]
+    total = state[0] + term
+    return total, (total - state[0]) - term
+
+
+@traced(3)
+def add_cauchy(state, h, w, spherical, deviatoric):
+    """state + w (sigma_xx, sigma_yy, sigma_xy) with sigma = F S F^T / det F."""
+    p11, p12, p21, p22 = first_piola(h, w / determinant(h), spherical, deviatoric)
+    f11, f22 = 1.0 + h[0], 1.0 + h[3]
+    xx, yy, xy = p11 * f11 + p12 * h[1], p21 * h[2] + p22 * f22, p11 * h[2] + p12 * f22
+    return state[0] + xx, state[1] + yy, state[2] + xy
+
+
+@traced(10)
+def moduli(h, w, spherical, deviatoric):
+    """w A = w dP/dF, symmetric in (a k), (b l); order 1111 1112 1121 1122 1212 1221 1222 2121 2122 2222.
+
+    A[a, k, b, l] = delta_ab S_kl + spherical F_ak F_bl + deviatoric / 2 ((F F^T)_ab delta_kl + F_al F_bk)
+    """
+    ball, half = spherical * w, 0.5 * (deviatoric * w)
+    s11, s12, s22 = second_piola(h, ball, deviatoric * w)
+    f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
+    both = ball + half
+    c11, c12, c22 = half * (f11 * f11 + f12 * f12), half * (f11 * f21 + f12 * f22), half * (f21 * f21 + f22 * f22)
+    straight, crossed = f11 * f22, f12 * f21
+    return (s11 + c11 + both * f11 * f11, s12 + both * f11 * f12,
+            c12 + both * f11 * f21, ball * straight + half * crossed,
+            s22 + c11 + both * f12 * f12, ball * crossed + half * straight, c12 + both * f12 * f22,
+            s11 + c22 + both * f21 * f21, s12 + both * f21 * f22, s22 + c22 + both * f22 * f22)
+
+
+@traced(8)
+def moduli_times(a, g):
+    """T[a, k, b] = sum_l A[a, k, b, l] G[l], order 111 121 112 122 211 221 212 222."""
+    a1111, a1112, a1121, a1122, a1212, a1221, a1222, a2121, a2122, a2222 = a
+    return (a1111 * g[0] + a1112 * g[1], a1112 * g[0] + a1212 * g[1], a1121 * g[0] + a1122 * g[1],
+            a1221 * g[0] + a1222 * g[1], a1121 * g[0] + a1221 * g[1], a1122 * g[0] + a1222 * g[1],
+            a2121 * g[0] + a2122 * g[1], a2122 * g[0] + a2222 * g[1])
+
+
+@traced(4)
+def add_stiffness(k, g, t):
+    """K[a, b] + sum_k G[k] T[a, k, b]."""
+    return (k[0] + g[0] * t[0] + g[1] * t[1], k[1] + g[0] * t[2] + g[1] * t[3],
+            k[2] + g[0] * t[4] + g[1] * t[5], k[3] + g[0] * t[6] + g[1] * t[7])
+
+
+@traced(4)
+def transposed(k):
+    """Transpose of a 2 x 2 matrix."""
+    return k[0], k[2], k[1], k[3]
+
+
+@traced(4)
+def symmetric(k):
+    """The matrix with its upper entry mirrored: exact symmetry."""
+    return k[0], k[1], k[1], k[3]
+
+
+@traced(4)
+def add(a, b):
+    """a + b of two matrices."""
+    return tuple(x + y for x, y in zip(a, b))
+
+
+@traced(4)
+def negative(k):
+    """-K."""
+    return tuple(0.0 - x for x in k)
+
+
+@traced(1, pair)
+def add_product(total, factor, value):
+    """total + factor value."""
+    return total + factor * value
+
+
+@traced(1, pair)
+def scaled(factor, value):
+    """factor value."""
+    return factor * value

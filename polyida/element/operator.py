@@ -1,0 +1,149 @@
+"""Everything about a mesh's elements that does not change in time, packed for the kernels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.element.lanes import LANES
+from polyida.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceOperator:
+    """Gradients, weights and mass of a mesh's elements: free of thickness and material, shared by identical bodies.
+
+    Cells of n corners and p points lie LANES at a time in blocks; a block that is not full repeats its last cell with
+    weight 0. Gradients of a cell sum to zero, so the last corner's are not stored. A row of `layout` holds n, p and the
+    starts of the block in `corners`, `gradients`, `weights` and `pairs`, whose blocks are
+
+        corners    [corner][lane]                      node
+        gradients  [point][corner < n - 1][x, y][lane]  1/m
+        weights    [point][lane]                       reference area of the point, m^2
+        pairs      [corner i][corner j][lane]          place of (node i, node j) in the node pattern
+
+    The node pattern (indptr, indices) is the adjacency of nodes through cells in rows: sorted, symmetric, with the
+    diagonal. On it live `mass`, the integral of N_i N_j (m^2), and `stabilisation`, a constant scalar matrix or None.
+
+    offsets (cells + 1), nodes: the mesh's cells; areas (cells,) m^2; mean_gradients (len(nodes), 2) 1/m: exact means
+    over each cell; lane_cells int32, the cells in the order of the lanes.
+    """
+
+    offsets: np.ndarray
+    nodes: np.ndarray
+    n_nodes: int
+    areas: np.ndarray
+    mean_gradients: np.ndarray
+    layout: np.ndarray
+    lane_cells: np.ndarray
+    corners: np.ndarray
+    gradients: np.ndarray
+    weights: np.ndarray
+    pairs: np.ndarray
+    indptr: np.ndarray
+    indices: np.ndarray
+    mass: np.ndarray
+    stabilisation: np.ndarray | None = None
+
+    @property
+    def n_cells(self):
+        """Number of cells."""
+        return len(self.offsets) - 1
+
+    @property
+    def force_arrays(self):
+        """First arguments of kernels.internal_force and kernels.strain_energy."""
+        return self.layout, self.corners, self.gradients, self.weights
+
+    @property
+    def tangent_arrays(self):
+        """First arguments of kernels.tangent."""
+        return *self.force_arrays, self.pairs
+
+
+@dataclass(frozen=True, eq=False)
+class CellGroup:
+    """Cells of one vertex count n with p points each, cells on the last axis.
+
+    cells (c,); nodes (n, c); gradients (p, n, 2, c); weights (p, c); mass (n, n, c).
+    """
+
+    cells: np.ndarray
+    nodes: np.ndarray
+    gradients: np.ndarray
+    weights: np.ndarray
+    mass: np.ndarray
+
+
+def pack(mesh, areas, mean_gradients, groups, stabilisation=None):
+    """ReferenceOperator of a mesh from its groups of cells.
+
+    Raises InputError if a node belongs to no cell, since it would have no mass.
+    """
+    n_nodes = len(mesh.points)
+    indptr, indices, mass, places = _pattern(n_nodes, groups)
+    tables, starts = [], np.zeros(4, dtype=np.int64)
+    parts = {name: [] for name in ("lane_cells", "corners", "gradients", "weights", "pairs")}
+    for group, place in zip(groups, places):
+        order = _lane_order(len(group.cells))
+        weights = np.where(np.arange(len(order)) < len(group.cells), group.weights[:, order], 0.0)
+        parts["lane_cells"].append(group.cells[order])
+        arrays = group.nodes[:, order], group.gradients[:, :-1, :, order], weights, place[..., order]
+        blocks = [_blocked(array) for array in arrays]
+        for name, block in zip(("corners", "gradients", "weights", "pairs"), blocks):
+            parts[name].append(block.ravel())
+        tables.append(_table(group, starts, [block[0].size for block in blocks], len(order) // LANES))
+        starts = starts + [block.size for block in blocks]
+    table, lane_cells = np.concatenate(tables), np.concatenate(parts["lane_cells"])
+    along = np.argsort(lane_cells[::LANES], kind="stable")
+    return ReferenceOperator(
+        offsets=_integers(mesh.offsets), nodes=_integers(mesh.nodes), n_nodes=n_nodes, areas=areas,
+        mean_gradients=mean_gradients, layout=table[along],
+        lane_cells=_integers(lane_cells.reshape(-1, LANES)[along].ravel()),
+        corners=_integers(np.concatenate(parts["corners"])), gradients=_aligned(parts["gradients"]),
+        weights=_aligned(parts["weights"]), pairs=_integers(np.concatenate(parts["pairs"])),
+        indptr=indptr, indices=indices, mass=mass, stabilisation=stabilisation)
+
+
+def _pattern(n_nodes, groups):
+    """Node pattern, mass on it, and for each group the places (n, n, c) of its corner pairs."""
+    keys = [(group.nodes[:, None] * np.int64(n_nodes) + group.nodes[None]) for group in groups]
+    flat = np.concatenate([key.ravel() for key in keys])
+    ordered = np.sort(flat)
+    ordered = ordered[np.append(True, ordered[1:] != ordered[:-1])]
+    rows, columns = np.divmod(ordered, n_nodes)
+    lengths = np.bincount(rows, minlength=n_nodes)
+    if not lengths.all():
+        raise InputError(f"mesh: node {int(np.argmin(lengths))} belongs to no cell; remove it, it would have no mass")
+    place = np.searchsorted(ordered, flat)
+    mass = np.bincount(place, weights=np.concatenate([group.mass.ravel() for group in groups]))
+    splits = np.cumsum([key.size for key in keys])[:-1]
+    places = [part.reshape(key.shape) for part, key in zip(np.split(place, splits), keys)]
+    return _integers(np.append(0, np.cumsum(lengths))), _integers(columns), mass, places
+
+
+def _lane_order(count):
+    """Positions 0 .. count - 1, the last repeated until LANES divides the length."""
+    return np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
+
+
+def _blocked(array):
+    """(..., c) -> (c / LANES, ..., LANES)."""
+    return np.moveaxis(array.reshape(*array.shape[:-1], -1, LANES), -2, 0)
+
+
+def _table(group, starts, sizes, count):
+    """Rows of the layout for the blocks of one group."""
+    shape = np.full((count, 2), (len(group.nodes), len(group.weights)))
+    return np.hstack([shape, starts + np.arange(count)[:, None] * np.array(sizes)]).astype(np.int64)
+
+
+def _integers(array):
+    return np.array(array, dtype=np.int32)
+
+
+def _aligned(parts):
+    """The parts one after the other, starting on a 64-byte boundary: one block load then touches one cache line."""
+    size = sum(part.size for part in parts)
+    room = np.empty(size + 8)
+    start = -room.ctypes.data % 64 // 8
+    return np.concatenate(parts, out=room[start:start + size])

@@ -1,0 +1,186 @@
+"""IDA of SUNDIALS: variable-step, variable-order BDF on a stabilised form of the model's equations."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.integrate.ida_forms import FORMS, System
+from polyida.integrate.ida_linear import ReducedSolve
+from polyida.integrate.ida_quiet import error_lines_kept
+from polyida.integrate.segments import segments
+from polyida.integrate.state import State, StepFailure
+
+VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where only the latter is given
+STATUS = {
+    -2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve", -8: "residual",
+    -9: "residual", -12: "residual", -22: "input",
+}
+
+
+@dataclass(frozen=True)
+class IDA:
+    """Backward differentiation formulas of order 1 to 5 with error control, by SUNDIALS' IDA.
+
+    rtol: relative tolerance. atol: absolute tolerances; a number is that of q (m), with 1e3 1/s times it for v (m/s);
+    a pair is (of q, of v); 2n numbers are those of every entry of (q, v). Default (1e-7, 1e-4).
+    Multipliers are not in the error estimate.
+    max_order: 1 to 5; by default 2 where the model has undamped flexible bodies (BDF of order 3 to 5 is unstable beside
+    the imaginary axis, where their mesh modes lie) and 5 elsewhere.
+    form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
+    are in integrate/ida_forms.py. index3 is there to be studied: it is slow, and fails on many models.
+    max_step, first_step: s, 0 where IDA decides. max_num_steps: the run fails beyond so many.
+
+    The global error is commonly 10 to 500 times rtol. Raises InputError where a setting makes no sense.
+    Source: Hindmarsh et al. 2005, SUNDIALS; Gear, Gupta, Leimkuhler 1985.
+    """
+
+    rtol: float = 1e-5
+    atol: float | tuple | None = None
+    max_order: int | None = None
+    form: str = "ggl2"
+    max_step: float = 0.0
+    max_num_steps: int = 200_000
+    first_step: float = 0.0
+    rate: float = 10.0
+
+    def __post_init__(self):
+        if self.form not in FORMS:
+            raise InputError(f"IDA: form {self.form!r} is unknown; there are {', '.join(FORMS)}")
+        if self.atol is not None and np.ndim(self.atol):
+            object.__setattr__(self, "atol", tuple(np.ravel(self.atol).tolist()))
+        _check("rtol", self.rtol, _is_number(self.rtol) and 0 < self.rtol < 1, "must lie between 0 and 1")
+        in_range = self.max_order is None or (_is_count(self.max_order) and self.max_order <= 5)
+        _check("max_order", self.max_order, in_range, "must be 1, 2, 3, 4 or 5")
+        _check("max_num_steps", self.max_num_steps, _is_count(self.max_num_steps), "must be a positive whole number")
+        for name in ("max_step", "first_step", "rate"):
+            value = getattr(self, name)
+            _check(name, value, _is_number(value) and value >= 0, "must be a finite number, not negative")
+        entries = self.atol if isinstance(self.atol, tuple) else (self._scalar_atol(),)
+        positive = len(entries) >= 1 and all(_is_number(x) and x > 0 for x in entries)
+        _check("atol", self.atol, positive, "must be positive")
+
+    def _scalar_atol(self):
+        return 1e-7 if self.atol is None else self.atol
+
+    def tolerances(self, n):
+        """Absolute tolerances (of q, of v) for n coordinates; InputError where their number does not fit."""
+        if not isinstance(self.atol, tuple):
+            return self._scalar_atol(), VELOCITY_ATOL * self._scalar_atol()
+        if len(self.atol) == 2:
+            return self.atol
+        _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n,
+               f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}")
+        return np.array(self.atol[:n]), np.array(self.atol[n:])
+
+    def order(self, model):
+        """The largest BDF order used on this model."""
+        return self.max_order or (2 if model.undamped_flexible else 5)
+
+    def steps(self, model, state, t_end, counts):
+        """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.
+
+        At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
+        mu of the stabilised forms is in State.memory["mu"].
+        """
+        run = _Run(self, model, counts)
+        for begin, end in segments(model, state.t, t_end):
+            limits = (-math.inf, math.inf)
+            if _at_kink(model, begin):
+                limits = (_beside(begin, 1), math.inf)
+                state = _far_side(model, state, limits[0])
+            if _at_kink(model, end):
+                limits = (limits[0], _beside(end, -1))
+            for state in run.piece(state, begin, end, limits):
+                yield state
+
+
+def _is_number(value):
+    numeric = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    return numeric and math.isfinite(value)
+
+
+def _is_count(value):
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 1
+
+
+def _check(name, value, right, wanted):
+    if not right:
+        raise InputError(f"IDA: {name} {value} {wanted}")
+
+
+def _beside(t, side):
+    return t + side * 32 * math.ulp(max(abs(t), 1.0))
+
+
+def _at_kink(model, t):
+    return len(model.kinks(_beside(t, -1), _beside(t, 1))) > 0
+
+
+def _far_side(model, state, t):
+    """The state just after a kink: v moved, in the metric of M, onto a velocity constraint that jumps; new a, lam."""
+    from polyida.integrate.start import consistent_acceleration
+    from polyida.linear.kkt import KKT
+
+    q, v = state.q, state.v
+    if model.m:
+        B = model.phi_q(t, q)
+        v = v + KKT(model.mass(q), B).solve(np.zeros(model.n), B @ v + model.phi_t(t, q))[0]
+    return State(state.t, q, v, *consistent_acceleration(model, t, q, v))
+
+
+class _Run:
+    """One run of IDA: the solver of the binding with its callbacks, and the counting of steps."""
+
+    def __init__(self, settings, model, counts):
+        from sksundae.ida import IDA as Solver
+        from sksundae.ida import IDAJacTimes, IDAPrecond
+
+        self.settings, self.model, self.counts = settings, model, counts
+        self.system = System(model, settings.form, settings.rate)
+        self.steps, self.attempts, self.tried, self.last_step = 0, 0, math.nan, math.nan
+        linear = ReducedSolve(self.system, counts)
+        self.solver = Solver(
+            self._residual, rtol=float(settings.rtol), atol=self.system.tolerances(*settings.tolerances(model.n)),
+            max_order=settings.order(model), max_step=float(settings.max_step), first_step=float(settings.first_step),
+            linsolver="gmres", krylov_dim=5,
+            precond=IDAPrecond(linear.setup, linear.solve), jactimes=IDAJacTimes(None, linear.product))
+
+    def _residual(self, t, y, yp, res):
+        self.counts.residuals += 1
+        if t != self.tried:
+            self.attempts, self.tried = self.attempts + 1, t
+        self.system.residual(t, y, yp, res)
+
+    def piece(self, state, begin, end, limits):
+        """Accepted States on the smooth piece from begin to end, the model's time held to `limits`."""
+        self.system.limits = limits
+        self.solver.init_step(begin, *self.system.pack(state))
+        t = begin
+        while t < end:
+            if self.steps >= self.settings.max_num_steps:
+                raise self._failure("too many steps", f"more than {self.steps} steps (max_num_steps)", state)
+            self.attempts, self.tried = 0, math.nan
+            with error_lines_kept() as printed:
+                result = self.solver.step(end, method="onestep", tstop=end)
+            if result.status < 0:
+                raise self._failure(STATUS.get(result.status, "ida"), printed.message or result.message, state)
+            self._count_step()
+            self.last_step, t = float(result.t) - t, float(result.t)
+            state = self.system.state(t, result.y, result.yp)
+            yield state
+
+    def _count_step(self):
+        self.steps += 1
+        self.counts.steps += 1
+        self.counts.rejected += max(self.attempts - 1, 0)
+
+    def _failure(self, status, reason, state):
+        """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
+        phi = np.abs(self.model.phi(state.t, state.q))
+        tried = float(self.tried - state.t)
+        seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}
+        if phi.size:
+            seen |= {"worst constraint": self.model.constraint_name(int(phi.argmax())), "|phi|": float(phi.max())}
+        return StepFailure(status, f"IDA: {reason}", state.t, **seen)

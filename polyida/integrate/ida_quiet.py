@@ -1,0 +1,56 @@
+"""The line that the binding prints when SUNDIALS gives up becomes a message; all else printed passes through."""
+
+import re
+import sys
+import threading
+from contextlib import contextmanager
+
+_ERROR = re.compile(r"\[IDA\w*, Error: -?\d+\] (.*)", re.DOTALL)
+_lock = threading.Lock()
+_open = []  # the filter in place and, as often as it is in use, a further entry
+
+
+class _Filter:
+    """Stands in for sys.stdout. `message` is the last error line of this thread, or an empty text."""
+
+    def __init__(self, stream):
+        self.stream, self._seen = stream, threading.local()
+
+    @property
+    def message(self):
+        return getattr(self._seen, "message", "")
+
+    @message.setter
+    def message(self, text):
+        self._seen.message = text
+
+    def write(self, text):
+        found = _ERROR.search(text)
+        if found:
+            self.message, self._seen.line_ends = " ".join(found[1].split()), True
+        elif text == "\n" and getattr(self._seen, "line_ends", False):
+            self._seen.line_ends = False
+        else:
+            self.stream.write(text)
+        return len(text)
+
+    def __getattr__(self, name):
+        return getattr(self.stream, name)
+
+
+@contextmanager
+def error_lines_kept():
+    """Within it, SUNDIALS' error lines go to the `message` of the object it gives. Threads may share it."""
+    with _lock:
+        if not _open:
+            _open.append(_Filter(sys.stdout))
+            sys.stdout = _open[0]
+        _open.append(_open[0])
+        _open[0].message = ""
+    try:
+        yield _open[0]
+    finally:
+        with _lock:
+            _open.pop()
+            if len(_open) == 1 and sys.stdout is _open.pop():
+                sys.stdout = sys.stdout.stream

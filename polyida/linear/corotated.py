@@ -1,0 +1,258 @@
+"""The saddle-point solve of a scene with a stale factor in the frame of the nodal rotations, constraints exact.
+
+```
+[ S + A^T C A    A^T Bz^T ] [ dq   ]     [ r   ]     S = c_m M + K of the plates, A: q -> points, C = curvature of the motors
+[ Bz A           0        ] [ dlam ] = - [ phi ]         + c_m masses at points, Bz = phi_z
+```
+`S^-1 ~ P S_ref^-1 P^T` with P = R(q) R(q_ref)^T node by node: elastic plates that turn keep their factor. All joints act through the
+few points z = A q, so the border costs `X = S^-1 A^T`, made once a factor, and a dense system of its own size a solve. X is as stale
+as the factor, but `G = A X` is taken from that same X: dq satisfies `Bz A dq = -phi` to round-off however stale it is.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from polyida.assembly import joints
+from polyida.linear.dense import solve_small
+from polyida.linear.factor import BAND, Factor, factor
+from polyida.linear.triangular import solve_band, solve_columns
+
+compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+
+class Corotated(NamedTuple):
+    """A factor with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
+
+    point_body: first and last node of the body that each point is on; reach: X, (2 per point, nodes, 2), zero off the body;
+    active: the components of the points that curvature or mass can act on; c_m: what M was multiplied by.
+    """
+
+    factor: Factor
+    frame: np.ndarray
+    point_body: np.ndarray
+    reach: np.ndarray
+    active: np.ndarray
+    c_m: float
+
+
+class Room(NamedTuple):
+    """Scratch of a solve."""
+
+    x: np.ndarray
+    turn: np.ndarray
+    spin: np.ndarray
+    moved: np.ndarray
+    g: np.ndarray
+    phi_z: np.ndarray
+    curvature: np.ndarray
+    gb: np.ndarray
+    small: np.ndarray
+    right: np.ndarray
+    pull: np.ndarray
+
+
+def corotated(model, blocks, rotation, c_m, backend="auto"):
+    """(Corotated, name of its back-end) for the tangent blocks and raw nodal rotations at hand. Raises NotFactorable."""
+    made, name = factor(model.pattern, blocks, backend)
+    s = model.arrays
+    bodies = np.searchsorted(s.body_node, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
+    point_body = np.stack([s.body_node[bodies], s.body_node[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
+    frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
+    reach = np.zeros((2 * model.n_points, model.n_nodes, 2), np.float32)
+    result = Corotated(made, frame, point_body, reach, active_components(s), float(c_m))
+    fill_reach(s, result, room(model, result))
+    return result, name
+
+
+def active_components(s):
+    """Components of the points on which a mass or the curvature of a motor between bodies can act."""
+    acts = np.repeat(s.point_mass != 0, 2)
+    for j in np.flatnonzero((s.joint_kind == joints.MOTOR) & (s.joint_a >= 0) & (s.joint_b >= 0)):
+        for point in (s.joint_a[j], s.joint_b[j]):
+            acts[2 * point: 2 * point + 2] = True
+    return np.flatnonzero(acts)
+
+
+def room(model, system):
+    """Scratch for solves with `system`."""
+    points, m, size = 2 * model.n_points, model.m, len(system.active) + model.m
+    width = system.factor.band.shape[1]
+    return Room(np.zeros(model.n + width, np.float32), np.empty((model.n_nodes, 2)), np.empty((model.n_points, 2)),
+                np.empty((model.n_points, 2)), np.empty((points, points)), np.empty((m, points)), np.empty((points, points)),
+                np.empty((points, m)), np.empty((size, size)), np.empty(size), np.empty(points))
+
+
+@compiled
+def triangular(f, x):
+    """x <- S_ref^-1 x in the factor's order."""
+    if f.kind == BAND:
+        solve_band(f.band, x)
+    else:
+        solve_columns(f.start, f.rows, f.values, f.reciprocal, x)
+
+
+@compiled
+def fill_reach(s, c, w):
+    """X = S_ref^-1 A^T in the factor's own frame: one column a component of a point."""
+    for f in range(s.point_ptr.shape[0] - 1):
+        for axis in range(2):
+            w.x[:] = np.float32(0.0)
+            for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+                w.x[c.factor.order[2 * s.point_nodes[k] + axis]] = s.point_weights[k]
+            triangular(c.factor, w.x)
+            for i in range(c.point_body[f, 0], c.point_body[f, 1]):
+                c.reach[2 * f + axis, i, 0] = w.x[c.factor.order[2 * i]]
+                c.reach[2 * f + axis, i, 1] = w.x[c.factor.order[2 * i + 1]]
+
+
+@compiled
+def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
+    """Fill dq (nodes, 2) and dlam (m,); rotation, dz as `equilibrium` left them at the current q. False where it is singular."""
+    turn_frames(s, c, w, rotation)
+    order, x, turn = c.factor.order, w.x, w.turn
+    for i in range(r.shape[0]):
+        x[order[2 * i]] = -(turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1])
+        x[order[2 * i + 1]] = -(turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0])
+    for k in range(2 * r.shape[0], x.shape[0]):
+        x[k] = np.float32(0.0)
+    triangular(c.factor, x)
+    for i in range(r.shape[0]):
+        p, q = float(x[order[2 * i]]), float(x[order[2 * i + 1]])
+        dq[i, 0] = turn[i, 0] * p - turn[i, 1] * q
+        dq[i, 1] = turn[i, 1] * p + turn[i, 0] * q
+    if w.g.shape[0] == 0:
+        return True
+    if not border(s, c, w, drives, dz, lam, phi, c_m, dq, dlam):
+        return False
+    pull_points(s, c, w, dq)
+    return True
+
+
+@compiled
+def turn_frames(s, c, w, rotation):
+    """turn = R(q) R(q_ref)^T at the nodes, spin = its mean at the points, as (cos, sin)."""
+    for i in range(rotation.shape[0]):
+        x, y = rotation[i, 0], rotation[i, 1]
+        size = 1.0 / np.sqrt(x * x + y * y)
+        x, y = x * size, y * size
+        w.turn[i, 0] = x * c.frame[i, 0] + y * c.frame[i, 1]
+        w.turn[i, 1] = y * c.frame[i, 0] - x * c.frame[i, 1]
+    for f in range(w.spin.shape[0]):
+        x = y = 0.0
+        for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+            x += w.turn[s.point_nodes[k], 0]
+            y += w.turn[s.point_nodes[k], 1]
+        size = 1.0 / np.sqrt(x * x + y * y)
+        w.spin[f, 0] = x * size
+        w.spin[f, 1] = y * size
+
+
+@compiled
+def points_matrix(s, c, w):
+    """G = A X at the present rotations, (2 points, 2 points), zero between bodies."""
+    w.g[:] = 0.0
+    for f in range(w.spin.shape[0]):
+        for h in range(w.spin.shape[0]):
+            if c.point_body[f, 0] != c.point_body[h, 0]:
+                continue
+            xx = xy = yx = yy = 0.0
+            for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+                i, weight = s.point_nodes[k], s.point_weights[k]
+                co, si = weight * w.turn[i, 0], weight * w.turn[i, 1]
+                p, q = c.reach[2 * h, i, 0], c.reach[2 * h, i, 1]
+                xx += co * p - si * q
+                yx += si * p + co * q
+                p, q = c.reach[2 * h + 1, i, 0], c.reach[2 * h + 1, i, 1]
+                xy += co * p - si * q
+                yy += si * p + co * q
+            co, si = w.spin[h, 0], w.spin[h, 1]
+            w.g[2 * f, 2 * h], w.g[2 * f, 2 * h + 1] = xx * co - xy * si, xx * si + xy * co
+            w.g[2 * f + 1, 2 * h], w.g[2 * f + 1, 2 * h + 1] = yx * co - yy * si, yx * si + yy * co
+
+
+@compiled
+def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
+    """Solve for the points' forces w.pull and dlam, y = -S^-1 r at hand.
+
+    `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
+    `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
+    """
+    m, size = phi.shape[0], w.g.shape[0]
+    points_matrix(s, c, w)
+    joints.joint_jacobian(s, drives, dz, w.phi_z)
+    w.curvature[:] = 0.0
+    joints.joint_curvature(s, drives, lam, w.curvature)
+    for f in range(w.spin.shape[0]):
+        w.curvature[2 * f, 2 * f] += c_m * s.point_mass[f]
+        w.curvature[2 * f + 1, 2 * f + 1] += c_m * s.point_mass[f]
+    joints.point_values(s, y, w.moved)
+    for i in range(size):
+        for k in range(m):
+            total = 0.0
+            for j in range(size):
+                total += w.g[i, j] * w.phi_z[k, j]
+            w.gb[i, k] = total
+    fill_small(c.active, w, w.moved, phi, m, size)
+    if not solve_small(w.small, w.right):
+        return False
+    count = c.active.shape[0]
+    w.pull[:] = 0.0
+    for i in range(count):
+        w.pull[c.active[i]] = w.right[i]
+    for k in range(m):
+        dlam[k] = w.right[count + k]
+        for j in range(size):
+            w.pull[j] += w.phi_z[k, j] * dlam[k]
+    return True
+
+
+@compiled
+def fill_small(active, w, moved, phi, m, size):
+    """The dense system of `border`."""
+    count = active.shape[0]
+    for i in range(count):
+        a = active[i]
+        w.right[i] = 0.0
+        w.small[i] = 0.0
+        w.small[i, i] = 1.0
+        for j in range(size):
+            value = w.curvature[a, j]
+            if value != 0.0:
+                w.right[i] += value * moved[j // 2, j % 2]
+                for l in range(count):
+                    w.small[i, l] += value * w.g[j, active[l]]
+                for k in range(m):
+                    w.small[i, count + k] += value * w.gb[j, k]
+    for k in range(m):
+        total = phi[k]
+        for j in range(size):
+            total += w.phi_z[k, j] * moved[j // 2, j % 2]
+        w.right[count + k] = total
+        for i in range(count):
+            total = 0.0
+            for j in range(size):
+                total += w.phi_z[k, j] * w.g[j, active[i]]
+            w.small[count + k, i] = total
+        for l in range(m):
+            total = 0.0
+            for j in range(size):
+                total += w.phi_z[k, j] * w.gb[j, l]
+            w.small[count + k, count + l] = total
+
+
+@compiled
+def pull_points(s, c, w, dq):
+    """dq -= X pull at the present rotations."""
+    for f in range(w.spin.shape[0]):
+        co, si = w.spin[f, 0], w.spin[f, 1]
+        x, y = w.pull[2 * f], w.pull[2 * f + 1]
+        p, q = co * x + si * y, co * y - si * x
+        if p == 0.0 and q == 0.0:
+            continue
+        for i in range(c.point_body[f, 0], c.point_body[f, 1]):
+            gx = c.reach[2 * f, i, 0] * p + c.reach[2 * f + 1, i, 0] * q
+            gy = c.reach[2 * f, i, 1] * p + c.reach[2 * f + 1, i, 1] * q
+            dq[i, 0] -= w.turn[i, 0] * gx - w.turn[i, 1] * gy
+            dq[i, 1] -= w.turn[i, 1] * gx + w.turn[i, 0] * gy

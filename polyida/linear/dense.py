@@ -1,0 +1,41 @@
+"""A small dense solve for compiled code."""
+
+import numba
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def solve_small(matrix, b):
+    """b <- matrix^-1 b by elimination with row equilibration and partial pivoting; overwrites both. False where it is singular."""
+    n = b.shape[0]
+    for i in range(n):
+        size = 0.0
+        for j in range(n):
+            size = max(size, abs(matrix[i, j]))
+        if not size > 0.0:
+            return False
+        for j in range(n):
+            matrix[i, j] /= size
+        b[i] /= size
+    for k in range(n):
+        p = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[p, k]):
+                p = i
+        if not abs(matrix[p, k]) > 1e-300:
+            return False
+        if p != k:
+            for j in range(k, n):
+                matrix[k, j], matrix[p, j] = matrix[p, j], matrix[k, j]
+            b[k], b[p] = b[p], b[k]
+        for i in range(k + 1, n):
+            factor = matrix[i, k] / matrix[k, k]
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                b[i] -= factor * b[k]
+    for i in range(n - 1, -1, -1):
+        total = b[i]
+        for j in range(i + 1, n):
+            total -= matrix[i, j] * b[j]
+        b[i] = total / matrix[i, i]
+    return True
