@@ -162,3 +162,48 @@ def joint_rates(s, drives, dz, vz, phi_t, bias):
         phi_t[k] = -rate * along
         mixed = -rate * (ux * bx + uy * by + wx * dx + wy * dy)
         bias[k] = 2.0 * (ux * dy - uy * dx) + 2.0 * mixed - second * along - rate * rate * (wx * by - wy * bx)
+
+
+@compiled
+def joint_velocities(s, drives, dz, vz, rate):
+    """rate += phi_z vz, (m,)."""
+    for j in range(s.joint_kind.shape[0]):
+        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
+        if s.joint_kind[j] == LINEAR:
+            for i in range(2):
+                if a >= 0:
+                    rate[k + i] += vz[a, i]
+                if b >= 0:
+                    rate[k + i] -= s.joint_matrix[j, i, 0] * vz[b, 0] + s.joint_matrix[j, i, 1] * vz[b, 1]
+            continue
+        wx, wy, bx, by = turned_sides(s, j, drives, dz)
+        c, n = turn(s, j, drives)
+        if a >= 0:
+            rate[k] += (c * vz[a, 0] - n * vz[a, 1]) * by - (n * vz[a, 0] + c * vz[a, 1]) * bx
+        if b >= 0:
+            rate[k] += wx * vz[b, 1] - wy * vz[b, 0]
+
+
+@compiled
+def joint_rate_jacobian(s, drives, dz, vz, rate_z):
+    """Fill rate_z = d(phi_z vz + phi_t)/dz (m, 2 points), dense."""
+    rate_z[:] = 0.0
+    for j in range(s.joint_kind.shape[0]):
+        if s.joint_kind[j] != MOTOR:
+            continue
+        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
+        wx, wy, bx, by = turned_sides(s, j, drives, dz)
+        c, n = turn(s, j, drives)
+        rate = drives[s.joint_drive[j], 1]
+        if a >= 0:
+            dx, dy = -rate * bx, -rate * by
+            if b >= 0:
+                dx, dy = dx + vz[b, 1], dy - vz[b, 0]
+            rate_z[k, 2 * a] = c * dx + n * dy
+            rate_z[k, 2 * a + 1] = -n * dx + c * dy
+        if b >= 0:
+            ux = uy = 0.0
+            if a >= 0:
+                ux, uy = c * vz[a, 0] - n * vz[a, 1], n * vz[a, 0] + c * vz[a, 1]
+            rate_z[k, 2 * b] = -uy - rate * wx
+            rate_z[k, 2 * b + 1] = ux - rate * wy

@@ -75,8 +75,30 @@ class SceneModel(Model):
 
     @cached_property
     def _mass(self):
-        mass = self._sparse(np.zeros((self.n_nodes, 2)), 1.0, 0.0)
-        return (mass + self._points_t @ _diagonal(np.repeat(self.arrays.point_mass, 2)) @ self._points_t.T).tocsc()
+        from scipy.sparse import kron
+
+        return kron(self._nodal_mass, np.eye(2), format="csc")
+
+    @cached_property
+    def _nodal_mass(self):
+        """The mass matrix of one direction, (nodes, nodes): x and y carry the same."""
+        from scipy.sparse import csr_array, diags_array
+
+        s, (indptr, indices) = self.arrays, self.pattern
+        values = [body.operator.mass * density for body, density in zip(self.bodies, s.body_density)]
+        mass = csr_array((np.concatenate(values), indices, indptr), shape=(self.n_nodes, self.n_nodes))
+        return (mass + self._points_s.T @ diags_array(s.point_mass) @ self._points_s).tocsc()
+
+    def mass_inverse(self, b):
+        """M^-1 b, b (n, k); M is factored once."""
+        pairs = b.reshape(self.n_nodes, -1)
+        return self._mass_factor.solve(np.ascontiguousarray(pairs)).reshape(b.shape)
+
+    @cached_property
+    def _mass_factor(self):
+        from scipy.sparse.linalg import splu
+
+        return splu(self._nodal_mass, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
     def phi_q(self, t, q):
         """Constraint Jacobian, (m, n) sparse; constant unless `needs.phi_q_varies` or `needs.driven`."""
@@ -165,9 +187,15 @@ class SceneModel(Model):
         """A^T as a sparse matrix, (n, 2 points)."""
         from scipy.sparse import csr_array, kron
 
+        return csr_array(kron(self._points_s, np.eye(2)).T)
+
+    @cached_property
+    def _points_s(self):
+        """A of one direction, (points, nodes)."""
+        from scipy.sparse import csr_array
+
         s = self.arrays
-        scalar = csr_array((s.point_weights, s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
-        return csr_array(kron(scalar, np.eye(2)).T)
+        return csr_array((s.point_weights, s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
 
     @cached_property
     def pattern(self):
@@ -228,9 +256,3 @@ def _nodal(q):
 
 def _flat(lam):
     return np.ascontiguousarray(lam, float)
-
-
-def _diagonal(values):
-    from scipy.sparse import diags_array
-
-    return diags_array(values)

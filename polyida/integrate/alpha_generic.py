@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.integrate.start import consistent_acceleration, jerk
+from polyida.integrate.start import jerk, mass_system
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.kkt import KKT, SingularSystem, scaling_factors
 
@@ -36,7 +36,7 @@ def started(settings, model, state, h):
     if model.m:
         offset = (1 - 6 * c.beta - 3 * (c.alpha_m - c.alpha_f)) / 6 * h * h * third
         phi_q = model.phi_q(state.t, state.q)
-        v = v + KKT(model.mass(state.q), phi_q).solve(np.zeros(model.n), -(phi_q @ offset))[0]
+        v = v + mass_system(model, state.t, state.q).solve(np.zeros(model.n), -(phi_q @ offset))[0]
     return State(state.t, state.q, v, state.a, state.lam, {"a_alg": a_alg, "h": h})
 
 

@@ -13,6 +13,7 @@ from polyida.integrate.segments import segments
 from polyida.integrate.state import State, StepFailure
 
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where only the latter is given
+STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
 STATUS = {
     -2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve", -8: "residual",
     -9: "residual", -12: "residual", -22: "input",
@@ -30,6 +31,7 @@ class IDA:
     the imaginary axis, where their mesh modes lie) and 5 elsewhere.
     form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
     are in integrate/ida_forms.py. index3 is there to be studied: it is slow, and fails on many models.
+    linear: "auto" takes a scene's compiled callbacks, "kkt" the general ones that any model has.
     max_step, first_step: s, 0 where IDA decides. max_num_steps: the run fails beyond so many.
 
     The global error is commonly 10 to 500 times rtol. Raises InputError where a setting makes no sense.
@@ -44,12 +46,14 @@ class IDA:
     max_num_steps: int = 200_000
     first_step: float = 0.0
     rate: float = 10.0
+    linear: str = "auto"
 
     def __post_init__(self):
         if self.form not in FORMS:
             raise InputError(f"IDA: form {self.form!r} is unknown; there are {', '.join(FORMS)}")
         if self.atol is not None and np.ndim(self.atol):
             object.__setattr__(self, "atol", tuple(np.ravel(self.atol).tolist()))
+        _check("linear", self.linear, self.linear in ("auto", "kkt"), 'must be "auto" or "kkt"')
         _check("rtol", self.rtol, _is_number(self.rtol) and 0 < self.rtol < 1, "must lie between 0 and 1")
         in_range = self.max_order is None or (_is_count(self.max_order) and self.max_order <= 5)
         _check("max_order", self.max_order, in_range, "must be 1, 2, 3, 4 or 5")
@@ -130,6 +134,17 @@ def _far_side(model, state, t):
     return State(state.t, q, v, *consistent_acceleration(model, t, q, v))
 
 
+def _callbacks(settings, model, counts):
+    """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form."""
+    if hasattr(model, "arrays") and FORMS[settings.form].stabilised and settings.linear == "auto":
+        from polyida.integrate.ida_scene import SceneSolve, SceneSystem
+
+        system = SceneSystem(model, settings.form, settings.rate)
+        return system, SceneSolve(system, counts)
+    system = System(model, settings.form, settings.rate)
+    return system, ReducedSolve(system, counts)
+
+
 class _Run:
     """One run of IDA: the solver of the binding with its callbacks, and the counting of steps."""
 
@@ -138,9 +153,9 @@ class _Run:
         from sksundae.ida import IDAJacTimes, IDAPrecond
 
         self.settings, self.model, self.counts = settings, model, counts
-        self.system = System(model, settings.form, settings.rate)
-        self.steps, self.attempts, self.tried, self.last_step = 0, 0, math.nan, math.nan
-        linear = ReducedSolve(self.system, counts)
+        self.system, linear = _callbacks(settings, model, counts)
+        self.steps, self.standing, self.attempts = 0, 0, 0
+        self.tried, self.last_step = math.nan, math.nan
         self.solver = Solver(
             self._residual, rtol=float(settings.rtol), atol=self.system.tolerances(*settings.tolerances(model.n)),
             max_order=settings.order(model), max_step=float(settings.max_step), first_step=float(settings.first_step),
@@ -161,20 +176,25 @@ class _Run:
         while t < end:
             if self.steps >= self.settings.max_num_steps:
                 raise self._failure("too many steps", f"more than {self.steps} steps (max_num_steps)", state)
+            if self.standing >= STANDSTILL:
+                raise self._failure("step too small", "the step has shrunk to the round-off of t", state)
             self.attempts, self.tried = 0, math.nan
             with error_lines_kept() as printed:
                 result = self.solver.step(end, method="onestep", tstop=end)
             if result.status < 0:
-                raise self._failure(STATUS.get(result.status, "ida"), printed.message or result.message, state)
-            self._count_step()
-            self.last_step, t = float(result.t) - t, float(result.t)
+                reason = (printed.message or result.message).rstrip(".")
+                raise self._failure(STATUS.get(result.status, "ida"), reason, state)
+            self._count_step(t, float(result.t))
+            t = float(result.t)
             state = self.system.state(t, result.y, result.yp)
             yield state
 
-    def _count_step(self):
+    def _count_step(self, before, t):
         self.steps += 1
         self.counts.steps += 1
         self.counts.rejected += max(self.attempts - 1, 0)
+        self.last_step = t - before
+        self.standing = self.standing + 1 if self.last_step < 16 * math.ulp(t) else 0
 
     def _failure(self, status, reason, state):
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""

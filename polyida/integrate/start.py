@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.state import State
-from polyida.linear.kkt import KKT, SingularSystem, require_independent
+from polyida.linear.kkt import KKT, Bordered, SingularSystem, require_independent
 
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
 
@@ -27,7 +27,7 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
         rate = model.phi_q(t0, q) @ v + model.phi_t(t0, q)
         _require_near(model, "v0", v0, rate, max(1.0, np.abs(v).max(initial=0)))
         if np.abs(rate).max() > 0:
-            v = v + _kkt(model, t0, q).solve(np.zeros(model.n), rate)[0]
+            v = v + mass_system(model, t0, q).solve(np.zeros(model.n), rate)[0]
     a, lam = consistent_acceleration(model, t0, q, v)
     return State(float(t0), q, v, a, lam)
 
@@ -35,7 +35,7 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
 def consistent_acceleration(model, t, q, v):
     """(a, lam) from the equations of motion and the second derivative of phi."""
     bias = model.phi_bias(t, q, v) if model.m else np.zeros(0)
-    return _kkt(model, t, q).solve(model.force(t, q, v), bias)
+    return mass_system(model, t, q).solve(model.force(t, q, v), bias)
 
 
 def jerk(model, state, h):
@@ -80,13 +80,16 @@ def _project_position(model, t, q):
         if size == 0.0 or (size >= 0.5 * before and size < 1e-10):
             return q
         before = size
-        q = q + _kkt(model, t, q).solve(np.zeros(model.n), phi)[0]
+        q = q + mass_system(model, t, q).solve(np.zeros(model.n), phi)[0]
     worst = int(np.argmax(np.abs(phi)))
     raise InputError(f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "
                      "no configuration near q0 satisfies all of them")
 
 
-def _kkt(model, t, q):
+def mass_system(model, t, q):
+    """The factored `[[M, B^T], [B, 0]]` at (t, q); a constant M is factored once a model."""
+    if hasattr(model, "mass_inverse"):
+        return Bordered(model.mass_inverse, model.phi_q(t, q))
     try:
         return KKT(model.mass(q), model.phi_q(t, q))
     except SingularSystem:

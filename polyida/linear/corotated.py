@@ -108,20 +108,28 @@ def fill_reach(s, c, w):
 
 
 @compiled
+def solve_plates(s, c, w, rotation, r, x):
+    """x (nodes, 2) = P S_ref^-1 P^T r, and the frames of nodes and points for what follows."""
+    turn_frames(s, c, w, rotation)
+    order, b, turn = c.factor.order, w.x, w.turn
+    for i in range(r.shape[0]):
+        b[order[2 * i]] = turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1]
+        b[order[2 * i + 1]] = turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0]
+    for k in range(2 * r.shape[0], b.shape[0]):
+        b[k] = np.float32(0.0)
+    triangular(c.factor, b)
+    for i in range(r.shape[0]):
+        p, q = float(b[order[2 * i]]), float(b[order[2 * i + 1]])
+        x[i, 0] = turn[i, 0] * p - turn[i, 1] * q
+        x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
+
+
+@compiled
 def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,); rotation, dz as `equilibrium` left them at the current q. False where it is singular."""
-    turn_frames(s, c, w, rotation)
-    order, x, turn = c.factor.order, w.x, w.turn
+    solve_plates(s, c, w, rotation, r, dq)
     for i in range(r.shape[0]):
-        x[order[2 * i]] = -(turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1])
-        x[order[2 * i + 1]] = -(turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0])
-    for k in range(2 * r.shape[0], x.shape[0]):
-        x[k] = np.float32(0.0)
-    triangular(c.factor, x)
-    for i in range(r.shape[0]):
-        p, q = float(x[order[2 * i]]), float(x[order[2 * i + 1]])
-        dq[i, 0] = turn[i, 0] * p - turn[i, 1] * q
-        dq[i, 1] = turn[i, 1] * p + turn[i, 0] * q
+        dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
     if w.g.shape[0] == 0:
         return True
     if not border(s, c, w, drives, dz, lam, phi, c_m, dq, dlam):
@@ -173,6 +181,16 @@ def points_matrix(s, c, w):
 
 
 @compiled
+def fill_curvature(s, w, drives, lam, c_m):
+    """w.curvature = C: that of the motors and c_m times the masses at points."""
+    w.curvature[:] = 0.0
+    joints.joint_curvature(s, drives, lam, w.curvature)
+    for f in range(w.spin.shape[0]):
+        w.curvature[2 * f, 2 * f] += c_m * s.point_mass[f]
+        w.curvature[2 * f + 1, 2 * f + 1] += c_m * s.point_mass[f]
+
+
+@compiled
 def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
     """Solve for the points' forces w.pull and dlam, y = -S^-1 r at hand.
 
@@ -182,11 +200,7 @@ def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
     m, size = phi.shape[0], w.g.shape[0]
     points_matrix(s, c, w)
     joints.joint_jacobian(s, drives, dz, w.phi_z)
-    w.curvature[:] = 0.0
-    joints.joint_curvature(s, drives, lam, w.curvature)
-    for f in range(w.spin.shape[0]):
-        w.curvature[2 * f, 2 * f] += c_m * s.point_mass[f]
-        w.curvature[2 * f + 1, 2 * f + 1] += c_m * s.point_mass[f]
+    fill_curvature(s, w, drives, lam, c_m)
     joints.point_values(s, y, w.moved)
     for i in range(size):
         for k in range(m):

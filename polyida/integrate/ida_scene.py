@@ -1,0 +1,315 @@
+"""IDA's callbacks for a scene: the residual of the stabilised forms in one compiled pass, and one co-rotated solve an iteration.
+
+The iteration matrix is that of `ida_linear`; all joints act through the points z = A q, so with B = Bz A, H = d(B v + phi_t)/dq = Hz A
+
+    S dq + A^T (w + Bz^T dlam + cj m A A^T Bz^T dmu) + cj M B^T dmu = r2 + cj M r1,   w = (C + cj^2 m) A dq
+    Bz A dq = r3,   (Hz + cj Bz) A dq + Bz A A^T Bz^T dmu = r4 + Bz A r1,   dv = cj dq + A^T Bz^T dmu - r1
+
+S and M being those of the plates, m the masses at points, C the curvature of the motors.
+"""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from polyida.assembly import equilibrium as kernels
+from polyida.assembly import joints
+from polyida.integrate.ida_forms import System
+from polyida.linear import corotated
+from polyida.linear.dense import solve_small
+from polyida.linear.factor import NotFactorable
+
+SAME_CJ = 1e-3  # relative change of cj below which the factor serves on
+compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+
+class Room(NamedTuple):
+    """Scratch and the state of the last residual that a solve refers to."""
+
+    u: np.ndarray
+    rotation: np.ndarray
+    dz: np.ndarray
+    vz: np.ndarray
+    forces: np.ndarray
+    lam: np.ndarray
+    mu: np.ndarray
+    phi: np.ndarray
+    rate: np.ndarray
+    bias: np.ndarray
+    right: np.ndarray
+    dq: np.ndarray
+    swing: np.ndarray
+    moved: np.ndarray
+    rate_z: np.ndarray
+    own: np.ndarray
+    cross: np.ndarray
+    small: np.ndarray
+    unknown: np.ndarray
+
+
+def room(model):
+    """Room for a model."""
+    nodes, points, m = (model.n_nodes, 2), (model.n_points, 2), model.m
+    wide, size = 2 * model.n_points, len(corotated.active_components(model.arrays)) + 2 * model.m
+    return Room(np.empty(nodes), np.empty(nodes), np.empty(points), np.empty(points), np.empty(points), np.empty(m), np.empty(m),
+                np.empty(m), np.empty(m), np.empty(m), np.empty(nodes), np.empty(nodes), np.zeros(points), np.empty(points),
+                np.empty((m, wide)), overlap(model.arrays, model.n_points), np.empty((wide, wide)), np.empty((size, size)),
+                np.empty(size))
+
+
+def overlap(s, points):
+    """A A^T of one direction, (points, points)."""
+    dense = np.zeros((points, int(s.body_node[-1])))
+    for f in range(points):
+        part = slice(s.point_ptr[f], s.point_ptr[f + 1])
+        dense[f, s.point_nodes[part]] = s.point_weights[part]
+    return dense @ dense.T
+
+
+@compiled
+def residual(s, w, drives, y, yp, integrated, res):
+    """IDA's F(t, y, y') of ggl2 (integrated False) or ggl1 into res; returns the least det F."""
+    n, m = 2 * s.weight.shape[0], w.phi.shape[0]
+    multipliers = yp if integrated else y
+    w.lam[:] = multipliers[2 * n:2 * n + m]
+    w.mu[:] = multipliers[2 * n + m:2 * n + 2 * m]
+    for i in range(n // 2):
+        w.u[i, 0], w.u[i, 1] = y[2 * i], y[2 * i + 1]
+        w.dq[i, 0], w.dq[i, 1] = yp[n + 2 * i], yp[n + 2 * i + 1]
+    det, cosine = kernels.equilibrium(s, drives, w.u, w.dq, w.lam, w.right, w.phi, w.rotation, w.dz, w.forces)
+    for i in range(n // 2):
+        res[n + 2 * i], res[n + 2 * i + 1] = w.right[i, 0], w.right[i, 1]
+        w.right[i, 0], w.right[i, 1] = yp[2 * i] - y[n + 2 * i], yp[2 * i + 1] - y[n + 2 * i + 1]
+        w.dq[i, 0], w.dq[i, 1] = y[n + 2 * i], y[n + 2 * i + 1]
+    joints.point_values(s, w.dq, w.vz)
+    joints.joint_rates(s, drives, w.dz, w.vz, w.rate, w.bias)
+    joints.joint_velocities(s, drives, w.dz, w.vz, w.rate)
+    w.forces[:] = 0.0
+    joints.joint_forces(s, drives, w.dz, w.mu, w.phi, w.forces)
+    joints.spread(s, w.forces, w.right)
+    for i in range(n // 2):
+        res[2 * i], res[2 * i + 1] = w.right[i, 0], w.right[i, 1]
+    for k in range(m):
+        res[2 * n + k] = w.phi[k]
+        res[2 * n + m + k] = w.rate[k]
+    return det if cosine > 0.0 else -1.0
+
+
+@compiled
+def momentum_reach(s, c, cr, w, reach):
+    """Fill reach = S_ref^-1 M A^T like `Corotated.reach`, M of the plates."""
+    for f in range(w.dz.shape[0]):
+        for axis in range(2):
+            w.dq[:] = 0.0
+            w.right[:] = 0.0
+            for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+                w.dq[s.point_nodes[k], axis] = s.point_weights[k]
+            kernels.momentum(s, w.dq, w.right)
+            cr.x[:] = np.float32(0.0)
+            for i in range(w.right.shape[0]):
+                cr.x[c.factor.order[2 * i]] = w.right[i, 0]
+                cr.x[c.factor.order[2 * i + 1]] = w.right[i, 1]
+            corotated.triangular(c.factor, cr.x)
+            for i in range(c.point_body[f, 0], c.point_body[f, 1]):
+                reach[2 * f + axis, i, 0] = cr.x[c.factor.order[2 * i]]
+                reach[2 * f + axis, i, 1] = cr.x[c.factor.order[2 * i + 1]]
+
+
+@compiled
+def solve(s, c, cm, cr, w, drives, cj, integrated, r, z):
+    """z = J^-1 r; c and cm (its reach that of M A^T) at this cj. False where it is singular."""
+    n, m = 2 * s.weight.shape[0], w.phi.shape[0]
+    for i in range(n // 2):
+        w.dq[i, 0], w.dq[i, 1] = cj * r[2 * i], cj * r[2 * i + 1]
+        w.right[i, 0], w.right[i, 1] = r[n + 2 * i], r[n + 2 * i + 1]
+    kernels.momentum(s, w.dq, w.right)
+    joints.point_values(s, w.dq, w.moved)
+    for f in range(w.moved.shape[0]):
+        w.moved[f, 0] *= s.point_mass[f]
+        w.moved[f, 1] *= s.point_mass[f]
+    joints.spread(s, w.moved, w.right)
+    corotated.solve_plates(s, c, cr, w.rotation, w.right, w.dq)
+    if m + c.active.shape[0] and not stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
+        return False
+    for i in range(n // 2):
+        for k in range(2):
+            z[2 * i + k] = w.dq[i, k]
+            w.right[i, k] = cj * w.dq[i, k] - r[2 * i + k]
+    if m:
+        joints.spread(s, w.swing, w.right)
+    for i in range(n // 2):
+        z[n + 2 * i], z[n + 2 * i + 1] = w.right[i, 0], w.right[i, 1]
+    count = c.active.shape[0]
+    scale = 1.0 / cj if integrated else 1.0
+    for k in range(2 * m):
+        z[2 * n + k] = w.unknown[count + k] * scale
+    return True
+
+
+@compiled
+def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
+    """Solve for w, dlam, dmu; move w.dq by them; leave A's forces Bz^T dmu in w.swing."""
+    wide, count = w.rate_z.shape[1], c.active.shape[0]
+    corotated.points_matrix(s, c, cr)
+    w.cross[:] = cr.g
+    corotated.points_matrix(s, cm, cr)
+    g, h = w.cross, cr.g
+    joints.joint_jacobian(s, drives, w.dz, cr.phi_z)
+    joints.joint_rate_jacobian(s, drives, w.dz, w.vz, w.rate_z)
+    corotated.fill_curvature(s, cr, drives, w.lam, cj * cj)
+    for f in range(w.own.shape[0]):
+        for e in range(w.own.shape[0]):
+            for k in range(2):
+                h[2 * f + k, 2 * e + k] = cj * h[2 * f + k, 2 * e + k]
+                h[2 * f + k, 2 * e + 1 - k] = cj * h[2 * f + k, 2 * e + 1 - k]
+    for i in range(wide):
+        for e in range(w.own.shape[0]):
+            for k in range(2):
+                total = 0.0
+                for f in range(w.own.shape[0]):
+                    total += g[i, 2 * f + k] * s.point_mass[f] * w.own[f, e]
+                h[i, 2 * e + k] += cj * total
+    fill_stabilised(s, c, cr, w, cj, g, h, r, n, m, wide, count)
+    if not solve_small(w.small, w.unknown):
+        return False
+    apply_border(s, c, cm, cr, w, cj, m, wide, count)
+    return True
+
+
+@compiled
+def fill_stabilised(s, c, cr, w, cj, g, h, r, n, m, wide, count):
+    """The dense system; g = A X, h = A dq/d(Bz^T dmu): `A dq = A y - g (w + Bz^T dlam) - h Bz^T dmu`."""
+    joints.point_values(s, w.dq, w.moved)
+    w.small[:] = 0.0
+    for i in range(count + 2 * m):
+        w.unknown[i] = 0.0
+        if i < count:
+            w.small[i, i] = 1.0
+        for p in range(wide):
+            row = left_row(c, cr, w, cj, i, p, count, m)
+            if row == 0.0:
+                continue
+            w.unknown[i] += row * w.moved[p // 2, p % 2]
+            for l in range(count):
+                w.small[i, l] += row * g[p, c.active[l]]
+            for q in range(wide):
+                gq, hq = row * g[p, q], row * h[p, q]
+                if gq != 0.0 or hq != 0.0:
+                    for k in range(m):
+                        w.small[i, count + k] += gq * cr.phi_z[k, q]
+                        w.small[i, count + m + k] += hq * cr.phi_z[k, q]
+    close_stabilised(s, cr, w, r, n, m, count)
+
+
+@compiled
+def left_row(c, cr, w, cj, i, p, count, m):
+    """Entry p of the row that multiplies A dq in equation i: curvature, Bz, or Hz + cj Bz."""
+    if i < count:
+        return cr.curvature[c.active[i], p]
+    if i < count + m:
+        return cr.phi_z[i - count, p]
+    return w.rate_z[i - count - m, p] + cj * cr.phi_z[i - count - m, p]
+
+
+@compiled
+def close_stabilised(s, cr, w, r, n, m, count):
+    """Right-hand sides r3, r4 + Bz A r1 and the block -Bz A A^T Bz^T of the velocity constraint."""
+    for i in range(w.right.shape[0]):
+        w.right[i, 0], w.right[i, 1] = r[2 * i], r[2 * i + 1]
+    joints.point_values(s, w.right, w.moved)
+    for k in range(m):
+        w.unknown[count + k] -= r[2 * n + k]
+        w.unknown[count + m + k] -= r[2 * n + m + k]
+        for p in range(w.rate_z.shape[1]):
+            value = cr.phi_z[k, p]
+            if value == 0.0:
+                continue
+            w.unknown[count + m + k] -= value * w.moved[p // 2, p % 2]
+            for e in range(w.own.shape[0]):
+                for l in range(m):
+                    w.small[count + m + k, count + m + l] -= value * w.own[p // 2, e] * cr.phi_z[l, 2 * e + p % 2]
+
+
+@compiled
+def apply_border(s, c, cm, cr, w, cj, m, wide, count):
+    """dq -= X (w + Bz^T dlam + cj m A A^T Bz^T dmu) + cj S^-1 M A^T Bz^T dmu; w.swing = Bz^T dmu."""
+    cr.pull[:] = 0.0
+    w.swing[:] = 0.0
+    for i in range(count):
+        cr.pull[c.active[i]] = w.unknown[i]
+    for p in range(wide):
+        for k in range(m):
+            cr.pull[p] += cr.phi_z[k, p] * w.unknown[count + k]
+            w.swing[p // 2, p % 2] += cr.phi_z[k, p] * w.unknown[count + m + k]
+    for f in range(w.own.shape[0]):
+        if s.point_mass[f] != 0.0:
+            for e in range(w.own.shape[0]):
+                cr.pull[2 * f] += cj * s.point_mass[f] * w.own[f, e] * w.swing[e, 0]
+                cr.pull[2 * f + 1] += cj * s.point_mass[f] * w.own[f, e] * w.swing[e, 1]
+    corotated.pull_points(s, c, cr, w.dq)
+    for p in range(wide):
+        cr.pull[p] = cj * w.swing[p // 2, p % 2]
+    corotated.pull_points(s, cm, cr, w.dq)
+
+
+class SceneSystem(System):
+    """`System` of a stabilised form on a scene, with its residual compiled."""
+
+    def __init__(self, model, form, rate):
+        super().__init__(model, form, rate)
+        self.room = room(model)
+
+    def residual(self, t, y, yp, res):
+        """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where an element is inside out or a motor flipped."""
+        det = residual(self.model.arrays, self.room, self.model.drives(self.clamp(t)), y, yp, self.form.integrated, res)
+        if not det > 0:
+            res[:] = math.nan
+
+
+class SceneSolve:
+    """IDA's linear callbacks for a SceneSystem; the same interface as `ida_linear.ReducedSolve`."""
+
+    def __init__(self, system, counts):
+        self.system, self.model, self.counts = system, system.model, counts
+        self.cj, self.echo = math.nan, False
+        self._blocks = np.empty((len(self.model.pattern[1]), 2, 2))
+
+    def setup(self, t, y, yp, res, cj):
+        """Factor `S = K + cj^2 M` at y, in the frame of the rotations that the last residual saw."""
+        model, w = self.model, self.system.room
+        kernels.tangent_blocks(model.arrays, w.u, cj * cj, 1.0, self._blocks)
+        self.counts.tangents += 1
+        self.counts.factorizations += 1
+        self.cj = cj
+        try:
+            self.plain, self.counts.backend = corotated.corotated(model, self._blocks, w.rotation, cj * cj)
+        except NotFactorable:
+            self.cj = math.nan
+            return
+        self.scratch = corotated.room(model, self.plain)
+        self.massive = self.plain._replace(reach=np.zeros_like(self.plain.reach))
+        momentum_reach(model.arrays, self.plain, self.scratch, w, self.massive.reach)
+        self.counts.solves += 4 * model.n_points
+
+    def product(self, t, y, yp, res, vector, result, cj):
+        """IDA's matrix times vector: hand it through, and have the next `solve` echo it."""
+        self.echo = True
+        result[:] = vector
+
+    def solve(self, t, y, yp, res, r, z, cj, delta):
+        """z = J^-1 r, or the echo of r where `product` came before."""
+        if self.echo:
+            self.echo = False
+            z[:] = r
+            return
+        if not abs(cj - self.cj) <= SAME_CJ * cj:
+            self.setup(t, y, yp, res, cj)
+        self.counts.newton_iterations += 1
+        self.counts.solves += 1
+        drives = self.model.drives(self.system.clamp(t))
+        done = math.isfinite(self.cj) and solve(self.model.arrays, self.plain, self.massive, self.scratch, self.system.room, drives,
+                                                cj, self.system.form.integrated, r, z)
+        if not done:
+            z[:] = math.nan

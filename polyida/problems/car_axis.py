@@ -1,0 +1,74 @@
+"""The car axis of the IVP test set: two wheels on stiff springs, one of them driven over a bumpy road; index 3."""
+
+import numpy as np
+
+from polyida.model import Model, Needs
+from polyida.problems import Problem
+
+L, L0, RADIUS, OMEGA = 1.0, 0.5, 0.1, 10.0
+MASS = 10 * 0.01**2 / 2
+PAIR = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2))  # |left - right|^2 = q^T PAIR q
+
+
+def road(t):
+    """Position, velocity and acceleration of the driven wheel (xb, yb), each (2,)."""
+    y, dy = RADIUS * np.sin(OMEGA * t), RADIUS * OMEGA * np.cos(OMEGA * t)
+    ddy = -OMEGA**2 * y
+    x = np.sqrt(L**2 - y**2)
+    dx = -y * dy / x
+    return np.array([x, y]), np.array([dx, dy]), np.array([-(dy**2 + y * ddy + dx**2) / x, ddy])
+
+
+def _spring(arm):
+    """Force (2,) and stiffness (2, 2) of a spring of length L0 and stiffness 1 along `arm`."""
+    length = np.hypot(*arm)
+    along = np.outer(arm, arm) / length**2
+    return (length - L0) * arm / length, along + (1 - L0 / length) * (np.eye(2) - along)
+
+
+class CarAxis(Model):
+    """q = (xl, yl, xr, yr); `phi = (xl xb + yl yb, |left - right|^2 - L^2)`, with the road (xb, yb) prescribed."""
+
+    n, m = 4, 2
+    needs = Needs(mass_varies=False, velocity_forces=False)
+
+    def mass(self, q):
+        return MASS * np.eye(4)
+
+    def force(self, t, q, v):
+        wheel = road(t)[0]
+        return np.concatenate([_spring(q[:2])[0], _spring(q[2:] - wheel)[0]]) + MASS * np.array([0.0, 1.0, 0.0, 1.0])
+
+    def phi(self, t, q):
+        apart = q[:2] - q[2:]
+        return np.array([q[:2] @ road(t)[0], apart @ apart - L**2])
+
+    def phi_q(self, t, q):
+        return np.vstack([np.append(road(t)[0], [0.0, 0.0]), 2 * PAIR @ q])
+
+    def force_q(self, t, q, v):
+        result = np.zeros((4, 4))
+        result[:2, :2], result[2:, 2:] = _spring(q[:2])[1], _spring(q[2:] - road(t)[0])[1]
+        return result
+
+    def reaction_q(self, t, q, lam):
+        return 2 * lam[1] * PAIR
+
+    def phi_t(self, t, q):
+        return np.array([q[:2] @ road(t)[1], 0.0])
+
+    def phi_bias(self, t, q, v):
+        _, velocity, acceleration = road(t)
+        return np.array([2 * v[:2] @ velocity + q[:2] @ acceleration, 2 * v @ PAIR @ v])
+
+
+def problem():
+    """3 s of the road, nearly five periods; multipliers in the sign of `M a + g + phi_q^T lam = 0`."""
+    return Problem(
+        name="car-axis", model=CarAxis(), t_end=3.0,
+        q0=np.array([0.0, 0.5, 1.0, 0.5]), v0=np.array([-0.5, 0.0, -0.5, 0.0]),
+        reference={
+            "q": np.array([0.04934557842754028, 0.49698946023017115, 1.0417425248854215, 0.37391102726536124]),
+            "v": np.array([-0.07705836840409723, 0.007446866587237785, 0.017556815753723223, 0.7703410437792519]),
+            "lam": np.array([0.004736886590848933, 0.0011046803312573436])},
+        source="IVP test set, car axis problem (PSIDE)", quantity="q at t = 3 s, largest absolute error")

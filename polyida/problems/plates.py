@@ -1,0 +1,86 @@
+"""Flexible plates in a row, linked by revolute joints, a mass at the tip; swinging freely or driven by motors.
+
+Each plate is 1 m x 0.1 m and 10 mm thick, E = 50 MPa, nu = 0.3, rho = 1100 kg/m3, St. Venant-Kirchhoff without damping.
+All start along +x, at rest and undeformed; joint k is at (k - 1, 0). Tip mass 0.5 kg, gravity 9.81 m/s2 along -y. These
+dimensions are this project's own.
+"""
+
+import numpy as np
+
+from polyida import profile
+from polyida.body.material import Material
+from polyida.body.plate import Plate
+from polyida.body.point_mass import PointMass
+from polyida.errors import InputError
+from polyida.joint.angle_motor import AngleMotor
+from polyida.joint.attachment import ground
+from polyida.joint.revolute import Revolute
+from polyida.problems import Problem
+from polyida.scene import Scene
+
+LENGTH, HEIGHT, THICKNESS, TIP_MASS, GRAVITY = 1.0, 0.1, 0.01, 0.5, (0.0, -9.81)
+RUBBER = Material(E=50e6, nu=0.3, rho=1100.0)
+
+
+def double_plate(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS):
+    """Two plates "upper" and "lower", joints "shoulder" and "elbow", mass "tip"; they swing freely from rest.
+
+    cells: polygons a plate. seed: of the mesh. tip_mass: kg.
+    """
+    return _row(("upper", "lower"), ("shoulder", "elbow"), cells, seed, material, tip_mass)
+
+
+def double_plate_motors(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS, angle=None):
+    """The double plate with an angle motor in each joint, which impose the same angle.
+
+    They are called "shoulder motor" and "elbow motor". angle: theta(t) in rad; by default the quintic
+    `(pi/4)(10 s^3 - 15 s^4 + 6 s^5)`, s = min(t / 1 s, 1).
+    """
+    scene = double_plate(cells, seed, material, tip_mass)
+    angle = profile.quintic(0.0, np.pi / 4, duration=1.0) if angle is None else angle
+    for name in ("shoulder", "elbow"):
+        joint = scene.parts[name]
+        scene.add(AngleMotor(joint.a, joint.b, angle=angle, name=f"{name} motor"))
+    return scene
+
+
+def plate_chain(links=3, cells=80, seed=1, material=RUBBER, tip_mass=TIP_MASS):
+    """A chain of `links` plates "plate 1", "plate 2", ... with joints "joint 1", ..., swinging freely from rest."""
+    if not isinstance(links, int) or links < 1:
+        raise InputError(f"plate_chain: links = {links!r} must be a whole number of at least 1")
+    numbers = range(1, links + 1)
+    return _row([f"plate {k}" for k in numbers], [f"joint {k}" for k in numbers], cells, seed, material, tip_mass)
+
+
+def _row(plates, joints, cells, seed, material, tip_mass):
+    """Plates along +x, each held by a revolute joint to the one before, the first to ground; all on one mesh."""
+    from polyida.mesh import rectangle
+
+    mesh, scene = rectangle(LENGTH, HEIGHT, cells=cells, seed=seed), Scene(gravity=GRAVITY)
+    end = ground
+    for k, (name, joint) in enumerate(zip(plates, joints)):
+        plate = scene.add(Plate(mesh, material, thickness=THICKNESS, origin=(k * LENGTH, 0.0), name=name))
+        scene.add(Revolute(end, plate.section("left"), name=joint))
+        end = plate.section("right")
+    scene.add(PointMass(end, tip_mass, name="tip"))
+    return scene
+
+
+def double_plate_problem(cells=160, seed=1):
+    """Two flexible plates in a row, swinging freely from rest for 1 s."""
+    return _problem("double-plate", double_plate(cells, seed))
+
+
+def double_plate_motors_problem(cells=160, seed=1):
+    """The two plates with a motor in each joint that turns it by 45 degrees within 1 s."""
+    return _problem("double-plate-motors", double_plate_motors(cells, seed))
+
+
+def plate_chain_problem(links=3, cells=80, seed=1):
+    """Three flexible plates in a row, swinging freely from rest for 1 s."""
+    return _problem("plate-chain", plate_chain(links, cells, seed))
+
+
+def _problem(name, scene):
+    return Problem(name=name, model=scene.build(), q0=None, v0=None, t_end=1.0,
+                   source="no published numbers: measured against a refined run", quantity='position of "tip", m')

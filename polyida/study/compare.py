@@ -1,0 +1,184 @@
+"""Both integrators on one model, measured against a refined run: the numbers of the comparison as plain data."""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from polyida.integrate.state import Counts, StepFailure
+from polyida.study.energy import motor_work, unbalanced
+from polyida.threads import one_blas_thread
+
+REFINEMENT = 8  # the reference run's step is this much shorter
+REFINED = "refined run"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What `compare` found.
+
+    runs: {label: Trajectory}. distances: {label: (t, distance from the refined run)}. rows: one dictionary a run, the
+    refined run last. figures: {name: number} of the same. notes: what failed, in words. quantity, unit: what the
+    distance is of.
+    """
+
+    job: object
+    runs: dict
+    distances: dict
+    rows: list
+    notes: list = field(default_factory=list)
+    quantity: str = "tip"
+    unit: str = "m"
+
+    @property
+    def success(self):
+        """Whether every run, the refined one included, came to its end."""
+        return not self.notes
+
+    @property
+    def figures(self):
+        """{name: number}, names as `alpha_error_max`; only what is a finite number."""
+        short = {"generalized-alpha": "alpha", "IDA": "ida", REFINED: "refined"}
+        numbers = {f"{short[row['run']]}_{key}": value for row in self.rows for key, value in row.items()}
+        numbers["gap_end"] = self.gap
+        return {key: value for key, value in numbers.items()
+                if isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)}
+
+    @property
+    def gap(self):
+        """Distance between the two integrators at the end, or NaN where one of them did not get there."""
+        ends = [watch(self.job)(run.q[-1]) for run in self.runs.values() if run.success]
+        return float(_size(ends[0] - ends[1])) if len(ends) == 2 else float("nan")
+
+
+def integrators(job, rtol=None):
+    """{label: integrator}: generalized-alpha with the job's step; IDA, where rtol is given with 0.01 m rtol for q."""
+    from polyida.integrate.generalized_alpha import GeneralizedAlpha
+    from polyida.integrate.ida import IDA
+
+    ida = IDA() if rtol is None else IDA(rtol=rtol, atol=rtol / 100)
+    return {"generalized-alpha": GeneralizedAlpha(h=job.step), "IDA": ida}
+
+
+def compare(job, rtol=None, progress=None):
+    """Run generalized-alpha, IDA and the refined run of a Job; returns a Comparison.
+
+    The refined run is generalized-alpha with a step eight times shorter; an error is the distance of the watched point
+    (or of all coordinates, for a model without points) from it. rtol: of IDA. progress: callable(label, fraction done),
+    fraction None while kernels compile. Failures of a run do not raise: they are in `notes`. InputError is raised
+    before the first run.
+    """
+    tell = progress or (lambda label, fraction: None)
+    members = integrators(job, rtol)
+    tell("preparing kernels", None)
+    for member in members.values():
+        warm_up(job, member)
+    runs = {label: _run(job, member, label, tell) for label, member in members.items()}
+    refined = refine(job, members["generalized-alpha"], tell)
+    distances = {label: (run.t, refined.distance(run)) for label, run in runs.items()}
+    rows = [_row(label, run, distances[label][1]) | published(job, run.q[-1], run.success)
+            for label, run in runs.items()]
+    rows.append(refined.row() | published(job, refined.watched[-1], not refined.message))
+    notes = [f"{label}: {run.message}" for label, run in runs.items() if not run.success]
+    notes += [f"{REFINED}: {refined.message}"] if refined.message else []
+    quantity, unit = (job.point, "m") if job.point else ("coordinates", "")
+    return Comparison(job, runs, distances, rows, notes, quantity, unit)
+
+
+def watch(job):
+    """Function q (n,) -> what is looked at: the place of the job's point, (2,), m, or q itself."""
+    if job.point is None:
+        return np.array
+    number = job.model.points_of(job.point)
+    rest = job.model.arrays.point_rest[number]
+    return lambda q: rest + job.model.dz(q)[number]
+
+
+def warm_up(job, member):
+    """Two steps with an integrator, so that compiling or loading kernels counts as nobody's time."""
+    from polyida.integrate.solve import solve
+
+    with job.code():
+        solve(job.model, min(job.time, 2 * job.step), member, q0=job.q0, v0=job.v0)
+
+
+def _run(job, member, label, tell):
+    from polyida.integrate.solve import solve
+
+    with job.code():
+        return solve(job.model, job.time, member, q0=job.q0, v0=job.v0, progress=lambda t: tell(label, t / job.time))
+
+
+@dataclass
+class Refined:
+    """The refined run: what was watched at each step, and nothing else kept."""
+
+    integrator: object
+    t: np.ndarray
+    watched: np.ndarray
+    look: object
+    counts: Counts
+    cpu_seconds: float
+    message: str
+
+    def distance(self, run):
+        """Distance of a run from this one at the run's times, NaN beyond the end of this one."""
+        from scipy.interpolate import CubicSpline
+
+        seen = np.array([self.look(q) for q in run.q])
+        if len(self.t) < 2:
+            return np.full(len(run.t), np.nan)
+        exact = CubicSpline(self.t, self.watched)(run.t)
+        return np.where(run.t <= self.t[-1] * (1 + 1e-12), _size(seen - exact), np.nan)
+
+    def row(self):
+        """What is known of it, in the form of the other rows."""
+        return {"run": REFINED, "settings": repr(self.integrator), "success": not self.message,
+                "t_end": float(self.t[-1]), "cpu_s": self.cpu_seconds} | self.counts.as_dict()
+
+
+def refine(job, integrator, tell):
+    """Run the integrator with a shorter step, keeping only what is watched."""
+    from dataclasses import replace
+
+    from polyida.integrate.start import consistent_state
+
+    fine, counts, look = replace(integrator, h=integrator.h / REFINEMENT), Counts(), watch(job)
+    begin, message = time.process_time(), ""
+    with job.code(), one_blas_thread():
+        start = consistent_state(job.model, 0.0, job.q0, job.v0)
+        times, watched = [start.t], [look(start.q)]
+        try:
+            for state in fine.steps(job.model, start, job.time, counts):
+                times.append(state.t)
+                watched.append(look(state.q))
+                tell(REFINED, state.t / job.time)
+        except StepFailure as failure:
+            message = str(failure)
+    return Refined(fine, np.array(times), np.array(watched), look, counts, time.process_time() - begin, message)
+
+
+def _row(label, run, distance):
+    return {
+        "run": label, "settings": repr(run.integrator), "success": bool(run.success), "t_end": float(run.t[-1]),
+        "error_max": float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else float("nan"),
+        "error_end": float(distance[-1]), "cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds),
+        **run.counts.as_dict(),
+        "drift_max": float(np.max(run.drift, initial=0.0)),
+        "velocity_drift_max": float(np.max(run.velocity_drift, initial=0.0)),
+        "energy_change": float(unbalanced(run)[-1]), "motor_work": float(motor_work(run)[-1]),
+    }
+
+
+def published(job, q, finished):
+    """{"published_error": largest deviation of q at the end from the published one}, empty where there is none."""
+    known = job.published.get("q") if finished and job.point is None else None
+    return {} if known is None else {"published_error": float(np.abs(q - known).max())}
+
+
+def _size(difference):
+    """Length of plane vectors (..., 2), largest entry otherwise."""
+    difference = np.asarray(difference, float)
+    if difference.shape[-1] == 2:
+        return np.linalg.norm(difference, axis=-1)
+    return np.abs(difference).max(axis=-1, initial=0.0)

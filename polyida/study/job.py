@@ -1,0 +1,140 @@
+"""What a command solves: a registered scene by name, or what a function of a user's file returns."""
+
+import inspect
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
+
+from polyida.errors import InputError
+from polyida.study import scene_file
+
+OPTIONS = ("time", "step", "q0", "v0", "point")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A model and how to run it.
+
+    time: simulated, s. step: of fixed-step integrators, s. q0, v0: initial values, zero where None. point: whose path
+    is looked at (the mass "tip", or the last mass of the scene; all coordinates where None). published: {"q": (n,),
+    ...} at the end, of a problem that has it. file: the user's, where there is one.
+    """
+
+    name: str
+    model: object
+    time: float = 1.0
+    step: float = 1e-3
+    q0: object = None
+    v0: object = None
+    point: str | None = None
+    file: Path | None = None
+    published: dict = field(default_factory=dict)
+
+    def code(self):
+        """Context that names the line of the user's file where an exception came from."""
+        return scene_file.users_code(self.file) if self.file else nullcontext()
+
+
+def load(spec, time=None, step=None, **build_options):
+    """The job of a registered name or of `my_scene.py:build`; time and step override what the scene says.
+
+    build_options (such as cells) are handed to the function that builds the scene; those that are None are left out.
+    Raises InputError for an unknown name, file or function, for an option that the function does not take, and for
+    times that are not positive.
+    """
+    given = {key: value for key, value in build_options.items() if value is not None}
+    if ".py" in spec:
+        file, build = Path(spec.rpartition(":")[0]), scene_file.function(spec)
+        with scene_file.users_code(file):
+            job = _job(_name(file, spec), _call(spec, build, given), file)
+    else:
+        job = _registered(spec, given)
+    for key, value in (("time", time), ("step", step)):
+        if value is not None:
+            job = replace(job, **{key: value}, published=job.published if key != "time" else {})
+        if not getattr(job, key) > 0:
+            raise InputError(f"{key} {getattr(job, key)} s must be positive")
+    return job
+
+
+def _name(file, spec):
+    function = spec.rpartition(":")[2]
+    return file.stem if function == "build" else f"{file.stem}-{function}"
+
+
+def maker(name):
+    """The function that makes a registered problem."""
+    from polyida.problems import MAKERS
+
+    module, function = MAKERS[name].split(":")
+    return getattr(import_module(module), function)
+
+
+def _registered(name, options):
+    """The job of a registered problem; its step is a thousandth of its time."""
+    from polyida import problems
+
+    if name not in problems.names():
+        known = ", ".join(problems.names())
+        raise InputError(f"scene {name!r} is unknown; there are {known}, or give my_scene.py:build")
+    _require_taken(name, maker(name), options)
+    problem = problems.get(name, **options)
+    time, point = problem.t_end, _default_point(problem.model)
+    return Job(name, problem.model, time, time / 1000, problem.q0, problem.v0, point, published=problem.reference)
+
+
+def _call(spec, build, options):
+    _require_taken(spec, build, options)
+    return build(**options)
+
+
+def _require_taken(name, function, options):
+    taken = inspect.signature(function).parameters
+    if unknown := set(options) - set(taken):
+        raise InputError(f"{name} takes no option --{min(unknown)}: its function has no argument of that name")
+
+
+def _job(name, result, file=None):
+    """A Job from a Scene, a model, or a pair of one of them and a dictionary of options."""
+    from polyida.model import Model
+    from polyida.scene import Scene
+
+    made, options = result if isinstance(result, tuple) and len(result) == 2 else (result, {})
+    if not isinstance(made, Scene | Model) or not isinstance(options, dict):
+        wanted = "a Scene, a Model or (one of them, options) is needed"
+        raise InputError(f"{name}: its function returned {type(result).__name__}; {wanted}")
+    if unknown := set(options) - set(OPTIONS):
+        raise InputError(f"{name}: unknown option {min(unknown)!r}; known: {', '.join(OPTIONS)}")
+    model = made.build() if isinstance(made, Scene) else made
+    point = options.get("point") or _default_point(made if isinstance(made, Scene) else model)
+    return Job(name, model, file=file, **{key: value for key, value in options.items() if key != "point"}, point=point)
+
+
+def _default_point(made):
+    """The mass "tip", else the last mass of a scene, else None."""
+    from polyida.body.point_mass import PointMass
+
+    if hasattr(made, "points_of"):
+        try:
+            made.points_of("tip")
+        except InputError:
+            return None
+        return "tip"
+    masses = list(made.of(PointMass)) if hasattr(made, "of") else []
+    return "tip" if "tip" in masses else masses[-1] if masses else None
+
+
+def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
+    """"alpha" or "ida" with the settings given; InputError for an unknown name and for a setting of the other one."""
+    from polyida.integrate.generalized_alpha import GeneralizedAlpha
+    from polyida.integrate.ida import IDA
+
+    settings = {"alpha": {"step": step, "rho_inf": rho_inf}, "ida": {"rtol": rtol, "atol": atol}}
+    if name not in settings:
+        raise InputError(f"integrator {name!r} is unknown; there are {', '.join(settings)}")
+    for other, options in settings.items():
+        if other != name and (strange := [key for key, value in options.items() if value is not None]):
+            raise InputError(f"--{strange[0].replace('_', '-')} is a setting of {other}, not of {name}")
+    given = {key: value for key, value in settings[name].items() if value is not None and key != "step"}
+    return GeneralizedAlpha(h=job.step, **given) if name == "alpha" else IDA(**given)

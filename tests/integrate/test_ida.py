@@ -1,0 +1,294 @@
+"""IDA: settings, the linear solve against the dense matrix, published digits in every form, failures, kinks."""
+
+import numpy as np
+import pytest
+
+from polyida import problems
+from polyida.errors import InputError
+from polyida.integrate.ida import IDA
+from polyida.integrate.ida_forms import FORMS, System
+from polyida.integrate.ida_linear import ReducedSolve, factor
+from polyida.integrate.start import consistent_state
+from polyida.integrate.state import Counts, State, StepFailure
+from polyida.model import Model, Needs
+
+
+def run(model, settings, t_end, q0=None, v0=None):
+    """(accepted states, counts) from a consistent start."""
+    counts = Counts()
+    return list(settings.steps(model, consistent_state(model, 0.0, q0, v0), t_end, counts)), counts
+
+
+def run_problem(name, settings):
+    p = problems.get(name)
+    states, counts = run(p.model, settings, p.t_end, p.q0, p.v0)
+    last = states[-1]
+    return p, states, counts, p.errors(q=last.q, v=last.v, lam=last.lam)
+
+
+class Oscillator(Model):
+    """Two masses on springs, without constraints: q = cos(w t) q0 for w = 1 and 3."""
+
+    n, m = 2, 0
+    needs = Needs(False, False, False, False)
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([1.0, 9.0]) * q
+
+
+class Driven(Model):
+    """A mass of 2 kg whose x is driven by `path(t)`, and whose y is pushed by `push(t)`; both may have kinks."""
+
+    n, m = 2, 1
+    needs = Needs(False, False, True, False)
+
+    def __init__(self, path, rate, push, at):
+        self.path, self.rate, self.push, self.at = path, rate, push, at
+
+    def mass(self, q):
+        return 2.0 * np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, -self.push(t)])
+
+    def phi(self, t, q):
+        return q[:1] - self.path(t)
+
+    def phi_q(self, t, q):
+        return np.array([[1.0, 0.0]])
+
+    def phi_t(self, t, q):
+        return np.array([-self.rate(t)])
+
+    def phi_bias(self, t, q, v):
+        return np.zeros(1)
+
+    def kinks(self, t0, t1):
+        return tuple(t for t in self.at if t0 < t < t1)
+
+
+@pytest.mark.parametrize("settings, named", [
+    ({"rtol": 0.0}, "rtol 0.0"), ({"rtol": "tight"}, "rtol tight"), ({"rtol": float("nan")}, "rtol nan"),
+    ({"atol": -1e-8}, "atol -1e-08"), ({"atol": (1e-8, 0.0)}, "atol"), ({"atol": ["a", "b"]}, "atol"),
+    ({"atol": ()}, "atol"),
+    ({"form": "ggl3"}, "'ggl3' is unknown; there are ggl2, ggl1"), ({"max_order": 6}, "max_order 6"),
+    ({"max_order": 0}, "max_order 0"), ({"max_order": 2.5}, "max_order 2.5"), ({"max_step": -1.0}, "max_step -1.0"),
+    ({"max_num_steps": 0}, "max_num_steps 0"), ({"first_step": float("inf")}, "first_step inf"),
+    ({"rate": -1}, "rate -1"),
+])
+def test_wrong_settings_are_named(settings, named):
+    with pytest.raises(InputError, match=f"IDA: .*{named}"):
+        IDA(**settings)
+
+
+def test_absolute_tolerances():
+    assert IDA().tolerances(2) == pytest.approx((1e-7, 1e-4))
+    assert IDA(atol=1e-8).tolerances(2) == pytest.approx((1e-8, 1e-5))
+    assert IDA(atol=[1e-8, 1e-6]).tolerances(3) == (1e-8, 1e-6)
+    of_q, of_v = IDA(atol=np.arange(1.0, 7.0)).tolerances(3)
+    assert of_q.tolist() == [1, 2, 3] and of_v.tolist() == [4, 5, 6]
+    with pytest.raises(InputError, match="atol of 5 entries must be a number, a pair .* or 6 entries"):
+        IDA(atol=np.ones(5)).tolerances(3)
+
+
+def test_order_follows_the_model():
+    flexible = Oscillator()
+    flexible.undamped_flexible = True
+    assert (IDA().order(Oscillator()), IDA().order(flexible), IDA(max_order=4).order(flexible)) == (5, 2, 4)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", ["car-axis", "andrews"])
+def test_reduced_solve_is_the_inverse_of_the_whole_matrix(name, form):
+    p, random, cj = problems.get(name), np.random.default_rng(3), 40.0
+    system = System(p.model, form, rate=5.0)
+    n, m = p.model.n, p.model.m
+    y, yp = system.pack(State(0.3, p.q0 + 0.1, *(random.standard_normal(k) for k in (n, n, m))))
+    linear = ReducedSolve(system, Counts())
+    linear.setup(0.3, y, yp, None, cj)
+    d, r = np.empty(system.size), random.standard_normal(system.size)
+    linear.solve(0.3, y, yp, None, r, d, cj, 0.0)
+    step = 1e-4 / max(1.0, np.abs(d).max())
+    residuals = [np.empty(system.size) for _ in range(4)]
+    for k, factor_ in enumerate((1, -1, 2, -2)):
+        system.residual(0.3, y + factor_ * step * d, yp + factor_ * step * cj * d, residuals[k])
+    slope = (8 * (residuals[0] - residuals[1]) - (residuals[2] - residuals[3])) / (12 * step)
+    assert np.allclose(slope, r, rtol=0, atol=2e-5)
+
+
+def test_a_solve_at_another_cj_factors_anew():
+    p, counts = problems.get("car-axis"), Counts()
+    system = System(p.model, "ggl2", 0.0)
+    y, yp = system.pack(consistent_state(p.model, 0.0, p.q0, p.v0))
+    linear, d = ReducedSolve(system, counts), np.empty(system.size)
+    linear.setup(0.0, y, yp, None, 10.0)
+    for cj in (10.0, 10.0, 15.0, 15.0):
+        linear.solve(0.0, y, yp, None, np.ones(system.size), d, cj, 0.0)
+    assert (counts.factorizations, counts.solves) == (2, 4)
+
+
+def test_factor_dense_sparse_and_singular():
+    from scipy.sparse import csc_array
+
+    matrix, b = np.array([[4.0, 1.0], [1.0, 3.0]]), np.array([1.0, 2.0])
+    for kind in (np.asarray, csc_array):
+        assert np.allclose(factor(kind(matrix))(b), np.linalg.solve(matrix, b), rtol=1e-14)
+        assert np.isnan(factor(kind(np.ones((2, 2))))(b)).all()
+        assert np.isnan(factor(kind(np.full((2, 2), np.nan)))(b)).all()
+
+
+# bounds: some three times the error measured; its last digits follow the platform's round-off through step control
+@pytest.mark.parametrize("name, form, tolerance, of_q, of_lam", [
+    ("pendulum", "ggl2", 1e-6, 2e-3, 2e-2), ("pendulum", "ggl1", 1e-6, 1e-3, 2e-2),
+    ("pendulum", "ggl2", 1e-8, 3e-5, 3e-4), ("pendulum", "ggl1", 1e-8, 2e-5, 3e-4),
+    ("car-axis", "ggl2", 1e-8, 1e-6, 1e-7), ("car-axis", "ggl1", 1e-8, 2e-6, 1e-7),
+    ("andrews", "ggl2", 1e-6, 1.5e-3, 1e-1), ("andrews", "ggl1", 1e-6, 1.5e-3, 1e-1),
+    ("andrews", "ggl2", 1e-8, 2e-5, 2e-3), ("andrews", "ggl1", 1e-8, 2e-5, 2e-3),
+])
+def test_published_digits(name, form, tolerance, of_q, of_lam):
+    p, states, counts, error = run_problem(name, IDA(rtol=tolerance, atol=(tolerance, tolerance), form=form))
+    assert states[-1].t == p.t_end
+    assert error["q"] < of_q and error["lam"] < of_lam
+    drift = max(np.abs(p.model.phi(s.t, s.q)).max() for s in states)
+    assert drift < 10 * tolerance * max(1.0, np.abs(p.reference["q"]).max())
+    assert counts.steps == len(states) <= counts.residuals and counts.factorizations < counts.solves
+
+
+@pytest.mark.parametrize("form", ["index2", "index1", "baumgarte"])
+@pytest.mark.parametrize("name", ["pendulum", "car-axis", "andrews"])
+def test_forms_of_lower_index(name, form):
+    error = run_problem(name, IDA(rtol=1e-7, atol=(1e-8, 1e-8), form=form))[3]
+    assert error["q"] < 1e-3
+
+
+def test_tighter_is_closer():
+    settings = [IDA(rtol=tol, atol=(tol, tol)) for tol in (1e-5, 1e-7, 1e-9, 1e-11)]
+    errors = [run_problem("car-axis", s)[3]["q"] for s in settings]
+    assert errors == sorted(errors, reverse=True) and errors[-1] < 1e-7
+
+
+@pytest.mark.parametrize("form", ["ggl2", "ggl1"])
+def test_second_multiplier_vanishes_beside_the_velocity(form):
+    p, states, _, _ = run_problem("car-axis", IDA(rtol=1e-8, atol=(1e-8, 1e-8), form=form))
+    correction = max(np.abs(p.model.phi_q(s.t, s.q).T @ s.memory["mu"]).max() for s in states)
+    assert correction < 1e-4 * max(np.abs(s.v).max() for s in states)
+
+
+def test_acceleration_and_multipliers_satisfy_the_equations_of_motion():
+    p, states, _, _ = run_problem("car-axis", IDA(rtol=1e-7))
+    for s in states[::50]:
+        assert np.abs(p.model.residual(s.t, s.q, s.v, s.a, s.lam)).max() < 1e-4
+
+
+def test_without_constraints():
+    states, counts = run(Oscillator(), IDA(rtol=1e-8, atol=(1e-9, 1e-9)), 4.0, q0=[1.0, 0.5], v0=[0.0, 0.0])
+    assert np.allclose(states[-1].q, [np.cos(4.0), 0.5 * np.cos(12.0)], rtol=0, atol=1e-5)
+    assert states[-1].lam.shape == (0,)
+
+
+def test_counts_are_reproducible():
+    first, second = (run_problem("andrews", IDA())[2] for _ in range(2))
+    assert first == second and min(first.steps, first.tangents, first.newton_iterations) > 0
+
+
+def test_max_step_and_restart():
+    model = Oscillator()
+    states, _ = run(model, IDA(max_step=0.01), 0.5, q0=[1.0, 0.0])
+    assert np.diff([s.t for s in states]).max() <= 0.01 * (1 + 1e-12)
+    again = list(IDA(rtol=1e-8, atol=1e-10).steps(model, states[-1], 1.0, Counts()))
+    assert again[-1].q[0] == pytest.approx(np.cos(1.0), abs=1e-4)
+
+
+class Crash(Exception):
+    pass
+
+
+@pytest.mark.parametrize("place", ["force", "phi", "phi_q", "mass", "tangent"])
+def test_exceptions_of_a_model_come_through(place, capsys):
+    model, begun = problems.get("pendulum").model, []
+    sound = getattr(model, place)
+
+    def broken(*arguments):
+        if begun:
+            raise Crash(place)
+        return sound(*arguments)
+
+    state = consistent_state(model, 0.0, [-1.0, 0.0])
+    setattr(model, place, broken)
+    begun.append(True)
+    with pytest.raises(Crash, match=place):
+        list(IDA().steps(model, state, 1.0, Counts()))
+    assert capsys.readouterr().out == ""
+
+
+def test_not_a_number_makes_it_try_a_smaller_step():
+    class Fragile(Oscillator):
+        calls = 0
+
+        def force(self, t, q, v):
+            self.calls += 1
+            return np.full(2, np.nan) if self.calls == 60 else super().force(t, q, v)
+
+    states, counts = run(Fragile(), IDA(rtol=1e-7), 4.0, q0=[1.0, 0.0])
+    assert states[-1].q[0] == pytest.approx(np.cos(4.0), abs=1e-4) and counts.rejected >= 1
+
+
+def test_a_wall_ends_the_run_with_its_time_and_reason():
+    class Wall(Oscillator):
+        def force(self, t, q, v):
+            return super().force(t, q, v) + (np.nan if t > 0.4 else 0.0)
+
+    states = []
+    with pytest.raises(StepFailure) as failure:
+        for state in IDA().steps(Wall(), consistent_state(Wall(), 0.0, [1.0, 1.0]), 1.0, Counts()):
+            states.append(state)
+    assert failure.value.status in ("newton", "step too small") and failure.value.t == states[-1].t
+    assert 0.39 < failure.value.t <= 0.4 and len(states) < 1000
+
+
+def test_what_sundials_says_goes_into_the_message_and_what_a_model_prints_is_kept(capsys):
+    class Blind(Oscillator):
+        def force(self, t, q, v):
+            print("asked")
+            return np.full(2, np.nan)
+
+    state = State(0.0, np.ones(2), np.zeros(2), np.zeros(2), np.zeros(0))
+    with pytest.raises(StepFailure, match="corrector convergence failed repeatedly") as failure:
+        list(IDA().steps(Blind(), state, 1.0, Counts()))
+    assert failure.value.t == 0.0 and failure.value.status == "newton"
+    assert set(capsys.readouterr().out.split("\n")) == {"asked", ""}
+
+
+def test_index3_stops_at_the_cap():
+    p = problems.get("andrews")
+    with pytest.raises(StepFailure) as failure:
+        run(p.model, IDA(form="index3", max_num_steps=300), p.t_end, p.q0, p.v0)
+    assert failure.value.status == "too many steps" and failure.value.seen["steps"] == 300
+    assert failure.value.seen["worst constraint"].startswith("phi[")
+
+
+def test_a_jump_of_force_is_met_exactly():
+    push = lambda t: 0.0 if t <= 0.3 else 4.0  # noqa: E731
+    model = Driven(lambda t: 0.0, lambda t: 0.0, push, (0.3,))
+    states, counts = run(model, IDA(rtol=1e-9, atol=1e-11), 1.0)
+    assert 0.3 in [s.t for s in states] and counts.rejected == 0
+    assert states[-1].q[1] == pytest.approx(0.49, abs=1e-7)
+
+
+@pytest.mark.parametrize("form", ["ggl2", "ggl1", "index2"])
+def test_a_jump_of_driven_velocity_at_start_middle_and_end(form):
+    at = (0.0, 0.25, 0.75)
+
+    def path(t):
+        return np.interp(t, at, (0.0, 0.5, -0.5))
+
+    def rate(t):
+        return 0.0 if t <= 0 or t >= 0.75 else 2.0 if t < 0.25 else -2.0
+
+    states, counts = run(Driven(path, rate, lambda t: 2.0, at), IDA(form=form, rtol=1e-8, atol=1e-10), 0.75)
+    where = {s.t: s for s in states}
+    assert where[0.25].v[0] == pytest.approx(2.0, abs=1e-6) and where[0.75].v[0] == pytest.approx(-2.0, abs=1e-6)
+    assert where[0.75].q == pytest.approx([-0.5, 0.75**2 / 2], abs=1e-6) and counts.rejected == 0
