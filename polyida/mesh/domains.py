@@ -1,0 +1,147 @@
+"""Plane domains by signed distance: negative inside, combined by minimum and maximum.
+
+A domain is a list of walls and a rule that combines their distances. Source of the idea: Talischi, Paulino, Pereira,
+Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012).
+"""
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.mesh import walls as w
+
+
+def positive(value, what):
+    """value as a finite float > 0, else InputError."""
+    number = finite(value, what)
+    if not number > 0.0:
+        raise InputError(f"{what} is {value!r}; it must be positive")
+    return number
+
+
+def finite(value, what):
+    """value as a finite float, else InputError."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} is {value!r}; it must be a number") from None
+    if not np.isfinite(number):
+        raise InputError(f"{what} is {value!r}; it must be finite")
+    return number
+
+
+def place(value, what):
+    """value as two finite floats, else InputError."""
+    if np.shape(value) != (2,):
+        raise InputError(f"{what} is {value!r}; it must be two numbers (x, y)")
+    return np.array([finite(value[0], what), finite(value[1], what)])
+
+
+class Domain:
+    """Base: subclasses set walls (list), lower and upper corner of the bounding box, and distance(points) -> (n,)."""
+
+    convex = False
+
+    def distance(self, points):
+        """Signed distance, m: negative inside, exact at the walls, a bound elsewhere."""
+        return np.max([wall.distance(points) for wall in self.walls], axis=0)
+
+    def on_boundary(self, points):
+        """(n,) mask: on a wall, with points of the domain nearby (walls that coincide may have none)."""
+        size = float(np.max(self.upper - self.lower))
+        on = np.abs(self.distance(points)) < 1e-9 * size
+        if self.convex:
+            return on
+        angle = (np.arange(8) + 0.3) * (np.pi / 4)
+        ring = 1e-6 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return on & np.any([self.distance(points + step) < 0.0 for step in ring], axis=0)
+
+    def __or__(self, other):
+        return Union(self, other)
+
+    def __sub__(self, other):
+        return Difference(self, other)
+
+    def __and__(self, other):
+        return Intersection(self, other)
+
+
+class Rectangle(Domain):
+    """Axis-parallel rectangle; origin is its lower left corner."""
+
+    convex = True
+
+    def __init__(self, length, height, origin=(0.0, 0.0)):
+        size = np.array([positive(length, "rectangle length"), positive(height, "rectangle height")])
+        self.lower = place(origin, "rectangle origin")
+        self.upper = self.lower + size
+        self.walls = [w.Line(0, self.lower[0], -1.0), w.Line(0, self.upper[0], 1.0),
+                      w.Line(1, self.lower[1], -1.0), w.Line(1, self.upper[1], 1.0)]
+
+
+class Circle(Domain):
+    """Disc, m."""
+
+    convex = True
+
+    def __init__(self, radius, center=(0.0, 0.0)):
+        radius, center = positive(radius, "circle radius"), place(center, "circle center")
+        self.lower, self.upper = center - radius, center + radius
+        self.walls = [w.Capsule(center, center, radius, 1.0)]
+
+
+class Union(Domain):
+    """Points in either domain."""
+
+    def __init__(self, first, second):
+        self.first, self.second = first, second
+        self.lower, self.upper = np.minimum(first.lower, second.lower), np.maximum(first.upper, second.upper)
+        self.walls = first.walls + second.walls
+
+    def distance(self, points):
+        return np.minimum(self.first.distance(points), self.second.distance(points))
+
+
+class Intersection(Domain):
+    """Points in both domains."""
+
+    def __init__(self, first, second):
+        self.first, self.second = first, second
+        self.lower, self.upper = np.maximum(first.lower, second.lower), np.minimum(first.upper, second.upper)
+        if not (self.upper > self.lower).all():
+            raise InputError("intersection of two domains is empty: their bounding boxes do not overlap")
+        self.convex = first.convex and second.convex
+        self.walls = first.walls + second.walls
+
+    def distance(self, points):
+        return np.maximum(self.first.distance(points), self.second.distance(points))
+
+
+class Difference(Domain):
+    """Points of the first domain that are not in the second."""
+
+    def __init__(self, first, second):
+        self.first, self.second = first, second
+        self.lower, self.upper = first.lower, first.upper
+        self.walls = first.walls + [wall.flipped() for wall in second.walls]
+
+    def distance(self, points):
+        return np.maximum(self.first.distance(points), -self.second.distance(points))
+
+
+class Link(Domain):
+    """Bar with rounded ends and a pin hole in each: the pins' centres are (0, 0) and (length, 0) from origin.
+
+    height is the bar's width and the ends' diameter. The holes become the sections 'hole 0' and 'hole 1'.
+    """
+
+    def __init__(self, length, height, pin_radius, origin=(0.0, 0.0)):
+        length, height = positive(length, "link length"), positive(height, "link height")
+        pin_radius = positive(pin_radius, "link pin radius")
+        if 2 * pin_radius >= min(height, length):
+            raise InputError(f"link pin radius is {pin_radius}; it must be below half its height {height} "
+                             f"and half its length {length}")
+        left = place(origin, "link origin")
+        right = left + [length, 0.0]
+        self.lower, self.upper = left - 0.5 * height, right + 0.5 * height
+        self.walls = [w.Capsule(left, right, 0.5 * height, 1.0), w.Capsule(left, left, pin_radius, -1.0),
+                      w.Capsule(right, right, pin_radius, -1.0)]

@@ -1,0 +1,106 @@
+"""PolygonMesh: points, polygons in offset form and named boundary sections."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.mesh import checks, sections, topology
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PolygonMesh:
+    """A plane mesh of polygons. Immutable: the arrays are read-only copies of what was given.
+
+    points (n_nodes, 2) in m; nodes: the corner nodes of all cells, one cell after the other, each counter-clockwise;
+    offsets (n_cells + 1): cell i has the corners nodes[offsets[i]:offsets[i + 1]]; sections: name -> node indices.
+
+    Raises InputError for points that are not finite, nodes out of range, repeated in a cell or used by no cell, cells
+    with fewer than three corners, clockwise or crossing themselves, and cells that overlap along an edge.
+    Convexity is a need of some elements only: see require_convex.
+    """
+
+    points: np.ndarray
+    nodes: np.ndarray
+    offsets: np.ndarray
+    sections: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        points = checks.point_array(self.points)
+        nodes, offsets = checks.cell_arrays(self.nodes, self.offsets, len(points))
+        named = {str(name): checks.section_nodes(name, value, len(points)) for name, value in self.sections.items()}
+        for name, array in (("points", points), ("nodes", nodes), ("offsets", offsets)):
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "sections", MappingProxyType(named))
+        checks.require_valid_cells(self)
+
+    def __reduce__(self):
+        return PolygonMesh, (self.points, self.nodes, self.offsets, dict(self.sections))
+
+    def __repr__(self):
+        return f"PolygonMesh({self.n_cells} cells, {self.n_nodes} nodes, sections {', '.join(self.sections) or 'none'})"
+
+    @property
+    def n_nodes(self):
+        return len(self.points)
+
+    @property
+    def n_cells(self):
+        return len(self.offsets) - 1
+
+    def cell(self, i):
+        """Corner nodes of cell i, counter-clockwise."""
+        if not -self.n_cells <= i < self.n_cells:
+            raise InputError(f"mesh has cells 0..{self.n_cells - 1}, not {i}")
+        i = i % self.n_cells
+        return self.nodes[self.offsets[i]:self.offsets[i + 1]]
+
+    @cached_property
+    def cell_areas(self):
+        """(n_cells,), m^2."""
+        return topology.areas(self.points, self.nodes, self.offsets)
+
+    @cached_property
+    def cell_centroids(self):
+        """(n_cells, 2), m."""
+        return topology.centroids(self.points, self.nodes, self.offsets)
+
+    @cached_property
+    def area(self):
+        """Sum of the cell areas, m^2."""
+        return float(self.cell_areas.sum())
+
+    @cached_property
+    def edges(self):
+        """(n_edges, 2) node pairs, each edge once, lower node first."""
+        return topology.edges(self.nodes, self.offsets, self.n_nodes)
+
+    @cached_property
+    def boundary_edges(self):
+        """(n_boundary_edges, 2) node pairs, directed so that the domain lies on the left."""
+        return topology.boundary_edges(self.nodes, self.offsets, self.n_nodes)
+
+    @cached_property
+    def boundary_nodes(self):
+        """Sorted nodes on the boundary."""
+        return np.unique(self.boundary_edges)
+
+    def quality(self):
+        """MeshQuality: edge ratio, angles, vertex counts, convexity, bandwidth, holes."""
+        from polyida.mesh.quality import quality
+
+        return quality(self)
+
+    def require_convex(self, tolerance=1e-6):
+        """Raise InputError naming the first corner whose turn (sine of the exterior angle) is not above tolerance."""
+        checks.require_convex(self, tolerance)
+
+    def section(self, selector):
+        """Section of nodes ordered along the boundary with their tributary lengths.
+
+        selector: a section's name, a function points (n, 2) -> mask (n,), of which the boundary nodes are kept, or
+        node indices. Raises InputError when nothing is selected or the name is unknown.
+        """
+        return sections.select(self, selector)

@@ -1,0 +1,153 @@
+"""Sections: nodes of a mesh ordered along its boundary, with the boundary length that belongs to each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.mesh import checks
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """Nodes ordered along the section; lengths: half of each adjacent boundary edge whose two ends are in it, m.
+
+    Open chains run towards growing x or y, whichever they span more; closed ones (rims) counter-clockwise around
+    their own middle. Nodes without such an edge have length 0.
+    """
+
+    nodes: np.ndarray
+    lengths: np.ndarray
+    name: str
+
+    @property
+    def length(self):
+        """Length of the section, m; 0 for single nodes."""
+        return float(self.lengths.sum())
+
+    @property
+    def weights(self):
+        """lengths / length; equal weights where the section has no length. They sum to 1."""
+        if self.length > 0.0:
+            return self.lengths / self.length
+        return np.full(len(self.nodes), 1.0 / len(self.nodes))
+
+
+def select(mesh, selector):
+    """Section of a mesh by name, mask function or node indices (see PolygonMesh.section)."""
+    if isinstance(selector, Section):
+        selector = selector.nodes
+    if isinstance(selector, str):
+        nodes, name = _by_name(mesh, selector), selector
+    elif callable(selector):
+        nodes, name = _by_mask(mesh, selector), getattr(selector, "__name__", "function")
+    else:
+        nodes, name = _by_index(mesh, selector), "nodes"
+    edges = _edges_within(mesh, nodes)
+    order = ordered(mesh.points, nodes, edges)
+    return Section(order, _tributary_lengths(mesh.points, order, edges, mesh.n_nodes), name)
+
+
+def _known(mesh):
+    return "the mesh's sections are " + (", ".join(map(repr, mesh.sections)) or "none")
+
+
+def _by_name(mesh, name):
+    if name not in mesh.sections:
+        raise InputError(f"mesh has no section {name!r}; {_known(mesh)}")
+    return mesh.sections[name]
+
+
+def _by_mask(mesh, function):
+    mask = np.asarray(function(mesh.points))
+    if mask.shape != (mesh.n_nodes,) or mask.dtype != bool:
+        raise InputError(f"section function must return a boolean mask of shape ({mesh.n_nodes},), "
+                         f"not {mask.dtype} of shape {mask.shape}")
+    kept = mesh.boundary_nodes[mask[mesh.boundary_nodes]]
+    if kept.size == 0:
+        name = getattr(function, "__name__", function)
+        raise InputError(f"section function {name!r} selects no boundary node; {_known(mesh)}")
+    return kept
+
+
+def _by_index(mesh, selector):
+    try:
+        nodes = np.atleast_1d(np.asarray(selector))
+    except ValueError as error:
+        raise InputError(f"section {selector!r} must be a name, a function or node indices: {error}") from None
+    if nodes.size == 0:
+        raise InputError(f"section by index selects no node; {_known(mesh)}")
+    return checks.section_nodes("by index", nodes, mesh.n_nodes)
+
+
+def _edges_within(mesh, nodes):
+    inside = np.zeros(mesh.n_nodes, dtype=bool)
+    inside[nodes] = True
+    return mesh.boundary_edges[inside[mesh.boundary_edges].all(axis=1)]
+
+
+def ordered(points, nodes, edges):
+    """The nodes along the directed edges, chain by chain; chains follow each other along the longer axis."""
+    axis = int(np.argmax(np.ptp(points[nodes], axis=0)))
+    found = [_oriented(points, chain, closed) for chain, closed in chains(nodes, edges)]
+    found.sort(key=lambda chain: points[chain, axis].min())
+    return np.array([node for chain in found for node in chain], dtype=np.int32)
+
+
+def chains(nodes, edges):
+    """(list of nodes connected by the directed edges, whether it closes) for open and closed chains and lone nodes."""
+    ahead = {}
+    for a, b in edges.tolist():
+        ahead.setdefault(a, []).append(b)
+    targets = set(edges[:, 1].tolist())
+    starts = [node for node in nodes.tolist() if node not in targets] + nodes.tolist()
+    seen, found = set(), []
+    for node in starts:
+        chain = []
+        while node is not None and node not in seen:
+            seen.add(node)
+            chain.append(node)
+            node = next((to for to in ahead.get(node, ()) if to not in seen), None)
+        if chain:
+            found.append((chain, len(chain) > 2 and chain[0] in ahead.get(chain[-1], ())))
+    return found
+
+
+def signed_area(corner):
+    """Area within a closed polygon (n, 2), positive counter-clockwise."""
+    x, y = (corner - corner.mean(axis=0)).T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _oriented(points, chain, closed):
+    """An open chain towards its dominant axis, a closed one counter-clockwise."""
+    if closed:
+        return chain[::-1] if signed_area(points[chain]) < 0 else chain
+    span = points[chain[-1]] - points[chain[0]]
+    return chain[::-1] if span[np.argmax(np.abs(span))] < 0 else chain
+
+
+def _tributary_lengths(points, order, edges, n_nodes):
+    half = 0.5 * np.linalg.norm(points[edges[:, 1]] - points[edges[:, 0]], axis=1)
+    return np.bincount(edges.ravel(), weights=np.repeat(half, 2), minlength=n_nodes)[order]
+
+
+def automatic(points, boundary):
+    """Sections any mesh has: left, right, top, bottom where boundary edges lie on the bounding box; the rims
+    'hole 0', 'hole 1', ... ordered by x, then y."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    near = 1e-9 * float((upper - lower).max())
+    found = {}
+    for name, axis, value in (("left", 0, lower), ("right", 0, upper), ("top", 1, upper), ("bottom", 1, lower)):
+        on_side = np.abs(points[:, axis] - value[axis]) <= near
+        edges = boundary[on_side[boundary].all(axis=1)]
+        if len(edges):
+            found[name] = np.unique(edges)
+    return found | {f"hole {i}": rim for i, rim in enumerate(_rims(points, boundary))}
+
+
+def _rims(points, boundary):
+    """Nodes of the closed boundary chains that run clockwise."""
+    loops = [np.array(chain) for chain, closed in chains(np.unique(boundary), boundary) if closed]
+    rims = [loop for loop in loops if signed_area(points[loop]) < 0]
+    return sorted(rims, key=lambda rim: tuple(np.round(points[rim].mean(axis=0), 9)))

@@ -1,0 +1,84 @@
+"""Areas, edges and corners of polygons in offset form: pure functions of arrays, no loop over cells."""
+
+import numpy as np
+
+
+def following(offsets):
+    """Position, in the concatenated corner array, of the corner after each corner."""
+    step = np.arange(1, offsets[-1] + 1)
+    step[offsets[1:] - 1] = offsets[:-1]
+    return step
+
+
+def preceding(offsets):
+    """Position of the corner before each corner."""
+    step = np.arange(-1, offsets[-1] - 1)
+    step[offsets[:-1]] = offsets[1:] - 1
+    return step
+
+
+def corner_cells(offsets):
+    """Cell of each corner."""
+    return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+
+
+def cross(a, b):
+    """z component of the cross product of plane vectors."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def _fan(points, nodes, offsets):
+    """Corners and following corners relative to each cell's first corner (keeps digits far from the origin)."""
+    start = points[nodes[offsets[:-1]]]
+    base = np.repeat(start, np.diff(offsets), axis=0)
+    here = points[nodes] - base
+    return start, here, here[following(offsets)]
+
+
+def areas(points, nodes, offsets):
+    """Signed areas (n_cells,), positive counter-clockwise (shoelace)."""
+    _, here, there = _fan(points, nodes, offsets)
+    return 0.5 * np.add.reduceat(cross(here, there), offsets[:-1])
+
+
+def centroids(points, nodes, offsets):
+    """Centroids (n_cells, 2)."""
+    start, here, there = _fan(points, nodes, offsets)
+    twice = cross(here, there)
+    moment = np.add.reduceat((here + there) * twice[:, None], offsets[:-1])
+    return start + moment / (3.0 * np.add.reduceat(twice, offsets[:-1])[:, None])
+
+
+def directed_edges(nodes, offsets):
+    """(corners, 2) node pairs in the cells' direction."""
+    return np.stack([nodes, nodes[following(offsets)]], axis=1)
+
+
+def edges(nodes, offsets, n_nodes):
+    """(n_edges, 2), each edge once, lower node first."""
+    pairs = np.sort(directed_edges(nodes, offsets), axis=1).astype(np.int64)
+    keys = np.unique(pairs[:, 0] * n_nodes + pairs[:, 1])
+    return np.stack([keys // n_nodes, keys % n_nodes], axis=1).astype(np.int32)
+
+
+def boundary_edges(nodes, offsets, n_nodes):
+    """(n_boundary_edges, 2): directed edges whose opposite belongs to no cell."""
+    pairs = directed_edges(nodes, offsets)
+    wide = pairs.astype(np.int64)
+    inner = np.isin(wide[:, 0] * n_nodes + wide[:, 1], wide[:, 1] * n_nodes + wide[:, 0])
+    return pairs[~inner]
+
+
+def turns(points, nodes, offsets):
+    """Exterior angle at each corner, rad: positive convex, 0 straight, negative reflex."""
+    corner = points[nodes]
+    ahead = corner[following(offsets)] - corner
+    behind = ahead[preceding(offsets)]
+    return np.arctan2(cross(behind, ahead), np.einsum("ij,ij->i", behind, ahead))
+
+
+def half_bandwidth(nodes, offsets):
+    """Largest difference of node numbers within a cell."""
+    if len(offsets) < 2:
+        return 0
+    return int((np.maximum.reduceat(nodes, offsets[:-1]) - np.minimum.reduceat(nodes, offsets[:-1])).max())

@@ -1,0 +1,167 @@
+"""Mesh files: round trips, repairs, sections, and every bad file as one message that names it."""
+
+import meshio
+import numpy as np
+import pytest
+
+from polyida.errors import InputError
+from polyida.mesh import Link, PolygonMesh, polygonize, quads, read, rectangle, triangles, write
+
+SQUARES = np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]], dtype=float)
+
+
+def flat(points):
+    return np.column_stack([points, np.zeros(len(points))])
+
+
+def gmsh(path, points, cells, **more):
+    meshio.Mesh(points, cells, **more).write(path, file_format="gmsh22")
+    return path
+
+
+class TestRoundTrip:
+    @pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".obj"])
+    def test_polygons(self, tmp_path, suffix):
+        mesh = rectangle(1.0, 0.1, 60, seed=2)
+        write(mesh, tmp_path / f"plate{suffix}")
+        again = read(tmp_path / f"plate{suffix}")
+        assert np.array_equal(again.points, mesh.points)
+        assert np.array_equal(again.nodes, mesh.nodes) and np.array_equal(again.offsets, mesh.offsets)
+        assert {k: v.tolist() for k, v in again.sections.items()} == {k: v.tolist() for k, v in mesh.sections.items()}
+
+    @pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh"])
+    def test_named_sections(self, tmp_path, suffix):
+        mesh = triangles(1.0, 0.2, 6, 2)
+        mesh = PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, {"grip (left), 1": [0, 1]})
+        write(mesh, tmp_path / f"plate{suffix}")
+        assert read(tmp_path / f"plate{suffix}").sections["grip (left), 1"].tolist() == [0, 1]
+
+    def test_link_keeps_its_holes(self, tmp_path):
+        mesh = polygonize(Link(1.0, 0.3, 0.08), 100)
+        write(mesh, tmp_path / "link.vtu")
+        assert np.array_equal(read(tmp_path / "link.vtu").sections["hole 1"], np.sort(mesh.sections["hole 1"]))
+
+    def test_overwrite_only_when_told(self, tmp_path):
+        path = tmp_path / "plate.vtu"
+        write(quads(1.0, 1.0, 1, 1), path)
+        before = path.read_bytes()
+        with pytest.raises(InputError, match="exists.*overwrite"):
+            write(quads(1.0, 1.0, 2, 2), path)
+        assert path.read_bytes() == before
+        write(quads(1.0, 1.0, 2, 2), path, overwrite=True)
+        assert read(path).n_cells == 4 and len(list(tmp_path.iterdir())) == 1
+
+    def test_formats_that_cannot_hold_the_mesh(self, tmp_path):
+        with pytest.raises(InputError, match="triangles and quads only"):
+            write(rectangle(1.0, 0.2, 40), tmp_path / "plate.msh")
+        with pytest.raises(InputError, match="suffix"):
+            write(quads(1.0, 1.0, 1, 1), tmp_path / "plate.png")
+        with pytest.raises(InputError, match="written"):
+            write(quads(1.0, 1.0, 1, 1), tmp_path / "nowhere" / "plate.vtu")
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestRepair:
+    def test_mixed_gmsh_file(self, tmp_path):
+        cells = [("quad", [[0, 1, 4, 3]]), ("triangle", [[1, 2, 5], [1, 5, 4]])]
+        mesh = read(gmsh(tmp_path / "mixed.msh", flat(SQUARES), cells))
+        assert mesh.n_cells == 3 and mesh.area == 2.0
+        sizes = {name: len(nodes) for name, nodes in mesh.sections.items()}
+        assert sizes == {"left": 2, "right": 2, "top": 3, "bottom": 3}
+
+    def test_clockwise_cells_turn(self, tmp_path):
+        cells = [("quad", [[3, 4, 1, 0]]), ("triangle", [[5, 2, 1], [1, 5, 4]])]
+        mesh = read(gmsh(tmp_path / "turned.msh", flat(SQUARES), cells))
+        assert (mesh.cell_areas > 0).all() and mesh.area == 2.0
+
+    def test_duplicates_merge_and_unused_points_go(self, tmp_path):
+        points = flat(np.vstack([SQUARES[[0, 1, 4, 3]], [[7.0, 7.0]], SQUARES[[1, 2, 5, 4]] + 1e-11]))
+        mesh = read(gmsh(tmp_path / "torn.msh", points, [("quad", [[0, 1, 2, 3], [5, 6, 7, 8]])]))
+        assert mesh.n_nodes == 6 and mesh.quality().pieces == 1
+
+    def test_bandwidth_is_narrowed(self, tmp_path):
+        mesh = quads(1.0, 0.1, 40, 4)
+        shuffle = np.random.default_rng(0).permutation(mesh.n_nodes)
+        points = np.empty_like(mesh.points)
+        points[shuffle] = mesh.points
+        again = read(gmsh(tmp_path / "shuffled.msh", flat(points), [("quad", shuffle[mesh.nodes].reshape(-1, 4))]))
+        assert again.quality().half_bandwidth <= 7 and again.area == pytest.approx(0.1)
+        assert (again.points[again.sections["left"], 0] == 0.0).all()
+
+    def test_physical_groups_become_sections(self, tmp_path):
+        path = gmsh(tmp_path / "named.msh", flat(SQUARES),
+                    [("line", [[0, 3]]), ("vertex", [[5]]), ("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])],
+                    field_data={"wall": np.array([1, 1]), "tip": np.array([2, 0]), "body": np.array([3, 2])},
+                    cell_data={"gmsh:physical": [np.array([1]), np.array([2]), np.array([3, 3])],
+                               "gmsh:geometrical": [np.array([1]), np.array([2]), np.array([3, 3])]})
+        mesh = read(path)
+        assert (mesh.points[mesh.sections["wall"], 0] == 0.0).all() and len(mesh.sections["wall"]) == 2
+        assert mesh.points[mesh.sections["tip"]].tolist() == [[2.0, 1.0]]
+        assert "body" not in mesh.sections and "left" in mesh.sections
+
+    def test_node_sets_of_abaqus(self, tmp_path):
+        meshio.Mesh(flat(SQUARES), [("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])],
+                    point_sets={"grip": np.array([0, 3])}).write(tmp_path / "sets.inp")
+        mesh = read(tmp_path / "sets.inp")
+        assert (mesh.points[mesh.sections["grip"], 0] == 0.0).all() and len(mesh.sections["grip"]) == 2
+
+
+class TestBadFiles:
+    @pytest.mark.parametrize("name, content, message", [
+        ("empty.msh", b"", "cannot be read"),
+        ("noise.msh", bytes(range(256)) * 8, "cannot be read"),
+        ("noise.vtu", bytes(range(256)) * 8, "cannot be read"),
+        ("page.vtu", b"<html></html>", "cannot be read"),
+        ("huge.msh", b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n999999999999999\n1 0 0 0\n$EndNodes\n", "cannot"),
+        ("loop.inp", b"*INCLUDE, INPUT=loop.inp\n", "cannot be read"),
+        ("code.pkl", b"cos\nsystem\n", "suffix '.pkl'"),
+        ("range.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 9\n", "points 0..8, the file has 0..2"),
+        ("nan.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "finite"),
+        ("off.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 1\nf 1 2 3\n", "not plane"),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\n", "no triangles"),
+        ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "area"),
+        ("point.obj", b"v 1 1 0\nv 1 1 0\nv 1 1 0\nf 1 2 3\n", "area|corners|offsets|cell"),
+    ])
+    def test_one_message_with_the_name(self, tmp_path, capfd, name, content, message):
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=message) as caught:
+            read(path)
+        assert name in str(caught.value)
+        assert capfd.readouterr() == ("", "")
+
+    def test_a_huge_node_number_does_not_eat_the_memory(self, tmp_path):
+        path = tmp_path / "sparse.msh"
+        meshio.Mesh(flat(SQUARES), [("quad", [[0, 1, 4, 3]])]).write(path, file_format="gmsh", binary=False)
+        lines = path.read_text().splitlines()
+        lines[lines.index("$Nodes") + 3] = "9000000000"
+        path.write_text("\n".join(lines))
+        with pytest.raises(InputError, match="sparse.msh"):
+            read(path)
+
+    def test_solids_and_higher_order_are_refused(self, tmp_path):
+        points = np.random.default_rng(0).random((6, 3))
+        for kind, corners in (("tetra", 4), ("triangle6", 6)):
+            path = gmsh(tmp_path / "solid.msh", points, [(kind, [list(range(corners))])])
+            with pytest.raises(InputError, match=f"solid.msh: holds cells of type {kind}"):
+                read(path)
+
+    @pytest.mark.parametrize("path", ["none.msh", ".", None, 3, "a\0b.msh"])
+    def test_not_a_file(self, path):
+        with pytest.raises(InputError, match="mesh file"):
+            read(path)
+
+    @pytest.mark.parametrize("suffix", [".vtu", ".msh", ".obj", ".vtk", ".inp", ".mesh"])
+    def test_truncated_and_damaged(self, tmp_path, suffix):
+        whole, part = tmp_path / f"whole{suffix}", tmp_path / f"part{suffix}"
+        write(triangles(1.0, 0.2, 6, 2), whole)
+        data, rng = whole.read_bytes(), np.random.default_rng(1)
+        for size in rng.integers(0, len(data), 8):
+            damaged = bytearray(data)
+            damaged[size] = int(rng.integers(256))
+            for content in (data[:size], bytes(damaged)):
+                part.write_bytes(content)
+                try:
+                    read(part)
+                except InputError as error:
+                    assert part.name in str(error)

@@ -1,0 +1,176 @@
+"""PolygonMesh: geometry of small meshes known by hand, sections, and every bad input as one clear message."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from polyida.errors import InputError
+from polyida.mesh import PolygonMesh, quads, triangles
+
+SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+RING = np.array([[0, 0], [3, 0], [3, 3], [0, 3], [1, 1], [2, 1], [2, 2], [1, 2]], dtype=float)
+RING_NODES = [0, 1, 5, 4, 1, 2, 6, 5, 2, 3, 7, 6, 3, 0, 4, 7]
+
+
+def ring():
+    return PolygonMesh(RING, RING_NODES, [0, 4, 8, 12, 16], {"rim": [4, 5, 6, 7]})
+
+
+class TestGeometry:
+    def test_one_square(self):
+        mesh = PolygonMesh(SQUARE, [0, 1, 2, 3], [0, 4])
+        assert mesh.area == 1.0 and mesh.n_nodes == 4 and mesh.n_cells == 1
+        assert np.allclose(mesh.cell_centroids, 0.5, atol=1e-15)
+        assert len(mesh.edges) == len(mesh.boundary_edges) == 4
+
+    def test_centroid_of_a_triangle_is_the_mean_of_its_corners(self):
+        points = np.array([[0.0, 0.0], [3.0, 1.0], [1.0, 2.0]]) + 1e6
+        mesh = PolygonMesh(points, [0, 1, 2], [0, 3])
+        assert np.allclose(mesh.cell_centroids[0], points.mean(axis=0), rtol=1e-14)
+        assert mesh.area == pytest.approx(2.5, rel=1e-12)
+
+    def test_boundary_has_the_domain_on_its_left(self):
+        mesh = ring()
+        a, b = mesh.points[mesh.boundary_edges].transpose(1, 0, 2)
+        enclosed = 0.5 * np.sum(a[:, 0] * b[:, 1] - b[:, 0] * a[:, 1])
+        assert enclosed == pytest.approx(mesh.area) == pytest.approx(8.0)
+
+    def test_ring_has_one_hole_and_is_convex(self):
+        quality = ring().quality()
+        assert (quality.holes, quality.pieces, quality.convex) == (1, 1, True)
+        assert quality.min_angle == pytest.approx(45.0) and quality.max_angle == pytest.approx(135.0)
+
+    def test_two_pieces(self):
+        mesh = PolygonMesh(np.vstack([SQUARE, SQUARE + 2]), np.arange(8), [0, 4, 8])
+        assert mesh.quality().pieces == 2 and mesh.quality().holes == 0
+
+    def test_immutable_and_survives_pickle(self):
+        mesh = ring()
+        with pytest.raises(ValueError):
+            mesh.points[0] = 1.0
+        with pytest.raises(TypeError):
+            mesh.sections["new"] = [0]
+        with pytest.raises(AttributeError):
+            mesh.points = SQUARE
+        again = pickle.loads(pickle.dumps(mesh))
+        assert np.array_equal(again.nodes, mesh.nodes) and np.array_equal(again.sections["rim"], [4, 5, 6, 7])
+
+    def test_given_arrays_are_copied(self):
+        points = SQUARE.copy()
+        mesh = PolygonMesh(points, [0, 1, 2, 3], [0, 4])
+        points[0] = 9.0
+        assert mesh.points[0, 0] == 0.0
+
+    def test_cell(self):
+        assert ring().cell(1).tolist() == [1, 2, 6, 5]
+        with pytest.raises(InputError, match="0..3"):
+            ring().cell(4)
+
+
+class TestStructured:
+    @pytest.mark.parametrize("make, corners", [(quads, 4), (triangles, 3)])
+    @pytest.mark.parametrize("nx, ny", [(1, 1), (6, 2), (2, 5)])
+    def test_count_area_and_sections(self, make, corners, nx, ny):
+        mesh = make(2.0, 0.5, nx, ny)
+        assert mesh.n_cells == nx * ny * (1 if corners == 4 else 2)
+        assert mesh.area == pytest.approx(1.0, rel=1e-14)
+        assert {name: len(nodes) for name, nodes in mesh.sections.items()} == {
+            "left": ny + 1, "right": ny + 1, "top": nx + 1, "bottom": nx + 1}
+        assert mesh.quality().half_bandwidth <= min(nx, ny) + 2
+        mesh.require_convex()
+
+    def test_even_ny_has_exact_mid_nodes(self):
+        mesh = quads(0.3, 0.1, 7, 6)
+        for x in (0.0, 0.3):
+            assert (mesh.points == [x, 0.0]).all(axis=1).sum() == 1
+
+    @pytest.mark.parametrize("bad", [dict(nx=0), dict(ny=-1), dict(nx=2.5), dict(length=0.0), dict(height=np.nan)])
+    def test_bad_values(self, bad):
+        with pytest.raises(InputError, match="plate"):
+            quads(**(dict(length=1.0, height=1.0, nx=2, ny=2) | bad))
+
+
+class TestSections:
+    def test_open_section_runs_upwards_with_tributary_lengths(self):
+        section = quads(1.0, 0.4, 4, 4).section("left")
+        mesh = quads(1.0, 0.4, 4, 4)
+        assert (np.diff(mesh.points[section.nodes, 1]) > 0).all()
+        assert np.allclose(section.lengths, [0.05, 0.1, 0.1, 0.1, 0.05]) and section.name == "left"
+        assert section.weights.sum() == pytest.approx(1.0, rel=1e-15)
+
+    def test_closed_section_runs_counter_clockwise(self):
+        section = ring().section("rim")
+        corner = RING[section.nodes]
+        x, y = corner.T
+        assert 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) == pytest.approx(1.0)
+        assert section.length == pytest.approx(4.0)
+
+    def test_function_keeps_boundary_nodes_only(self):
+        mesh = quads(1.0, 1.0, 4, 4)
+        section = mesh.section(lambda points: points[:, 0] < 0.3)
+        assert len(section.nodes) == 7
+        assert section.length == pytest.approx(1.5)
+
+    def test_indices_of_one_inner_node(self):
+        mesh = quads(1.0, 1.0, 2, 2)
+        section = mesh.section(4)
+        assert section.nodes.tolist() == [4] and section.length == 0.0 and section.weights.tolist() == [1.0]
+
+    def test_two_chains_follow_each_other(self):
+        mesh = quads(3.0, 1.0, 3, 1)
+        section = mesh.section(lambda p: (p[:, 1] > 0) & (np.abs(p[:, 0] - 1.5) > 0.2))
+        assert (np.diff(mesh.points[section.nodes, 0]) > 0).all()
+
+    @pytest.mark.parametrize("selector, message", [
+        ("middle", "no section 'middle'.*'left', 'right', 'top', 'bottom'"),
+        (lambda points: points[:, 0] > 9, "selects no boundary node.*'left'"),
+        (lambda points: points[:, 0], "boolean mask"),
+        (lambda points: np.array([True]), "boolean mask"),
+        ([], "selects no node"),
+        ([99], "0..8"), ([1, 1], "twice"), ([0.5], "integers"), ([[1], [2, 3]], "section")])
+    def test_bad_selectors(self, selector, message):
+        with pytest.raises(InputError, match=message):
+            quads(1.0, 1.0, 2, 2).section(selector)
+
+
+class TestBadInput:
+    @pytest.mark.parametrize("points, nodes, offsets, message", [
+        (SQUARE, [0, 3, 2, 1], [0, 4], "cell 0.*counter-clockwise"),
+        (SQUARE, [0, 1, 2, 4], [0, 4], "cell 0 names node 4.*0..3"),
+        (SQUARE, [0, 1, 2, -1], [0, 4], "names node -1"),
+        (SQUARE, [0, 1], [0, 2], "cell 0 has 2 corners"),
+        (SQUARE, [0, 1, 2], [0, 3], "node 3.*belongs to no cell"),
+        (SQUARE, [0, 1, 2, 3, 0], [0, 5], "node 0 as two of its corners"),
+        (SQUARE, [0, 1, 2, 3], [0, 3], "offsets"),
+        (SQUARE, [0, 1, 2, 3], [], "offsets"),
+        (SQUARE, [0.0, 1.0, 2.0, 3.0], [0, 4], "integers"),
+        (SQUARE, [0, 1, 2, 2**40], [0, 4], "32 bit"),
+        (SQUARE * [1, np.nan], [0, 1, 2, 3], [0, 4], "point 0 is"),
+        (SQUARE + [0, np.inf], [0, 1, 2, 3], [0, 4], "finite"),
+        (np.c_[SQUARE, SQUARE], [0, 1, 2, 3], [0, 4], "shape"),
+        ("points", [0, 1, 2, 3], [0, 4], "points"),
+        (SQUARE * 1e200, [0, 1, 2, 3], [0, 4], "area"),
+        (SQUARE * [1, 0], [0, 1, 2, 3], [0, 4], "area"),
+        (SQUARE, [0, 1, 2, 3, 0, 1, 2, 3], [0, 4, 8], "same side of the edge"),
+        (np.array([[0, 0], [4, 0], [4, 3], [2, -1], [0, 3.0]]), [0, 1, 2, 3, 4], [0, 5], "crosses"),
+    ])
+    def test_message_names_the_place(self, points, nodes, offsets, message):
+        with pytest.raises(InputError, match=message):
+            PolygonMesh(points, nodes, offsets)
+
+    def test_non_convex_cell_is_a_mesh_but_not_convex(self):
+        mesh = PolygonMesh([[0, 0], [2, 0], [2, 2], [1.5, 0.5]], [0, 1, 2, 3], [0, 4])
+        with pytest.raises(InputError, match="cell 0 at .* not strictly convex.*node 3"):
+            mesh.require_convex()
+        assert not mesh.quality().convex
+
+    def test_straight_corner_is_not_strictly_convex(self):
+        mesh = PolygonMesh([[0, 0], [1, 0], [2, 0], [2, 2], [0, 2]], [0, 1, 2, 3, 4], [0, 5])
+        with pytest.raises(InputError, match="180.0000 degrees"):
+            mesh.require_convex()
+
+    @pytest.mark.parametrize("nodes, message", [([9], "0..3"), ([], "no nodes"), ([0, 0], "twice"), ("ab", "integers")])
+    def test_bad_sections(self, nodes, message):
+        with pytest.raises(InputError, match=message):
+            PolygonMesh(SQUARE, [0, 1, 2, 3], [0, 4], {"grip": nodes})
