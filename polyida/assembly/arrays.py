@@ -5,14 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 
-class SceneArrays(NamedTuple):
-    """Bodies, points and joints of a scene. Bodies' nodes are concatenated; equal meshes share one operator.
+class Plates(NamedTuple):
+    """The plates and their loads. Bodies' nodes are concatenated; equal meshes share one operator.
 
     Operators: concatenated arrays of `element.operator.ReferenceOperator` with the start of each (`at`, (operators + 1, 7): layout,
     corners, gradients, weights, pairs, indptr, nnz). Bodies: operator number, first node, first block of the tangent, c1, nu, rho t.
-    Points: weighted sums of nodal positions in CSR form (`dz = A u`), their value at rest, the mass they carry.
-    Joints: kind (0 linear pair, 1 motor), first row, points a and b (-1: ground), drive number, matrix Q (linear) or R(theta0) (motor),
-    vector of the ground side (motor). Loads: nodal forces times a drive. weight: nodal gravity force, (nodes, 2).
+    weight: nodal gravity force, (nodes, 2). Loads: nodal forces times a drive.
     """
 
     at: np.ndarray
@@ -31,6 +29,20 @@ class SceneArrays(NamedTuple):
     body_nu: np.ndarray
     body_density: np.ndarray
     weight: np.ndarray
+    load_ptr: np.ndarray
+    load_nodes: np.ndarray
+    load_values: np.ndarray
+    load_drive: np.ndarray
+
+
+class Links(NamedTuple):
+    """The points that joints and masses hold on to, and the joints.
+
+    Points: weighted sums of nodal positions in CSR form (`dz = A u`), their value at rest, the mass they carry.
+    Joints: kind (0 linear pair, 1 motor), first row, points a and b (-1: ground), drive number, matrix Q (linear) or R(theta0) (motor),
+    vector of the ground side (motor).
+    """
+
     point_ptr: np.ndarray
     point_nodes: np.ndarray
     point_weights: np.ndarray
@@ -44,10 +56,13 @@ class SceneArrays(NamedTuple):
     joint_drive: np.ndarray
     joint_matrix: np.ndarray
     joint_ground: np.ndarray
-    load_ptr: np.ndarray
-    load_nodes: np.ndarray
-    load_values: np.ndarray
-    load_drive: np.ndarray
+
+
+class SceneArrays(NamedTuple):
+    """A scene: what changes with the number of elements, and what with the number of joints."""
+
+    plates: Plates
+    links: Links
 
 
 def concatenated(arrays, dtype, tail=()):

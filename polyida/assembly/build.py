@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polyida.assembly.arrays import SceneArrays, concatenated, starts
+from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
 from polyida.assembly.joint_table import Drives, JointTable
 from polyida.assembly.points import Points
 from polyida.body.loads import EdgeTraction, PointLoad
@@ -70,7 +70,8 @@ def assemble(bodies, parts, gravity):
         if not isinstance(load, EdgeTraction):
             held[name] = points.add(load.at)
     fields = operator_arrays(bodies) | body_arrays(bodies, gravity) | load_arrays(loads, drives, first_node)
-    arrays = SceneArrays(**fields, **points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
+    links = Links(**points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
+    arrays = SceneArrays(Plates(**fields), links)
     return arrays, points, table, drives.profiles, held
 
 

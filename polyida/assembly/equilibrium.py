@@ -1,17 +1,20 @@
 """The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
 
-from polyida.assembly.joints import compiled, joint_forces, point_values, spread
+from polyida.assembly.joints import joint_forces, point_values, spread
+from polyida.compiled import entry, part
 from polyida.element import kernels
 
 
-@compiled
-def equilibrium(s, drives, u, a, lam, r, phi, rotation, dz, forces):
+@entry
+def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     """Fill r (nodes, 2), phi (m,), rotation (nodes, 2), dz and forces (points, 2) at displacements u, accelerations a, multipliers lam.
 
     rotation is the area-weighted sum of (F11 + F22, F21 - F12), whose direction is the nodal rotation; pass (0, 2) to skip it.
     Returns (least det F of all elements, least cosine of a motor's angle error); the first is nan where u is not finite.
     """
-    r[:] = -s.weight
+    s, links = scene.plates, scene.links
+    for i in range(r.shape[0]):
+        r[i, 0], r[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
     rotation[:] = 0.0
     least = 1e300
     for b in range(s.body_operator.shape[0]):
@@ -27,17 +30,17 @@ def equilibrium(s, drives, u, a, lam, r, phi, rotation, dz, forces):
         for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
             r[s.load_nodes[i], 0] -= factor * s.load_values[i, 0]
             r[s.load_nodes[i], 1] -= factor * s.load_values[i, 1]
-    point_values(s, a, dz)
+    point_values(links, a, dz)
     for f in range(dz.shape[0]):
-        forces[f, 0] = s.point_mass[f] * (dz[f, 0] - s.gravity[0])
-        forces[f, 1] = s.point_mass[f] * (dz[f, 1] - s.gravity[1])
-    point_values(s, u, dz)
-    cosine = joint_forces(s, drives, dz, lam, phi, forces)
-    spread(s, forces, r)
+        forces[f, 0] = links.point_mass[f] * (dz[f, 0] - links.gravity[0])
+        forces[f, 1] = links.point_mass[f] * (dz[f, 1] - links.gravity[1])
+    point_values(links, u, dz)
+    cosine = joint_forces(links, drives, dz, lam, phi, forces)
+    spread(links, forces, r)
     return least, cosine
 
 
-@compiled
+@entry
 def tangent_blocks(s, u, c_m, c_q, blocks):
     """Fill blocks (nnz, 2, 2) = c_m M + c_q dg_int/dq of the plates on their nodal pattern, without masses at points and joints."""
     blocks[:] = 0.0
@@ -55,7 +58,7 @@ def tangent_blocks(s, u, c_m, c_q, blocks):
                 blocks[first + k, 1, 1] += mass
 
 
-@compiled
+@entry
 def strain_energy(s, u):
     """Elastic energy of all plates, J."""
     total = 0.0
@@ -67,7 +70,7 @@ def strain_energy(s, u):
     return total
 
 
-@compiled
+@part
 def momentum(s, a, r):
     """r += M a with the masses at points left out."""
     for b in range(s.body_operator.shape[0]):

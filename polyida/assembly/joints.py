@@ -4,14 +4,14 @@
 and second derivative of each motor's angle). The chain rule with the constant A gives everything in q: `phi_q = phi_z A`.
 """
 
-import numba
 import numpy as np
 
+from polyida.compiled import entry, part
+
 LINEAR, MOTOR = 0, 1
-compiled = numba.njit(cache=True, nogil=True)
 
 
-@compiled
+@entry
 def point_values(s, u, dz):
     """dz = A u, (points, 2)."""
     for f in range(dz.shape[0]):
@@ -24,7 +24,7 @@ def point_values(s, u, dz):
         dz[f, 1] = y
 
 
-@compiled
+@part
 def spread(s, forces, r):
     """r += A^T forces."""
     for f in range(forces.shape[0]):
@@ -36,7 +36,7 @@ def spread(s, forces, r):
                 r[i, 1] += w * y
 
 
-@compiled
+@part
 def turned_sides(s, j, drives, dz):
     """(w, d): the direction of a turned by theta + theta0, and the direction of b."""
     a, b = s.joint_a[j], s.joint_b[j]
@@ -53,7 +53,7 @@ def turned_sides(s, j, drives, dz):
     return c * ax - n * ay, n * ax + c * ay, bx, by
 
 
-@compiled
+@part
 def turn(s, j, drives):
     """Cosine and sine of theta + theta0."""
     theta = drives[s.joint_drive[j], 0]
@@ -62,7 +62,7 @@ def turn(s, j, drives):
     return c * c0 - n * n0, n * c0 + c * n0
 
 
-@compiled
+@entry
 def joint_forces(s, drives, dz, lam, phi, forces):
     """Fill phi; forces += phi_z^T lam. Returns the least cosine of a motor's angle error (1 without motors)."""
     least = 1.0
@@ -84,7 +84,7 @@ def joint_forces(s, drives, dz, lam, phi, forces):
     return least
 
 
-@compiled
+@part
 def _linear_forces(s, j, k, a, b, dz, lam, phi, forces):
     x = y = 0.0
     if a >= 0:
@@ -101,7 +101,7 @@ def _linear_forces(s, j, k, a, b, dz, lam, phi, forces):
     phi[k + 1] = y
 
 
-@compiled
+@entry
 def joint_jacobian(s, drives, dz, phi_z):
     """Fill phi_z (m, 2 points), dense."""
     phi_z[:] = 0.0
@@ -126,7 +126,7 @@ def joint_jacobian(s, drives, dz, phi_z):
             phi_z[k, 2 * b + 1] = wx
 
 
-@compiled
+@entry
 def joint_curvature(s, drives, lam, curvature):
     """curvature += d(phi_z^T lam)/dz, (2 points, 2 points): lam R^T J between the two directions of a motor."""
     for j in range(s.joint_kind.shape[0]):
@@ -141,7 +141,7 @@ def joint_curvature(s, drives, lam, curvature):
                     curvature[2 * b + l, 2 * a + i] += block[i][l]
 
 
-@compiled
+@entry
 def joint_rates(s, drives, dz, vz, phi_t, bias):
     """Fill phi_t (m,) and the bias of the acceleration constraint `(phi_q v)_q v + 2 phi_qt v + phi_tt` (m,)."""
     phi_t[:] = 0.0
@@ -164,7 +164,7 @@ def joint_rates(s, drives, dz, vz, phi_t, bias):
         bias[k] = 2.0 * (ux * dy - uy * dx) + 2.0 * mixed - second * along - rate * rate * (wx * by - wy * bx)
 
 
-@compiled
+@part
 def joint_velocities(s, drives, dz, vz, rate):
     """rate += phi_z vz, (m,)."""
     for j in range(s.joint_kind.shape[0]):
@@ -184,7 +184,7 @@ def joint_velocities(s, drives, dz, vz, rate):
             rate[k] += wx * vz[b, 1] - wy * vz[b, 0]
 
 
-@compiled
+@part
 def joint_rate_jacobian(s, drives, dz, vz, rate_z):
     """Fill rate_z = d(phi_z vz + phi_t)/dz (m, 2 points), dense."""
     rate_z[:] = 0.0

@@ -29,8 +29,9 @@ class SceneModel(Model):
         self.n_nodes = self.bodies[-1].nodes.stop
         self.n, self.m = 2 * self.n_nodes, len(self.labels)
         self.n_points = len(points.nodes)
-        motors = self.arrays.joint_kind == rows.MOTOR
-        both = motors & (self.arrays.joint_a >= 0) & (self.arrays.joint_b >= 0)
+        links = self.arrays.links
+        motors = links.joint_kind == rows.MOTOR
+        both = motors & (links.joint_a >= 0) & (links.joint_b >= 0)
         self.needs = Needs(mass_varies=False, velocity_forces=False, driven=bool(motors.any()), phi_q_varies=bool(both.any()))
         self.reference = np.concatenate([body.points for body in self.bodies])
 
@@ -52,7 +53,7 @@ class SceneModel(Model):
         r, phi = np.empty((self.n_nodes, 2)), np.empty(self.m)
         rotation = np.empty((0, 2)) if rotation is None else rotation
         dz, forces = np.empty((2, self.n_points, 2))
-        det, cosine = compiled.equilibrium(self.arrays, self.drives(t), _nodal(q), _nodal(a), _flat(lam), r, phi, rotation, dz, forces)
+        det, cosine = compiled.equilibrium(self.arrays, self.drives(t), self._nodal(q), self._nodal(a), self._flat(lam), r, phi, rotation, dz, forces)
         return r.ravel(), phi, rotation, det, cosine
 
     def residual(self, t, q, v, a, lam):
@@ -62,7 +63,7 @@ class SceneModel(Model):
     def phi(self, t, q):
         """Constraints, (m,), in m (points) and m of turned direction (motors)."""
         phi, dz = np.empty(self.m), self.dz(q)
-        rows.joint_forces(self.arrays, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
+        rows.joint_forces(self.arrays.links, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
         return phi
 
     def force(self, t, q, v):
@@ -84,10 +85,10 @@ class SceneModel(Model):
         """The mass matrix of one direction, (nodes, nodes): x and y carry the same."""
         from scipy.sparse import csr_array, diags_array
 
-        s, (indptr, indices) = self.arrays, self.pattern
-        values = [body.operator.mass * density for body, density in zip(self.bodies, s.body_density)]
+        (indptr, indices), s = self.pattern, self.arrays
+        values = [body.operator.mass * density for body, density in zip(self.bodies, s.plates.body_density)]
         mass = csr_array((np.concatenate(values), indices, indptr), shape=(self.n_nodes, self.n_nodes))
-        return (mass + self._points_s.T @ diags_array(s.point_mass) @ self._points_s).tocsc()
+        return (mass + self._points_s.T @ diags_array(s.links.point_mass) @ self._points_s).tocsc()
 
     def mass_inverse(self, b):
         """M^-1 b, b (n, k); M is factored once."""
@@ -112,7 +113,7 @@ class SceneModel(Model):
         from scipy.sparse import csr_array
 
         phi_z = np.empty((self.m, 2 * self.n_points))
-        rows.joint_jacobian(self.arrays, self.drives(t), self.dz(q), phi_z)
+        rows.joint_jacobian(self.arrays.links, self.drives(t), self.dz(q), phi_z)
         return csr_array(csr_array(phi_z) @ self._points_t.T)
 
     def phi_t(self, t, q):
@@ -126,12 +127,12 @@ class SceneModel(Model):
     def _rates(self, t, q, v):
         phi_t, bias = np.zeros((2, self.m))
         if self.needs.driven:
-            rows.joint_rates(self.arrays, self.drives(t), self.dz(q), self.dz(v), phi_t, bias)
+            rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, bias)
         return phi_t, bias
 
     def force_q(self, t, q, v):
         """dg/dq, (n, n) sparse."""
-        return self._sparse(_nodal(q), 0.0, 1.0)
+        return self._sparse(self._nodal(q), 0.0, 1.0)
 
     def force_v(self, t, q, v):
         """dg/dv: zero."""
@@ -148,12 +149,12 @@ class SceneModel(Model):
         from scipy.sparse import csr_array
 
         curvature = np.zeros((2 * self.n_points, 2 * self.n_points))
-        rows.joint_curvature(self.arrays, self.drives(t), _flat(lam), curvature)
+        rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), curvature)
         return self._points_t @ csr_array(curvature) @ self._points_t.T
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
         """`c_m M + c_q dr/dq`, (n, n) sparse."""
-        result = self._sparse(_nodal(q), 0.0, c_q) + c_m * self._mass
+        result = self._sparse(self._nodal(q), 0.0, c_q) + c_m * self._mass
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
 
     def objection(self, t, q):
@@ -169,17 +170,17 @@ class SceneModel(Model):
 
     def strain_energy(self, q):
         """Elastic energy of all plates, J."""
-        return compiled.strain_energy(self.arrays, _nodal(q))
+        return compiled.strain_energy(self.arrays.plates, self._nodal(q))
 
     def gravity_potential(self, q):
         """Potential of gravity on plates and masses, J, zero at q = 0."""
-        at_points = self.arrays.point_mass @ (self.dz(q) @ self.arrays.gravity)
-        return -float(np.sum(self.arrays.weight * _nodal(q)) + at_points)
+        at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
+        return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
 
     def dz(self, q):
         """Displacements of the points that joints and masses hold on to, (points, 2)."""
         dz = np.empty((self.n_points, 2))
-        rows.point_values(self.arrays, _nodal(q), dz)
+        rows.point_values(self.arrays.links, self._nodal(q), dz)
         return dz
 
     @cached_property
@@ -194,13 +195,13 @@ class SceneModel(Model):
         """A of one direction, (points, nodes)."""
         from scipy.sparse import csr_array
 
-        s = self.arrays
+        s = self.arrays.links
         return csr_array((s.point_weights, s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
 
     @cached_property
     def pattern(self):
         """(indptr, indices) of the nodal block pattern of all plates, int32."""
-        s, indptr, indices = self.arrays, [np.zeros(1, np.int32)], []
+        s, indptr, indices = self.arrays.plates, [np.zeros(1, np.int32)], []
         for body, first in zip(self.bodies, s.body_block):
             indptr.append(body.operator.indptr[1:] + np.int32(first))
             indices.append(body.operator.indices + np.int32(body.nodes.start))
@@ -211,7 +212,7 @@ class SceneModel(Model):
 
         indptr, indices = self.pattern
         blocks = np.empty((len(indices), 2, 2))
-        compiled.tangent_blocks(self.arrays, u, c_m, c_q, blocks)
+        compiled.tangent_blocks(self.arrays.plates, u, c_m, c_q, blocks)
         return bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
 
     def stress(self, q):
@@ -221,7 +222,7 @@ class SceneModel(Model):
             modulus, nu = body.plate.material.in_plane
             out, operator = np.empty((body.mesh.n_cells, 3)), body.operator
             kernels.stress(*operator.force_arrays, operator.lane_cells, operator.areas, body.nodes.start,
-                           modulus / (1 - nu**2), nu, _nodal(q), out)
+                           modulus / (1 - nu**2), nu, self._nodal(q), out)
             parts.append(out)
         return np.concatenate(parts)
 
@@ -229,11 +230,11 @@ class SceneModel(Model):
         """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""
         if not isinstance(self.joints[name], AngleMotor):
             return lam.copy()
-        at = int(np.searchsorted(self.arrays.joint_row, self.rows[name].start))
+        at = int(np.searchsorted(self.arrays.links.joint_row, self.rows[name].start))
         sizes = np.ones(len(q))
-        for point in (self.arrays.joint_a[at], self.arrays.joint_b[at]):
+        for point in (self.arrays.links.joint_a[at], self.arrays.links.joint_b[at]):
             if point >= 0:
-                sizes *= [np.hypot(*(self.arrays.point_rest[point] + self.dz(frame)[point])) for frame in q]
+                sizes *= [np.hypot(*(self.arrays.links.point_rest[point] + self.dz(frame)[point])) for frame in q]
         return -lam * sizes[:, None]
 
     def points_of(self, name):
@@ -243,16 +244,22 @@ class SceneModel(Model):
         if name in self._held:
             return self._held[name]
         if name in self.rows:
-            at = int(np.searchsorted(self.arrays.joint_row, self.rows[name].start))
-            b = self.arrays.joint_b[at]
-            return int(b if b >= 0 else self.arrays.joint_a[at])
+            at = int(np.searchsorted(self.arrays.links.joint_row, self.rows[name].start))
+            b = self.arrays.links.joint_b[at]
+            return int(b if b >= 0 else self.arrays.links.joint_a[at])
         known = ", ".join(map(repr, [*self._held, *self.rows]))
         raise InputError(f"no mass, load or joint is called {name!r}; known: {known}")
 
+    def _nodal(self, q):
+        """q as (nodes, 2) for the kernels, which do not check bounds."""
+        return _sized(q, self.n, "q").reshape(-1, 2)
 
-def _nodal(q):
-    return np.ascontiguousarray(q, float).reshape(-1, 2)
+    def _flat(self, lam):
+        return _sized(lam, self.m, "lam")
 
 
-def _flat(lam):
-    return np.ascontiguousarray(lam, float)
+def _sized(values, size, name):
+    array = np.array(values, float)
+    if array.shape != (size,):
+        raise ValueError(f"{name} has shape {array.shape}, the model needs ({size},)")
+    return array

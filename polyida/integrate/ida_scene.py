@@ -11,18 +11,17 @@ S and M being those of the plates, m the masses at points, C the curvature of th
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
+from polyida.compiled import entry, part
 from polyida.integrate.ida_forms import System
 from polyida.linear import corotated
 from polyida.linear.dense import solve_small
 from polyida.linear.factor import NotFactorable
 
 SAME_CJ = 1e-3  # relative change of cj below which the factor serves on
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 class Room(NamedTuple):
@@ -52,29 +51,29 @@ class Room(NamedTuple):
 def room(model):
     """Room for a model."""
     nodes, points, m = (model.n_nodes, 2), (model.n_points, 2), model.m
-    wide, size = 2 * model.n_points, len(corotated.active_components(model.arrays)) + 2 * model.m
+    wide, size = 2 * model.n_points, len(corotated.active_components(model.arrays.links)) + 2 * model.m
     return Room(np.empty(nodes), np.empty(nodes), np.empty(points), np.empty(points), np.empty(points), np.empty(m), np.empty(m),
                 np.empty(m), np.empty(m), np.empty(m), np.empty(nodes), np.empty(nodes), np.zeros(points), np.empty(points),
-                np.empty((m, wide)), overlap(model.arrays, model.n_points), np.empty((wide, wide)), np.empty((size, size)),
+                np.empty((m, wide)), overlap(model.arrays.links, model.n_points, model.n_nodes), np.empty((wide, wide)), np.empty((size, size)),
                 np.empty(size))
 
 
-def overlap(s, points):
+def overlap(links, points, nodes):
     """A A^T of one direction, (points, points)."""
-    dense = np.zeros((points, int(s.body_node[-1])))
+    dense = np.zeros((points, nodes))
     for f in range(points):
-        part = slice(s.point_ptr[f], s.point_ptr[f + 1])
-        dense[f, s.point_nodes[part]] = s.point_weights[part]
+        part = slice(links.point_ptr[f], links.point_ptr[f + 1])
+        dense[f, links.point_nodes[part]] = links.point_weights[part]
     return dense @ dense.T
 
 
-@compiled
+@entry
 def residual(s, w, drives, y, yp, integrated, res):
     """IDA's F(t, y, y') of ggl2 (integrated False) or ggl1 into res; returns the least det F."""
-    n, m = 2 * s.weight.shape[0], w.phi.shape[0]
+    n, m = 2 * w.u.shape[0], w.phi.shape[0]
     multipliers = yp if integrated else y
-    w.lam[:] = multipliers[2 * n:2 * n + m]
-    w.mu[:] = multipliers[2 * n + m:2 * n + 2 * m]
+    for k in range(m):
+        w.lam[k], w.mu[k] = multipliers[2 * n + k], multipliers[2 * n + m + k]
     for i in range(n // 2):
         w.u[i, 0], w.u[i, 1] = y[2 * i], y[2 * i + 1]
         w.dq[i, 0], w.dq[i, 1] = yp[n + 2 * i], yp[n + 2 * i + 1]
@@ -83,12 +82,12 @@ def residual(s, w, drives, y, yp, integrated, res):
         res[n + 2 * i], res[n + 2 * i + 1] = w.right[i, 0], w.right[i, 1]
         w.right[i, 0], w.right[i, 1] = yp[2 * i] - y[n + 2 * i], yp[2 * i + 1] - y[n + 2 * i + 1]
         w.dq[i, 0], w.dq[i, 1] = y[n + 2 * i], y[n + 2 * i + 1]
-    joints.point_values(s, w.dq, w.vz)
-    joints.joint_rates(s, drives, w.dz, w.vz, w.rate, w.bias)
-    joints.joint_velocities(s, drives, w.dz, w.vz, w.rate)
+    joints.point_values(s.links, w.dq, w.vz)
+    joints.joint_rates(s.links, drives, w.dz, w.vz, w.rate, w.bias)
+    joints.joint_velocities(s.links, drives, w.dz, w.vz, w.rate)
     w.forces[:] = 0.0
-    joints.joint_forces(s, drives, w.dz, w.mu, w.phi, w.forces)
-    joints.spread(s, w.forces, w.right)
+    joints.joint_forces(s.links, drives, w.dz, w.mu, w.phi, w.forces)
+    joints.spread(s.links, w.forces, w.right)
     for i in range(n // 2):
         res[2 * i], res[2 * i + 1] = w.right[i, 0], w.right[i, 1]
     for k in range(m):
@@ -97,16 +96,16 @@ def residual(s, w, drives, y, yp, integrated, res):
     return det if cosine > 0.0 else -1.0
 
 
-@compiled
+@entry
 def momentum_reach(s, c, cr, w, reach):
     """Fill reach = S_ref^-1 M A^T like `Corotated.reach`, M of the plates."""
     for f in range(w.dz.shape[0]):
         for axis in range(2):
             w.dq[:] = 0.0
             w.right[:] = 0.0
-            for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-                w.dq[s.point_nodes[k], axis] = s.point_weights[k]
-            kernels.momentum(s, w.dq, w.right)
+            for k in range(s.links.point_ptr[f], s.links.point_ptr[f + 1]):
+                w.dq[s.links.point_nodes[k], axis] = s.links.point_weights[k]
+            kernels.momentum(s.plates, w.dq, w.right)
             cr.x[:] = np.float32(0.0)
             for i in range(w.right.shape[0]):
                 cr.x[c.factor.order[2 * i]] = w.right[i, 0]
@@ -117,20 +116,20 @@ def momentum_reach(s, c, cr, w, reach):
                 reach[2 * f + axis, i, 1] = cr.x[c.factor.order[2 * i + 1]]
 
 
-@compiled
+@entry
 def solve(s, c, cm, cr, w, drives, cj, integrated, r, z):
     """z = J^-1 r; c and cm (its reach that of M A^T) at this cj. False where it is singular."""
-    n, m = 2 * s.weight.shape[0], w.phi.shape[0]
+    n, m = 2 * w.u.shape[0], w.phi.shape[0]
     for i in range(n // 2):
         w.dq[i, 0], w.dq[i, 1] = cj * r[2 * i], cj * r[2 * i + 1]
         w.right[i, 0], w.right[i, 1] = r[n + 2 * i], r[n + 2 * i + 1]
-    kernels.momentum(s, w.dq, w.right)
-    joints.point_values(s, w.dq, w.moved)
+    kernels.momentum(s.plates, w.dq, w.right)
+    joints.point_values(s.links, w.dq, w.moved)
     for f in range(w.moved.shape[0]):
-        w.moved[f, 0] *= s.point_mass[f]
-        w.moved[f, 1] *= s.point_mass[f]
-    joints.spread(s, w.moved, w.right)
-    corotated.solve_plates(s, c, cr, w.rotation, w.right, w.dq)
+        w.moved[f, 0] *= s.links.point_mass[f]
+        w.moved[f, 1] *= s.links.point_mass[f]
+    joints.spread(s.links, w.moved, w.right)
+    corotated.solve_plates(s.links, c, cr, w.rotation, w.right, w.dq)
     if m + c.active.shape[0] and not stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
         return False
     for i in range(n // 2):
@@ -138,7 +137,7 @@ def solve(s, c, cm, cr, w, drives, cj, integrated, r, z):
             z[2 * i + k] = w.dq[i, k]
             w.right[i, k] = cj * w.dq[i, k] - r[2 * i + k]
     if m:
-        joints.spread(s, w.swing, w.right)
+        joints.spread(s.links, w.swing, w.right)
     for i in range(n // 2):
         z[n + 2 * i], z[n + 2 * i + 1] = w.right[i, 0], w.right[i, 1]
     count = c.active.shape[0]
@@ -148,17 +147,19 @@ def solve(s, c, cm, cr, w, drives, cj, integrated, r, z):
     return True
 
 
-@compiled
+@part
 def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
     """Solve for w, dlam, dmu; move w.dq by them; leave A's forces Bz^T dmu in w.swing."""
     wide, count = w.rate_z.shape[1], c.active.shape[0]
-    corotated.points_matrix(s, c, cr)
-    w.cross[:] = cr.g
-    corotated.points_matrix(s, cm, cr)
+    corotated.points_matrix(s.links, c, cr)
+    for i in range(wide):
+        for j in range(wide):
+            w.cross[i, j] = cr.g[i, j]
+    corotated.points_matrix(s.links, cm, cr)
     g, h = w.cross, cr.g
-    joints.joint_jacobian(s, drives, w.dz, cr.phi_z)
-    joints.joint_rate_jacobian(s, drives, w.dz, w.vz, w.rate_z)
-    corotated.fill_curvature(s, cr, drives, w.lam, cj * cj)
+    joints.joint_jacobian(s.links, drives, w.dz, cr.phi_z)
+    joints.joint_rate_jacobian(s.links, drives, w.dz, w.vz, w.rate_z)
+    corotated.fill_curvature(s.links, cr, drives, w.lam, cj * cj)
     for f in range(w.own.shape[0]):
         for e in range(w.own.shape[0]):
             for k in range(2):
@@ -169,7 +170,7 @@ def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
             for k in range(2):
                 total = 0.0
                 for f in range(w.own.shape[0]):
-                    total += g[i, 2 * f + k] * s.point_mass[f] * w.own[f, e]
+                    total += g[i, 2 * f + k] * s.links.point_mass[f] * w.own[f, e]
                 h[i, 2 * e + k] += cj * total
     fill_stabilised(s, c, cr, w, cj, g, h, r, n, m, wide, count)
     if not solve_small(w.small, w.unknown):
@@ -178,10 +179,10 @@ def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
     return True
 
 
-@compiled
+@part
 def fill_stabilised(s, c, cr, w, cj, g, h, r, n, m, wide, count):
     """The dense system; g = A X, h = A dq/d(Bz^T dmu): `A dq = A y - g (w + Bz^T dlam) - h Bz^T dmu`."""
-    joints.point_values(s, w.dq, w.moved)
+    joints.point_values(s.links, w.dq, w.moved)
     w.small[:] = 0.0
     for i in range(count + 2 * m):
         w.unknown[i] = 0.0
@@ -203,7 +204,7 @@ def fill_stabilised(s, c, cr, w, cj, g, h, r, n, m, wide, count):
     close_stabilised(s, cr, w, r, n, m, count)
 
 
-@compiled
+@part
 def left_row(c, cr, w, cj, i, p, count, m):
     """Entry p of the row that multiplies A dq in equation i: curvature, Bz, or Hz + cj Bz."""
     if i < count:
@@ -213,12 +214,12 @@ def left_row(c, cr, w, cj, i, p, count, m):
     return w.rate_z[i - count - m, p] + cj * cr.phi_z[i - count - m, p]
 
 
-@compiled
+@part
 def close_stabilised(s, cr, w, r, n, m, count):
     """Right-hand sides r3, r4 + Bz A r1 and the block -Bz A A^T Bz^T of the velocity constraint."""
     for i in range(w.right.shape[0]):
         w.right[i, 0], w.right[i, 1] = r[2 * i], r[2 * i + 1]
-    joints.point_values(s, w.right, w.moved)
+    joints.point_values(s.links, w.right, w.moved)
     for k in range(m):
         w.unknown[count + k] -= r[2 * n + k]
         w.unknown[count + m + k] -= r[2 * n + m + k]
@@ -232,7 +233,7 @@ def close_stabilised(s, cr, w, r, n, m, count):
                     w.small[count + m + k, count + m + l] -= value * w.own[p // 2, e] * cr.phi_z[l, 2 * e + p % 2]
 
 
-@compiled
+@part
 def apply_border(s, c, cm, cr, w, cj, m, wide, count):
     """dq -= X (w + Bz^T dlam + cj m A A^T Bz^T dmu) + cj S^-1 M A^T Bz^T dmu; w.swing = Bz^T dmu."""
     cr.pull[:] = 0.0
@@ -244,14 +245,14 @@ def apply_border(s, c, cm, cr, w, cj, m, wide, count):
             cr.pull[p] += cr.phi_z[k, p] * w.unknown[count + k]
             w.swing[p // 2, p % 2] += cr.phi_z[k, p] * w.unknown[count + m + k]
     for f in range(w.own.shape[0]):
-        if s.point_mass[f] != 0.0:
+        if s.links.point_mass[f] != 0.0:
             for e in range(w.own.shape[0]):
-                cr.pull[2 * f] += cj * s.point_mass[f] * w.own[f, e] * w.swing[e, 0]
-                cr.pull[2 * f + 1] += cj * s.point_mass[f] * w.own[f, e] * w.swing[e, 1]
-    corotated.pull_points(s, c, cr, w.dq)
+                cr.pull[2 * f] += cj * s.links.point_mass[f] * w.own[f, e] * w.swing[e, 0]
+                cr.pull[2 * f + 1] += cj * s.links.point_mass[f] * w.own[f, e] * w.swing[e, 1]
+    corotated.pull_points(s.links, c, cr, w.dq)
     for p in range(wide):
         cr.pull[p] = cj * w.swing[p // 2, p % 2]
-    corotated.pull_points(s, cm, cr, w.dq)
+    corotated.pull_points(s.links, cm, cr, w.dq)
 
 
 class SceneSystem(System):
@@ -279,7 +280,7 @@ class SceneSolve:
     def setup(self, t, y, yp, res, cj):
         """Factor `S = K + cj^2 M` at y, in the frame of the rotations that the last residual saw."""
         model, w = self.model, self.system.room
-        kernels.tangent_blocks(model.arrays, w.u, cj * cj, 1.0, self._blocks)
+        kernels.tangent_blocks(model.arrays.plates, w.u, cj * cj, 1.0, self._blocks)
         self.counts.tangents += 1
         self.counts.factorizations += 1
         self.cj = cj

@@ -11,15 +11,13 @@ as the factor, but `G = A X` is taken from that same X: dq satisfies `Bz A dq = 
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from polyida.assembly import joints
+from polyida.compiled import entry, part
 from polyida.linear.dense import solve_small
 from polyida.linear.factor import BAND, Factor, factor
 from polyida.linear.triangular import solve_band, solve_columns
-
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 class Corotated(NamedTuple):
@@ -56,9 +54,9 @@ class Room(NamedTuple):
 def corotated(model, blocks, rotation, c_m, backend="auto"):
     """(Corotated, name of its back-end) for the tangent blocks and raw nodal rotations at hand. Raises NotFactorable."""
     made, name = factor(model.pattern, blocks, backend)
-    s = model.arrays
-    bodies = np.searchsorted(s.body_node, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
-    point_body = np.stack([s.body_node[bodies], s.body_node[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
+    s, body_node = model.arrays.links, model.arrays.plates.body_node
+    bodies = np.searchsorted(body_node, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
+    point_body = np.stack([body_node[bodies], body_node[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
     frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
     reach = np.zeros((2 * model.n_points, model.n_nodes, 2), np.float32)
     result = Corotated(made, frame, point_body, reach, active_components(s), float(c_m))
@@ -84,7 +82,7 @@ def room(model, system):
                 np.empty((points, m)), np.empty((size, size)), np.empty(size), np.empty(points))
 
 
-@compiled
+@part
 def triangular(f, x):
     """x <- S_ref^-1 x in the factor's order."""
     if f.kind == BAND:
@@ -93,7 +91,7 @@ def triangular(f, x):
         solve_columns(f.start, f.rows, f.values, f.reciprocal, x)
 
 
-@compiled
+@entry
 def fill_reach(s, c, w):
     """X = S_ref^-1 A^T in the factor's own frame: one column a component of a point."""
     for f in range(s.point_ptr.shape[0] - 1):
@@ -107,7 +105,7 @@ def fill_reach(s, c, w):
                 c.reach[2 * f + axis, i, 1] = w.x[c.factor.order[2 * i + 1]]
 
 
-@compiled
+@part
 def solve_plates(s, c, w, rotation, r, x):
     """x (nodes, 2) = P S_ref^-1 P^T r, and the frames of nodes and points for what follows."""
     turn_frames(s, c, w, rotation)
@@ -124,7 +122,7 @@ def solve_plates(s, c, w, rotation, r, x):
         x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
 
 
-@compiled
+@part
 def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,); rotation, dz as `equilibrium` left them at the current q. False where it is singular."""
     solve_plates(s, c, w, rotation, r, dq)
@@ -138,7 +136,7 @@ def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     return True
 
 
-@compiled
+@part
 def turn_frames(s, c, w, rotation):
     """turn = R(q) R(q_ref)^T at the nodes, spin = its mean at the points, as (cos, sin)."""
     for i in range(rotation.shape[0]):
@@ -157,7 +155,7 @@ def turn_frames(s, c, w, rotation):
         w.spin[f, 1] = y * size
 
 
-@compiled
+@part
 def points_matrix(s, c, w):
     """G = A X at the present rotations, (2 points, 2 points), zero between bodies."""
     w.g[:] = 0.0
@@ -180,7 +178,7 @@ def points_matrix(s, c, w):
             w.g[2 * f + 1, 2 * h], w.g[2 * f + 1, 2 * h + 1] = yx * co - yy * si, yx * si + yy * co
 
 
-@compiled
+@part
 def fill_curvature(s, w, drives, lam, c_m):
     """w.curvature = C: that of the motors and c_m times the masses at points."""
     w.curvature[:] = 0.0
@@ -190,7 +188,7 @@ def fill_curvature(s, w, drives, lam, c_m):
         w.curvature[2 * f + 1, 2 * f + 1] += c_m * s.point_mass[f]
 
 
-@compiled
+@part
 def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
     """Solve for the points' forces w.pull and dlam, y = -S^-1 r at hand.
 
@@ -222,7 +220,7 @@ def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
     return True
 
 
-@compiled
+@part
 def fill_small(active, w, moved, phi, m, size):
     """The dense system of `border`."""
     count = active.shape[0]
@@ -256,7 +254,7 @@ def fill_small(active, w, moved, phi, m, size):
             w.small[count + k, count + l] = total
 
 
-@compiled
+@part
 def pull_points(s, c, w, dq):
     """dq -= X pull at the present rotations."""
     for f in range(w.spin.shape[0]):

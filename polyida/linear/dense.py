@@ -1,9 +1,9 @@
 """A small dense solve for compiled code."""
 
-import numba
+from polyida.compiled import part
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@part
 def solve_small(matrix, b):
     """b <- matrix^-1 b by elimination with row equilibration and partial pivoting; overwrites both. False where it is singular."""
     n = b.shape[0]

@@ -6,10 +6,13 @@ A Newton correction needs two or three digits; half the bytes are half the time,
 import numba
 import numpy as np
 
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+from polyida.compiled import entry
+
+FAST = {"contract", "reassoc", "nsz"}
+fast = numba.njit(nogil=True, error_model="numpy", fastmath=FAST, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
-@compiled
+@entry
 def fill_band(indptr, indices, blocks, band):
     """Write the lower triangle of a nodal block matrix into band (n, width + 1): row j holds column j from the diagonal down."""
     band[:] = 0.0
@@ -25,7 +28,7 @@ def fill_band(indptr, indices, blocks, band):
                     band[2 * j + 1, d - 1] = blocks[p, 0, 1]
 
 
-@compiled
+@fast
 def solve_band(band, x):
     """x <- (L L^T)^-1 x for the Cholesky factor in band storage with reciprocal diagonal; x (n + width,) ends in zeros."""
     n, width = band.shape[0], band.shape[1] - 1
@@ -44,7 +47,7 @@ def solve_band(band, x):
         x[j] = total * row[0]
 
 
-@compiled
+@fast
 def solve_columns(start, rows, values, reciprocal, x):
     """x <- (L D L^T)^-1 x with L unit lower in columns (the unit diagonal left out) and the reciprocal of D."""
     n = start.shape[0] - 1

@@ -1,0 +1,9 @@
+"""How compiled code is compiled: entry points, cached on disk, and the parts that only they call."""
+
+import numba
+
+# what Python calls: cached, releases the GIL, divides by zero as numpy does
+entry = numba.njit(cache=True, nogil=True, error_model="numpy")
+
+# what only compiled code calls: no wrapper for Python, cached within its callers
+part = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
