@@ -2,11 +2,13 @@
 
 import os
 import platform
+from functools import cache
 from importlib import metadata
 
 PACKAGES = ("polyida", "numpy", "scipy", "numba", "scikit-sundae")
 
 
+@cache
 def versions():
     """{package: version} of Python and of the packages that compute; a package that is not installed is left out."""
     found = {"python": platform.python_version()}
@@ -25,6 +27,7 @@ def machine_info():
                          "platform": f"{platform.system()} {platform.machine()}"}
 
 
+@cache
 def processor():
     """Name of the processor, or the architecture where the system does not tell."""
     try:

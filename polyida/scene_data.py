@@ -20,14 +20,14 @@ KINDS = {kind.__name__: kind for kind in (Plate, Revolute, Clamp, AngleMotor, Po
 def to_data(parts, gravity):
     """(description, arrays) of {name: part}: a JSON-ready dictionary, and the arrays it refers to by key."""
     arrays, meshes, entries = {}, {}, []
-    for name, part in parts.items():
+    for number, (name, part) in enumerate(parts.items()):
         entry = {"kind": type(part).__name__, "name": name}
         if isinstance(part, Plate):
             entry |= _plate(part, meshes, arrays)
         else:
             for key in ("a", "b", "at"):
                 if hasattr(part, key):
-                    entry[key] = _attachment(getattr(part, key), parts, f"{name}/{key}", arrays)
+                    entry[key] = _attachment(getattr(part, key), parts, f"part {number} {key}", arrays)
             entry |= {key: _plain(getattr(part, key)) for key in ("mass", "force", "traction") if hasattr(part, key)}
             entry |= {key: list(getattr(part, key).formula) for key in ("angle", "profile") if hasattr(part, key)}
         entries.append(entry)
@@ -39,9 +39,9 @@ def _plate(plate, meshes, arrays):
     if id(mesh) not in meshes:
         key = meshes[id(mesh)] = f"mesh {len(meshes)}"
         arrays |= {f"{key}/points": mesh.points, f"{key}/nodes": mesh.nodes, f"{key}/offsets": mesh.offsets}
-        arrays |= {f"{key}/sections/{name}": nodes for name, nodes in mesh.sections.items()}
+        arrays |= {f"{key}/section {number}": nodes for number, nodes in enumerate(mesh.sections.values())}
     material = plate.material
-    return {"mesh": meshes[id(mesh)], "material": [material.E, material.nu, material.rho, material.plane],
+    return {"mesh": meshes[id(mesh)], "sections": list(mesh.sections), "material": [material.E, material.nu, material.rho, material.plane],
             "thickness": plate.thickness, "origin": _plain(plate.origin), "angle": plate.angle, "element": plate.element}
 
 
@@ -78,7 +78,7 @@ def from_data(description, arrays, drives=None):
 def _part(entry, parts, meshes, arrays, drives):
     kind, name = KINDS[entry["kind"]], entry["name"]
     if kind is Plate:
-        return Plate(_mesh(entry["mesh"], meshes, arrays), Material(*entry["material"]), entry["thickness"],
+        return Plate(_mesh(entry["mesh"], entry["sections"], meshes, arrays), Material(*entry["material"]), entry["thickness"],
                      tuple(entry["origin"]), entry["angle"], name, entry["element"])
     given = {key: _side(entry[key], parts, arrays) for key in ("a", "b", "at") if key in entry}
     given |= {key: entry[key] for key in ("mass", "force", "traction") if key in entry}
@@ -88,10 +88,9 @@ def _part(entry, parts, meshes, arrays, drives):
     return kind(**given, name=name)
 
 
-def _mesh(key, meshes, arrays):
+def _mesh(key, names, meshes, arrays):
     if key not in meshes:
-        prefix = f"{key}/sections/"
-        sections = {name[len(prefix):]: nodes for name, nodes in arrays.items() if name.startswith(prefix)}
+        sections = {name: arrays[f"{key}/section {number}"] for number, name in enumerate(names)}
         meshes[key] = PolygonMesh(arrays[f"{key}/points"], arrays[f"{key}/nodes"], arrays[f"{key}/offsets"], sections)
     return meshes[key]
 
@@ -100,8 +99,13 @@ def _side(side, parts, arrays):
     if side is None:
         return ground
     key = side["key"]
-    nodes = np.asarray(arrays[f"{key}/nodes"], np.int32)
-    body = parts[side["body"]]
-    if nodes.size == 0 or nodes.min() < 0 or nodes.max() >= body.mesh.n_nodes:
+    nodes, body = arrays[f"{key}/nodes"], parts[side["body"]]
+    weights, turn = np.asarray(arrays[f"{key}/weights"], float), arrays.get(f"{key}/turn_weights")
+    turn = None if turn is None else np.asarray(turn, float)
+    if nodes.size == 0 or nodes.dtype.kind != "i" or nodes.min() < 0 or nodes.max() >= body.mesh.n_nodes:
         raise InputError(f"the scene in the file is damaged: {key} selects nodes that plate {side['body']!r} does not have")
-    return Attachment(body, nodes, arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights"), float(side["length"]), side["name"])
+    if not nodes.shape == weights.shape == (weights if turn is None else turn).shape == (nodes.size,):
+        raise InputError(f"the scene in the file is damaged: {key} has not one weight a node")
+    if not 0 <= float(side["length"]) < np.inf:
+        raise InputError(f"the scene in the file is damaged: {key} has the length {side['length']}")
+    return Attachment(body, nodes.astype(np.int32), weights, turn, float(side["length"]), str(side["name"]))

@@ -2,11 +2,21 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.state import Counts
+from polyida.frames import blocks
+from polyida.integrate.state import Counts, State
+
+
+class Restart(NamedTuple):
+    """Where a run goes on: an accepted state with its integrator's memory, the frames kept up to it, the counts at it."""
+
+    state: State
+    frames: int
+    counts: dict
 
 
 @dataclass(frozen=True)
@@ -27,8 +37,10 @@ class Energy:
 class Trajectory:
     """t (frames,), q, v, a (frames, n), lam (frames, m), and how the run went.
 
-    status: "done", "stopped" or the kind of failure; message: where and why; success: it reached its end. counts: exact work.
-    Energies, drift, positions, reactions and stresses are computed from the motion when they are asked for.
+    status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "error" (in a user's function),
+    "disk full", or the kind of failure; message: where and why; success: it reached its end. counts: exact work.
+    Frames too large for memory stay in a file: they index, slice and iterate like arrays and are read when asked for.
+    Energies, drift, positions, reactions and stresses are computed from the motion when they are asked for, frame by frame.
     """
 
     model: object
@@ -44,7 +56,18 @@ class Trajectory:
     cpu_seconds: float = 0.0
     wall_seconds: float = 0.0
     machine: dict = field(default_factory=dict)
-    memory: dict = field(default_factory=dict)
+    restart: Restart | None = None
+    plan: dict = field(default_factory=dict)
+
+    @property
+    def state(self):
+        """The last state that the run can go on from: `solve(model, t_end, integrator, state=run.state)`."""
+        return self.restart.state if self.restart else State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1])
+
+    @property
+    def memory(self):
+        """What the integrator needs to go on from the last frame as if it had not stopped; empty where it stopped elsewhere."""
+        return self.state.memory if len(self) and self.state.t == self.t[-1] else {}
 
     @property
     def success(self):
@@ -83,8 +106,8 @@ class Trajectory:
     def position(self, name):
         """Path of a mass, load or joint, by name, or of an attachment, (frames, 2), m."""
         nodes, weights = self._nodes_of(name)
-        moved = self.q.reshape(len(self), -1, 2)[:, nodes] + self.model.reference[nodes]
-        return np.einsum("k,fkx->fx", weights, moved)
+        rest = self.model.reference[nodes]
+        return np.concatenate([np.einsum("k,fkx->fx", weights, q.reshape(len(q), -1, 2)[:, nodes] + rest) for q in blocks(self.q)])
 
     def _nodes_of(self, name):
         if not hasattr(self.model, "points_of"):
@@ -92,7 +115,7 @@ class Trajectory:
         if not isinstance(name, str):
             body = next(body for body in self.model.bodies if body.plate is name.body)
             return name.nodes + body.nodes.start, name.weights
-        s, point = self.model.arrays, self.model.points_of(name)
+        s, point = self.model.arrays.links, self.model.points_of(name)
         part = slice(s.point_ptr[point], s.point_ptr[point + 1])
         return s.point_nodes[part], s.point_weights[part]
 
@@ -114,8 +137,9 @@ class Trajectory:
     def summary(self):
         """One line: how it ended, what it cost, how well it held."""
         c = self.counts
-        worst = f", |phi| <= {self.drift.max():.1e}" if self.model.m and len(self) else ""
-        return (f"{self.status}: {type(self.integrator).__name__} to t = {self.t[-1]:.6g} s, {c.steps} steps ({c.rejected} rejected), "
+        worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
+        end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
+        return (f"{self.status}: {type(self.integrator).__name__} to {end}, {c.steps} steps ({c.rejected} rejected), "
                 f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s{worst}"
                 + (f"; {self.message}" if self.message else ""))
 

@@ -23,7 +23,7 @@ class SceneModel(Model):
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
-        self.bodies = bodies_of(parts)
+        self.bodies, self._kept = bodies_of(parts), {}
         self.arrays, points, table, self.profiles, self._held = assemble(self.bodies, parts, gravity)
         self.labels, self.rows, self.joints = table.labels, table.rows, table.sides
         self.n_nodes = self.bodies[-1].nodes.stop
@@ -236,6 +236,12 @@ class SceneModel(Model):
             if point >= 0:
                 sizes *= [np.hypot(*(self.arrays.links.point_rest[point] + self.dz(frame)[point])) for frame in q]
         return -lam * sizes[:, None]
+
+    def once(self, make):
+        """make(self), kept: what other layers derive from the model once."""
+        if make not in self._kept:
+            self._kept[make] = make(self)
+        return self._kept[make]
 
     def points_of(self, name):
         """Number of the point that a mass, load or joint holds on to; raises InputError where there is none of that name."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from polyida.integrate.grid import goes_on, grid_of
 from polyida.integrate.start import jerk, mass_system
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.kkt import KKT, SingularSystem, scaling_factors
@@ -12,11 +13,13 @@ EPS = np.finfo(float).eps
 
 def advance(settings, model, state, begin, end, count, counts):
     """Yield `count` equal steps from begin to end."""
-    h = (end - begin) / count
-    state = started(settings, model, state, h)
-    newton = Newton(settings, model, h, counts)
-    for k in range(1, count + 1):
-        state = newton.step(state, begin + k * h if k < count else end)
+    grid = grid_of(state, begin, end, count)
+    state = started(settings, model, state, grid.h)
+    newton = Newton(settings, model, grid, counts)
+    if goes_on(model, state, grid, "size"):
+        newton.recall(state.memory)
+    for k in range(grid.done + 1, grid.count + 1):
+        state = newton.step(state, k)
         counts.steps += 1
         yield state
 
@@ -43,16 +46,26 @@ def started(settings, model, state, h):
 class Newton:
     """One step after the other at one h; holds the factorization between them."""
 
-    def __init__(self, settings, model, h, counts):
-        self.settings, self.model, self.h, self.counts = settings, model, h, counts
+    def __init__(self, settings, model, grid, counts):
+        self.settings, self.model, self.grid, self.counts = settings, model, grid, counts
+        h = self.h = grid.h
         c = settings.coefficients
         self.c = c
         self.to_a = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f))
         self.to_v = c.gamma / (c.beta * h)
-        self.kkt, self.size = None, 0.0
+        self.kkt, self.size, self.factored_at = None, 0.0, None
 
-    def step(self, state, t):
-        """The accepted state at t. Raises StepFailure where Newton does not converge even with fresh matrices."""
+    def recall(self, memory):
+        """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
+        self.size = float(memory["size"])
+        if len(memory["factored_at"]):
+            n = self.model.n
+            t, q, v, a, lam = np.split(memory["factored_at"], [1, 1 + n, 1 + 2 * n, 1 + 3 * n])
+            self._factor(float(t[0]), q, v, a, lam)
+
+    def step(self, state, k):
+        """The accepted state after step k. Raises StepFailure where Newton does not converge even with fresh matrices."""
+        t, self.place = self.grid.time(k), self.grid.after(k)
         try:
             return self._solve(state, t)
         except Divergence as first:
@@ -109,10 +122,13 @@ class Newton:
         c, a0 = self.c, state.memory["a_alg"]
         a1 = ((1 - c.alpha_f) * a + c.alpha_f * state.a - c.alpha_m * a0) / (1 - c.alpha_m)
         self.size = max(self.size, _rms(a))
-        return State(float(t), q, v, a, lam, {"a_alg": a1, "h": self.h})
+        made = np.zeros(0) if self.kkt is None else self.factored_at
+        memory = {"a_alg": a1, "h": self.h, "size": self.size, "factored_at": made, "grid": self.place}
+        return State(float(t), q, v, a, lam, memory)
 
     def _factor(self, t, q, v, a, lam):
         matrix = self.model.tangent(t, q, v, a, lam, self.to_a, self.to_v, 1.0)
+        self.factored_at = np.concatenate([[t], q, v, a, lam])
         scaling = scaling_factors(self.settings.scaling, self.c.beta * self.h**2, matrix)
         self.counts.tangents += 1
         self.counts.factorizations += 1

@@ -2,12 +2,13 @@
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
+from polyida.compiled import entry, part
 from polyida.integrate.alpha_generic import started
+from polyida.integrate.grid import goes_on, grid_of
 from polyida.integrate.state import State, StepFailure
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
@@ -16,7 +17,6 @@ SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
 CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR = range(6)
-compiled = numba.njit(cache=True, nogil=True, error_model="numpy")
 
 
 class Method(NamedTuple):
@@ -61,7 +61,7 @@ class Trial(NamedTuple):
     dlam: np.ndarray
 
 
-@compiled
+@entry
 def predict(p, y, w):
     """Fill the trial state: q'' constant or extrapolated, whichever was nearer in the last step, lam constant."""
     forward = y.marks[3]
@@ -72,10 +72,11 @@ def predict(p, y, w):
             w.a[i, k] = a
             w.v[i, k] = y.v[i, k] + p.h * ((1.0 - p.gamma) * y.a_alg[i, k] + p.gamma * a1)
             w.u[i, k] = y.u[i, k] + p.h * y.v[i, k] + p.h * p.h * ((0.5 - p.beta) * y.a_alg[i, k] + p.beta * a1)
-    w.lam[:] = y.lam
+    for k in range(w.lam.shape[0]):
+        w.lam[k] = y.lam[k]
 
 
-@compiled
+@part
 def correct(p, w):
     """Add dq and dlam to the trial state; the sums of dq^2, q^2 and q''^2."""
     moved = size = pull = 0.0
@@ -94,7 +95,7 @@ def correct(p, w):
     return np.sqrt(moved / n), np.sqrt(size / n), np.sqrt(pull / n)
 
 
-@compiled
+@part
 def accept(p, y, w):
     """Move the trial state into memory; the better predictor for the next step; the algorithmic acceleration."""
     constant = extrapolated = 0.0
@@ -108,11 +109,12 @@ def accept(p, y, w):
             y.a[i, k] = a
             y.u[i, k] = w.u[i, k]
             y.v[i, k] = w.v[i, k]
-    y.lam[:] = w.lam
+    for k in range(w.lam.shape[0]):
+        y.lam[k] = w.lam[k]
     y.marks[3] = 1.0 if extrapolated < constant else 0.0
 
 
-@compiled
+@part
 def closed(s, drives, w):
     """Largest |phi| at the trial state, and the least cosine of a motor's angle error."""
     joints.point_values(s, w.u, w.dz)
@@ -123,7 +125,7 @@ def closed(s, drives, w):
     return worst, cosine
 
 
-@compiled
+@part
 def newton(s, c, room, p, drives, y, w, counts):
     """Newton's iteration from the predicted state. Returns how it ended and the last |dq|."""
     predict(p, y, w)
@@ -134,7 +136,7 @@ def newton(s, c, room, p, drives, y, w, counts):
         counts[0] += 1
         if not det > 0.0:
             return (INVERTED if det <= 0.0 else NOT_FINITE), before
-        if not corotated.solve(s, c, room, drives, w.rotation, w.dz, w.lam, w.r, w.phi, p.to_a, w.dq, w.dlam):
+        if not corotated.solve(s.links, c, room, drives, w.rotation, w.dz, w.lam, w.r, w.phi, p.to_a, w.dq, w.dlam):
             return SINGULAR, before
         counts[1] += 1
         moved, size, pull = correct(p, w)
@@ -148,7 +150,7 @@ def newton(s, c, room, p, drives, y, w, counts):
         floor = 16.0 * 2.2e-16 * size
         known = iteration > 0 or y.marks[1] < FRESHEN
         if moved <= floor or (known and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance):
-            worst, cosine = closed(s, drives, w)
+            worst, cosine = closed(s.links, drives, w)
             if worst <= max(1e-2 * tolerance, floor):
                 y.marks[1] += 1.0
                 return (DONE if cosine > 0.0 else HALF_TURN), moved
@@ -158,7 +160,17 @@ def newton(s, c, room, p, drives, y, w, counts):
     return REFACTOR, before
 
 
-@compiled
+@part
+def record(y, q, v, a, lam):
+    """Copy the accepted state into a frame."""
+    for i in range(q.shape[0]):
+        for k in range(2):
+            q[i, k], v[i, k], a[i, k] = y.u[i, k], y.v[i, k], y.a[i, k]
+    for k in range(lam.shape[0]):
+        lam[k] = y.lam[k]
+
+
+@entry
 def stretch(s, c, room, p, drives, y, w, counts, qs, vs, accelerations, lams):
     """Steps until the drives' table or the factor's use ends; frames go to qs, vs, accelerations, lams. (steps, end, last |dq|)."""
     for k in range(qs.shape[0]):
@@ -166,14 +178,17 @@ def stretch(s, c, room, p, drives, y, w, counts, qs, vs, accelerations, lams):
         if end != DONE:
             return k, end, moved
         accept(p, y, w)
-        qs[k], vs[k], accelerations[k], lams[k] = y.u, y.v, y.a, y.lam
+        record(y, qs[k], vs[k], accelerations[k], lams[k])
     return qs.shape[0], DONE, moved
 
 
 def advance(settings, model, state, begin, end, count, counts):
     """Yield `count` equal steps from begin to end. Raises StepFailure."""
-    h = (end - begin) / count
-    yield from Stretches(settings, model, started(settings, model, state, h), h, counts).run(begin, end, count)
+    grid = grid_of(state, begin, end, count)
+    stretches = Stretches(settings, model, started(settings, model, state, grid.h), grid.h, counts)
+    if goes_on(model, state, grid, "marks"):
+        stretches.recall(state.memory)
+    yield from stretches.run(grid)
 
 
 class Stretches:
@@ -184,25 +199,33 @@ class Stretches:
         self.model, self.counts, self.backend = model, counts, settings.linear
         self.method = Method(h, c.alpha_m, c.alpha_f, c.beta, c.gamma, (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)),
                              c.gamma / (c.beta * h), settings.tolerance, settings.max_iterations)
-        nodal = [np.array(x, float).reshape(-1, 2) for x in (state.q, state.v, state.a, state.memory["a_alg"], state.a)]
+        nodal = [np.array(x, float).reshape(model.n_nodes, 2) for x in (state.q, state.v, state.a, state.memory["a_alg"], state.a)]
         self.memory = Memory(*nodal, np.array(state.lam, float), np.array([1.0, FRESHEN, 0.0, 0.0]))
         nodes, points = (model.n_nodes, 2), (model.n_points, 2)
         self.trial = Trial(np.empty(nodes), np.empty(nodes), np.empty(nodes), np.empty(model.m), np.empty(nodes), np.empty(model.m),
                            np.empty(nodes), np.empty(points), np.empty(points), np.empty(nodes), np.empty(model.m))
-        self.system = self.room = None
+        self.system = self.room = self.factored_at = None
 
-    def run(self, begin, end, count):
-        """Yield the states at the ends of `count` steps."""
-        done, h, model = 0, self.method.h, self.model
-        longest = int(max(1, min(256, CHUNK_BYTES // (48 * max(1, model.n)))))
+    def recall(self, memory):
+        """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
+        self.memory.a_before[:] = memory["a_before"].reshape(-1, 2)
+        if len(memory["factored_at"]):
+            self.trial.u[:] = memory["factored_at"].reshape(-1, 2)
+            self._factor_there(float("nan"), np.zeros((len(self.model.profiles), 3)))
+        self.memory.marks[:] = memory["marks"]
+
+    def run(self, grid):
+        """Yield the states at the ends of the grid's steps."""
+        done, count = grid.done, grid.count
+        longest = int(max(1, min(256, CHUNK_BYTES // (48 * max(1, self.model.n)))))
         while done < count:
-            times = [begin + k * h if k < count else end for k in range(done + 1, min(done + longest, count) + 1)]
-            for state in self._stretch(times):
+            end = min(done + longest, count)
+            for state in self._stretch([grid.time(k) for k in range(done + 1, end + 1)], grid.after(end)):
                 done += 1
                 self.counts.steps += 1
                 yield state
 
-    def _stretch(self, times):
+    def _stretch(self, times, place):
         frames = [np.empty((len(times), self.model.n_nodes, 2)) for _ in range(3)] + [np.empty((len(times), self.model.m))]
         drives = np.ascontiguousarray([self.model.drives(t) for t in times])
         first, fresh_at = 0, -1
@@ -216,7 +239,7 @@ class Stretches:
             self._count(seen)
             for k in range(first, first + steps):
                 last = k == len(times) - 1
-                yield self._state(times[k], *(frame[k] for frame in frames), final=last)
+                yield self._state(times[k], *(frame[k] for frame in frames), place if last else None)
             first += steps
             if ended == DONE:
                 return
@@ -229,21 +252,31 @@ class Stretches:
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])
 
-    def _state(self, t, q, v, a, lam, final):
-        memory = {"a_alg": self.memory.a_alg.ravel().copy(), "h": self.method.h} if final else {}
-        return State(float(t), q.ravel(), v.ravel(), a.ravel(), lam, memory)
+    def _state(self, t, q, v, a, lam, place):
+        """A State; at the end of a stretch with all that the next one starts from."""
+        y, memory = self.memory, {}
+        if place is not None:
+            made = np.zeros(0) if self.system is None else self.factored_at
+            memory = {"a_alg": y.a_alg.ravel().copy(), "h": self.method.h, "a_before": y.a_before.ravel().copy(),
+                      "marks": y.marks.copy(), "factored_at": made, "grid": place}
+        return State(float(t), q.ravel(), v.ravel(), a.ravel(), lam, memory, restart=place is not None)
 
     def _factor(self, t, drives):
+        predict(self.method, self.memory, self.trial)
+        self._factor_there(t, drives)
+
+    def _factor_there(self, t, drives):
+        """The factor at the trial state's u, which decides it alone."""
         model, p, w = self.model, self.method, self.trial
-        predict(p, self.memory, w)
+        self.factored_at = w.u.ravel().copy()
         kernels.equilibrium(model.arrays, drives, w.u, w.a, w.lam, w.r, w.phi, w.rotation, w.dz, w.forces)
         blocks = np.empty((len(model.pattern[1]), 2, 2))
-        kernels.tangent_blocks(model.arrays, w.u, p.to_a, 1.0, blocks)
+        kernels.tangent_blocks(model.arrays.plates, w.u, p.to_a, 1.0, blocks)
         self.counts.residuals += 1
         self.counts.tangents += 1
         self.counts.factorizations += 1
         try:
-            self.system, name = corotated.corotated(model, blocks, w.rotation, p.to_a, self.backend)
+            self.system, name = corotated.corotated(model, blocks, w.rotation, self.backend)
         except NotFactorable as error:
             raise StepFailure("singular", str(error), t) from None
         self.counts.backend = name

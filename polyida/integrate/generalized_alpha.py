@@ -11,7 +11,7 @@ from polyida.integrate.segments import segments
 from polyida.linear.kkt import SCALINGS
 
 
-LINEAR = ("auto", "band", "superlu", "kkt")
+LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
 
 
 @dataclass(frozen=True)

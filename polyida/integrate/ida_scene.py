@@ -44,18 +44,34 @@ class Room(NamedTuple):
     rate_z: np.ndarray
     own: np.ndarray
     cross: np.ndarray
+    hb: np.ndarray
+    place: np.ndarray
     small: np.ndarray
     unknown: np.ndarray
+    last: np.ndarray
 
 
 def room(model):
     """Room for a model."""
     nodes, points, m = (model.n_nodes, 2), (model.n_points, 2), model.m
-    wide, size = 2 * model.n_points, len(corotated.active_components(model.arrays.links)) + 2 * model.m
+    active = corotated.active_components(model.arrays.links)
+    place = order_along_joints(active, corotated.row_columns(model.arrays.links, m))
+    wide, size = 2 * model.n_points, len(place)
     return Room(np.empty(nodes), np.empty(nodes), np.empty(points), np.empty(points), np.empty(points), np.empty(m), np.empty(m),
                 np.empty(m), np.empty(m), np.empty(m), np.empty(nodes), np.empty(nodes), np.zeros(points), np.empty(points),
-                np.empty((m, wide)), overlap(model.arrays.links, model.n_points, model.n_nodes), np.empty((wide, wide)), np.empty((size, size)),
-                np.empty(size))
+                np.empty((m, wide)), overlap(model.arrays.links, model.n_points, model.n_nodes), np.empty((wide, wide)), np.empty((wide, m)),
+                place, np.empty((size, size)),
+                np.empty(size), np.empty(size, np.int64))
+
+
+def order_along_joints(active, columns):
+    """Place of the unknowns (active components, lam, mu): mu beside lam."""
+    m, single = len(columns), corotated.order_along_joints(active, columns)
+    before = np.argsort(np.argsort(single * 2.0))
+    multipliers = single[len(active):]
+    shift = np.array([(multipliers < at).sum() for at in before])
+    place = before + shift
+    return np.concatenate([place, place[len(active):] + 1]) if m else place
 
 
 def overlap(links, points, nodes):
@@ -143,14 +159,14 @@ def solve(s, c, cm, cr, w, drives, cj, integrated, r, z):
     count = c.active.shape[0]
     scale = 1.0 / cj if integrated else 1.0
     for k in range(2 * m):
-        z[2 * n + k] = w.unknown[count + k] * scale
+        z[2 * n + k] = w.unknown[w.place[count + k]] * scale
     return True
 
 
 @part
 def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
     """Solve for w, dlam, dmu; move w.dq by them; leave A's forces Bz^T dmu in w.swing."""
-    wide, count = w.rate_z.shape[1], c.active.shape[0]
+    wide = w.rate_z.shape[1]
     corotated.points_matrix(s.links, c, cr)
     for i in range(wide):
         for j in range(wide):
@@ -160,97 +176,110 @@ def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
     joints.joint_jacobian(s.links, drives, w.dz, cr.phi_z)
     joints.joint_rate_jacobian(s.links, drives, w.dz, w.vz, w.rate_z)
     corotated.fill_curvature(s.links, cr, drives, w.lam, cj * cj)
-    for f in range(w.own.shape[0]):
-        for e in range(w.own.shape[0]):
-            for k in range(2):
-                h[2 * f + k, 2 * e + k] = cj * h[2 * f + k, 2 * e + k]
-                h[2 * f + k, 2 * e + 1 - k] = cj * h[2 * f + k, 2 * e + 1 - k]
     for i in range(wide):
-        for e in range(w.own.shape[0]):
-            for k in range(2):
-                total = 0.0
-                for f in range(w.own.shape[0]):
-                    total += g[i, 2 * f + k] * s.links.point_mass[f] * w.own[f, e]
-                h[i, 2 * e + k] += cj * total
-    fill_stabilised(s, c, cr, w, cj, g, h, r, n, m, wide, count)
-    if not solve_small(w.small, w.unknown):
+        for j in range(wide):
+            h[i, j] *= cj
+        for f in range(w.own.shape[0]):
+            if s.links.point_mass[f] != 0.0:
+                for k in range(2):
+                    for e in range(w.own.shape[0]):
+                        h[i, 2 * e + k] += cj * g[i, 2 * f + k] * s.links.point_mass[f] * w.own[f, e]
+    times_jacobian(c, cr, g, cr.gb)
+    times_jacobian(c, cr, h, w.hb)
+    fill_stabilised(s, c, cr, w, cj, r, n, m)
+    if not solve_small(w.small, w.unknown, w.last):
         return False
-    apply_border(s, c, cm, cr, w, cj, m, wide, count)
+    apply_border(s, c, cm, cr, w, cj, m)
     return True
 
 
 @part
-def fill_stabilised(s, c, cr, w, cj, g, h, r, n, m, wide, count):
-    """The dense system; g = A X, h = A dq/d(Bz^T dmu): `A dq = A y - g (w + Bz^T dlam) - h Bz^T dmu`."""
+def times_jacobian(c, cr, matrix, product):
+    """product (2 points, m) = matrix Bz^T."""
+    for k in range(product.shape[1]):
+        for p in range(product.shape[0]):
+            total = 0.0
+            for j in c.row_columns[k]:
+                if j >= 0:
+                    total += matrix[p, j] * cr.phi_z[k, j]
+            product[p, k] = total
+
+
+@part
+def fill_stabilised(s, c, cr, w, cj, r, n, m):
+    """The border's system: curvature, position and velocity rows, each a combination of components of A dq."""
+    count = c.active.shape[0]
     joints.point_values(s.links, w.dq, w.moved)
     w.small[:] = 0.0
-    for i in range(count + 2 * m):
-        w.unknown[i] = 0.0
-        if i < count:
-            w.small[i, i] = 1.0
-        for p in range(wide):
-            row = left_row(c, cr, w, cj, i, p, count, m)
-            if row == 0.0:
-                continue
-            w.unknown[i] += row * w.moved[p // 2, p % 2]
-            for l in range(count):
-                w.small[i, l] += row * g[p, c.active[l]]
-            for q in range(wide):
-                gq, hq = row * g[p, q], row * h[p, q]
-                if gq != 0.0 or hq != 0.0:
-                    for k in range(m):
-                        w.small[i, count + k] += gq * cr.phi_z[k, q]
-                        w.small[i, count + m + k] += hq * cr.phi_z[k, q]
-    close_stabilised(s, cr, w, r, n, m, count)
+    w.unknown[:] = 0.0
+    for i in range(count):
+        w.small[w.place[i], w.place[i]] = 1.0
+        for j in c.active:
+            if cr.curvature[c.active[i], j] != 0.0:
+                add_row(c, cr, w, w.place[i], cr.curvature[c.active[i], j], j, m)
+    for k in range(m):
+        for j in c.row_columns[k]:
+            if j >= 0:
+                add_row(c, cr, w, w.place[count + k], cr.phi_z[k, j], j, m)
+                add_row(c, cr, w, w.place[count + m + k], w.rate_z[k, j] + cj * cr.phi_z[k, j], j, m)
+    close_stabilised(s, c, cr, w, r, n, m, count)
 
 
 @part
-def left_row(c, cr, w, cj, i, p, count, m):
-    """Entry p of the row that multiplies A dq in equation i: curvature, Bz, or Hz + cj Bz."""
-    if i < count:
-        return cr.curvature[c.active[i], p]
-    if i < count + m:
-        return cr.phi_z[i - count, p]
-    return w.rate_z[i - count - m, p] + cj * cr.phi_z[i - count - m, p]
+def add_row(c, cr, w, at, value, j, m):
+    """Add value times component j of `A dq = A y - g (w + Bz^T dlam) - h Bz^T dmu` to equation `at`."""
+    count = c.active.shape[0]
+    if value == 0.0:
+        return
+    w.unknown[at] += value * w.moved[j // 2, j % 2]
+    for l in range(count):
+        w.small[at, w.place[l]] += value * w.cross[j, c.active[l]]
+    for k in range(m):
+        w.small[at, w.place[count + k]] += value * cr.gb[j, k]
+        w.small[at, w.place[count + m + k]] += value * w.hb[j, k]
 
 
 @part
-def close_stabilised(s, cr, w, r, n, m, count):
+def close_stabilised(s, c, cr, w, r, n, m, count):
     """Right-hand sides r3, r4 + Bz A r1 and the block -Bz A A^T Bz^T of the velocity constraint."""
     for i in range(w.right.shape[0]):
         w.right[i, 0], w.right[i, 1] = r[2 * i], r[2 * i + 1]
     joints.point_values(s.links, w.right, w.moved)
     for k in range(m):
-        w.unknown[count + k] -= r[2 * n + k]
-        w.unknown[count + m + k] -= r[2 * n + m + k]
-        for p in range(w.rate_z.shape[1]):
-            value = cr.phi_z[k, p]
-            if value == 0.0:
+        at = w.place[count + m + k]
+        w.unknown[w.place[count + k]] -= r[2 * n + k]
+        w.unknown[at] -= r[2 * n + m + k]
+        for p in c.row_columns[k]:
+            if p < 0:
                 continue
-            w.unknown[count + m + k] -= value * w.moved[p // 2, p % 2]
-            for e in range(w.own.shape[0]):
-                for l in range(m):
-                    w.small[count + m + k, count + m + l] -= value * w.own[p // 2, e] * cr.phi_z[l, 2 * e + p % 2]
+            value = cr.phi_z[k, p]
+            w.unknown[at] -= value * w.moved[p // 2, p % 2]
+            for l in range(m):
+                for q in c.row_columns[l]:
+                    if q >= 0 and q % 2 == p % 2:
+                        w.small[at, w.place[count + m + l]] -= value * w.own[p // 2, q // 2] * cr.phi_z[l, q]
 
 
 @part
-def apply_border(s, c, cm, cr, w, cj, m, wide, count):
+def apply_border(s, c, cm, cr, w, cj, m):
     """dq -= X (w + Bz^T dlam + cj m A A^T Bz^T dmu) + cj S^-1 M A^T Bz^T dmu; w.swing = Bz^T dmu."""
     cr.pull[:] = 0.0
     w.swing[:] = 0.0
+    count = c.active.shape[0]
     for i in range(count):
-        cr.pull[c.active[i]] = w.unknown[i]
-    for p in range(wide):
-        for k in range(m):
-            cr.pull[p] += cr.phi_z[k, p] * w.unknown[count + k]
-            w.swing[p // 2, p % 2] += cr.phi_z[k, p] * w.unknown[count + m + k]
+        cr.pull[c.active[i]] = w.unknown[w.place[i]]
+    for k in range(m):
+        for p in c.row_columns[k]:
+            if p >= 0:
+                cr.pull[p] += cr.phi_z[k, p] * w.unknown[w.place[count + k]]
+                w.swing[p // 2, p % 2] += cr.phi_z[k, p] * w.unknown[w.place[count + m + k]]
     for f in range(w.own.shape[0]):
         if s.links.point_mass[f] != 0.0:
             for e in range(w.own.shape[0]):
                 cr.pull[2 * f] += cj * s.links.point_mass[f] * w.own[f, e] * w.swing[e, 0]
                 cr.pull[2 * f + 1] += cj * s.links.point_mass[f] * w.own[f, e] * w.swing[e, 1]
     corotated.pull_points(s.links, c, cr, w.dq)
-    for p in range(wide):
+    for p in range(cr.pull.shape[0]):
         cr.pull[p] = cj * w.swing[p // 2, p % 2]
     corotated.pull_points(s.links, cm, cr, w.dq)
 
@@ -285,7 +314,7 @@ class SceneSolve:
         self.counts.factorizations += 1
         self.cj = cj
         try:
-            self.plain, self.counts.backend = corotated.corotated(model, self._blocks, w.rotation, cj * cj)
+            self.plain, self.counts.backend = corotated.corotated(model, self._blocks, w.rotation)
         except NotFactorable:
             self.cj = math.nan
             return

@@ -1,66 +1,121 @@
 """`solve`: run an integrator over a model and collect a trajectory, whatever happens."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.frames import MEMORY_LIMIT, FrameStore
+from polyida.integrate.run import Run
 from polyida.integrate.start import consistent_state
-from polyida.integrate.state import Counts, StepFailure
+from polyida.integrate.state import Counts
 from polyida.machine import machine_info
 from polyida.model import Model
 from polyida.threads import one_blas_thread
-from polyida.trajectory import Trajectory
 
 
-def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, progress=None):
+def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
+          out=None, overwrite=False, flush_every=100, memory_limit=MEMORY_LIMIT):
     """Run `integrator` on `model` from t0 (or from `state`, an earlier one) to t_end.
 
     q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.
-    every: keep each `every`-th accepted step (the first and last always). progress: called with t at every accepted step.
-    Returns a Trajectory; a numerical failure is its status and message, with all frames up to it.
+    every: keep each `every`-th accepted step (the first and last always). output: increasing times; the frames are then
+    exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a and lam linear).
+    until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the
+    last frame is there. progress: called with t at every accepted step.
+
+    out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
+    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, at the
+    first step from which the run can be resumed (generalized-alpha on a scene works in stretches of up to 256 steps).
+    overwrite: replace an existing file. Without `out`, frames beyond `memory_limit` bytes go to a file in the folder for
+    temporary files (TMPDIR); a trajectory with more of them than that leaves them in the file, see Trajectory.
+
+    Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with the
+    frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the run so far.
     Raises InputError for a wrong input, before the run starts.
     """
-    _require(model, t_end, t0 if state is None else state.t, integrator, every)
-    counts, frames, ended = Counts(), _Frames(), ("done", "")
-    wall, cpu = time.perf_counter(), time.process_time()
+    _require_start(model, t0, state, q0, v0)
+    begin = t0 if state is None else state.t
+    require_run(model, t_end, begin, integrator)
+    plan = _plan(begin, t_end, every, output, until, flush_every)
+    path = None if out is None else _free(out, overwrite)
+    clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
         state = consistent_state(model, t0, q0, v0) if state is None else state
-        frames.add(state)
-        try:
-            for state in integrator.steps(model, state, float(t_end), counts):
-                if counts.steps % every == 0:
-                    frames.add(state)
-                if progress is not None:
-                    progress(state.t)
-        except StepFailure as failure:
-            ended = failure.status, str(failure)
-        frames.add(state)
-    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    return Trajectory(model, integrator, *frames.arrays(), *ended, counts, cpu, wall, machine_info(), state.memory)
+        file = None if path is None else _file(path, model, integrator, plan)
+        store = FrameStore(model.n, model.m, _limit(memory_limit), file)
+        run = Run(model, integrator, plan, store, Counts(), clocks, until, progress)
+        run.begin(state, overwrite)
+        return run.go(state)
 
 
-class _Frames:
-    """Accepted states, each once."""
-
-    def __init__(self):
-        self._states = []
-
-    def add(self, state):
-        if not self._states or state is not self._states[-1]:
-            self._states.append(state)
-
-    def arrays(self):
-        return tuple(np.array([getattr(state, name) for state in self._states]) for name in ("t", "q", "v", "a", "lam"))
-
-
-def _require(model, t_end, t0, integrator, every):
+def require_run(model, t_end, begin, integrator):
+    """Raise InputError unless these can make a run from `begin`."""
     if not isinstance(model, Model):
         hint = "; call its build()" if hasattr(model, "build") else ""
         raise InputError(f"solve: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
     if not hasattr(integrator, "steps"):
         raise InputError(f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
-    if not (isinstance(t_end, (int, float, np.floating, np.integer)) and np.isfinite(t_end) and t_end > t0):
-        raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {t0} s")
-    if not (isinstance(every, (int, np.integer)) and every >= 1):
-        raise InputError(f"solve: every = {every!r} must be a whole number of at least 1")
+    if not (_is_number(t_end) and t_end > begin):
+        raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
+
+
+def _require_start(model, t0, state, q0, v0):
+    if state is None:
+        if not _is_number(t0):
+            raise InputError(f"solve: t0 = {t0!r} must be a finite time in s")
+        return
+    if q0 is not None or v0 is not None:
+        raise InputError("solve: give either a state or q0 and v0; the state holds both")
+    sizes = {name: np.shape(getattr(state, name, None)) for name in ("q", "v", "a", "lam")}
+    n, m = getattr(model, "n", 0), getattr(model, "m", 0)
+    if isinstance(model, Model) and sizes != {"q": (n,), "v": (n,), "a": (n,), "lam": (m,)}:
+        raise InputError(f"solve: the state is of another model: its shapes are {sizes}, this model has n = {n}, m = {m}")
+
+
+def _plan(begin, t_end, every, output, until, flush_every):
+    """What was asked for, as plain data that a file can hold."""
+    for name, value in (("every", every), ("flush_every", flush_every)):
+        if not (isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 1):
+            raise InputError(f"solve: {name} = {value!r} must be a whole number of at least 1")
+    if until is not None and not callable(until):
+        raise InputError(f"solve: until = {until!r} must be a function of t, q and v")
+    times = None if output is None else _times(output, begin, t_end)
+    return {"t_end": float(t_end), "every": int(every), "output": times, "until": until is not None, "flush_every": int(flush_every)}
+
+
+def _times(output, begin, t_end):
+    try:
+        times = np.asarray(output, float)
+    except (TypeError, ValueError):
+        times = np.empty(0)
+    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or not (np.diff(times) > 0).all():
+        raise InputError("solve: output must be increasing finite times in s, at least one")
+    if times[0] < begin or times[-1] > t_end:
+        raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
+    return times.tolist()
+
+
+def _limit(value):
+    if not (_is_number(value) and value >= 0):
+        raise InputError(f"solve: memory_limit = {value!r} must be a number of bytes")
+    return value
+
+
+def _free(out, overwrite):
+    from polyida.trajectory_file import require_free
+
+    path = Path(out)
+    require_free(path, overwrite)
+    return path
+
+
+def _file(path, model, integrator, plan):
+    from polyida.trajectory_file import create
+
+    return create(path, model, integrator, model.n, model.m, plan, machine_info())
+
+
+def _is_number(value):
+    return isinstance(value, (int, float, np.floating, np.integer)) and not isinstance(value, bool) and bool(np.isfinite(value))

@@ -11,6 +11,7 @@ class State:
 
     `memory` is what the integrator that yielded the state needs besides to go on from it as if it had not stopped
     (generalized-alpha: the algorithmic acceleration `a_alg` and its step; IDA: nothing). Another integrator ignores it.
+    restart: False where the integrator cannot tell its memory at this state, in the middle of a compiled stretch.
     """
 
     t: float
@@ -19,6 +20,7 @@ class State:
     a: np.ndarray
     lam: np.ndarray
     memory: dict = field(default_factory=dict)
+    restart: bool = True
 
 
 @dataclass

@@ -16,7 +16,8 @@ import numpy as np
 from polyida.assembly import joints
 from polyida.compiled import entry, part
 from polyida.linear.dense import solve_small
-from polyida.linear.factor import BAND, Factor, factor
+from polyida.linear.factor import BAND, FRONTS, Factor, factor
+from polyida.linear.fronts import solve_fronts
 from polyida.linear.triangular import solve_band, solve_columns
 
 
@@ -24,7 +25,8 @@ class Corotated(NamedTuple):
     """A factor with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
 
     point_body: first and last node of the body that each point is on; reach: X, (2 per point, nodes, 2), zero off the body;
-    active: the components of the points that curvature or mass can act on; c_m: what M was multiplied by.
+    active: the components of the points that curvature or mass can act on. row_columns: components that each row of phi touches
+    (-1: none). place: the order of the unknowns (active, multipliers) along the joints.
     """
 
     factor: Factor
@@ -32,7 +34,8 @@ class Corotated(NamedTuple):
     point_body: np.ndarray
     reach: np.ndarray
     active: np.ndarray
-    c_m: float
+    row_columns: np.ndarray
+    place: np.ndarray
 
 
 class Room(NamedTuple):
@@ -48,18 +51,20 @@ class Room(NamedTuple):
     gb: np.ndarray
     small: np.ndarray
     right: np.ndarray
+    last: np.ndarray
     pull: np.ndarray
 
 
-def corotated(model, blocks, rotation, c_m, backend="auto"):
+def corotated(model, blocks, rotation, backend="auto"):
     """(Corotated, name of its back-end) for the tangent blocks and raw nodal rotations at hand. Raises NotFactorable."""
-    made, name = factor(model.pattern, blocks, backend)
+    made, name = factor(model, blocks, backend)
     s, body_node = model.arrays.links, model.arrays.plates.body_node
     bodies = np.searchsorted(body_node, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
     point_body = np.stack([body_node[bodies], body_node[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
     frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
     reach = np.zeros((2 * model.n_points, model.n_nodes, 2), np.float32)
-    result = Corotated(made, frame, point_body, reach, active_components(s), float(c_m))
+    active, columns = active_components(s), row_columns(s, model.m)
+    result = Corotated(made, frame, point_body, reach, active, columns, order_along_joints(active, columns))
     fill_reach(s, result, room(model, result))
     return result, name
 
@@ -73,19 +78,43 @@ def active_components(s):
     return np.flatnonzero(acts)
 
 
+def row_columns(s, m):
+    """Components of the points that each row of phi touches, (m, 4), -1 where there is none."""
+    columns = np.full((m, 4), -1, np.int64)
+    for j, first in enumerate(s.joint_row):
+        sides = [(2 * side, 2 * side + 1) if side >= 0 else (-1, -1) for side in (s.joint_a[j], s.joint_b[j])]
+        for row in range(first, first + (2 if s.joint_kind[j] == joints.LINEAR else 1)):
+            columns[row] = sides[0] + sides[1]
+    return columns
+
+
+def order_along_joints(active, columns):
+    """Place of each unknown (active components, then multipliers): every row of phi after the components it touches."""
+    number, order, m = {int(p): i for i, p in enumerate(active)}, [], len(columns)
+    for row in range(m):
+        order += [number.pop(p) for p in columns[row].tolist() if p in number]
+        order.append(len(active) + row)
+    order += number.values()
+    place = np.empty(len(active) + m, np.int64)
+    place[order] = np.arange(len(order))
+    return place
+
+
 def room(model, system):
     """Scratch for solves with `system`."""
     points, m, size = 2 * model.n_points, model.m, len(system.active) + model.m
     width = system.factor.band.shape[1]
     return Room(np.zeros(model.n + width, np.float32), np.empty((model.n_nodes, 2)), np.empty((model.n_points, 2)),
                 np.empty((model.n_points, 2)), np.empty((points, points)), np.empty((m, points)), np.empty((points, points)),
-                np.empty((points, m)), np.empty((size, size)), np.empty(size), np.empty(points))
+                np.empty((points, m)), np.empty((size, size)), np.empty(size), np.empty(size, np.int64), np.empty(points))
 
 
 @part
 def triangular(f, x):
     """x <- S_ref^-1 x in the factor's order."""
-    if f.kind == BAND:
+    if f.kind == FRONTS:
+        solve_fronts(f.fronts, f.panels, x)
+    elif f.kind == BAND:
         solve_band(f.band, x)
     else:
         solve_columns(f.start, f.rows, f.values, f.reciprocal, x)
@@ -195,63 +224,61 @@ def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
     """
-    m, size = phi.shape[0], w.g.shape[0]
     points_matrix(s, c, w)
     joints.joint_jacobian(s, drives, dz, w.phi_z)
     fill_curvature(s, w, drives, lam, c_m)
     joints.point_values(s, y, w.moved)
-    for i in range(size):
-        for k in range(m):
+    for k in range(phi.shape[0]):
+        for i in range(w.g.shape[0]):
             total = 0.0
-            for j in range(size):
-                total += w.g[i, j] * w.phi_z[k, j]
+            for j in c.row_columns[k]:
+                if j >= 0:
+                    total += w.g[i, j] * w.phi_z[k, j]
             w.gb[i, k] = total
-    fill_small(c.active, w, w.moved, phi, m, size)
-    if not solve_small(w.small, w.right):
+    fill_small(c, w, phi)
+    if not solve_small(w.small, w.right, w.last):
         return False
     count = c.active.shape[0]
     w.pull[:] = 0.0
     for i in range(count):
-        w.pull[c.active[i]] = w.right[i]
-    for k in range(m):
-        dlam[k] = w.right[count + k]
-        for j in range(size):
-            w.pull[j] += w.phi_z[k, j] * dlam[k]
+        w.pull[c.active[i]] = w.right[c.place[i]]
+    for k in range(phi.shape[0]):
+        dlam[k] = w.right[c.place[count + k]]
+        for j in c.row_columns[k]:
+            if j >= 0:
+                w.pull[j] += w.phi_z[k, j] * dlam[k]
     return True
 
 
 @part
-def fill_small(active, w, moved, phi, m, size):
-    """The dense system of `border`."""
-    count = active.shape[0]
+def fill_small(c, w, phi):
+    """The system of `border`, its unknowns in the order of `place`: along the joints, so that chains give a band."""
+    count = c.active.shape[0]
+    w.small[:] = 0.0
     for i in range(count):
-        a = active[i]
-        w.right[i] = 0.0
-        w.small[i] = 0.0
-        w.small[i, i] = 1.0
-        for j in range(size):
-            value = w.curvature[a, j]
-            if value != 0.0:
-                w.right[i] += value * moved[j // 2, j % 2]
-                for l in range(count):
-                    w.small[i, l] += value * w.g[j, active[l]]
-                for k in range(m):
-                    w.small[i, count + k] += value * w.gb[j, k]
+        at = c.place[i]
+        w.right[at] = 0.0
+        w.small[at, at] = 1.0
+        for j in c.active:
+            if w.curvature[c.active[i], j] != 0.0:
+                add_row(c, w, at, w.curvature[c.active[i], j], j, phi.shape[0])
+    for k in range(phi.shape[0]):
+        at = c.place[count + k]
+        w.right[at] = phi[k]
+        for j in c.row_columns[k]:
+            if j >= 0 and w.phi_z[k, j] != 0.0:
+                add_row(c, w, at, w.phi_z[k, j], j, phi.shape[0])
+
+
+@part
+def add_row(c, w, at, value, j, m):
+    """Add value times component j of `A dq = A y - G w - G Bz^T dlam` to equation `at`."""
+    count = c.active.shape[0]
+    w.right[at] += value * w.moved[j // 2, j % 2]
+    for l in range(count):
+        w.small[at, c.place[l]] += value * w.g[j, c.active[l]]
     for k in range(m):
-        total = phi[k]
-        for j in range(size):
-            total += w.phi_z[k, j] * moved[j // 2, j % 2]
-        w.right[count + k] = total
-        for i in range(count):
-            total = 0.0
-            for j in range(size):
-                total += w.phi_z[k, j] * w.g[j, active[i]]
-            w.small[count + k, i] = total
-        for l in range(m):
-            total = 0.0
-            for j in range(size):
-                total += w.phi_z[k, j] * w.gb[j, l]
-            w.small[count + k, count + l] = total
+        w.small[at, c.place[count + k]] += value * w.gb[j, k]
 
 
 @part

@@ -90,7 +90,7 @@ def watch(job):
     if job.point is None:
         return np.array
     number = job.model.points_of(job.point)
-    rest = job.model.arrays.point_rest[number]
+    rest = job.model.arrays.links.point_rest[number]
     return lambda q: rest + job.model.dz(q)[number]
 
 

@@ -1,0 +1,255 @@
+"""The command line, and the only place that prints.
+
+Exit codes: 0 done, 1 a run failed (what it has is kept), 2 the input was wrong.
+"""
+
+import shlex
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from polyida.errors import InputError
+
+INTERRUPTED = 130  # what the shell expects after Ctrl-C
+HELP = "Flexible multibody dynamics with polygonal finite elements. Start with: polyida compare double-plate"
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
+                  help=HELP)
+
+
+def _option(kind, text, *names):
+    return Annotated[kind | None, typer.Option(*names, help=text)]
+
+
+SCENE_HELP = "A name from `polyida list`, or my_scene.py:build (the file is executed)."
+Scene = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP)]
+RunFile = Annotated[Path, typer.Argument(metavar="RUN.h5", help="A run saved by `polyida run` or `polyida compare`.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", "--force", help="Replace what is there.")]
+Cells = _option(int, "Polygons in each plate.")
+Time = _option(float, "Time to simulate, s.")
+Step = _option(float, "Step of generalized-alpha, s.")
+RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite frequency, in [0, 1).")
+Rtol = _option(float, "Relative tolerance of IDA.")
+Atol = _option(float, "Absolute tolerance of IDA for q, m.")
+Integrator = Annotated[str, typer.Option(help="alpha or ida.")]
+Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
+
+
+def main(args=None):
+    """Run the command line; returns the exit code."""
+    args = sys.argv[1:] if args is None else list(args)
+    try:
+        app(args, prog_name="polyida", obj=shlex.join(["polyida", *args]))
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:
+            _error("interrupted")
+        return stop.code or 0
+    except InputError as error:
+        _error(" ".join(str(error).split()), getattr(error, "trace", ""))
+        return 2
+    return 0
+
+
+@app.callback(invoke_without_command=True)
+def _start(version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False):
+    if version:
+        from polyida import __version__
+
+        typer.echo(f"polyida {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def compare(context: typer.Context, scene: Scene,
+            out: _option(Path, "Folder of the report; SCENE-compare by default.") = None,
+            cells: Cells = None, time: Time = None, step: Step = None, rtol: Rtol = None, overwrite: Overwrite = False):
+    """Run both integrators and a refined run on one scene: a table, and a folder with the report."""
+    from polyida.show import page, report
+    from polyida.study.compare import compare as run_all
+    from polyida.study.job import load
+
+    job = load(scene, time=time, step=step, cells=cells)
+    folder = _free(out, Path(f"{job.name}-compare"), overwrite)
+    with _made(folder), _progress() as tell:
+        found = run_all(job, rtol, tell)
+        written = report.write(found, folder, context.obj, lambda what: tell("writing the report", None, what))
+    headings, rows = page.table(found)
+    columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
+    _table(f"{job.name}: {page.system(job)}", columns[0], columns[1:])
+    _lines(*found.notes, style="red")
+    frames = folder / "frames" / "run.pvd"
+    _lines(page.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
+    if not found.success:
+        raise typer.Exit(1)
+
+
+@app.command()
+def run(scene: Scene, integrator: Integrator = "alpha", cells: Cells = None, time: Time = None, step: Step = None,
+        rho_inf: RhoInf = None, rtol: Rtol = None, atol: Atol = None,
+        out: _option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None, overwrite: Overwrite = False):
+    """Run one integrator on a scene and save the run as HDF5."""
+    from polyida.integrate.solve import solve
+    from polyida.study.compare import warm_up
+    from polyida.study.job import integrator_of, load
+
+    job = load(scene, time=time, step=step, cells=cells)
+    member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
+    path = _free(out, Path(f"{job.name}-{integrator}.h5"), overwrite)
+    _make(path.parent)
+    with _progress() as tell, job.code():
+        tell("preparing kernels", None)
+        warm_up(job, member)
+        result = solve(job.model, job.time, member, q0=job.q0, v0=job.v0,
+                       progress=lambda t: tell(integrator, t / job.time))
+    result.save(path, overwrite=overwrite)
+    _lines(result.summary(), style=None if result.success else "red")
+    _lines(f"Saved: {path}")
+    if not result.success:
+        raise typer.Exit(1)
+
+
+@app.command("list")
+def list_scenes():
+    """List the scenes and problems that have a name."""
+    from polyida import problems
+    from polyida.study.job import maker
+
+    _table(None, ["name", "what it is"], [[name, _description(maker(name))] for name in problems.names()])
+
+
+@app.command()
+def show(file: RunFile):
+    """Show what a saved run holds: how it ended, its work, and what it was made with."""
+    loaded = _load(file)
+    counts, machine = (", ".join(f"{key} {value}" for key, value in data.items())
+                       for data in (loaded.counts.as_dict(), loaded.machine))
+    kind, n, m = type(loaded.model).__name__, loaded.q.shape[1], loaded.lam.shape[1]
+    _table(str(file), ["", ""], [
+        ["run", loaded.summary()],
+        ["frames", f"{len(loaded.t)}, t = {loaded.t[0]:g} .. {loaded.t[-1]:g} s"],
+        ["model", f"{kind}, {n} coordinates, {m} constraints"],
+        ["integrator", repr(loaded.integrator)],
+        ["counts", counts],
+        ["time", f"{loaded.cpu_seconds:.2f} CPU s, {loaded.wall_seconds:.2f} s"],
+        ["made with", machine],
+    ])
+
+
+@app.command()
+def animate(file: RunFile, out: _option(Path, "GIF file; beside the run by default.") = None,
+            frames: Annotated[int, typer.Option(help="Pictures at most.")] = 80, overwrite: Overwrite = False):
+    """Draw the plates of a saved run as an animated GIF, coloured by von Mises stress."""
+    from polyida.show.animation import gif
+
+    loaded, path = _load(file), _free(out, file.with_suffix(".gif"), overwrite)
+    _make(path.parent)
+    total = min(frames, len(loaded.t))
+    with _progress() as tell:
+        gif(loaded, path, frames=frames, overwrite=overwrite, progress=lambda done: tell("drawing", done / total))
+    _lines(f"Written: {path}")
+
+
+@app.command()
+def export(file: RunFile, vtu: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the VTU frames.")],
+           frames: Frames = None, overwrite: Overwrite = False):
+    """Write the frames of a saved run as VTU files with a PVD collection, for ParaView."""
+    from polyida.show.vtu import vtu as write
+
+    loaded = _load(file)
+    _make(vtu.parent)
+    _lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
+
+
+def _load(file):
+    """A saved run; InputError where there is none."""
+    from polyida.trajectory_file import load
+
+    if not file.is_file():
+        raise InputError(f"{file}: there is no such file")
+    return load(file)
+
+
+def _free(given, default, overwrite):
+    """Where to write: a given path must be free unless `overwrite`; the default gets a number where it is taken."""
+    path, number = given or default, 2
+    if overwrite or not _taken(path):
+        return path
+    if given:
+        raise InputError(f"{given} exists: choose another name, or say --overwrite to replace it")
+    while _taken(path):
+        path = default.with_name(f"{default.stem}-{number}{default.suffix}")
+        number += 1
+    _lines(f"{default} exists and is kept; writing {path}")
+    return path
+
+
+def _taken(path):
+    return path.exists() and not (path.is_dir() and not any(path.iterdir()))
+
+
+def _make(folder):
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: the folder cannot be made ({error.strerror})") from error
+
+
+@contextmanager
+def _made(folder):
+    """A folder made before the run, so that it is known at once if it cannot be; removed if nothing came into it."""
+    _make(folder)
+    try:
+        yield
+    finally:
+        if not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def _description(function):
+    """First line of what a problem's function, or its module where that holds one problem, says of itself."""
+    described = sys.modules[function.__module__] if function.__name__ == "problem" else function
+    return (described.__doc__ or "").strip().split("\n")[0]
+
+
+@contextmanager
+def _progress():
+    """A function tell(label, fraction, detail="") behind which a progress bar a label stands, on the error stream."""
+    from polyida.show.progress import bars
+
+    with bars() as tell:
+        yield tell
+
+
+def _table(title, headings, rows):
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=title and Text(title), title_justify="left", box=box.SIMPLE_HEAD, show_header=any(headings))
+    for i, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if i == 0 or len(headings) == 2 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console().print(table)
+
+
+def _lines(*lines, style=None):
+    from rich.console import Console
+    from rich.text import Text
+
+    for line in filter(None, lines):
+        Console().print(Text(line, style=style or ""), soft_wrap=True)
+
+
+def _error(message, trace=""):
+    """One red line on the error stream; under it the user's own traceback where the fault is in their file."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    console.print(Text(message, style="red"), soft_wrap=True)
+    if trace:
+        console.print(Text(trace), soft_wrap=True)

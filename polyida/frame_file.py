@@ -1,0 +1,253 @@
+"""The HDF5 file that frames of a run are appended to, readable at every moment, also after the process was killed.
+
+Layout: `format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t` (frames,), `q`, `v`, `a`
+(frames, n), `lam` (frames, m), in HDF5's mode for one writer and many readers (SWMR); `drive i` (frames, 3) of profiles that have no
+formula; two slots each of `record` (JSON: how many frames hold, how the run stands) and `restart` (the state to go on from). A flush
+writes the frames, then the slot that is older: the other one stays whole whenever the process ends.
+"""
+
+import errno
+import json
+import os
+import struct
+import tempfile
+import zlib
+from contextlib import suppress
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.frames import FRAMES, StoredFrames, frames_at_once
+
+try:
+    import fcntl
+except ImportError:  # not on this system
+    fcntl = None
+
+FORMAT = "polyida trajectory 2"
+LOCK = "hhqqi4x"  # struct flock
+ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is written, for the ending
+FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
+
+
+class NotWritten(Exception):
+    """The disk did not take what was to be written; `status` says in two words why."""
+
+    def __init__(self, path, error):
+        number = getattr(error, "errno", None)
+        self.status = "disk full" if number in FULL else "not written"
+        super().__init__(f"{path}: {os.strerror(number) if number else error}")
+
+
+class FrameFile:
+    """A file under construction; made by `create` or `temporary`. Methods raise NotWritten."""
+
+    def __init__(self, path, n, m, about=None, arrays=None, drives=None):
+        import h5py
+
+        self.path, self.shown, self.count, self.commits, self.drives = path, path, 0, 0, drives or {}
+        self._reserved, self._reserver = 0, os.open(path, os.O_RDWR)
+        try:
+            lock(self._reserver)
+            self._file = h5py.File(path, "w", libver="v110", locking=False)
+            self._make(n, m, about, arrays or {})
+        except OSError as error:
+            raise NotWritten(path, error) from None
+
+    @classmethod
+    def create(cls, path, n, m, about, arrays, drives):
+        """A file beside `path` that comes to its place by `publish`."""
+        hidden = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            hidden.unlink(missing_ok=True)
+            hidden.touch()
+            file = cls(hidden, n, m, about, arrays, drives)
+        except (OSError, NotWritten) as error:
+            with suppress(OSError):
+                hidden.unlink(missing_ok=True)
+            raise InputError(f"{path}: no file can be written there ({getattr(error, 'strerror', None) or error})") from None
+        file.shown = path
+        return file
+
+    @classmethod
+    def temporary(cls, n, m):
+        """A file without a name in the folder for temporary files; it is gone when nobody reads it any more."""
+        handle, path = tempfile.mkstemp(prefix="polyida-", suffix=".h5")
+        os.close(handle)
+        try:
+            return cls(path, n, m)
+        finally:
+            os.unlink(path)
+
+    def _make(self, n, m, about, arrays):
+        for name, width in zip(FRAMES, (None, n, n, n, m)):
+            self._dataset(name, width)
+        for name in self.drives:
+            self._dataset(name, 3)
+        if about is None:
+            return
+        self._file.attrs["format"] = FORMAT
+        self._file["about"] = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
+        for key, values in arrays.items():
+            self._file[key] = values
+        for slot in range(2):
+            self._file.create_dataset(f"record {slot}", (0,), "u1", maxshape=(None,), chunks=(1 << 14,))
+            self._file.create_dataset(f"restart {slot}", (0,), "f8", maxshape=(None,), chunks=(1 << 12,))
+        self._file.flush()
+        self._file.swmr_mode = True
+
+    def _dataset(self, name, width):
+        if width == 0:
+            return
+        shape, rows = (() if width is None else (width,)), frames_at_once(32 * (width or 1))
+        self._file.create_dataset(name, (0, *shape), "f8", maxshape=(None, *shape), chunks=(rows, *shape), fill_time="never")
+
+    def append(self, block):
+        """Append frames, a list of arrays in the order of FRAMES."""
+        end = self.count + len(block[0])
+        values = dict(zip(FRAMES, block))
+        values |= {name: np.array([profile.at(t) for t in block[0]], float) for name, profile in self.drives.items()}
+        try:
+            datasets = {name: self._file[name] for name in values if name in self._file}
+            self._reserve(sum(_growth(dataset, self.count, end) for dataset in datasets.values()))
+            for name, dataset in datasets.items():
+                dataset.resize(end, axis=0)
+                dataset[self.count:end] = values[name]
+        except (OSError, RuntimeError) as error:
+            raise NotWritten(self.shown, error) from None
+        self.count = end
+
+    def commit(self, record, restart, memory):
+        """Make all frames so far hold: flush them, then `record` (a dictionary) with the numbers `restart` and their names `memory`."""
+        slot = self.commits % 2
+        numbers = np.concatenate([np.ravel(x) for x in restart])
+        record = record | {"commit": self.commits, "frames": self.count, "memory": memory, "numbers": len(numbers),
+                           "check": zlib.crc32(numbers.tobytes())}
+        text = json.dumps(record, default=_listed).encode()
+        try:
+            self._reserve(2 * (numbers.nbytes + len(text)))
+            self._put(f"restart {slot}", numbers)
+            self._file.flush()
+            self._put(f"record {slot}", np.frombuffer(struct.pack("<II", len(text), zlib.crc32(text)) + text, np.uint8))
+            self._file.flush()
+        except (OSError, RuntimeError) as error:
+            raise NotWritten(self.shown, error) from None
+        self.commits += 1
+
+    def _put(self, name, values):
+        dataset = self._file[name]
+        if len(dataset) < len(values):
+            dataset.resize(len(values), axis=0)
+        dataset[: len(values)] = values
+
+    def _reserve(self, size):
+        """Have the disk promise room before HDF5 writes, because HDF5 cannot close a file that it could not write."""
+        need = self._file.id.get_filesize() + size + size // 8 + ABOVE
+        if need > self._reserved and hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(self._reserver, 0, need)
+            self._reserved = need
+
+    def publish(self, overwrite):
+        """Move the file to its place. Raises InputError where something came there meanwhile and `overwrite` is False."""
+        try:
+            if overwrite:
+                os.replace(self.path, self.shown)
+            else:
+                _move_new(self.path, self.shown)
+        except OSError as error:
+            raise InputError(f"{self.shown}: the file cannot be put there ({error.strerror})") from None
+        self.path = self.shown
+
+    def frames(self, limit):
+        """{name: frames} of a temporary file, to which nothing is added any more."""
+        os.close(self._reserver)
+        return held(self._file, self.count, limit)
+
+    def close(self):
+        """Close the file; it holds what was committed."""
+        try:
+            self._file.close()
+            _trim(self.path)
+        except (OSError, RuntimeError) as error:
+            raise NotWritten(self.shown, error) from None
+        finally:
+            os.close(self._reserver)
+
+    def discard(self):
+        """Close and remove a file that was not published."""
+        with suppress(NotWritten):
+            self.close()
+        with suppress(OSError):
+            os.unlink(self.path)
+
+
+def held(file, count, limit):
+    """{name: frames} of the first `count` frames of an open file: arrays, or StoredFrames of q, v and a (and lam, where that is large)."""
+    frames = {"t": file["t"][:count]}
+    sizes = {name: file[name].shape[1] if name in file else 0 for name in FRAMES[1:]}
+    whole = 8 * count * sum(sizes.values()) <= limit
+    for name, width in sizes.items():
+        if width == 0:
+            frames[name] = np.zeros((count, 0))
+        else:
+            stored = StoredFrames(file[name], count, file)
+            frames[name] = np.asarray(stored) if whole or 32 * stored.nbytes <= limit else stored
+    return frames
+
+
+def _growth(dataset, count, end):
+    """Bytes of the chunks that a dataset gets when its rows grow from count to end."""
+    rows = dataset.chunks[0]
+    return (-(-end // rows) + (-count // rows)) * 8 * int(np.prod(dataset.chunks))
+
+
+def lock(descriptor):
+    """Mark an open file as being written, until the process ends or closes it; nothing where the system has no such locks."""
+    if hasattr(fcntl, "F_OFD_SETLK"):
+        with suppress(OSError):
+            fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, _lock(fcntl.F_WRLCK))
+
+
+def being_written(path):
+    """Whether a process that lives is writing the file."""
+    if not hasattr(fcntl, "F_OFD_GETLK"):
+        return False
+    with open(path, "rb") as file:
+        try:
+            answer = fcntl.fcntl(file, fcntl.F_OFD_GETLK, _lock(fcntl.F_RDLCK))
+        except OSError:
+            return False
+    return struct.unpack(LOCK, answer)[0] != fcntl.F_UNLCK
+
+
+def _lock(kind):
+    return struct.pack(LOCK, kind, os.SEEK_SET, 0, 0, 0)
+
+
+def _move_new(source, target):
+    """Move a file to a name that is free, or fail."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if os.path.exists(target):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+        os.rename(source, target)
+    else:
+        os.unlink(source)
+
+
+def _trim(path):
+    """Give back what was reserved beyond the end that the closed file states (superblock of version 3: bytes 28 to 35)."""
+    if not os.path.exists(path):
+        return
+    with open(path, "r+b") as file:
+        head = file.read(36)
+        end = int.from_bytes(head[28:36], "little")
+        if head[8] == 3 and 0 < end < os.path.getsize(path):
+            file.truncate(end)
+
+
+def _listed(value):
+    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -1,0 +1,90 @@
+"""Which instants of a run become frames, and where it stops: accepted steps, given times, the zero of a function."""
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.integrate.state import State
+
+
+def between(before, after, t):
+    """The State at t between two accepted ones.
+
+    q is the cubic Hermite polynomial through q and v at both ends, v its derivative, a and lam are linear in t; at an end it is the
+    accepted state itself. q is of fourth, v of third, a and lam of second order in the step.
+    """
+    if t in (before.t, after.t):
+        return before if t == before.t else after
+    h = after.t - before.t
+    s = (t - before.t) / h
+    move = after.q - before.q
+    q = before.q + s * s * (3 - 2 * s) * move + h * s * (1 - s) * ((1 - s) * before.v - s * after.v)
+    v = 6 * s * (1 - s) / h * move + (1 - s) * (1 - 3 * s) * before.v + s * (3 * s - 2) * after.v
+    return State(float(t), q, v, before.a + s * (after.a - before.a), before.lam + s * (after.lam - before.lam))
+
+
+class Sampler:
+    """Puts into a store every `every`-th accepted step with the first and the last, or, where `output` is given, just those times."""
+
+    def __init__(self, store, counts, every=1, output=None, done=0):
+        self.store, self.counts, self.every = store, counts, every
+        self.output, self.next, self.kept = output, done, None
+
+    def start(self, state):
+        """Keep the first state."""
+        if self.output is None:
+            self.keep(state)
+        elif self.next < len(self.output) and self.output[self.next] == state.t:
+            self.next += 1
+            self.keep(state)
+
+    def step(self, before, after):
+        """Keep what is wanted of the step from one accepted state to the next."""
+        if self.output is None:
+            if self.counts.steps % self.every == 0:
+                self.keep(after)
+            return
+        while self.next < len(self.output) and self.output[self.next] <= after.t:
+            self.keep(between(before, after, self.output[self.next]))
+            self.next += 1
+
+    def end(self, state):
+        """Keep the last state, where no times were given."""
+        if self.output is None and state is not None:
+            self.keep(state)
+
+    def keep(self, state):
+        """Make a state the next frame, unless it is the last one already."""
+        if state is not self.kept:
+            self.store.add(state)
+            self.kept = state
+
+
+class Until:
+    """Watches f(t, q, v) for a change of sign from step to step. Raises InputError where it gives no finite number."""
+
+    def __init__(self, function, state):
+        self.function = function
+        self.sign = np.sign(self._value(state))
+
+    def crossing(self, before, after):
+        """The state where f is zero between two accepted ones, to round-off of `between`, or None. A zero at the start does not count."""
+        value = self._value(after)
+        if self.sign == 0 or (value != 0 and np.sign(value) == self.sign):
+            self.sign = self.sign or np.sign(value)
+            return None
+        if value == 0:
+            return after
+        from scipy.optimize import brentq
+
+        at = brentq(lambda t: self._value(between(before, after, t)), before.t, after.t, xtol=1e-300, rtol=4 * np.finfo(float).eps)
+        return between(before, after, at)
+
+    def _value(self, state):
+        value = self.function(state.t, state.q, state.v)
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = np.nan
+        if not np.isfinite(number):
+            raise InputError(f"until: the function gave {value!r} at t = {state.t:.9g} s; it must give a finite number")
+        return number

@@ -1,0 +1,292 @@
+"""Nested dissection of a nodal pattern, and the fronts of its multifrontal factor.
+
+A set of nodes is halved across its longest axis; a least vertex cover of the edges that cross the cut parts the halves
+(Koenig: as many nodes as a largest matching has edges), and each half is cut in its turn (George 1973). A front is a
+separator, or a set too small to cut, with the later nodes that its elimination joins to it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.compiled import entry, part
+
+LEAF = 16  # nodes that are no longer cut: more make a fuller factor, less make short loops
+
+
+class Symbolic(NamedTuple):
+    """The fronts of a pattern, children before parents. Places are positions in the order of elimination.
+
+    order: (n,) coordinate -> place, n = 2 nodes; nodes: node at each nodal place; front f owns the nodal places
+    first[f]:first[f + 1] and reaches rows[start[f]:start[f + 1]]; children: how many fronts hand it their update;
+    panel: where its share of the factor begins; size: coordinates of the largest front; depth: most entries of updates
+    that wait at a time.
+    """
+
+    order: np.ndarray
+    nodes: np.ndarray
+    first: np.ndarray
+    start: np.ndarray
+    rows: np.ndarray
+    children: np.ndarray
+    panel: np.ndarray
+    indptr: np.ndarray
+    indices: np.ndarray
+    size: int
+    depth: int
+
+
+_none, _int, _long = np.zeros(0, np.int32), np.zeros(1, np.int32), np.zeros(1, np.int64)
+NOTHING = Symbolic(_none, _none, _int, _long, _none, _none, _long, _int, _none, 0, 0)  # where there are no fronts
+
+
+def symbolic(indptr, indices, points=None):
+    """Symbolic of a symmetric nodal pattern (CSR) with 2 x 2 blocks.
+
+    points (nodes, 2): where the nodes are. Without them hop distances stand in, and the factor gets somewhat fuller.
+    """
+    indptr, indices = (np.array(a, np.int32) for a in (indptr, indices))  # not read-only
+    count = len(indptr) - 1
+    where = np.empty((0, 2)) if points is None else np.array(points, float).reshape(-1, 2)
+    nodes, fronts = dissect(indptr, indices, where)
+    fronts = fronts[::-1]
+    place = np.empty(count, np.int32)
+    place[nodes] = np.arange(count, dtype=np.int32)
+    order = np.stack([2 * place, 2 * place + 1], axis=1).ravel()
+    first = np.append(fronts[:, 0], count).astype(np.int32)
+    children = fronts[:, 2].astype(np.int32)
+    start, rows, depth = reached(indptr, indices, nodes, place, first, children)
+    rows = np.sort(np.repeat(np.arange(len(children)), np.diff(start)) * count + rows) % max(count, 1)
+    own, reach = 2 * np.diff(first).astype(np.int64), 2 * np.diff(start)
+    panel = np.append(0, np.cumsum(panel_entries(own, own + reach)))
+    size = int(np.max(own + reach, initial=0))
+    return Symbolic(order, nodes, first, start, rows.astype(np.int32), children, panel, indptr, indices, size, depth)
+
+
+def panel_entries(own, size):
+    """Entries of the panel of a front of `size`: four of its `own` rows at a time, from their diagonal on."""
+    fours = own // 4
+    return 4 * fours * size - 8 * fours * (fours - 1) + (own % 4) * (size - 4 * fours)
+
+
+@entry
+def dissect(indptr, indices, points):
+    """(nodes in the order of elimination, fronts (:, 3) = first place, end, children; parents before children)."""
+    count = indptr.shape[0] - 1
+    nodes, side, room = np.arange(count).astype(np.int32), np.zeros(count, np.int8), np.empty(count)
+    mate, came, queue = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
+    low_of, high_of = np.empty(count + 2, np.int64), np.empty(count + 2, np.int64)
+    fronts = np.empty((2 * count + 1, 3), np.int64)
+    low_of[0], high_of[0], top, found = 0, count, min(count, 1), 0
+    while top:
+        top -= 1
+        low, high = low_of[top], high_of[top]
+        a = b = 0
+        if high - low > LEAF:
+            members = nodes[low:high]
+            halve(indptr, indices, points, members, side, mate, queue, room)
+            cover_cut(indptr, indices, members, side, mate, came, queue)
+            a, b = group(members, side, queue)
+        fronts[found, 0], fronts[found, 1], fronts[found, 2] = low + a + b, high, (a > 0) + (b > 0)
+        found += 1
+        if a:
+            low_of[top], high_of[top] = low, low + a
+            top += 1
+        if b:
+            low_of[top], high_of[top] = low + a, low + a + b
+            top += 1
+    return nodes, fronts[:found]
+
+
+@part
+def halve(indptr, indices, points, members, side, distance, queue, room):
+    """Set side to 1 and 2 on the halves of members, or on one connected component and the rest."""
+    n = members.shape[0]
+    c = room[:n]
+    for i in members:
+        side[i], distance[i] = 1, -1
+    if hops(indptr, indices, members[0], side, distance, queue) < n:
+        for k in range(n):
+            c[k] = min(distance[members[k]], 0)
+    elif points.shape[0]:
+        along_axis(points, members, c)
+    else:
+        between_ends(indptr, indices, queue[n - 1], members, side, distance, queue, c)
+    t = middle(c)
+    for k in range(n):
+        side[members[k]] = 1 if c[k] < t else 2
+
+
+@part
+def along_axis(points, members, c):
+    """c = coordinate of the nodes along the longest principal axis of members."""
+    n, o = members.shape[0], members[0]
+    x = y = xx = xy = yy = 0.0
+    for i in members:
+        p, q = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
+        x, y, xx, xy, yy = x + p, y + q, xx + p * p, xy + p * q, yy + q * q
+    angle = 0.5 * np.arctan2(2.0 * (xy - x * y / n), (xx - x * x / n) - (yy - y * y / n))
+    for k in range(n):
+        c[k] = np.cos(angle) * points[members[k], 0] + np.sin(angle) * points[members[k], 1]
+
+
+@part
+def between_ends(indptr, indices, end, members, side, distance, queue, c):
+    """c = hops from the other end of members less hops from `end`."""
+    for sweep in range(2):
+        for i in members:
+            distance[i] = -1
+        hops(indptr, indices, end, side, distance, queue)
+        end = queue[members.shape[0] - 1]
+        for k in range(members.shape[0]):
+            c[k] = distance[members[k]] - (c[k] if sweep else 0)
+
+
+@part
+def hops(indptr, indices, root, side, distance, queue):
+    """Fill distance (-1 before) with the edges from root on side 1; queue gets the nodes reached. Returns how many."""
+    distance[root], queue[0] = 0, root
+    head, tail = 0, 1
+    while head < tail:
+        i = queue[head]
+        head += 1
+        for p in range(indptr[i], indptr[i + 1]):
+            j = indices[p]
+            if distance[j] < 0 and side[j] == 1:
+                distance[j] = distance[i] + 1
+                queue[tail] = j
+                tail += 1
+    return tail
+
+
+@part
+def middle(c):
+    """A value with about half of c below it and some not below; where all are equal, c becomes 0, 1, 2 ... first."""
+    n, low, high = c.shape[0], np.inf, -np.inf
+    for value in c:
+        low, high = min(low, value), max(high, value)
+    if not low < high:
+        low, high = 0.0, n - 1.0
+        for k in range(n):
+            c[k] = k
+    for _ in range(40):
+        t, below = 0.5 * (low + high), 0
+        for value in c:
+            below += value < t
+        if abs(2 * below - n) <= 0.02 * n:
+            return t
+        low, high = (t, high) if 2 * below < n else (low, t)
+    return high
+
+
+@entry
+def cover_cut(indptr, indices, members, side, mate, came, queue):
+    """Set side to 3 on a least set of nodes that meets every edge between sides 1 and 2; mate, came, queue are scratch.
+
+    The second round finds no path any more, but marks all that alternating paths reach from unmatched nodes.
+    """
+    for i in members:
+        mate[i] = -1
+    for a in members:
+        for p in range(indptr[a], indptr[a + 1] if side[a] == 1 else indptr[a]):
+            b = indices[p]
+            if side[b] == 2 and mate[b] < 0:
+                mate[a], mate[b] = b, a
+                break
+    for _ in range(2):
+        for i in members:
+            came[i] = -1
+        for i in members:
+            if side[i] == 1 and mate[i] < 0:
+                augment(indptr, indices, i, side, mate, came, queue)
+    for i in members:
+        if side[i] == 2 and came[i] >= 0:
+            side[i] = 3
+    for i in members:
+        if side[i] == 1 and mate[i] >= 0 and side[mate[i]] != 3:
+            side[i] = 3
+
+
+@part
+def augment(indptr, indices, root, side, mate, came, queue):
+    """Match root along an alternating path; where there is none, came keeps what the search has reached."""
+    head, tail, end = 0, 1, -1
+    queue[0] = root
+    while head < tail and end < 0:
+        a = queue[head]
+        head += 1
+        for p in range(indptr[a], indptr[a + 1]):
+            b = indices[p]
+            if side[b] == 2 and came[b] < 0:
+                came[b] = a
+                if mate[b] < 0:
+                    end = b
+                    break
+                queue[tail] = mate[b]
+                tail += 1
+    if end < 0:
+        return
+    while end >= 0:
+        a = came[end]
+        before = mate[a]
+        mate[a], mate[end] = end, a
+        end = before
+    for k in range(head):
+        a = queue[k]
+        for p in range(indptr[a], indptr[a + 1]):
+            if side[indices[p]] == 2:
+                came[indices[p]] = -1
+
+
+@part
+def group(members, side, room):
+    """Bring members into the order of sides 1, 2, 3 and clear side. Returns how many are on 1 and on 2."""
+    n, at, a, ab = members.shape[0], 0, 0, 0
+    for k in range(n):
+        room[k] = members[k]
+    for wanted in range(1, 4):
+        a, ab = ab, at
+        for k in range(n):
+            if side[room[k]] == wanted:
+                members[at] = room[k]
+                at += 1
+    for i in members:
+        side[i] = 0
+    return a, ab - a
+
+
+@entry
+def reached(indptr, indices, nodes, place, first, children):
+    """(start, unsorted rows, depth) of `Symbolic`: a front reaches what its nodes and its children reach beyond it."""
+    count = children.shape[0]
+    start, rows = np.zeros(count + 1, np.int64), np.empty(8 * nodes.shape[0] + 64, np.int32)
+    mark, waiting = np.full(nodes.shape[0], -1, np.int32), np.empty(count, np.int32)
+    m = top = depth = deepest = 0
+    for f in range(count):
+        end, begin = first[f + 1], m
+        while m + nodes.shape[0] - end > rows.shape[0]:
+            rows = np.concatenate((rows, np.empty_like(rows)))
+        for k in range(top - children[f], top):
+            c = waiting[k]
+            depth -= (start[c + 1] - start[c]) * (2 * (start[c + 1] - start[c]) + 1)
+            for q in range(start[c], start[c + 1]):
+                m = add_row(rows, m, rows[q], end, mark, f)
+        for k in range(first[f], end):
+            for p in range(indptr[nodes[k]], indptr[nodes[k] + 1]):
+                m = add_row(rows, m, place[indices[p]], end, mark, f)
+        start[f + 1] = m
+        depth += (m - begin) * (2 * (m - begin) + 1)
+        deepest = max(deepest, depth)
+        top -= children[f]
+        waiting[top] = f
+        top += 1
+    return start, rows[:m], deepest
+
+
+@part
+def add_row(rows, m, row, end, mark, f):
+    """Append a row that is not below `end` and not yet in front f. Returns how many there are."""
+    if row < end or mark[row] == f:
+        return m
+    mark[row], rows[m] = f, row
+    return m + 1

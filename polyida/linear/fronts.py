@@ -1,0 +1,279 @@
+"""Multifrontal Cholesky factor of a nodal block matrix: eliminated in double precision, kept and solved with in single.
+
+Each front is a small dense matrix (Duff & Reid 1983): blocks and the children's updates go in, its own nodes are
+eliminated, rows of `U` (S = U^T U) go to the panel and the Schur complement to the parent. A panel holds four rows of U
+at a time, from their diagonal block on, with reciprocal diagonal: a solve runs through it once forward, once backward.
+"""
+
+import numba
+import numpy as np
+
+FAST = {"contract", "reassoc", "nsz"}
+entry = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+part = numba.njit(nogil=True, error_model="numpy", fastmath=FAST, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def factorize(symbolic, blocks):
+    """Panels (float32) of the factor of blocks (nnz, 2, 2) on symbolic's pattern; None where not positive definite.
+
+    Of each pair of blocks only the one in the row of the node that is eliminated first is read.
+    """
+    panels = np.empty(symbolic.panel[-1], np.float32)
+    return panels if fill_panels(symbolic, np.ascontiguousarray(blocks, float), panels) else None
+
+
+@entry
+def fill_panels(s, blocks, panels):
+    """Eliminate front after front. False where a pivot is not positive."""
+    room, updates = np.empty(s.size * s.size), np.empty(s.depth)
+    local, waiting = np.empty(s.nodes.shape[0], np.int32), np.empty(s.children.shape[0], np.int32)
+    top = behind = 0
+    for f in range(s.children.shape[0]):
+        first, last, rows = s.first[f], s.first[f + 1], s.rows[s.start[f]:s.start[f + 1]]
+        own = 2 * (last - first)
+        n = own + 2 * rows.shape[0]
+        front = room[:n * n].reshape((n, n))
+        for i in range(n):
+            for j in range(i - i % 2, n):
+                front[i, j] = 0.0
+        for k in range(first, last):
+            local[k] = 2 * (k - first)
+        for k in range(rows.shape[0]):
+            local[rows[k]] = own + 2 * k
+        add_blocks(s, blocks, first, last, local, front)
+        for _ in range(s.children[f]):
+            behind -= 1
+            c = waiting[behind]
+            reach = s.rows[s.start[c]:s.start[c + 1]]
+            top -= reach.shape[0] * (2 * reach.shape[0] + 1)
+            add_update(updates[top:], reach, local, front)
+        if not eliminate(front, own):
+            return False
+        keep_rows(front, own, panels[s.panel[f]:s.panel[f + 1]])
+        top += keep_update(front, own, updates[top:])
+        waiting[behind] = f
+        behind += 1
+    return True
+
+
+@part
+def add_blocks(s, blocks, first, last, local, front):
+    """Add the blocks of the front's own nodes with themselves and later ones."""
+    for k in range(first, last):
+        i = s.nodes[k]
+        a = local[k]
+        for p in range(s.indptr[i], s.indptr[i + 1]):
+            j = s.order[2 * s.indices[p]] // 2
+            if j >= k:
+                b = local[j]
+                front[a, b] += blocks[p, 0, 0]
+                front[a, b + 1] += blocks[p, 0, 1]
+                front[a + 1, b] += blocks[p, 1, 0]
+                front[a + 1, b + 1] += blocks[p, 1, 1]
+
+
+@part
+def add_update(update, reach, local, front):
+    """Add a child's update, packed upper triangle by rows."""
+    q = 0
+    for i in range(reach.shape[0]):
+        a = local[reach[i]]
+        row, next_row = front[a], front[a + 1]
+        for j in range(i, reach.shape[0]):
+            b = local[reach[j]]
+            row[b] += update[q]
+            row[b + 1] += update[q + 1]
+            q += 2
+        next_row[a + 1] += update[q]
+        q += 1
+        for j in range(i + 1, reach.shape[0]):
+            b = local[reach[j]]
+            next_row[b] += update[q]
+            next_row[b + 1] += update[q + 1]
+            q += 2
+
+
+@part
+def eliminate(front, own):
+    """Rows of U in place of the first `own` rows, the Schur complement in the rest of the upper triangle."""
+    for i in range(0, front.shape[0], 2):
+        top = min(i, own)
+        for k in range(0, top - 3, 4):
+            subtract_four(front, k, i)
+        if top % 4:
+            subtract_two(front, top - 2, i)
+        if i < own and not finish(front, i):
+            return False
+    return True
+
+
+@part
+def subtract_four(front, k, i):
+    """Take rows k .. k + 3 of U from the rows of node i: eight products for six loads keep the processor busy."""
+    x, y = front[i, i:], front[i + 1, i:]
+    a, b, c, d = front[k, i:], front[k + 1, i:], front[k + 2, i:], front[k + 3, i:]
+    xa, xb, xc, xd, ya, yb, yc, yd = a[0], b[0], c[0], d[0], a[1], b[1], c[1], d[1]
+    for j in range(x.shape[0]):
+        p, q, r, s = a[j], b[j], c[j], d[j]
+        x[j] -= xa * p + xb * q + xc * r + xd * s
+        y[j] -= ya * p + yb * q + yc * r + yd * s
+
+
+@part
+def subtract_two(front, k, i):
+    """Take rows k and k + 1 of U from the rows of node i."""
+    x, y, a, b = front[i, i:], front[i + 1, i:], front[k, i:], front[k + 1, i:]
+    xa, xb, ya, yb = a[0], b[0], a[1], b[1]
+    for j in range(x.shape[0]):
+        p, q = a[j], b[j]
+        x[j] -= xa * p + xb * q
+        y[j] -= ya * p + yb * q
+
+
+@part
+def finish(front, i):
+    """Turn the rows of node i, less all before, into rows of U. False where a pivot is not positive."""
+    x, y = front[i, i:], front[i + 1, i:]
+    if not x[0] > 0.0:
+        return False
+    scale = 1.0 / np.sqrt(x[0])
+    for j in range(x.shape[0]):
+        x[j] *= scale
+    scale = x[1]
+    for j in range(x.shape[0]):
+        y[j] -= scale * x[j]
+    if not y[1] > 0.0:
+        return False
+    scale = 1.0 / np.sqrt(y[1])
+    for j in range(x.shape[0]):
+        y[j] *= scale
+    return True
+
+
+@part
+def keep_rows(front, own, panel):
+    """Copy the rows of U to the panel, four (at last two) at a time, with reciprocal diagonal."""
+    n, at = front.shape[0], 0
+    for k in range(0, own, 4):
+        for i in range(k, min(k + 4, own)):
+            row, kept = front[i, i:], panel[at + i - k:at + n - k]
+            for j in range(row.shape[0]):
+                kept[j] = row[j]
+            kept[0] = 1.0 / row[0]
+            at += n - k
+
+
+@part
+def keep_update(front, own, updates):
+    """Copy the Schur complement to updates, packed upper triangle by rows. Returns its entries."""
+    at = 0
+    for i in range(own, front.shape[0]):
+        row = front[i, i:]
+        kept = updates[at:at + row.shape[0]]
+        for j in range(row.shape[0]):
+            kept[j] = row[j]
+        at += row.shape[0]
+    return at
+
+
+@entry
+def solve_fronts(s, panels, x):
+    """x <- S^-1 x in float32, x (n,) or longer in the places of s.order. Fronts on which x is zero cost nothing."""
+    work = np.empty(s.size, np.float32)
+    for f in range(s.children.shape[0]):
+        at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
+        n = own + 2 * (high - low)
+        if zero(x, at, own):
+            continue
+        for k in range(own):
+            work[k] = x[at + k]
+        for k in range(own, n):
+            work[k] = 0.0
+        forward(panels, s.panel[f], work, own, n)
+        for k in range(own):
+            x[at + k] = work[k]
+        for k in range(low, high):
+            i, q = 2 * s.rows[k], own + 2 * (k - low)
+            x[i] += work[q]
+            x[i + 1] += work[q + 1]
+    for f in range(s.children.shape[0] - 1, -1, -1):
+        at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
+        n = own + 2 * (high - low)
+        for k in range(own):
+            work[k] = x[at + k]
+        for k in range(low, high):
+            i, q = 2 * s.rows[k], own + 2 * (k - low)
+            work[q], work[q + 1] = x[i], x[i + 1]
+        if not zero(work, 0, n):
+            backward(panels, s.panel[f + 1], work, own, n)
+            for k in range(own):
+                x[at + k] = work[k]
+
+
+@part
+def zero(values, at, count):
+    """Whether `count` values from `at` on are zero; it mostly ends at the first."""
+    for k in range(at, at + count):
+        if values[k] != 0.0:
+            return False
+    return True
+
+
+@part
+def forward(panels, at, w, own, n):
+    """w <- U^-T w on the front's own places, and less their part on the others, n in all; its panel begins at `at`."""
+    for k in range(0, own - 3, 4):
+        m = n - k
+        a, b = panels[at:at + m], panels[at + m:at + 2 * m]
+        c, d = panels[at + 2 * m:at + 3 * m], panels[at + 3 * m:at + 4 * m]
+        p = w[k] * a[0]
+        q = (w[k + 1] - a[1] * p) * b[1]
+        r = (w[k + 2] - a[2] * p - b[2] * q) * c[2]
+        s = (w[k + 3] - a[3] * p - b[3] * q - c[3] * r) * d[3]
+        w[k], w[k + 1], w[k + 2], w[k + 3] = p, q, r, s
+        v, a, b, c, d = w[k + 4:], a[4:], b[4:], c[4:], d[4:]
+        for j in range(m - 4):
+            v[j] -= a[j] * p + b[j] * q + c[j] * r + d[j] * s
+        at += 4 * m
+    if own % 4:
+        m = n - own + 2
+        a, b = panels[at:at + m], panels[at + m:at + 2 * m]
+        p = w[own - 2] * a[0]
+        q = (w[own - 1] - a[1] * p) * b[1]
+        w[own - 2], w[own - 1] = p, q
+        v, a, b = w[own:], a[2:], b[2:]
+        for j in range(m - 2):
+            v[j] -= a[j] * p + b[j] * q
+
+
+@part
+def backward(panels, at, w, own, n):
+    """w <- U^-1 w on the front's own places, the others of n given; its panel ends at `at`."""
+    if own % 4:
+        m = n - own + 2
+        at -= 2 * m
+        a, b, v = panels[at + 2:at + m], panels[at + m + 2:at + 2 * m], w[own:]
+        p, q = w[own - 2], w[own - 1]
+        for j in range(m - 2):
+            p -= a[j] * v[j]
+            q -= b[j] * v[j]
+        q *= panels[at + m + 1]
+        w[own - 2], w[own - 1] = (p - panels[at + 1] * q) * panels[at], q
+    for k in range(own // 4 * 4 - 4, -1, -4):
+        m = n - k
+        at -= 4 * m
+        a, b = panels[at:at + m], panels[at + m:at + 2 * m]
+        c, d = panels[at + 2 * m:at + 3 * m], panels[at + 3 * m:at + 4 * m]
+        e, f, g, h, v = a[4:], b[4:], c[4:], d[4:], w[k + 4:]
+        p, q, r, s = w[k], w[k + 1], w[k + 2], w[k + 3]
+        for j in range(m - 4):
+            value = v[j]
+            p -= e[j] * value
+            q -= f[j] * value
+            r -= g[j] * value
+            s -= h[j] * value
+        s *= d[3]
+        r = (r - c[3] * s) * c[2]
+        q = (q - b[2] * r - b[3] * s) * b[1]
+        p = (p - a[1] * q - a[2] * r - a[3] * s) * a[0]
+        w[k], w[k + 1], w[k + 2], w[k + 3] = p, q, r, s

@@ -1,0 +1,1 @@
+"""Pictures, reports, animations and exports of a trajectory or a comparison."""

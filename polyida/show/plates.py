@@ -1,0 +1,47 @@
+"""Geometry and stress of a run's plates, frame by frame: what pictures and exports are drawn from."""
+
+import numpy as np
+
+from polyida.errors import InputError
+
+
+def bodies(model):
+    """The plates of a scene's model; raises InputError for a model that has none (one of a user's own)."""
+    plates = list(getattr(model, "bodies", ()) or ())
+    if not plates:
+        raise InputError(f"{type(model).__name__} has no plates to draw: only the model of a scene has")
+    return plates
+
+
+def connectivity(model):
+    """All cells of all plates in order: corner nodes numbered over all plates, and offsets (cells + 1,)."""
+    nodes, offsets, last = [], [np.zeros(1, int)], 0
+    for body in bodies(model):
+        nodes.append(body.mesh.nodes.astype(int) + body.nodes.start)
+        offsets.append(body.mesh.offsets[1:].astype(int) + last)
+        last += len(body.mesh.nodes)
+    return np.concatenate(nodes), np.concatenate(offsets)
+
+
+def polygons(model, positions):
+    """Corner positions of every cell, a list of (corners, 2), m, at the given node positions (nodes, 2)."""
+    nodes, offsets = connectivity(model)
+    return np.split(positions[nodes], offsets[1:-1])
+
+
+def outlines(model, positions):
+    """Boundary edges of all plates as segments (edges, 2, 2), m."""
+    edges = np.concatenate([body.mesh.boundary_edges + body.nodes.start for body in bodies(model)])
+    return positions[edges]
+
+
+def frames_at(run, times):
+    """Index of the frame nearest to each time, (times,)."""
+    return np.abs(run.t[None, :] - np.asarray(times, float)[:, None]).argmin(axis=1)
+
+
+def spread(run, count):
+    """At most `count` frames evenly spread in time, first and last included, each once."""
+    if count < 1:
+        raise InputError(f"frames = {count} must be at least 1")
+    return np.unique(frames_at(run, np.linspace(run.t[0], run.t[-1], count)))

@@ -1,0 +1,187 @@
+"""Figures of one run or of several beside each other. Each function returns a matplotlib Figure.
+
+`runs` is a dictionary {label: Trajectory}. Lengths in m, times in s, forces in N, energies in J.
+"""
+
+import numpy as np
+
+from polyida.show import plates
+from polyida.show.style import INK, PALETTE, box, colour_top, equal, figure, height_for, line, settings
+from polyida.study.energy import unbalanced
+from polyida.trajectory import von_mises
+
+
+def mesh(model):
+    """The polygon meshes of all plates in the reference configuration. Raises InputError for a model without plates."""
+    from matplotlib.collections import PolyCollection
+
+    plates.bodies(model)
+    with settings():
+        cells = plates.polygons(model, model.reference)
+        low, high = box(np.concatenate(cells))
+        made, axes = figure(6.4, height_for(low, high, 6.4, 0.75))
+        nodes, offsets = plates.connectivity(model)
+        count = np.diff(offsets)
+        shades = np.array(["#F3F7FA", "#D5E5F0", "#A9CBE2", "#7DB1D4"])[np.clip(count - 4, 0, 3)]
+        axes.add_collection(PolyCollection(cells, facecolors=shades, edgecolors=PALETTE[0], linewidths=0.4))
+        equal(axes, low, high)
+        axes.set_title(f"{len(cells)} polygons of {count.min()} to {count.max()} corners, {nodes.max() + 1} nodes")
+        return made
+
+
+def deformed(run, times=None, snapshots=6, width=6.4):
+    """The plates at several times in one picture, coloured by von Mises stress in kPa with one colorbar.
+
+    times: at which to draw, s; by default `snapshots` times evenly spread over the run.
+    """
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    with settings():
+        frames = plates.spread(run, snapshots) if times is None else plates.frames_at(run, times)
+        shapes = [plates.polygons(run.model, run.node_positions(k)) for k in frames]
+        stress = [von_mises(run.stress(k)) / 1e3 for k in frames]
+        low, high = box(np.concatenate([run.node_positions(k) for k in frames]))
+        made, axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
+        top = colour_top(stress)
+        look = {"cmap": "viridis", "clim": (0, top), "edgecolors": "face", "linewidths": 0.2}
+        for k, cells, values in zip(frames, shapes, stress):
+            drawn = PolyCollection(cells, array=values, **look)
+            edges = plates.outlines(run.model, run.node_positions(k))
+            axes.add_collection(drawn)
+            axes.add_collection(LineCollection(edges, colors=INK, linewidths=0.4))
+        _label_times(axes, run, frames)
+        equal(axes, low, high, margin=0.09)
+        bar = made.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02, extend="max")
+        bar.set_label("von Mises stress, kPa")
+        return made
+
+
+def tip(runs, point="tip", reference=None):
+    """Path of a named point and its two coordinates against time, one line a run."""
+    with settings():
+        made, axes = figure(6.4, 3.7, nrows=2, ncols=2, width_ratios=[1.15, 1])
+        path, history = _wide_left(made, axes)
+        lines = dict(runs) | ({reference[0]: reference[1]} if reference else {})
+        for i, (label, run) in enumerate(lines.items()):
+            place = run.position(point)
+            path.plot(*place.T, label=label, **line(i))
+            for axis, values in zip(history, place.T):
+                axis.plot(run.t, values, label=label, **line(i))
+        path.set(xlabel="x, m", ylabel="y, m", title=f"path of {point}")
+        path.set_aspect("equal", adjustable="box")
+        history[0].set(ylabel="x, m", title=f"{point} against time")
+        history[1].set(xlabel="t, s", ylabel="y, m")
+        _legend(made, path)
+        return made
+
+
+def reactions(runs, names, limit=8):
+    """What joints do against time: one panel a joint and component, `limit` panels at most, one line a run."""
+    with settings():
+        first = next(iter(runs.values()))
+        panels = [(name, k) for name in names for k in range(first.reaction(name).shape[1])][:limit]
+        columns = 2 if len(panels) > 1 else 1
+        rows = -(-len(panels) // columns)
+        made, axes = figure(6.4, 1.75 * rows + 0.4, nrows=rows, ncols=columns, squeeze=False, sharex=True)
+        for (name, k), axis in zip(panels, axes.ravel()):
+            for i, (label, run) in enumerate(runs.items()):
+                axis.plot(run.t, run.reaction(name)[:, k], label=label, **line(i))
+            axis.set(title=name, ylabel=_unit(first.reaction(name).shape[1], k))
+        for axis in axes.ravel()[len(panels):]:
+            axis.set_visible(False)
+        for axis in axes.ravel()[max(len(panels) - columns, 0):len(panels)]:
+            axis.set_xlabel("t, s")
+            axis.tick_params(labelbottom=True)
+        _legend(made, axes[0, 0])
+        return made
+
+
+def energy(runs):
+    """Kinetic, potential, strain and total energy, and what is gained or lost beside the work of motors."""
+    with settings():
+        made, axes = figure(6.4, 3.0, ncols=2, width_ratios=[1.25, 1])
+        first_label, first = next(iter(runs.items()))
+        for i, part in enumerate(("kinetic", "potential", "strain", "total")):
+            axes[0].plot(first.t, getattr(first.energy, part), label=part, **line(i))
+        axes[0].set(xlabel="t, s", ylabel="energy, J", title=f"energy, {first_label}")
+        axes[0].legend(loc="best")
+        for i, (label, run) in enumerate(runs.items()):
+            axes[1].plot(run.t, unbalanced(run), label=label, **line(i))
+        axes[1].set(xlabel="t, s", ylabel="change of total less motor work, J")
+        axes[1].set_title("gained or lost", loc="right")
+        _legend(made, axes[1])
+        return made
+
+
+def coordinates(runs, limit=6):
+    """The first coordinates of a model of one's own against time, one panel each, one line a run."""
+    with settings():
+        count = min(limit, next(iter(runs.values())).q.shape[1])
+        made, axes = figure(6.4, 1.6 * -(-count // 2) + 0.5, nrows=-(-count // 2), ncols=2, squeeze=False, sharex=True)
+        for k, axis in enumerate(axes.ravel()):
+            axis.set_visible(k < count)
+            for i, (label, run) in enumerate(runs.items() if k < count else ()):
+                axis.plot(run.t, run.q[:, k], label=label, **line(i))
+            axis.set(ylabel=f"q[{k}]", xlabel="t, s" if k >= count - 2 else None)
+        _legend(made, axes[0, 0])
+        return made
+
+
+def errors(series, unit="m"):
+    """Distance from the refined run against time on a logarithmic axis; series: {label: (t, distance)}."""
+    with settings():
+        made, axes = figure(6.4, 2.6)
+        largest = max([1e-14, *(np.nanmax(distance, initial=0.0) for _, distance in series.values())])
+        for i, (label, (t, distance)) in enumerate(series.items()):
+            axes.semilogy(t, np.maximum(distance, 1e-18), label=label, **line(i))
+        axes.set_ylim(1e-6 * largest, 3 * largest)
+        axes.set(xlabel="t, s", ylabel=f"distance, {unit}" if unit else "distance")
+        _legend(made, axes)
+        return made
+
+
+def drift(runs):
+    """Largest violation of the constraints and of their time derivative, on logarithmic axes."""
+    with settings():
+        made, axes = figure(6.4, 2.8, ncols=2)
+        for axis, kind, title in zip(axes, ("drift", "velocity_drift"), ("position", "velocity")):
+            for i, (label, run) in enumerate(runs.items()):
+                axis.semilogy(run.t, np.maximum(getattr(run, kind), 1e-17), label=label, linewidth=0.8, **line(i))
+            axis.set(xlabel="t, s", title=f"violation of the {title} constraints")
+        axes[0].set_ylabel(r"$\max|\phi|$")
+        axes[1].set_ylabel(r"$\max|\dot\phi|$")
+        _legend(made, axes[0])
+        return made
+
+
+def _legend(made, axes):
+    """One legend above all panels, where it hides nothing."""
+    handles, labels = axes.get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+
+
+def _label_times(axes, run, frames):
+    """Write each time beside the outermost node of the last plate, on the side that it moves along."""
+    last = plates.bodies(run.model)[-1]
+    end = last.nodes.start + int(np.argmax(last.points[:, 0]))
+    for k in frames:
+        positions = run.node_positions(k)
+        inner = positions[last.nodes].mean(axis=0)
+        along = positions[end] - inner
+        beyond = 12 * along / (np.hypot(*along) + 1e-300)
+        axes.annotate(f"{run.t[k]:.3g} s", positions[end], xytext=beyond, textcoords="offset points", fontsize=7.5,
+                      ha="center", va="center", annotation_clip=False, color=INK)
+
+
+def _wide_left(made, axes):
+    """Turn a 2 x 2 grid into one panel over both rows on the left and two on the right."""
+    grid = axes[0, 0].get_gridspec()
+    for axis in axes[:, 0]:
+        axis.remove()
+    axes[1, 1].sharex(axes[0, 1])
+    return made.add_subplot(grid[:, 0]), axes[:, 1]
+
+
+def _unit(components, k):
+    """Axis label of component k of a reaction; joints of other than one or two rows mix units."""
+    return {1: ("torque, N m",), 2: ("force x, N", "force y, N")}.get(components, [f"multiplier {k}"] * components)[k]

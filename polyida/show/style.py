@@ -1,0 +1,73 @@
+"""Look of all figures: fonts, the colour-blind-safe colours of Okabe and Ito, and how a figure is made and saved."""
+
+from pathlib import Path
+
+import numpy as np
+
+INK = "#222222"
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
+SETTINGS = {
+    "font.size": 9, "axes.titlesize": 9, "axes.labelsize": 9,
+    "legend.fontsize": 8, "xtick.labelsize": 8, "ytick.labelsize": 8,
+    "font.family": "DejaVu Sans", "mathtext.fontset": "dejavusans", "pdf.fonttype": 42, "svg.fonttype": "path",
+    "axes.linewidth": 0.6, "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK, "ytick.color": INK,
+    "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+    "grid.color": "#dddddd", "grid.linewidth": 0.5,
+    "axes.axisbelow": True, "lines.linewidth": 1.3, "legend.frameon": False, "axes.formatter.limits": (-3, 4),
+    "axes.formatter.use_mathtext": True, "savefig.dpi": 160, "figure.dpi": 100,
+}
+
+
+def settings():
+    """Context in which figures of this package are made and saved; nothing is left changed in matplotlib afterwards."""
+    from matplotlib import rc_context
+
+    return rc_context(SETTINGS)
+
+
+def figure(width=6.4, height=3.6, **layout):
+    """An empty Figure of this size in inches, belonging to no window and no global list, and its axes."""
+    from matplotlib.figure import Figure
+
+    made = Figure(figsize=(width, height), layout="constrained")
+    return made, made.subplots(**layout)
+
+
+def line(i):
+    """Colour and dash of the i-th of several lines, so that they differ in print without colour as well."""
+    return {"color": PALETTE[i % len(PALETTE)], "linestyle": DASHES[i % len(DASHES)]}
+
+
+def save(figure, path):
+    """Write a figure to a file, its format given by the suffix; returns the path. Equal figures give equal files."""
+    extra = {"metadata": {"CreationDate": None}} if Path(path).suffix == ".pdf" else {}
+    if Path(path).suffix == ".png":
+        extra["pil_kwargs"] = {"optimize": True}
+    with settings():
+        figure.draw_without_rendering()  # the layout settles only when the tick labels of a first drawing are known
+        figure.savefig(path, **extra)
+    return Path(path)
+
+
+def box(points):
+    """Lower left and upper right corner of points (n, 2)."""
+    return points.min(axis=0), points.max(axis=0)
+
+
+def height_for(low, high, width, rest):
+    """Height in inches of a figure whose axes, `width` inches wide, show a box to scale; `rest` is for labels."""
+    return float(np.clip(width * (high - low)[1] / max((high - low)[0], 1e-300) + rest, 1.4, 1.05 * width))
+
+
+def equal(axes, low, high, margin=0.04):
+    """Show a box to scale, with a margin relative to its longer side and without a grid."""
+    margin = margin * (high - low).max()
+    low, high = low - margin, high + margin
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m", aspect="equal")
+    axes.grid(False)
+
+
+def colour_top(values):
+    """Upper end of a colour scale over several arrays: one element at a corner must not darken all others."""
+    return max(float(np.quantile(np.concatenate(values), 0.995)), 1e-12)

@@ -1,0 +1,82 @@
+"""VTU frames of a run with a PVD collection, for ParaView."""
+
+from pathlib import Path
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.show import plates
+from polyida.trajectory import von_mises
+
+COLLECTION = "run.pvd"
+
+
+def vtu(run, folder, overwrite=False, frames=None):
+    """Write one VTU file a frame into `folder`, and run.pvd, which holds their times; returns the path of run.pvd.
+
+    Points are the current positions in m. Point data: displacement (m), velocity (m/s). Cell data: von Mises stress and
+    the Cauchy stress (xx, yy, xy), Pa; the number of the plate. frames: how many at most, evenly spread in time (all
+    where None), or frame indices. Raises InputError where the folder holds frames already and `overwrite` is not given,
+    and for a run that has no plates.
+    """
+    folder, blocks = Path(folder), _Blocks(run.model)
+    chosen = np.asarray(range(len(run.t)) if frames is None else frames)
+    chosen = plates.spread(run, frames) if chosen.ndim == 0 else chosen
+    _prepare(folder, overwrite)
+    names = [f"frame-{i:05d}.vtu" for i in range(len(chosen))]
+    for name, k in zip(names, chosen):
+        blocks.mesh(run, int(k)).write(folder / name, file_format="vtu")
+    _write_collection(folder / COLLECTION, run.t[chosen], names)
+    return folder / COLLECTION
+
+
+def _prepare(folder, overwrite):
+    """Make the folder; frames of an earlier export are removed only if overwrite is given."""
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"export folder {folder} is a file")
+    old = [*folder.glob("frame-*.vtu"), *folder.glob(COLLECTION)] if folder.exists() else []
+    if old and not overwrite:
+        raise InputError(f"export folder {folder} holds frames already: choose another folder or say overwrite")
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in old:
+        path.unlink()
+
+
+def _write_collection(path, times, names):
+    lines = "\n".join(f'    <DataSet timestep="{float(t)!r}" part="0" file="{name}"/>' for t, name in zip(times, names))
+    path.write_text('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+                    f"  <Collection>\n{lines}\n  </Collection>\n</VTKFile>\n", encoding="utf-8")
+
+
+class _Blocks:
+    """The cells of a model as blocks of equal corner count, the only form in which meshio writes polygons."""
+
+    def __init__(self, model):
+        nodes, offsets = plates.connectivity(model)
+        corners = np.diff(offsets)
+        self.reference = model.reference
+        self.order = [np.flatnonzero(corners == count) for count in np.unique(corners)]
+        self.cells = [(_kind(count), nodes[offsets[of][:, None] + np.arange(count)])
+                      for count, of in zip(np.unique(corners), self.order)]
+        cells = [body.mesh.n_cells for body in plates.bodies(model)]
+        self.plate = np.repeat(np.arange(len(cells)), cells)
+
+    def mesh(self, run, k):
+        """Frame k as a meshio.Mesh."""
+        import meshio
+
+        positions, stress = run.node_positions(k), run.stress(k)
+        velocity = np.asarray(run.v[k])[: positions.size].reshape(-1, 2)
+        cell_data = {"von Mises": von_mises(stress), "stress": stress, "plate": self.plate}
+        return meshio.Mesh(_flat(positions), self.cells,
+                           point_data={"displacement": _flat(positions - self.reference), "velocity": _flat(velocity)},
+                           cell_data={name: [values[of] for of in self.order] for name, values in cell_data.items()})
+
+
+def _kind(corners):
+    return {3: "triangle", 4: "quad"}.get(int(corners), "polygon")
+
+
+def _flat(vectors):
+    """Plane vectors (n, 2) with a third component of zero, which VTU asks for."""
+    return np.column_stack([vectors, np.zeros(len(vectors))])

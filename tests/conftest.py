@@ -1,0 +1,128 @@
+"""Small scenes that many tests share: one or two rubber plates on a coarse mesh, held by every kind of joint."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import polyida as pi
+
+RUBBER = dict(E=50e6, nu=0.3, rho=1100.0)
+LENGTH, HEIGHT, THICKNESS, GRAVITY = 1.0, 0.1, 0.01, (0.0, -9.81)
+PLATE_MASS = RUBBER["rho"] * LENGTH * HEIGHT * THICKNESS
+_meshes = {}
+
+
+def mesh(cells=20):
+    """One mesh per number of cells: plates on it share their operator."""
+    if cells not in _meshes:
+        _meshes[cells] = pi.mesh.rectangle(LENGTH, HEIGHT, cells=cells, seed=1)
+    return _meshes[cells]
+
+
+def plate(name, cells=20, **options):
+    """A rubber plate."""
+    material = pi.Material(**(RUBBER | options.pop("material", {})))
+    return pi.Plate(options.pop("mesh", None) or mesh(cells), material, THICKNESS, name=name, **options)
+
+
+def single(gravity=GRAVITY, cells=20, **options):
+    """(scene, plate "upper" without a joint)."""
+    scene = pi.Scene(gravity=gravity)
+    return scene, scene.add(plate("upper", cells, **options))
+
+
+def hinged(gravity=GRAVITY, cells=20, **options):
+    """(scene, plate "upper" on a revolute "shoulder" to the ground)."""
+    scene, upper = single(gravity, cells, **options)
+    scene.add(pi.Revolute(pi.ground, upper.section("left"), name="shoulder"))
+    return scene, upper
+
+
+def pair(gravity=GRAVITY, cells=20, bend=0.0, **options):
+    """(scene, upper, lower): two plates end to end, the lower one turned by `bend`; no joint."""
+    scene, upper = single(gravity, cells, **options)
+    return scene, upper, scene.add(plate("lower", cells, origin=(LENGTH, 0.0), angle=bend, **options))
+
+
+def cantilever(gravity=(0.0, 0.0), cells=20, **options):
+    """(scene, plate "upper" clamped at its left edge)."""
+    scene, upper = single(gravity, cells, **options)
+    scene.add(pi.Clamp(upper.section("left"), name="root"))
+    return scene, upper
+
+
+JOINTS = {  # kind: what holds the upper plate, what holds the lower one to it; the joint under test is called "joint"
+    "revolute": lambda a, b, angle: [pi.Revolute(pi.ground, a[0]), pi.Revolute(a[1], b, name="joint")],
+    "revolute, ground as b": lambda a, b, angle: [pi.Revolute(a[0], pi.ground, name="joint"), pi.Revolute(a[1], b)],
+    "clamp to ground": lambda a, b, angle: [pi.Clamp(a[0], name="joint"), pi.Revolute(a[1], b)],
+    "clamp, ground as a": lambda a, b, angle: [pi.Clamp(pi.ground, a[0], name="joint"), pi.Revolute(a[1], b)],
+    "clamp between": lambda a, b, angle: [pi.Revolute(pi.ground, a[0]), pi.Clamp(a[1], b, name="joint")],
+    "motor to ground": lambda a, b, angle: [
+        pi.Revolute(pi.ground, a[0]),
+        pi.AngleMotor(pi.ground, a[0], angle, name="joint"),
+        pi.Revolute(a[1], b),
+    ],
+    "motor, ground as b": lambda a, b, angle: [
+        pi.Revolute(pi.ground, a[0]),
+        pi.AngleMotor(a[0], pi.ground, angle, name="joint"),
+        pi.Revolute(a[1], b),
+    ],
+    "motor between": lambda a, b, angle: [
+        pi.Revolute(pi.ground, a[0]),
+        pi.Revolute(a[1], b),
+        pi.AngleMotor(a[1], b, angle, name="joint"),
+    ],
+}
+
+
+def jointed(kind, angle=None, bend=0.4, gravity=GRAVITY, cells=20, mass=0.5):
+    """A scene of two plates and a tip mass with the joint of a kind in it, called "joint"."""
+    angle = pi.profile.quintic(0.0, 0.6, duration=0.5) if angle is None else angle
+    scene, upper, lower = pair(gravity, cells, bend)
+    for joint in JOINTS[kind]((upper.section("left"), upper.section("right")), lower.section("left"), angle):
+        scene.add(joint)
+    scene.add(pi.PointMass(lower.section("right"), mass, name="tip"))
+    return scene
+
+
+def rotation(angle):
+    """Rotation matrix."""
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def turned(model, q, angle, shift=(0.0, 0.0)):
+    """Coordinates of the state q turned about the origin and shifted, as one rigid body."""
+    placed = model.reference + q.reshape(-1, 2)
+    return (placed @ rotation(angle).T + shift - model.reference).ravel()
+
+
+def slope(steps, errors):
+    """Fitted order: the slope of log error over log step."""
+    return np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+@pytest.fixture
+def scenes():
+    """The functions that make scenes, and their numbers."""
+    return SimpleNamespace(
+        mesh=mesh,
+        plate=plate,
+        single=single,
+        hinged=hinged,
+        pair=pair,
+        cantilever=cantilever,
+        jointed=jointed,
+        rotation=rotation,
+        turned=turned,
+        slope=slope,
+        PLATE_MASS=PLATE_MASS,
+        THICKNESS=THICKNESS,
+        RUBBER=RUBBER,
+    )
+
+
+@pytest.fixture(params=JOINTS)
+def kind(request):
+    """Every kind of joint in turn."""
+    return request.param

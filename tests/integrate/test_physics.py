@@ -1,0 +1,132 @@
+"""One physical test over all integrators and all joints, and what must hold between integrators."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.problems.plates import double_plate, double_plate_motors
+from polyida.study.energy import motor_work, unbalanced
+
+INTEGRATORS = {
+    "alpha": pi.GeneralizedAlpha(h=5e-4),
+    "alpha, whole matrix": pi.GeneralizedAlpha(h=5e-4, linear="kkt"),
+    "ida ggl2": pi.IDA(rtol=1e-6, atol=1e-8),
+    "ida ggl1": pi.IDA(rtol=1e-6, atol=1e-8, form="ggl1"),
+}
+
+
+@pytest.fixture(params=INTEGRATORS)
+def integrator(request):
+    """Every integrator in turn."""
+    return INTEGRATORS[request.param]
+
+
+def momenta(run, about=(0.0, 0.0)):
+    """(linear momentum (frames, 2), angular momentum about a point (frames,))."""
+    model = run.model
+    p = (model.mass() @ run.v.T).T.reshape(len(run), -1, 2)
+    x = model.reference + run.q.reshape(p.shape) - about
+    return p.sum(axis=1), (x[..., 0] * p[..., 1] - x[..., 1] * p[..., 0]).sum(axis=1)
+
+
+def test_joints_hold_and_energy_balances(scenes, kind, integrator):
+    model = scenes.jointed(kind).build()
+    run, other = pi.solve(model, 0.1, integrator), pi.solve(model, 0.1, INTEGRATORS["alpha"])
+    assert run.success, run.message
+    assert run.drift.max() < 1e-10 and run.velocity_drift.max() < 1e-4
+    assert np.abs(unbalanced(run)).max() < 1e-4 * np.abs(run.energy.potential).max()
+    assert np.abs(run.q[-1] - other.q[-1]).max() < 3e-5
+    assert np.abs(run.position("joint")[-1] - other.position("joint")[-1]).max() < 3e-5
+
+
+def test_free_plates_keep_their_momentum(scenes, integrator):
+    """Two plates joined in flight, without gravity: linear and angular momentum, and the energy."""
+    scene, upper, lower = scenes.pair((0.0, 0.0), bend=0.5)
+    scene.add(pi.Revolute(upper.section("right"), lower.section("left"), name="elbow"))
+    model = scene.build()
+    x, y = model.reference.T
+    v0 = np.column_stack([2.0 - 4.0 * y, -1.0 + 4.0 * x]).ravel()
+    run = pi.solve(model, 0.2, integrator, v0=v0)
+    linear, angular = momenta(run)
+    assert run.success, run.message
+    assert np.abs(linear - linear[0]).max() < 1e-6 * np.abs(linear[0]).max()
+    assert np.abs(angular - angular[0]).max() < 3e-4 * abs(angular[0])
+    assert np.abs(run.energy.total - run.energy.total[0]).max() < 3e-4 * run.energy.total[0]
+
+
+def test_reactions_change_the_momentum(scenes, integrator):
+    """Force of the hinge plus weight is the slope of the momentum; the motor's torque that of the angular momentum."""
+    scene, upper = scenes.hinged(material={"E": 1e9})
+    scene.add(
+        pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.ramp(0.0, 0.3, duration=0.2), name="drive")
+    )
+    run = pi.solve(scene.build(), 0.2, integrator)
+    linear, angular = momenta(run)
+    weight = run.model.arrays.plates.weight
+    x = run.model.reference + run.q.reshape(len(run), -1, 2)
+    impulse = lambda f: np.sum(np.diff(run.t)[:, None] * (f[1:] + f[:-1]) / 2, axis=0)  # noqa: E731
+    assert run.success, run.message
+    gained, given = linear[-1] - linear[0], impulse(run.reaction("shoulder") + weight.sum(axis=0))
+    assert np.allclose(gained, given, atol=2e-3 * np.abs(weight.sum()) * 0.2)
+    torque = run.reaction("drive")[:, 0] + (x[..., 0] @ weight[:, 1])
+    assert angular[-1] - angular[0] == pytest.approx(impulse(torque[:, None])[0], abs=2e-3)
+
+
+def test_free_double_plate_at_one_second():
+    model = double_plate(cells=40).build()
+    alpha, ida = (
+        pi.solve(model, 1.0, pi.GeneralizedAlpha(h=1.25e-4)),
+        pi.solve(model, 1.0, pi.IDA(rtol=2e-7, atol=2e-9)),
+    )
+    assert alpha.success and ida.success
+    assert np.linalg.norm(alpha.position("tip")[-1] - ida.position("tip")[-1]) < 2e-5
+
+
+@pytest.mark.parametrize("integrator", ["alpha", "ida ggl2"], indirect=True)
+def test_motors_pay_for_the_energy(integrator):
+    run = pi.solve(double_plate_motors(cells=40).build(), 1.0, integrator)
+    gained = run.energy.total[-1] - run.energy.total[0]
+    assert run.success and gained > 60.0
+    assert motor_work(run)[-1] == pytest.approx(gained, rel=1e-3)
+
+
+def test_stiff_plates_are_a_double_pendulum():
+    """Rigid limit: two bars of length 1 with a mass at the tip, by their ordinary differential equation."""
+    from scipy.integrate import solve_ivp
+
+    stiff = pi.Material(E=50e9, nu=0.3, rho=1100.0)
+    model = double_plate(cells=40, material=stiff).build()
+    run = pi.solve(model, 0.5, pi.GeneralizedAlpha(h=5e-4))
+    m, M, g, inertia = 1.1, 0.5, 9.81, 1.1 * (1.0 + 0.01) / 12
+
+    def slopes(t, y):
+        (a, b), w = y[:2], y[2:]
+        c, s = np.cos(a - b), np.sin(a - b)
+        k = m / 2 + M
+        mass = np.array([[m / 4 + m + M + inertia, k * c], [k * c, m / 4 + M + inertia]])
+        force = [-k * s * w[1] ** 2 - (1.5 * m + M) * g * np.cos(a), k * s * w[0] ** 2 - k * g * np.cos(b)]
+        return np.concatenate([w, np.linalg.solve(mass, force)])
+
+    a, b = solve_ivp(slopes, (0.0, 0.5), np.zeros(4), rtol=1e-10, atol=1e-12).y[:2, -1]
+    tip = [np.cos(a) + np.cos(b), np.sin(a) + np.sin(b)]
+    assert np.abs(run.position("tip")[-1] - tip).max() < 3e-3
+
+
+def test_bending_frequencies_of_a_cantilever(scenes):
+    """Euler-Bernoulli: w_n = (beta_n L)^2 sqrt(E I / (rho A L^4)), a slender plate with nu = 0."""
+    from scipy.sparse.linalg import eigsh
+
+    E, rho, height = 1e9, 1000.0, 0.02
+    scene = pi.Scene()
+    mesh = pi.mesh.rectangle(1.0, height, cells=600, seed=1)
+    plate = scene.add(pi.Plate(mesh, pi.Material(E, 0.0, rho), 0.01))
+    scene.add(pi.Clamp(plate.section("left")))
+    model = scene.build()
+    free = ~model.phi_q(0.0, np.zeros(model.n)).toarray().any(axis=0)
+    K, M = (
+        matrix[free][:, free].tocsc()
+        for matrix in (model.force_q(0.0, np.zeros(model.n), np.zeros(model.n)), model.mass())
+    )
+    found = np.sqrt(np.sort(eigsh(K, 3, M, sigma=0.0, return_eigenvectors=False)))
+    exact = np.array([1.87510407, 4.69409113, 7.85475744]) ** 2 * np.sqrt(E / rho) * height / np.sqrt(12)
+    assert found == pytest.approx(exact, rel=5e-3)

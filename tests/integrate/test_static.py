@@ -1,0 +1,119 @@
+"""Static equilibrium: reactions against weights, and published large deflections."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.integrate.state import StepFailure
+from polyida.trajectory import Trajectory
+
+
+def reaction(model, state, name):
+    """What a joint does to its side b at rest."""
+    frame = [np.array([x]) for x in (state.t, state.q, state.v, state.a, state.lam)]
+    return Trajectory(model, None, *frame).reaction(name)[0]
+
+
+def held(scenes, motor):
+    """A plate on a hinge, held level by a motor: (model, state, weight, its moment about the hinge as it hangs)."""
+    scene, upper = scenes.hinged(cells=40)
+    scene.add(motor(upper.section("left")))
+    model = scene.build()
+    state = pi.static(model)
+    weights = model.arrays.plates.weight[:, 1]
+    hinge = upper.section("left").weights @ (model.reference + state.q.reshape(-1, 2))[upper.section("left").nodes]
+    return model, state, weights, weights @ (model.reference + state.q.reshape(-1, 2) - hinge)[:, 0]
+
+
+def test_hinge_carries_the_weight_and_the_motor_its_moment(scenes):
+    model, state, weights, moment = held(scenes, lambda end: pi.AngleMotor(pi.ground, end, angle=0.0, name="drive"))
+    assert np.allclose(reaction(model, state, "shoulder"), [0.0, -weights.sum()], atol=1e-8)
+    assert reaction(model, state, "drive")[0] == pytest.approx(-moment, rel=1e-8)
+    assert moment == pytest.approx(-scenes.PLATE_MASS * 9.81 * 0.5, rel=0.05)
+
+
+def test_the_ground_as_side_b_feels_the_opposite(scenes):
+    model, state, _, moment = held(scenes, lambda end: pi.AngleMotor(end, pi.ground, angle=0.0, name="drive"))
+    assert reaction(model, state, "drive")[0] == pytest.approx(moment, rel=1e-8)
+
+
+@pytest.mark.parametrize("sides, sign", [(lambda end: (pi.ground, end), 1.0), (lambda end: (end, pi.ground), -1.0)])
+def test_clamp_carries_the_weight(scenes, sides, sign):
+    scene, upper = scenes.single()
+    scene.add(pi.Clamp(*sides(upper.section("left")), name="root"))
+    model = scene.build()
+    total = reaction(model, pi.static(model), "root").reshape(-1, 2).sum(axis=0)
+    assert np.allclose(total, [0.0, sign * scenes.PLATE_MASS * 9.81], atol=1e-8)
+
+
+def test_welded_plates_carry_weight_through_the_weld(scenes):
+    scene, upper, lower = scenes.pair()
+    scene.add(pi.Clamp(upper.section("left")))
+    scene.add(pi.Clamp(upper.section("right"), lower.section("left"), name="weld"))
+    model = scene.build()
+    force = reaction(model, pi.static(model, steps=2), "weld")
+    assert np.allclose(force[:2], [0.0, scenes.PLATE_MASS * 9.81], atol=1e-8)
+
+
+def cantilever_tip(mesh, material, thickness, gravity, load=(0.0, 0.0)):
+    """Displacement of the mid node of the right edge, m."""
+    scene = pi.Scene(gravity=gravity)
+    plate = scene.add(pi.Plate(mesh, material, thickness))
+    scene.add(pi.Clamp(plate.section("left")))
+    scene.add(pi.PointLoad(plate.section("right"), load))
+    length = mesh.points[:, 0].max()
+    return pi.static(scene.build(), steps=3).q.reshape(-1, 2)[plate.node((length, 0.0)).nodes[0]]
+
+
+def test_elastica():
+    """Cantilever under a dead tip load, P L^2 / (E I) = 1: Bisshopp and Drucker 1945, elliptic integrals."""
+    height, thickness, E = 0.02, 0.01, 1e9
+    load = E * thickness * height**3 / 12
+    mesh = pi.mesh.rectangle(1.0, height, cells=1000, seed=1)
+    u, w = cantilever_tip(mesh, pi.Material(E, 0.0, 1000.0), thickness, (0.0, 0.0), (0.0, -load))
+    assert -w == pytest.approx(0.3017207737998131, rel=1e-3)
+    assert -u == pytest.approx(0.05643323628337693, rel=1e-3)
+
+
+def test_csm1():
+    """Turek and Hron's CSM1 with a straight clamp at x = 0.24899: a beam under its own weight.
+
+    Reference: biquadratic elements, 280 x 16. Two meshes are extrapolated at order 2.
+    """
+    material = pi.Material(1.4e6, 0.4, 1000.0, plane="strain")
+    coarse, fine = (
+        1e3 * cantilever_tip(pi.mesh.quads(0.35101, 0.02, *cells), material, 1.0, (0.0, -2.0))
+        for cells in ((140, 8), (280, 16))
+    )
+    assert fine == pytest.approx([-7.2225, -66.280], rel=5e-3)
+    assert (4 * fine - coarse) / 3 == pytest.approx([-7.2225, -66.280], rel=1e-3)
+
+
+def test_load_steps_do_not_change_the_answer(scenes):
+    model = scenes.cantilever((0.0, -9.81))[0].build()
+    one, many = (pi.static(model, steps=steps).q for steps in (1, 5))
+    assert np.allclose(one, many, atol=1e-9)
+
+
+def test_static_is_where_motion_would_rest(scenes):
+    model = scenes.cantilever((0.0, -9.81))[0].build()
+    state = pi.static(model)
+    assert np.abs(pi.consistent_state(model, q0=state.q).a).max() < 1e-6 * 9.81
+
+
+def test_what_can_move_freely_is_said(scenes):
+    with pytest.raises(StepFailure, match="move freely"):
+        pi.static(scenes.single()[0].build())
+
+
+def test_a_mechanism_is_said_to_move_freely(scenes):
+    with pytest.raises(StepFailure, match="move freely"):
+        pi.static(scenes.hinged()[0].build())
+
+
+@pytest.mark.parametrize(
+    "setting, value", [("steps", 0), ("steps", 1.5), ("q0", [1.0, 2.0]), ("q0", "here"), ("tolerance", -1.0)]
+)
+def test_bad_settings(scenes, setting, value):
+    with pytest.raises(pi.InputError, match=setting):
+        pi.static(scenes.cantilever()[0].build(), **{setting: value})

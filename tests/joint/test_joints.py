@@ -1,0 +1,141 @@
+"""Every kind of joint: its formula, derivatives, virtual work, and how it moves with the scene."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.differences import along
+
+J = np.array([[0.0, 1.0], [-1.0, 0.0]])
+WAVE = pi.profile.sine(0.7, 0.4, 0.2)
+T = 0.3
+
+
+@pytest.fixture
+def model(scenes, kind):
+    """Two plates with the joint of a kind, driven by a profile whose derivatives are all at work."""
+    return scenes.jointed(kind, WAVE).build()
+
+
+@pytest.fixture
+def draw(model):
+    """Random vectors of the model's size."""
+    random = np.random.default_rng(3)
+    return lambda size=None: 0.3 * random.standard_normal(model.n if size is None else size)
+
+
+def side(model, attachment, q, weights):
+    """Weighted sum of an attachment's nodal positions, from its own data."""
+    start = next(body.nodes.start for body in model.bodies if body.plate is attachment.body)
+    return weights @ (model.reference + q.reshape(-1, 2))[attachment.nodes + start]
+
+
+def expected(model, name, t, q, rotation):
+    """phi of a joint by the formula of its docstring."""
+    joint = model.parts[name]
+    if isinstance(joint, pi.AngleMotor):
+        a, b = (None if s is pi.ground else side(model, s, q, s.turn_weights) for s in (joint.a, joint.b))
+        rest_a, rest_b = (
+            other.direction if s is pi.ground else s.direction for s, other in ((joint.a, joint.b), (joint.b, joint.a))
+        )
+        a, b = (rest_a if a is None else a), (rest_b if b is None else b)
+        start = np.arctan2(rest_a[0] * rest_b[1] - rest_a[1] * rest_b[0], rest_a @ rest_b)
+        return [(rotation(joint.angle(t) + start) @ a) @ J @ b]
+    if isinstance(joint, pi.Clamp) and pi.ground in (joint.a, joint.b):
+        held, sign = (joint.a, 1.0) if joint.b is pi.ground else (joint.b, -1.0)
+        start = next(body.nodes.start for body in model.bodies if body.plate is held.body)
+        return sign * q.reshape(-1, 2)[held.nodes + start].ravel()
+    points = [
+        other.point if s is pi.ground else side(model, s, q, s.weights)
+        for s, other in ((joint.a, joint.b), (joint.b, joint.a))
+    ]
+    result = points[0] - points[1]
+    if isinstance(joint, pi.Clamp):
+        a, b = (side(model, s, q, s.turn_weights) for s in (joint.a, joint.b))
+        ra, rb = joint.a.direction, joint.b.direction
+        back = rotation(np.arctan2(rb[0] * ra[1] - rb[1] * ra[0], rb @ ra))
+        result = np.concatenate([result, a - back @ b])
+    return result
+
+
+def test_formula(model, scenes, draw):
+    q = draw()
+    found = model.phi(T, q)[model.rows["joint"]]
+    assert np.allclose(found, np.ravel(expected(model, "joint", T, q, scenes.rotation)), atol=1e-13)
+
+
+def test_rest_is_on_the_constraints(scenes, kind):
+    model = scenes.jointed(kind).build()
+    assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
+
+
+def test_derivatives(model):
+    found = pi.check_derivatives(model, T)
+    assert max(found.values()) < 1e-7, found
+
+
+def test_rates_along_a_motion(model, draw):
+    q, v, a = draw(), draw(), draw()
+    place = lambda s: q + s * v + s * s / 2 * a  # noqa: E731
+    first = along(lambda s: model.phi(T + s, place(s)))
+    rate = lambda s: model.phi_q(T + s, place(s)) @ (v + s * a) + model.phi_t(T + s, place(s))  # noqa: E731
+    assert np.allclose(rate(0.0), first, atol=1e-9)
+    assert np.allclose(model.phi_q(T, q) @ a + model.phi_bias(T, q, v), along(rate), atol=1e-8)
+
+
+def test_virtual_work(model, draw):
+    q, v, lam = draw(), draw(), draw(model.m)
+    still, none = np.zeros(model.n), np.zeros(model.m)
+    force = model.residual(T, q, v, still, lam) - model.residual(T, q, v, still, none)
+    power = along(lambda s: model.phi(T, q + s * v)) @ lam
+    assert force @ v == pytest.approx(power, rel=1e-7)
+    assert np.allclose(force, model.phi_q(T, q).T @ lam, atol=1e-9 * np.abs(model.residual(T, q, v, still, lam)).max())
+
+
+@pytest.mark.parametrize("kind", ["revolute", "clamp between", "motor between"], indirect=True)
+def test_joints_between_bodies_turn_with_the_whole_scene(model, scenes, draw):
+    q = draw()
+    rows = model.rows["joint"]
+    before, after = (model.phi(T, x)[rows] for x in (q, scenes.turned(model, q, 2.1, (0.4, -3.0))))
+    if len(before) > 1:
+        before = (before.reshape(-1, 2) @ scenes.rotation(2.1).T).ravel()
+    assert np.allclose(after, before, atol=1e-13)
+
+
+@pytest.mark.parametrize("turns", [0.25, 1.5, -3.2, 100.0])
+def test_motor_holds_at_any_number_of_turns(scenes, turns):
+    scene, upper = scenes.hinged()
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=lambda t: 2 * np.pi * turns * t, name="drive"))
+    model = scene.build()
+    q = scenes.turned(model, np.zeros(model.n), 2 * np.pi * turns)
+    assert np.abs(model.phi(1.0, q)).max() < 1e-12
+    assert model.objection(1.0, q) is None
+    assert "half-turn" in model.objection(1.0, scenes.turned(model, np.zeros(model.n), 2 * np.pi * turns + np.pi))
+
+
+def test_ground_as_b_turns_the_other_way(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(pi.AngleMotor(upper.section("left"), pi.ground, angle=lambda t: 0.5 * t, name="drive"))
+    model = scene.build()
+    assert np.abs(model.phi(1.0, scenes.turned(model, np.zeros(model.n), -0.5))).max() < 1e-13
+
+
+def test_attachments(scenes):
+    upper = scenes.plate("upper", angle=0.4, origin=(2.0, 1.0))
+    end = upper.section("right")
+    assert end.weights.sum() == pytest.approx(1.0) and end.turn_weights.sum() == pytest.approx(0.0, abs=1e-12)
+    assert np.allclose(end.point, np.array([2.0, 1.0]) + scenes.rotation(0.4) @ [1.0, 0.0])
+    assert np.allclose(end.direction, scenes.rotation(0.4) @ [0.0, 1.0])
+    assert end.length == pytest.approx(0.1)
+    one = upper.node((1.0, 0.0))
+    assert np.allclose(one.point, end.point) and one.direction is None
+    assert np.allclose(upper.section(lambda points: points[:, 0] == 1.0).weights, end.weights)
+
+
+def test_hole_rims(scenes):
+    link = scenes.plate("link", mesh=pi.mesh.polygonize(pi.mesh.Link(1.0, 0.2, 0.05), cells=120, seed=2), angle=0.7)
+    for hole, place in ((0, (0.0, 0.0)), (1, (1.0, 0.0))):
+        rim = link.rim(hole)
+        assert np.allclose(rim.point, scenes.rotation(0.7) @ place, atol=2e-3)
+        assert np.linalg.norm(rim.direction) == pytest.approx(1.0)
+        assert rim.length == pytest.approx(2 * np.pi * 0.05, rel=0.05)

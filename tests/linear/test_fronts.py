@@ -1,0 +1,172 @@
+import numpy as np
+import pytest
+from numba import typeof
+from scipy.sparse import block_diag, bsr_array, coo_array, csr_array, eye_array, kron
+from scipy.sparse.csgraph import maximum_bipartite_matching
+
+from polyida.linear.dissection import LEAF, NOTHING, cover_cut, symbolic
+from polyida.linear.fronts import factorize, solve_fronts
+
+
+def grid(nx, ny):
+    """Nodes of a grid, each joined to its eight neighbours: (pattern matrix, points)."""
+    line = [csr_array(np.eye(n) + np.eye(n, k=1) + np.eye(n, k=-1)) for n in (nx, ny)]
+    x, y = np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij")
+    return csr_array(kron(*line)), np.column_stack([x.ravel(), y.ravel()]).astype(float)
+
+
+def scattered(count, edges, seed):
+    rng = np.random.default_rng(seed)
+    i, j = rng.integers(count, size=(2, edges))
+    half = coo_array((np.ones(edges), (i, j)), shape=(count, count))
+    return csr_array(half + half.T + eye_array(count)), rng.random((count, 2))
+
+
+def side_by_side(*parts):
+    return csr_array(block_diag([p[0] for p in parts])), np.vstack([p[1] for p in parts])
+
+
+def spd_blocks(pattern, seed=0):
+    """Symmetric blocks on the pattern, made positive definite by their diagonal."""
+    rng = np.random.default_rng(seed)
+    blocks = rng.standard_normal((pattern.nnz, 2, 2))
+    full = bsr_array((blocks, pattern.indices, pattern.indptr)).tocsr()
+    full = csr_array(full + full.T)
+    full = full + csr_array(np.diag(1.0 + abs(full).sum(axis=1)))
+    full = bsr_array(full, blocksize=(2, 2))
+    full.sort_indices()
+    assert np.array_equal(full.indices, pattern.indices)
+    return full.data, full.tocsr()
+
+
+def solved(s, panels, b):
+    x = np.zeros(len(b) + 5, np.float32)
+    x[s.order] = b
+    solve_fronts(s, panels, x)
+    assert not x[len(b):].any()
+    return x[s.order].astype(float)
+
+
+CASES = {
+    "one node": grid(1, 1),
+    "a leaf": grid(3, 4),
+    "a row": grid(1, 200),
+    "a plate": grid(40, 9),
+    "a square": grid(20, 20),
+    "two plates": side_by_side(grid(30, 6), grid(25, 7)),
+    "many small bodies": side_by_side(*(grid(1 + k % 4, 2) for k in range(40))),
+    "scattered": scattered(150, 200, 1),
+    "dense": (csr_array(np.ones((3 * LEAF, 3 * LEAF))), np.zeros((3 * LEAF, 2))),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("placed", [True, False], ids=["points", "pattern"])
+def test_solution_is_that_of_the_matrix(name, placed):
+    pattern, points = CASES[name]
+    pattern.sort_indices()
+    blocks, matrix = spd_blocks(pattern)
+    s = symbolic(pattern.indptr, pattern.indices, points if placed else None)
+    panels = factorize(s, blocks)
+    x = np.random.default_rng(2).standard_normal(matrix.shape[0])
+    assert np.linalg.norm(solved(s, panels, matrix @ x) - x) < 3e-6 * np.linalg.norm(x)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_fronts_are_an_elimination_tree(name):
+    pattern, points = CASES[name]
+    s = symbolic(pattern.indptr, pattern.indices, points)
+    count = pattern.shape[0]
+    assert sorted(s.order) == list(range(2 * count))
+    assert s.first[0] == 0 and s.first[-1] == count and (np.diff(s.first) >= 0).all()
+    waiting = []
+    for f, children in enumerate(s.children):
+        rows = s.rows[s.start[f]:s.start[f + 1]]
+        assert (np.diff(rows) > 0).all() and (rows >= s.first[f + 1]).all()
+        known = set(range(s.first[f], s.first[f + 1])) | set(rows)
+        for _ in range(children):
+            assert set(waiting.pop()) <= known
+        for k in range(s.first[f], s.first[f + 1]):
+            joined = s.order[2 * pattern.indices[pattern.indptr[s.nodes[k]]:pattern.indptr[s.nodes[k] + 1]]] // 2
+            assert set(joined[joined >= k]) <= known
+        waiting.append(rows)
+    assert not any(len(rows) for rows in waiting)
+
+
+def test_dissection_fills_less_than_a_band():
+    pattern, points = grid(60, 60)
+    band = 2 * 60**2 * (2 * 61 + 2)
+    for where, part in ((points, 0.55), (None, 0.75)):
+        assert symbolic(pattern.indptr, pattern.indices, where).panel[-1] < part * band
+
+
+def test_order_does_not_depend_on_the_frame():
+    pattern, points = grid(60, 12)
+    c, s = np.cos(0.7), np.sin(0.7)
+    moved = points @ [[c, s], [-s, c]] + [3.0, -2.0]
+    entries = [symbolic(pattern.indptr, pattern.indices, p).panel[-1] for p in (points, moved)]
+    assert entries[1] < 1.1 * entries[0]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_separator_is_a_least_cover_of_the_cut(seed):
+    pattern, _ = scattered(60, 90, seed)
+    side = np.array([1, 2] * 30, np.int8)
+    scratch = [np.empty(60, np.int32) for _ in range(3)]
+    cut = csr_array(pattern[::2][:, 1::2])
+    cover_cut(pattern.indptr, pattern.indices, np.arange(60, dtype=np.int32), side, *scratch)
+    i, j = cut.nonzero()
+    assert ((side[::2][i] == 3) | (side[1::2][j] == 3)).all()
+    assert np.count_nonzero(side == 3) == np.count_nonzero(maximum_bipartite_matching(cut) >= 0)
+
+
+@pytest.mark.parametrize("spoil", ["negative", "singular", "not a number"])
+def test_no_factor_where_not_positive_definite(spoil):
+    pattern, points = grid(20, 8)
+    blocks, _ = spd_blocks(pattern)
+    s = symbolic(pattern.indptr, pattern.indices, points)
+    at = pattern.indptr[77] + np.flatnonzero(pattern.indices[pattern.indptr[77]:pattern.indptr[78]] == 77)[0]
+    if spoil == "negative":
+        blocks[at] -= 2 * np.abs(blocks).max() * np.eye(2)
+    elif spoil == "singular":
+        blocks[:] = 0.0
+    else:
+        blocks[at, 0, 0] = np.nan
+    assert factorize(s, blocks) is None
+
+
+def test_symbolic_serves_any_blocks_of_its_pattern():
+    pattern, points = grid(25, 10)
+    s = symbolic(pattern.indptr, pattern.indices, points)
+    x = np.random.default_rng(3).standard_normal(2 * pattern.shape[0])
+    first = None
+    for seed in (1, 2, 1):
+        blocks, matrix = spd_blocks(pattern, seed)
+        panels = factorize(s, blocks)
+        assert np.linalg.norm(solved(s, panels, matrix @ x) - x) < 3e-6 * np.linalg.norm(x)
+        first = solved(s, panels, x) if first is None else first
+    assert np.array_equal(solved(s, panels, x), first)
+
+
+def test_a_load_on_one_body_leaves_the_others_at_rest():
+    pattern, points = side_by_side(grid(12, 5), grid(12, 5))
+    blocks, matrix = spd_blocks(pattern)
+    s = symbolic(pattern.indptr, pattern.indices, points)
+    b = np.zeros(240)
+    b[7] = 1.0
+    x = solved(s, factorize(s, blocks), b)
+    assert not x[120:].any() and x[:120].any()
+    assert np.linalg.norm(matrix @ x - b) < 1e-5
+
+
+def test_empty_pattern_is_nothing_and_has_the_types_of_a_full_one():
+    none = symbolic(np.zeros(1, np.int32), np.zeros(0, np.int32))
+    pattern, _ = grid(6, 6)
+    pattern.indptr.flags.writeable = pattern.indices.flags.writeable = False
+    full = symbolic(pattern.indptr, pattern.indices)
+    for other in (none, full):
+        assert [typeof(a) for a in NOTHING] == [typeof(a) for a in other]
+    assert all(np.array_equal(a, b) for a, b in zip(NOTHING, none))
+    x = np.zeros(3, np.float32)
+    solve_fronts(none, factorize(none, np.zeros((0, 2, 2))), x)
+    assert not x.any()

@@ -1,0 +1,86 @@
+"""The saddle-point system: scalings, condition numbers, what is singular and what is redundant."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_array
+
+import polyida as pi
+from polyida.linear.dense import solve_small
+from polyida.linear.kkt import KKT, SCALINGS, SingularSystem, assemble, require_independent, scaling_factors
+
+
+def system(h=1e-3, stiffness=1e5, n=8, m=3, seed=0):
+    """(S, B, beta h^2) of a chain of masses and springs on random constraints, rho_inf = 0.9."""
+    random = np.random.default_rng(seed)
+    c = pi.GeneralizedAlpha(h=h).coefficients
+    springs = stiffness * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    S = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)) * np.eye(n) + springs
+    return S, random.standard_normal((m, n)), c.beta * h * h
+
+
+@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("sparse", [False, True])
+def test_solves_the_system_in_every_scaling(scaling, sparse):
+    S, B, step = system()
+    r, phi = np.random.default_rng(1).standard_normal(8), np.random.default_rng(2).standard_normal(3)
+    S_given, B_given = (csc_array(S), csc_array(B)) if sparse else (S, B)
+    dq, dlam = KKT(S_given, B_given, scaling_factors(scaling, step, S_given)).solve(r, phi)
+    assert np.allclose(S @ dq + B.T @ dlam, -r, atol=1e-9) and np.allclose(B @ dq, -phi, atol=1e-9)
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_without_constraints(sparse):
+    S = system()[0]
+    border = csc_array((0, 8)) if sparse else np.zeros((0, 8))
+    dq, dlam = KKT(csc_array(S) if sparse else S, border).solve(np.ones(8), np.zeros(0))
+    assert np.allclose(S @ dq, -1.0) and dlam.shape == (0,)
+
+
+def condition(scaling, h, stiffness):
+    S, B, step = system(h, stiffness)
+    return np.linalg.cond(assemble(S, B, scaling_factors(scaling, step, S)))
+
+
+def test_condition_number_against_the_step(scenes):
+    steps = np.array([1e-1, 1e-2, 1e-3])
+    by_scaling = {scaling: [condition(scaling, h, 1e-6) for h in steps] for scaling in SCALINGS}
+    assert scenes.slope(steps, by_scaling["none"]) == pytest.approx(-4.0, abs=0.2)
+    for scaling in ("bottasso", "physical"):
+        assert scenes.slope(steps, by_scaling[scaling]) == pytest.approx(0.0, abs=0.05)
+        assert max(by_scaling[scaling]) < 1e3
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1e5, 1e10])
+def test_physical_scaling_holds_for_stiff_plates_too(stiffness):
+    assert max(condition("physical", h, stiffness) for h in (1e-1, 1e-3, 1e-6)) < 1e3
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((2, 2)), np.diag([1.0, 0.0]), np.diag([1.0, np.nan])])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore::scipy.linalg.LinAlgWarning")
+def test_singular(matrix):
+    for given in (matrix, csc_array(matrix)):
+        with pytest.raises(SingularSystem):
+            KKT(given, np.zeros((0, 2)) if given is matrix else csc_array((0, 2)))
+
+
+def test_dependent_rows_are_named():
+    names = type("Named", (), {"constraint_name": lambda self, row: "abcd"[row]})()
+    require_independent(names, np.eye(3)[:2])
+    with pytest.raises(pi.InputError, match=r"b, d are redundant"):
+        require_independent(names, np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, -2.0, 0]]))
+    with pytest.raises(pi.InputError, match=r"constraints c: .*zeros"):
+        require_independent(names, np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 0]]))
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 5, 20])
+def test_small_dense_solve(n):
+    random = np.random.default_rng(n)
+    matrix, x = random.standard_normal((n, n)) * 10.0 ** random.uniform(-8, 8, (n, 1)), random.standard_normal(n)
+    b = matrix @ x
+    assert solve_small(matrix.copy(), b)
+    assert np.allclose(b, x, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((2, 2)), np.array([[1.0, 2.0], [2.0, 4.0]]), np.full((2, 2), np.nan)])
+def test_small_dense_solve_of_a_singular_matrix(matrix):
+    assert not solve_small(matrix.copy(), np.ones(2))

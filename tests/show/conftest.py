@@ -1,0 +1,22 @@
+import pytest
+
+from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida import IDA
+from polyida.integrate.solve import solve
+from polyida.problems import plates
+
+
+@pytest.fixture(scope="session")
+def model():
+    return plates.double_plate_motors(cells=10).build()
+
+
+@pytest.fixture(scope="session")
+def runs(model):
+    members = {"generalized-alpha": GeneralizedAlpha(h=2e-3), "IDA": IDA(rtol=1e-4)}
+    return {label: solve(model, 0.04, member) for label, member in members.items()}
+
+
+@pytest.fixture(scope="session")
+def run(runs):
+    return runs["generalized-alpha"]

@@ -1,0 +1,76 @@
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+
+from polyida.errors import InputError
+from polyida.model import Model
+from polyida.show import plates, plots
+from polyida.show.style import save
+from polyida.trajectory import von_mises
+
+
+def drawn(figure, kind=PolyCollection):
+    return [item for axes in figure.axes for item in axes.collections if type(item) is kind]
+
+
+def test_mesh_draws_every_polygon(model):
+    cells, = drawn(plots.mesh(model))
+    assert len(cells.get_paths()) == sum(body.mesh.n_cells for body in model.bodies)
+
+
+def test_deformed_plates_stand_where_the_run_has_them_in_the_colour_of_their_stress(run):
+    cells = drawn(plots.deformed(run, times=[0.0, 0.021, 0.04]))
+    assert len(cells) == 3
+    assert np.asarray(cells[-1].get_array()) == pytest.approx(von_mises(run.stress(-1)) / 1e3)
+    corners = np.concatenate([path.vertices[:-1] for path in cells[-1].get_paths()])
+    nodes, _ = plates.connectivity(run.model)
+    assert corners == pytest.approx(run.node_positions(-1)[nodes])
+    assert len({cell.get_clim() for cell in cells}) == 1
+
+
+def test_tip_shows_the_path_of_every_run(runs):
+    path = plots.tip(runs).axes[-1]
+    for line, run in zip(path.lines, runs.values(), strict=True):
+        assert line.get_xydata() == pytest.approx(run.position("tip"))
+
+
+def test_reactions_have_a_panel_a_component_and_say_the_unit(runs):
+    figure = plots.reactions(runs, ["elbow", "elbow motor"])
+    labels = [axes.get_ylabel() for axes in figure.axes if axes.get_visible()]
+    assert labels == ["force x, N", "force y, N", "torque, N m"]
+
+
+def test_reactions_of_many_joints_are_cut_at_the_limit(runs):
+    assert len(plots.reactions(runs, ["shoulder", "elbow"], limit=3).axes) == 4
+
+
+def test_lines_differ_in_dash_as_well_as_in_colour(runs):
+    for figure in (plots.energy(runs), plots.drift(runs), plots.coordinates(runs)):
+        first, second = figure.axes[-1].lines[:2]
+        assert first.get_color() != second.get_color() and first.get_linestyle() != second.get_linestyle()
+
+
+def test_drawing_leaves_matplotlib_as_it_was(runs, tmp_path):
+    before = dict(matplotlib.rcParams)
+    save(plots.drift(runs), tmp_path / "drift.pdf")
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_equal_figures_give_equal_files(runs, tmp_path):
+    first, second = (save(plots.energy(runs), tmp_path / f"{name}.png").read_bytes() for name in "ab")
+    assert first == second
+
+
+def test_frames_are_spread_in_time_and_come_once(run):
+    frames = plates.spread(run, 5)
+    assert frames[0] == 0 and frames[-1] == len(run.t) - 1 and len(frames) == 5
+    assert np.diff(run.t[frames]) == pytest.approx(0.01)
+    assert len(plates.spread(run, 10_000)) == len(run.t)
+    with pytest.raises(InputError, match="frames = 0"):
+        plates.spread(run, 0)
+
+
+def test_a_model_without_plates_is_refused():
+    with pytest.raises(InputError, match="no plates"):
+        plots.mesh(Model())

@@ -1,0 +1,62 @@
+"""The comparison as data: what its errors are measured against, and that its numbers are those of the runs."""
+
+import numpy as np
+import pytest
+
+from polyida.errors import InputError
+from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.solve import solve
+from polyida.problems import plates
+from polyida.study.compare import compare, integrators, refine, watch
+from polyida.study.energy import motor_work, unbalanced
+from polyida.study.job import Job, load
+
+
+@pytest.fixture(scope="module")
+def found():
+    return compare(load("double-plate", cells=8, time=0.05))
+
+
+def test_rows_are_the_runs_and_the_refined_run(found):
+    assert [row["run"] for row in found.rows] == ["generalized-alpha", "IDA", "refined run"]
+    assert found.success and found.rows[0]["steps"] == 50 and found.rows[2]["steps"] == 400
+    assert found.figures["alpha_error_end"] == found.rows[0]["error_end"]
+
+
+def test_the_refined_run_is_nearer_to_a_finer_one_than_what_it_judges(found):
+    finer = solve(found.job.model, 0.05, GeneralizedAlpha(h=1e-3 / 24)).position("tip")[-1]
+    own = refine(found.job, integrators(found.job)["generalized-alpha"], lambda *seen: None).watched[-1]
+    assert np.linalg.norm(own - finer) < 0.2 * found.rows[0]["error_end"]
+
+
+def test_the_watched_point_is_where_the_trajectory_says(found):
+    run = found.runs["IDA"]
+    assert np.array([watch(found.job)(q) for q in run.q]) == pytest.approx(run.position("tip"), abs=1e-14)
+
+
+def test_published_digits_judge_every_run_of_a_problem_that_has_them():
+    rows = compare(load("andrews")).rows
+    assert [row["published_error"] < limit for row, limit in zip(rows, (1e-2, 5e-3, 1e-3), strict=True)] == [True] * 3
+
+
+def test_energy_gained_is_the_work_of_the_motors():
+    run = solve(plates.double_plate_motors(cells=8).build(), 1.0, GeneralizedAlpha(h=1e-3))
+    gained = run.energy.total[-1] - run.energy.total[0]
+    assert motor_work(run)[-1] == pytest.approx(gained, rel=1e-3)
+    assert abs(unbalanced(run)[-1]) < 1e-3 * gained
+
+
+def test_a_failed_run_is_a_note_and_the_others_are_kept():
+    soft = plates.Material(E=2e5, nu=0.3, rho=1100.0)
+    model = plates.double_plate_motors(cells=8, material=soft).build()
+    found = compare(Job("soft", model, time=0.5, step=5e-3, point="tip"))
+    assert not found.success and found.notes
+    assert all(len(run.t) > 1 for run in found.runs.values())
+
+
+def test_jobs_take_time_and_step_from_the_caller_first():
+    job = load("pendulum", time=0.5, step=0.01)
+    assert (job.time, job.step, job.published) == (0.5, 0.01, {})
+    assert load("pendulum").published
+    with pytest.raises(InputError, match="step 0"):
+        load("pendulum", step=0.0)

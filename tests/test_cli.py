@@ -1,0 +1,207 @@
+"""The command line from outside: exit codes, messages, files. Every run here is small."""
+
+import json
+
+import pytest
+
+from polyida.cli import main
+
+SMALL = ("--cells", "8", "--time", "0.02")
+SCENE = '''
+import numpy as np
+import polyida as pi
+
+def build(cells=6, E=5e7):
+    mesh = pi.mesh.rectangle(1.0, 0.1, cells=cells)
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    plate = scene.add(pi.Plate(mesh, pi.Material(E=E, nu=0.3, rho=1100.0), thickness=0.01))
+    scene.add(pi.Revolute(pi.ground, plate.section("left"), name="pin"))
+    scene.add(pi.PointMass(plate.section("right"), 0.1, name="bob"))
+    return scene
+
+def model():
+    return build().build()
+
+def short():
+    return build(), {"time": 0.01, "point": "pin"}
+
+def negative():
+    return build(E=-1.0)
+
+def broken():
+    return 1 / 0
+
+def nothing():
+    return None
+
+def misspelt():
+    return build(), {"tim": 1.0}
+
+class Falling(pi.Model):
+    n, m = 1, 0
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        raise RuntimeError("no force today")
+
+def failing():
+    return Falling()
+'''
+
+
+SOFT = '''
+from polyida.problems.plates import Material, double_plate_motors
+
+def build():
+    return double_plate_motors(cells=8, material=Material(E=2e5, nu=0.3, rho=1100.0))
+'''
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    (tmp_path / "scene.py").write_text(SCENE)
+    return tmp_path
+
+
+@pytest.fixture
+def saved(capsys):
+    assert main(["run", "double-plate", *SMALL, "--out", "run.h5"]) == 0
+    capsys.readouterr()
+    return "run.h5"
+
+
+def refused(capsys, *args):
+    """The one message that a wrong input gives."""
+    assert main(list(args)) == 2
+    out, err = capsys.readouterr()
+    assert "Traceback" not in err and out == ""
+    return err.strip()
+
+
+def test_compare_prints_a_table_and_writes_the_folder(folder, capsys):
+    assert main(["compare", "double-plate", *SMALL]) == 0
+    out = capsys.readouterr().out
+    for text in ("generalized-alpha", "IDA", "refined run", "tip error, largest, m", "CPU s", "apart"):
+        assert text in out
+    made = folder / "double-plate-compare"
+    files = {"report.html", "figures.json", "generalized-alpha.h5", "IDA.h5", "frames"}
+    files |= {"mesh.png", "deformed.pdf", "tip.png", "reactions.pdf", "energy.png", "drift.pdf"}
+    assert {path.name for path in made.iterdir()} >= files
+    assert (made / "frames" / "run.pvd").is_file()
+
+
+def test_report_stands_alone_and_figures_are_numbers(folder):
+    assert main(["compare", "double-plate-motors", *SMALL, "--out", "r"]) == 0
+    page = (folder / "r" / "report.html").read_text()
+    assert page.count('src="data:image/png;base64,') == 7
+    assert 'src="http' not in page and "href=" not in page and "GeneralizedAlpha(h=0.001" in page
+    data = json.loads((folder / "r" / "figures.json").read_text())
+    assert set(data) == {"figures", "rows", "machine", "command"}
+    assert all(isinstance(value, int | float) for value in data["figures"].values())
+    assert data["figures"]["alpha_error_end"] < 1e-5 and data["figures"]["alpha_steps"] == 20
+    assert data["figures"]["refined_steps"] == 160 and data["machine"]["numpy"]
+    assert data["command"] == "polyida compare double-plate-motors --cells 8 --time 0.02 --out r"
+
+
+def test_a_second_run_keeps_the_first_result(folder, capsys):
+    args = ["run", "pendulum", "--time", "0.1"]
+    assert main(args) == main(args) == 0
+    assert "pendulum-alpha.h5 exists and is kept; writing pendulum-alpha-2.h5" in capsys.readouterr().out
+    assert (folder / "pendulum-alpha-2.h5").is_file()
+
+
+def test_a_folder_that_was_asked_for_is_replaced_only_when_told(folder, capsys):
+    (folder / "out").mkdir()
+    (folder / "out" / "mine.txt").write_text("keep")
+    args = ["compare", "pendulum", "--time", "0.1", "--out", "out"]
+    assert "--overwrite" in refused(capsys, *args)
+    assert main([*args, "--overwrite"]) == 0 and (folder / "out" / "mine.txt").read_text() == "keep"
+
+
+@pytest.mark.parametrize("name", ["build", "model", "short"])
+def test_scenes_of_a_file_run(name, folder):
+    assert main(["run", f"scene.py:{name}", "--time", "0.01", "--out", "run.h5"]) == 0
+    assert (folder / "run.h5").is_file()
+
+
+def test_a_failed_run_gives_one_and_keeps_what_it_has(folder, capsys):
+    (folder / "soft.py").write_text(SOFT)
+    assert main(["run", "soft.py:build", "--step", "5e-3", "--out", "soft.h5"]) == 1
+    capsys.readouterr()
+    assert main(["show", "soft.h5"]) == 0
+    assert "GeneralizedAlpha" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("args", "said"), [
+    (["compare", "nonsense"], "double-plate"),
+    (["compare", "nowhere.py:build"], "no such file"),
+    (["compare", "scene.py"], "my_scene.py:build"),
+    (["run", "scene.py:absent"], "functions there: build, model"),
+    (["run", "scene.py:negative"], ": Material: E = -1.0"),
+    (["run", "scene.py:nothing"], "returned NoneType"),
+    (["run", "scene.py:misspelt"], "'tim'"),
+    (["run", "scene.py:model", "--cells", "4"], "--cells"),
+    (["run", "pendulum", "--cells", "4"], "--cells"),
+    (["run", "pendulum", "--time", "-1"], "time -1"),
+    (["run", "pendulum", "--step", "nan"], "step nan"),
+    (["run", "pendulum", "--integrator", "euler"], "alpha, ida"),
+    (["run", "pendulum", "--integrator", "ida", "--step", "1e-3"], "--step is a setting of alpha"),
+    (["run", "pendulum", "--rtol", "1e-3"], "--rtol is a setting of ida"),
+    (["run", "pendulum", "--rho-inf", "1.5"], "rho_inf"),
+    (["run", "pendulum", "--out", "scene.py/run.h5"], "cannot be made"),
+    (["run", "pendulum", "--out", "scene.py"], "--overwrite"),
+    (["show", "absent.h5"], "no such file"),
+    (["show", "scene.py"], "scene.py"),
+])
+def test_wrong_input_gives_one_line_and_two(args, said, capsys):
+    err = refused(capsys, *args)
+    assert said in err and len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("name", "said"), [("broken", "ZeroDivisionError"), ("failing", "no force today")])
+def test_an_exception_of_the_users_code_is_shown_as_theirs(name, said, capsys):
+    assert main(["run", f"scene.py:{name}"]) == 2
+    err = capsys.readouterr().err
+    assert said in err.splitlines()[0] and "scene.py" in err and "site-packages" not in err and "solve.py" not in err
+
+
+def test_a_syntax_error_names_file_and_line(folder, capsys):
+    (folder / "bad.py").write_text("def build(:\n")
+    assert main(["run", "bad.py:build"]) == 2
+    assert "bad.py, line 1: SyntaxError" in capsys.readouterr().err
+
+
+def test_nothing_is_left_behind_when_the_users_code_fails(folder):
+    assert main(["compare", "scene.py:failing"]) == 2
+    assert not list(folder.glob("*-compare"))
+
+
+def test_list_names_every_scene(capsys):
+    from polyida import problems
+
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in problems.names())
+
+
+def test_show_animate_and_export_read_a_saved_run(saved, folder, capsys):
+    assert main(["show", saved]) == 0
+    assert "20 steps" in capsys.readouterr().out
+    assert main(["animate", saved, "--frames", "2"]) == 0 and (folder / "run.gif").is_file()
+    assert main(["export", saved, "--vtu", "frames", "--frames", "3"]) == 0
+    assert len(list((folder / "frames").glob("*.vtu"))) == 3
+
+
+def test_no_arguments_show_the_commands(capsys):
+    main([])
+    out, err = capsys.readouterr()
+    assert "compare" in out + err
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("polyida 0.")

@@ -1,0 +1,73 @@
+"""Time profiles: derivatives, ends, smoothness, plain data."""
+
+import numpy as np
+import pytest
+
+from polyida import InputError, profile
+from polyida.differences import along
+
+MOVES = {"quintic": profile.quintic, "ramp": profile.ramp, "linear": profile.linear}
+PROFILES = {
+    "constant": profile.constant(2.5),
+    "polynomial": profile.polynomial([1.0, -2.0, 0.5, 3.0]),
+    "sine": profile.sine(0.4, 2.0, 0.3),
+    **{name: make(0.3, 1.7, duration=0.8, begin=0.1) for name, make in MOVES.items()},
+    "function": profile.from_function(lambda t: np.exp(-t) * np.cos(3 * t)),
+}
+
+
+@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("t", [0.0, 0.2345, 0.5, 0.81, 1.3])
+def test_derivatives(name, t):
+    given = PROFILES[name]
+    scale = 0.02
+    assert given.d1(t) == pytest.approx(along(lambda s: given(t + s), scale), rel=1e-6, abs=1e-6)
+    assert given.d2(t) == pytest.approx(along(lambda s: given.d1(t + s), scale), rel=1e-5, abs=1e-5)
+    assert given.at(t) == (given(t), given.d1(t), given.d2(t))
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_a_move_holds_its_ends(name):
+    given = PROFILES[name]
+    assert [given(t) for t in (-5.0, 0.1, 0.9, 7.0)] == pytest.approx([0.3, 0.3, 1.7, 1.7], abs=1e-14)
+    assert given(0.5) == pytest.approx(1.0)
+    assert all(given.d1(t) == given.d2(t) == 0.0 for t in (-5.0, 7.0))
+    assert given.kinks == pytest.approx((0.1, 0.9))
+
+
+@pytest.mark.parametrize("name, order", [("quintic", 3), ("ramp", 5)])
+def test_smoothness_at_the_start(name, order):
+    given = MOVES[name](0.0, 1.0, duration=1.0)
+    assert given(1e-2) / given(1e-3) == pytest.approx(10.0**order, rel=0.1)
+
+
+@pytest.mark.parametrize("name", [name for name in PROFILES if name != "function"])
+def test_plain_data_and_back(name):
+    given = PROFILES[name]
+    again = profile.from_formula(given.formula)
+    assert again.formula == given.formula and again.kinks == given.kinks
+    assert all(again.at(t) == given.at(t) for t in np.linspace(-0.5, 1.5, 9))
+
+
+def test_a_function_has_no_formula():
+    assert profile.from_formula(PROFILES["function"].formula) is None
+
+
+@pytest.mark.parametrize("given", [3, 3.0, np.float64(3.0), np.int64(3), lambda t: 3.0, profile.constant(3.0)])
+def test_what_becomes_a_profile(given):
+    assert profile.as_profile(given, "part").at(0.5) == pytest.approx((3.0, 0.0, 0.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("given", ["fast", None, float("nan"), float("inf"), [1.0, 2.0]])
+def test_what_does_not(given):
+    with pytest.raises(InputError, match="the drive"):
+        profile.as_profile(given, "the drive")
+
+
+@pytest.mark.parametrize("name", MOVES)
+@pytest.mark.parametrize(
+    "values", [(0.0, 1.0, 0.0), (0.0, 1.0, -2.0), (0.0, 1.0, float("nan")), (0.0, float("nan"), 1.0)]
+)
+def test_bad_moves(name, values):
+    with pytest.raises(InputError, match=name):
+        MOVES[name](*values)

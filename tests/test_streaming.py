@@ -1,0 +1,325 @@
+"""Frames on the disk: the same as in memory, whole up to the last flush whatever ends the run, and never more than a bounded part held."""
+
+import os
+import pickle
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.frames import StoredFrames
+from polyida.integrate.sampling import between
+from polyida.integrate.state import State
+from polyida.problems import plates
+
+FRAMES = ("t", "q", "v", "a", "lam")
+ALPHA = pi.GeneralizedAlpha(h=1e-3)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return plates.double_plate_motors(cells=10).build()
+
+
+@pytest.fixture(scope="module")
+def whole(model):
+    return pi.solve(model, 0.4, ALPHA)
+
+
+@pytest.fixture
+def pendulum():
+    return pi.problems.get("pendulum").model
+
+
+def equal(one, other, count=None):
+    return all(np.array_equal(getattr(one, name)[:count], getattr(other, name)[:count]) for name in FRAMES)
+
+
+def raising(error, after):
+    def progress(t):
+        if t > after:
+            raise error
+
+    return progress
+
+
+def test_a_streamed_run_is_the_run_in_memory(model, whole, tmp_path):
+    run = pi.solve(model, 0.4, ALPHA, out=tmp_path / "run.h5")
+    again = pi.load(tmp_path / "run.h5")
+    assert equal(run, whole) and equal(again, whole) and again.status == "done" and again.counts == run.counts
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+def test_the_file_holds_no_room_that_is_not_used(model, whole, tmp_path):
+    pi.solve(model, 0.4, ALPHA, out=tmp_path / "run.h5")
+    assert (tmp_path / "run.h5").stat().st_size < sum(getattr(whole, name).nbytes for name in FRAMES) + 2_500_000
+
+
+@pytest.fixture(scope="module")
+def stored(model, tmp_path_factory):
+    """A run beyond its memory limit, and the folder where its file would be seen."""
+    folder = tmp_path_factory.mktemp("temporary")
+    import tempfile
+
+    before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    yield pi.solve(model, 0.4, ALPHA, memory_limit=100_000), folder
+    tempfile.tempdir = before
+
+
+def test_beyond_the_limit_frames_go_to_a_file_without_a_name(stored, whole):
+    run, folder = stored
+    assert isinstance(run.q, StoredFrames) and isinstance(run.t, np.ndarray)
+    assert equal(run, whole) and os.listdir(folder) == []
+
+
+KEYS = (0, -1, slice(None), slice(3, 9), slice(None, None, -50), slice(5, 300, 7), [1, 5, 3], np.array([2, 2]), (slice(None), 3), (5, 7),
+        (slice(2, 300), slice(3, 5)), (slice(None, None, 2), [1, 4]), np.arange(401) % 3 == 0, slice(4, 4), (slice(4, 4), 3), (Ellipsis, 2),
+        ([1, 5], 2), ([1, 5], [2, 3]), (slice(4, 9), [1, 2]), np.array([], int))
+
+
+@pytest.mark.parametrize("key", KEYS, ids=str)
+def test_stored_frames_index_like_arrays(stored, whole, key):
+    assert np.array_equal(stored[0].q[key], whole.q[key])
+
+
+def test_stored_frames_iterate_and_calculate_like_arrays(stored, whole):
+    q = stored[0].q
+    assert len(q) == len(whole.q) and q.shape == whole.q.shape and q.ndim == 2
+    assert np.array_equal(q + 1, whole.q + 1) and np.abs(q).max() == np.abs(whole.q).max()
+    assert all(np.array_equal(a, b) for a, b in zip(q, whole.q, strict=True))
+    assert np.array_equal(pickle.loads(pickle.dumps(q)), whole.q)
+    with pytest.raises(IndexError):
+        q[401]
+
+
+def test_what_is_derived_is_the_same_frame_by_frame(stored, whole):
+    run = stored[0]
+    assert np.array_equal(run.drift, whole.drift) and np.array_equal(run.velocity_drift, whole.velocity_drift)
+    assert np.array_equal(run.energy.total, whole.energy.total) and np.array_equal(run.stress(77), whole.stress(77))
+    assert np.array_equal(run.position("tip"), whole.position("tip"))
+    assert np.array_equal(run.reaction("elbow motor"), whole.reaction("elbow motor"))
+
+
+def test_a_large_file_is_loaded_piece_by_piece_and_saved_again(stored, whole, tmp_path):
+    stored[0].save(tmp_path / "run.h5")
+    again = pi.load(tmp_path / "run.h5", memory_limit=0)
+    assert isinstance(again.q, StoredFrames) and equal(again, whole)
+    again.save(tmp_path / "run.h5", overwrite=True)
+    assert equal(pi.load(tmp_path / "run.h5"), whole) and equal(again, whole)
+
+
+class Wide(pi.Model):
+    n, m, needs = 20_000, 0, pi.Needs(False, False, False, False)
+
+    def mass(self, q):
+        from scipy.sparse import eye_array
+
+        return eye_array(self.n, format="csc")
+
+    def force(self, t, q, v):
+        return q
+
+
+class Free:
+    """States that cost nothing, to look at what keeping them costs."""
+
+    def steps(self, model, state, t_end, counts):
+        for k in range(1, 301):
+            counts.steps += 1
+            q = np.full(model.n, float(k))
+            yield State(k * t_end / 300, q, q + 1, q + 2, state.lam)
+
+
+@pytest.mark.parametrize("out", [None, "run.h5"])
+def test_no_more_than_the_limit_is_held(tmp_path, monkeypatch, out):
+    import tracemalloc
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    tracemalloc.start()
+    run = pi.solve(Wide(), 1.0, Free(), memory_limit=20_000_000, out=out and tmp_path / out)
+    assert 24 * run.q.size > 140_000_000 and run.q[150, 3] == 150 and run.a[-1, 0] == 302
+    assert run.q[:, 7][-1] == 300 and len(run.energy.kinetic) == 301
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 45_000_000
+
+
+def test_output_at_accepted_steps_is_exact(model, whole):
+    times = whole.t[[0, 7, 200, 400]]
+    run = pi.solve(model, 0.4, ALPHA, output=times)
+    assert all(np.array_equal(getattr(run, name), getattr(whole, name)[[0, 7, 200, 400]]) for name in FRAMES)
+
+
+def test_output_between_steps_is_of_fourth_order():
+    """On q = sin t the cubic polynomial between two exact states errs by h^4/384 |q''''|."""
+    def state(t):
+        return State(t, np.array([np.sin(t)]), np.array([np.cos(t)]), np.array([-np.sin(t)]), np.zeros(0))
+
+    errors = [abs(between(state(1.0), state(1.0 + h), 1 + h / 2).q[0] - np.sin(1 + h / 2)) for h in (0.2, 0.1)]
+    assert errors[0] < 0.2**4 / 384 and 14 < errors[0] / errors[1] < 18
+    s = 1e-6
+    near = [between(state(1.0), state(1.2), 1.07 + d).q[0] for d in (-s, s)]
+    assert abs((near[1] - near[0]) / (2 * s) - between(state(1.0), state(1.2), 1.07).v[0]) < 1e-9
+
+
+@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA(rtol=1e-6)])
+def test_output_gives_just_the_times_wanted(pendulum, integrator, tmp_path):
+    times = np.linspace(0.05, 0.95, 37)
+    run = pi.solve(pendulum, 1.0, integrator, q0=[-1.0, 0.0], output=times, out=tmp_path / "run.h5")
+    fine = pi.solve(pendulum, 1.0, pi.IDA(rtol=1e-9, atol=1e-10), q0=[-1.0, 0.0], output=times)
+    assert np.array_equal(run.t, times) and run.success and np.abs(run.q - fine.q).max() < 1e-4
+
+
+QUARTER = 1.8540746773013719 / np.sqrt(9.81)  # K(1/2) / sqrt(g / L): a pendulum's fall from the horizontal
+
+
+@pytest.mark.parametrize("integrator, tolerance", [(pi.GeneralizedAlpha(h=2e-4), 1e-6), (pi.IDA(rtol=1e-9, atol=1e-10), 1e-6)])
+def test_until_stops_where_the_function_changes_its_sign(pendulum, integrator, tolerance):
+    run = pi.solve(pendulum, 5.0, integrator, q0=[-1.0, 0.0], until=lambda t, q, v: q[0])
+    assert run.status == "stopped" and run.success and "until" in run.message
+    assert abs(run.t[-1] - QUARTER) < tolerance and abs(run.q[-1, 0]) < 4e-15 and (run.q[:-1, 0] < 0).all()
+
+
+def test_until_with_output_ends_at_the_stop(pendulum):
+    run = pi.solve(pendulum, 5.0, ALPHA, q0=[-1.0, 0.0], until=lambda t, q, v: q[0], output=[0.1, 0.2, 3.0])
+    assert len(run) == 3 and list(run.t[:2]) == [0.1, 0.2] and abs(run.t[-1] - QUARTER) < 1e-5
+
+
+def test_until_does_not_stop_at_a_zero_at_the_start(pendulum):
+    run = pi.solve(pendulum, 3.0, ALPHA, q0=[-1.0, 0.0], until=lambda t, q, v: v[1])
+    assert abs(run.t[-1] - QUARTER) < 1e-5  # y' is zero at the start and at the bottom
+
+
+def test_until_that_gives_no_number(pendulum):
+    with pytest.raises(pi.InputError, match="until: the function gave nan at t = 0 s"):
+        pi.solve(pendulum, 1.0, ALPHA, q0=[-1.0, 0.0], until=lambda t, q, v: np.nan)
+
+
+@pytest.mark.parametrize("out", [None, "run.h5"])
+def test_ctrl_c_returns_the_run_so_far(model, whole, tmp_path, out):
+    path = out and tmp_path / out
+    run = pi.solve(model, 0.4, ALPHA, progress=raising(KeyboardInterrupt, 0.3), out=path)
+    assert run.status == "interrupted" and not run.success and "0.301 s" in run.message
+    assert len(run) == 302 and equal(run, whole, 302)
+    assert not out or (pi.load(path).status == "interrupted" and equal(pi.load(path), run))
+
+
+@pytest.mark.parametrize("out", [None, "run.h5"])
+def test_an_exception_of_the_users_own_goes_on_with_the_run_so_far(model, whole, tmp_path, out):
+    path = out and tmp_path / out
+    with pytest.raises(ZeroDivisionError, match="of mine") as caught:
+        pi.solve(model, 0.4, ALPHA, progress=raising(ZeroDivisionError("of mine"), 0.2), out=path)
+    run = caught.value.trajectory
+    assert run.status == "error" and "of mine" in run.message and equal(run, whole, len(run)) and len(run) == 202
+    assert "202 frames" in caught.value.__notes__[0]
+    assert not out or (pi.load(path).status == "error" and equal(pi.load(path), run))
+
+
+class Falling(pi.Model):
+    n, m = 1, 0
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        if t > 0.05:
+            raise RuntimeError("no force today")
+        return np.array([9.81])
+
+
+@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA()])
+def test_an_exception_in_a_force(tmp_path, integrator):
+    with pytest.raises(RuntimeError, match="no force today") as caught:
+        pi.solve(Falling(), 1.0, integrator, out=tmp_path / "run.h5")
+    again = pi.load(tmp_path / "run.h5")
+    assert again.status == "error" and len(again) == len(caught.value.trajectory) > 2 and "no force" in again.summary()
+
+
+def test_a_failed_run_keeps_its_frames(tmp_path):
+    def steps(model, state, t_end, counts):
+        from polyida.integrate.state import StepFailure
+
+        yield State(0.1, state.q, state.v, state.a, state.lam)
+        raise StepFailure("newton", "it does not converge", 0.2)
+
+    run = pi.solve(Wide(), 1.0, type("Failing", (), {"steps": staticmethod(steps)})(), out=tmp_path / "run.h5")
+    assert run.status == pi.load(tmp_path / "run.h5").status == "newton" and len(run) == 2
+
+
+def test_an_existing_file_is_kept_unless_told(model, tmp_path):
+    path = tmp_path / "run.h5"
+    path.write_text("mine")
+    with pytest.raises(pi.InputError, match="run.h5 exists"):
+        pi.solve(model, 0.01, ALPHA, out=path)
+    assert path.read_text() == "mine"
+    assert pi.solve(model, 0.01, ALPHA, out=path, overwrite=True).success and len(pi.load(path)) == 11
+
+
+def test_a_file_that_came_during_the_start_is_kept(model, tmp_path, monkeypatch):
+    path = tmp_path / "run.h5"
+    monkeypatch.setattr("polyida.trajectory_file.require_free", lambda path, overwrite: path.write_text("theirs"))
+    with pytest.raises(pi.InputError, match="run.h5"):
+        pi.solve(model, 0.01, ALPHA, out=path)
+    assert path.read_text() == "theirs" and os.listdir(tmp_path) == ["run.h5"]
+
+
+@pytest.mark.parametrize("settings, message", [
+    ({"out": "nowhere/run.h5"}, "folder"), ({"out": "."}, "is a folder"), ({"flush_every": 0}, "flush_every = 0"),
+    ({"output": [0.2, 0.1]}, "increasing"), ({"output": []}, "at least one"), ({"output": [0.0, 0.5]}, "within"), ({"until": 3}, "until = 3"),
+    ({"memory_limit": -1}, "memory_limit"), ({"every": True}, "every"), ({"output": "soon"}, "output"),
+])
+def test_wrong_input_is_told_before_the_run(model, tmp_path, monkeypatch, settings, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(pi.InputError, match=message):
+        pi.solve(model, 0.1, ALPHA, **settings)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_run_is_read_while_it_is_written(model, whole, tmp_path):
+    seen = []
+
+    def progress(t):
+        if len(seen) < 3 and t > 0.1 * (len(seen) + 1):
+            child = "import polyida as pi, sys; run = pi.load(sys.argv[1]); print(run.status, len(run), run.q[-1].sum().hex())"
+            done = subprocess.run([sys.executable, "-c", child, tmp_path / "run.h5"], capture_output=True, text=True, check=True)
+            seen.append(done.stdout.split())
+
+    pi.solve(model, 0.4, pi.GeneralizedAlpha(h=1e-3, linear="kkt"), out=tmp_path / "run.h5", flush_every=10, progress=progress)
+    lengths = [int(count) for _, count, _ in seen]
+    final = pi.load(tmp_path / "run.h5")
+    assert [status for status, *_ in seen] == ["running"] * 3 and 85 < lengths[0] < lengths[1] < lengths[2] < 401
+    assert all(float.fromhex(total) == final.q[count - 1].sum() for count, (*_, total) in zip(lengths, seen))
+
+
+LIMITED = """
+    import resource, sys
+    import polyida as pi
+    from polyida.problems import plates
+    resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
+    model = plates.double_plate_motors(cells=10).build()
+    run = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=1e-3), **eval(sys.argv[3]))
+    print(run.status, len(run), run.message)
+    again = pi.load(sys.argv[1]) if sys.argv[1] else run
+    print(again.status, len(again), again.message)
+"""
+
+
+def test_a_full_disk_ends_the_run_and_keeps_the_frames(model, whole, tmp_path):
+    path = tmp_path / "run.h5"
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(LIMITED), path, "3000000", f"{{'out': {str(path)!r}}}"],
+                          capture_output=True, text=True, check=True)
+    first, second = done.stdout.strip().split("\n")
+    assert first == second and first.startswith("disk full") and "run.h5: File too large" in first and done.stderr == ""
+    again = pi.load(path)
+    assert len(again) > 300 and equal(again, pi.solve(model, 2.0, ALPHA), len(again))
+    longer = pi.resume(path)  # there is room now
+    assert longer.success and len(longer) == 2001
+
+
+def test_a_full_disk_behind_the_memory_limit(tmp_path):
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(LIMITED), "", "3000000", "{'memory_limit': 1000000}"],
+                          capture_output=True, text=True, check=True, env=os.environ | {"TMPDIR": str(tmp_path)})
+    assert done.stdout.startswith("disk full") and int(done.stdout.split()[2]) > 200
