@@ -17,15 +17,10 @@ from contextlib import suppress
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.file_lock import lock
 from polyida.frames import FRAMES, StoredFrames, frames_at_once
 
-try:
-    import fcntl
-except ImportError:  # not on this system
-    fcntl = None
-
 FORMAT = "polyida trajectory 2"
-LOCK = "hhqqi4x"  # struct flock
 ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is written, for the ending
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
@@ -161,7 +156,7 @@ class FrameFile:
     def frames(self, limit):
         """{name: frames} of a temporary file, to which nothing is added any more."""
         os.close(self._reserver)
-        return held(self._file, self.count, limit)
+        return held(self._file, self.count, limit, self.shown)
 
     def close(self):
         """Close the file; it holds what was committed."""
@@ -181,7 +176,7 @@ class FrameFile:
             os.unlink(self.path)
 
 
-def held(file, count, limit):
+def held(file, count, limit, path):
     """{name: frames} of the first `count` frames of an open file: arrays, or StoredFrames of q, v and a (and lam, where that is large)."""
     frames = {"t": file["t"][:count]}
     sizes = {name: file[name].shape[1] if name in file else 0 for name in FRAMES[1:]}
@@ -190,7 +185,7 @@ def held(file, count, limit):
         if width == 0:
             frames[name] = np.zeros((count, 0))
         else:
-            stored = StoredFrames(file[name], count, file)
+            stored = StoredFrames(file[name], count, file, path)
             frames[name] = np.asarray(stored) if whole or 32 * stored.nbytes <= limit else stored
     return frames
 
@@ -199,29 +194,6 @@ def _growth(dataset, count, end):
     """Bytes of the chunks that a dataset gets when its rows grow from count to end."""
     rows = dataset.chunks[0]
     return (-(-end // rows) + (-count // rows)) * 8 * int(np.prod(dataset.chunks))
-
-
-def lock(descriptor):
-    """Mark an open file as being written, until the process ends or closes it; nothing where the system has no such locks."""
-    if hasattr(fcntl, "F_OFD_SETLK"):
-        with suppress(OSError):
-            fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, _lock(fcntl.F_WRLCK))
-
-
-def being_written(path):
-    """Whether a process that lives is writing the file."""
-    if not hasattr(fcntl, "F_OFD_GETLK"):
-        return False
-    with open(path, "rb") as file:
-        try:
-            answer = fcntl.fcntl(file, fcntl.F_OFD_GETLK, _lock(fcntl.F_RDLCK))
-        except OSError:
-            return False
-    return struct.unpack(LOCK, answer)[0] != fcntl.F_UNLCK
-
-
-def _lock(kind):
-    return struct.pack(LOCK, kind, os.SEEK_SET, 0, 0, 0)
 
 
 def _move_new(source, target):

@@ -28,8 +28,8 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
 
     ndim, dtype = 2, np.dtype(float)
 
-    def __init__(self, dataset, count, file):
-        self._dataset, self._file = dataset, file  # the file stays open as long as its frames are known
+    def __init__(self, dataset, count, file, path):
+        self._dataset, self._file, self._path = dataset, file, path  # the file stays open as long as its frames are known
         self.shape = (int(count), dataset.shape[1])
         self.size = self.shape[0] * self.shape[1]
         self.nbytes = 8 * self.size
@@ -74,7 +74,7 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
     def _read(self, first, end):
         values = np.asarray(self._dataset[first:end], float)
         if not np.isfinite(values).all():
-            raise InputError(f"{self._file.filename}: frames {first} to {end - 1} hold values that are not finite; the file is damaged")
+            raise InputError(f"{self._path}: frames {first} to {end - 1} hold values that are not finite; the file is damaged")
         return values
 
     def __array__(self, dtype=None, copy=None):

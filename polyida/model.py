@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida import differences
+from polyida.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,21 @@ class Model:
         return result
 
 
+def require_shapes(model, t, q, v):
+    """Raise InputError naming the function of the model whose result has the wrong shape or is no array of numbers."""
+    n, m = getattr(model, "n", None), getattr(model, "m", None)
+    if not (isinstance(n, (int, np.integer)) and n >= 1 and isinstance(m, (int, np.integer)) and m >= 0):
+        raise InputError(f"{type(model).__name__}: n = {n!r} and m = {m!r} must be whole numbers, n >= 1 and m >= 0")
+    calls = {"mass": (lambda: model.mass(q), (n, n)), "force": (lambda: model.force(t, q, v), (n,)),
+             "phi": (lambda: model.phi(t, q), (m,)), "phi_q": (lambda: model.phi_q(t, q), (m, n))}
+    if m == 0:
+        calls = {name: calls[name] for name in ("mass", "force")}
+    for name, (call, shape) in calls.items():
+        found = getattr(call(), "shape", None)
+        if found != shape:
+            raise InputError(f"{type(model).__name__}.{name} must return an array of shape {shape}, not {found or 'another type'}")
+
+
 def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
     """Compare every derivative of a model with central differences of what it is the derivative of.
 
@@ -122,7 +138,9 @@ def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
         "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
         "mass_a_q": (model.mass_a_q(q, a), differences.jacobian(lambda x: model.mass(x) @ a, q, n)),
         "tangent": (model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0),
-                    differences.jacobian(lambda x: model.residual(t, x, v, a, lam), q, n)),
+                    differences.jacobian(lambda x: Model.residual(model, t, x, v, a, lam), q, n)),
+        "tangent, v": (model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0),
+                       differences.jacobian(lambda x: Model.residual(model, t, q, x, a, lam), v, n)),
     }
     if m:
         pairs |= {

@@ -61,8 +61,8 @@ def linear(start, end, duration, begin=0.0):
 
 
 def _move(start, end, duration, begin, kind, coefficients):
-    if not duration > 0:
-        raise InputError(f"profile.{kind}: duration {duration} s must be positive")
+    if not (duration > 0 and np.isfinite([start, end, duration, begin]).all()):
+        raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
     shape = np.polynomial.Polynomial(coefficients)
     span = float(end) - float(start)
 
@@ -98,12 +98,17 @@ def from_function(value, d1=None, d2=None, kinks=()):
 
 
 def as_profile(given, part):
-    """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise."""
-    if isinstance(given, Profile):
-        return given
-    if callable(given):
-        return from_function(given)
-    if isinstance(given, (int, float, np.floating)) and np.isfinite(given):
+    """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise.
+
+    A function is tried at t = 0: it must give a finite number there.
+    """
+    if isinstance(given, Profile) or callable(given):
+        made = given if isinstance(given, Profile) else from_function(given)
+        value = made.value(0.0)
+        if np.ndim(value) or not np.issubdtype(np.asarray(value).dtype, np.number) or not np.isfinite(value):
+            raise InputError(f"{part}: its profile gives {value!r} at t = 0, a finite number is needed")
+        return made
+    if isinstance(given, (int, float, np.number)) and np.isfinite(given):
         return constant(float(given))
     raise InputError(f"{part}: {given!r} is no time profile: give a number, a function of t, or polyida.profile.*")
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.frame_file import FORMAT, FrameFile, NotWritten, being_written, held
+from polyida.file_lock import being_written
+from polyida.frame_file import FORMAT, FrameFile, NotWritten, held
 from polyida.frames import FRAMES, MEMORY_LIMIT, StoredFrames, frames_at_once
 from polyida.integrate.state import Counts, State
 from polyida.scene_data import from_data, to_data
@@ -82,7 +83,7 @@ def continuation(path, stored, model, integrator, plan):
     file = create(path, model, integrator, stored.n, stored.m, plan, dict(stored.about["machine"]))
     try:
         count = min(stored.restart.frames, stored.count)
-        copy_frames(file, [held(stored.file, count, 0)[name] for name in FRAMES], count)
+        copy_frames(file, [held(stored.file, count, 0, path)[name] for name in FRAMES], count)
         seconds = float(stored.record["cpu_seconds"]), float(stored.record["wall_seconds"])
         commit(file, "running", "", Counts(**stored.restart.counts), seconds, stored.restart)
         file.publish(True)
@@ -109,6 +110,7 @@ def commit(file, status, message, counts, seconds, restart):
 class Stored:
     """An open file, checked: plain data, arrays of the scene, the last whole record, where the run goes on, frames that hold."""
 
+    path: Path
     file: object
     about: dict
     arrays: dict
@@ -120,7 +122,7 @@ class Stored:
 
     def frames(self, limit):
         """{name: frames}; the file is closed where all are in memory."""
-        frames = held(self.file, self.count, limit)
+        frames = held(self.file, self.count, limit, self.path)
         if not (np.isfinite(frames["t"]).all() and (np.diff(frames["t"]) >= 0).all()):
             raise InputError("the times of the frames do not increase; the file is damaged")
         if not any(isinstance(values, StoredFrames) for values in frames.values()):
@@ -138,16 +140,23 @@ def load(path, memory_limit=MEMORY_LIMIT):
     """
     with naming(path):
         stored = read(path)
-        drives = _drives(stored)
-        model = model_of(stored, drives)
-        status, message = str(stored.record["status"]), str(stored.record["message"])
-        if status == "running":
-            status, message = ("running", STILL) if being_written(path) else ("interrupted", KILLED)
-        return Trajectory(
-            model, integrator_of(stored), **stored.frames(memory_limit), status=status, message=message,
-            counts=counts_of(stored.record["counts"]), cpu_seconds=float(stored.record["cpu_seconds"]),
-            wall_seconds=float(stored.record["wall_seconds"]), machine=dict(stored.about["machine"]), restart=stored.restart,
-            plan=dict(stored.about["plan"]))
+        try:
+            return _trajectory(stored, memory_limit)
+        except BaseException:
+            stored.file.close()
+            raise
+
+
+def _trajectory(stored, memory_limit):
+    about, record = stored.about, stored.record
+    model = model_of(stored, _drives(stored))
+    status, message = str(record["status"]), str(record["message"])
+    if status == "running":
+        status, message = ("running", STILL) if being_written(stored.path) else ("interrupted", KILLED)
+    return Trajectory(
+        model, integrator_of(stored), **stored.frames(memory_limit), status=status, message=message, counts=counts_of(record["counts"]),
+        cpu_seconds=float(record["cpu_seconds"]), wall_seconds=float(record["wall_seconds"]), machine=dict(about["machine"]),
+        restart=stored.restart, plan=dict(about["plan"]))
 
 
 @contextmanager
@@ -168,16 +177,16 @@ def read(path):
     """The Stored of a file; raises whatever a damaged file makes fail."""
     file = opened(path)
     try:
-        return _read(file)
+        return _read(file, Path(path))
     except BaseException:
         file.close()
         raise
 
 
-def _read(file):
+def _read(file, path):
     if str(file.attrs.get("format")) != FORMAT:
         raise InputError(f"not a polyida trajectory (format {file.attrs.get('format')!r}, {FORMAT!r} is needed)")
-    reader = Reader(file)
+    reader = Reader(file, path)
     about, records = reader.text("about"), [reader.record(f"record {slot}") for slot in range(2)]
     records = [record for record in records if isinstance(record, dict)]
     if not records:
@@ -190,7 +199,7 @@ def _read(file):
     if not 0 <= count <= min(lengths):
         raise InputError(f"it holds {min(lengths)} frames, {count} are stated; the file is damaged")
     restart = _restart(reader, record, n, m)
-    return Stored(file, about, reader.group("scene"), record, restart, count, n, m)
+    return Stored(path, file, about, reader.group("scene"), record, restart, count, n, m)
 
 
 def _restart(reader, record, n, m):
@@ -248,7 +257,7 @@ def model_of(stored, drives):
 
 def _drives(stored):
     """{part: profile through the values that the run saw}."""
-    reader, times = Reader(stored.file), np.asarray(stored.file["t"][: stored.count], float)
+    reader, times = Reader(stored.file, stored.path), np.asarray(stored.file["t"][: stored.count], float)
     return {name: _interpolated(times, reader.array(key, (None, 3))[: stored.count]) for name, key in stored.about["drives"].items()}
 
 

@@ -8,16 +8,19 @@ import zlib
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.file_lock import being_written
+from polyida.unclosed import LENGTH, Unclosed, is_marked
 
 
 def opened(path):
     """The file opened for reading, also while it is written or after its writer was killed. Raises OSError where it is no HDF5 file."""
     import h5py
 
-    try:
-        return h5py.File(path, "r", locking=False)
-    except OSError:
+    if being_written(path):
         return h5py.File(path, "r", libver="latest", swmr=True, locking=False)
+    with open(path, "rb") as file:
+        marked = is_marked(file.read(LENGTH))
+    return h5py.File(Unclosed(path), "r") if marked else h5py.File(path, "r", locking=False)
 
 
 class Reader:
@@ -27,9 +30,9 @@ class Reader:
     Raises InputError naming the dataset.
     """
 
-    def __init__(self, file):
+    def __init__(self, file, path):
         self.file = file
-        self.size = self.budget = os.path.getsize(file.filename)
+        self.size = self.budget = os.path.getsize(path)
 
     def has(self, name):
         """Whether the file's top level holds something of that name."""

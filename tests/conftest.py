@@ -126,3 +126,21 @@ def scenes():
 def kind(request):
     """Every kind of joint in turn."""
     return request.param
+
+
+@pytest.fixture
+def run():
+    """A short run with every kind of part in it, the lower plate turned in its place, one profile of the user's own."""
+    scene = jointed("motor between", angle=lambda t: 0.3 * np.sin(2.0 * t) ** 3)
+    lower, upper = scene.parts["lower"], scene.parts["upper"]
+    scene.add(pi.PointLoad(lower.section("right"), (0.5, 0.0), pi.profile.sine(1.0, 3.0), name="push"))
+    scene.add(pi.EdgeTraction(upper.section("top"), (0.0, 10.0), lambda t: t * t, name="wind"))
+    return pi.solve(scene.build(), 0.03, pi.GeneralizedAlpha(h=1e-3))
+
+
+@pytest.fixture
+def file(run, tmp_path):
+    """The run in a file."""
+    path = tmp_path / "run.h5"
+    run.save(path)
+    return path

@@ -63,6 +63,13 @@ def turn(s, j, drives):
 
 
 @entry
+def motor_cosine(s, j, drives, dz):
+    """Cosine of the angle error of motor j."""
+    wx, wy, bx, by = turned_sides(s, j, drives, dz)
+    return (wx * bx + wy * by) / np.sqrt((wx * wx + wy * wy) * (bx * bx + by * by))
+
+
+@entry
 def joint_forces(s, drives, dz, lam, phi, forces):
     """Fill phi; forces += phi_z^T lam. Returns the least cosine of a motor's angle error (1 without motors)."""
     least = 1.0
@@ -73,7 +80,7 @@ def joint_forces(s, drives, dz, lam, phi, forces):
             continue
         wx, wy, bx, by = turned_sides(s, j, drives, dz)
         phi[k] = wx * by - wy * bx
-        least = min(least, (wx * bx + wy * by) / np.sqrt((wx * wx + wy * wy) * (bx * bx + by * by)))
+        least = min(least, motor_cosine(s, j, drives, dz))
         if a >= 0:
             c, n = turn(s, j, drives)
             forces[a, 0] += lam[k] * (c * by - n * bx)

@@ -162,7 +162,15 @@ class SceneModel(Model):
         _, _, _, det, cosine = self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))
         if not det > 0:
             return f"an element is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
-        return f"a motor stands on the wrong half-turn (cosine of its angle error {cosine:.3g})" if not cosine > 0 else None
+        return None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
+
+    def _flipped(self, t, q):
+        """Name of a motor whose angle error is beyond a quarter turn."""
+        links, drives, dz = self.arrays.links, self.drives(t), self.dz(q)
+        for name, part in self.rows.items():
+            at = int(np.searchsorted(links.joint_row, part.start))
+            if links.joint_kind[at] == rows.MOTOR and rows.motor_cosine(links, at, drives, dz) <= 0:
+                return name
 
     def potential(self, q):
         """Strain energy and potential of gravity, J, relative to the reference configuration."""

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.body.material import vector2
-from polyida.joint.attachment import Attachment, require_attachment
+from polyida.errors import InputError
+from polyida.joint.attachment import Attachment, labelled, require_attachment
 from polyida.profile import Profile, as_profile, constant
 
 
@@ -19,9 +20,10 @@ class PointLoad:
     name: str | None = None
 
     def __post_init__(self):
-        require_attachment("PointLoad", self.at)
-        vector2("PointLoad", "force", self.force)
-        object.__setattr__(self, "profile", as_profile(self.profile, "PointLoad"))
+        label = labelled("PointLoad", self.name)
+        require_attachment(label, self.at)
+        vector2(label, "force", self.force)
+        object.__setattr__(self, "profile", as_profile(self.profile, label))
 
     def nodal(self):
         """Nodal forces on the attachment's nodes at profile value 1, (k, 2), N."""
@@ -38,9 +40,12 @@ class EdgeTraction:
     name: str | None = None
 
     def __post_init__(self):
-        require_attachment("EdgeTraction", self.at)
-        vector2("EdgeTraction", "traction", self.traction)
-        object.__setattr__(self, "profile", as_profile(self.profile, "EdgeTraction"))
+        label = labelled("EdgeTraction", self.name)
+        require_attachment(label, self.at)
+        if not self.at.length > 0:
+            raise InputError(f"{label}: {self.at!r} has no length to act on; use a section of two neighbouring nodes or more")
+        vector2(label, "traction", self.traction)
+        object.__setattr__(self, "profile", as_profile(self.profile, label))
 
     def nodal(self):
         """Nodal forces on the section's nodes at profile value 1, (k, 2), N: exact for the elements' linear edges."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.body.material import Material, _finite, positive, vector2
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment, of_node, of_section
+from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.mesh import PolygonMesh
 
 ELEMENTS = ("wachspress",)
@@ -32,7 +32,7 @@ class Plate:
     label: str = field(init=False, repr=False)
 
     def __post_init__(self):
-        label = f"plate {self.name!r}" if self.name else "Plate"
+        label = labelled("Plate", self.name)
         object.__setattr__(self, "label", label)
         if not isinstance(self.mesh, PolygonMesh):
             raise InputError(f"{label}: mesh is {type(self.mesh).__name__}, a polyida mesh is needed (polyida.mesh.rectangle, read, ...)")
@@ -44,7 +44,7 @@ class Plate:
             raise InputError(f"{label}: angle = {self.angle!r} must be a finite number of rad")
         if self.element not in ELEMENTS:
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
-        self.mesh.require_convex()
+        self._of_mesh(self.mesh.require_convex)
 
     @cached_property
     def placed(self):
@@ -64,7 +64,7 @@ class Plate:
 
         Raises InputError where it selects no node.
         """
-        return of_section(self, self.mesh.section(selector), _called(selector))
+        return of_section(self, self._of_mesh(self.mesh.section, selector), _called(selector))
 
     def rim(self, hole=0) -> Attachment:
         """The mean of the rim of a hole of the mesh, by number or section name."""
@@ -82,6 +82,13 @@ class Plate:
             return of_node(self, int(where))
         point = vector2(self.label, "node", where)
         return of_node(self, int(np.argmin(((self.mesh.points - point) ** 2).sum(axis=1))))
+
+    def _of_mesh(self, function, *arguments):
+        """A function of the mesh, its complaints under the plate's name."""
+        try:
+            return function(*arguments)
+        except InputError as error:
+            raise InputError(f"{self.label}: {error}") from None
 
 
 def _called(selector):

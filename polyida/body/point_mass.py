@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from polyida.body.material import positive
-from polyida.joint.attachment import Attachment, require_attachment
+from polyida.joint.attachment import Attachment, labelled, require_attachment
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,5 +15,6 @@ class PointMass:
     name: str | None = None
 
     def __post_init__(self):
-        require_attachment("PointMass" if self.name is None else f"point mass {self.name!r}", self.at)
-        positive("PointMass" if self.name is None else f"point mass {self.name!r}", "mass", self.mass, "kilograms")
+        label = labelled("PointMass", self.name)
+        require_attachment(label, self.at)
+        positive(label, "mass", self.mass, "kilograms")

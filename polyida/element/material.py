@@ -43,9 +43,9 @@ def strain(h):
     return e11, e12, h[3] + 0.5 * (h[1] * h[1] + h[3] * h[3])
 
 
-def second_piola(h, spherical, deviatoric):
-    """S."""
-    e11, e12, e22 = strain(h)
+def second_piola(e, spherical, deviatoric):
+    """S of the strain E."""
+    e11, e12, e22 = e
     mean = spherical * (e11 + e22)
     return mean + deviatoric * e11, deviatoric * e12, mean + deviatoric * e22
 
@@ -53,7 +53,12 @@ def second_piola(h, spherical, deviatoric):
 @traced(4)
 def first_piola(h, w, spherical, deviatoric):
     """w P = w F S."""
-    s11, s12, s22 = second_piola(h, spherical * w, deviatoric * w)
+    return carried(h, second_piola(strain(h), spherical * w, deviatoric * w))
+
+
+def carried(h, s):
+    """F S."""
+    s11, s12, s22 = s
     f11, f22 = 1.0 + h[0], 1.0 + h[3]
     return f11 * s11 + h[1] * s12, f11 * s12 + h[1] * s22, h[2] * s11 + f22 * s12, h[2] * s12 + f22 * s22
 
@@ -74,7 +79,7 @@ def add_rotation(turn, w, h):
 @traced(2)
 def add_energy(state, h, w, spherical, deviatoric):
     """(sum, lost digits) of w S : E / 2 with compensated summation."""
-    s11, s12, s22 = second_piola(h, spherical, deviatoric)
+    s11, s12, s22 = second_piola(strain(h), spherical, deviatoric)
     e11, e12, e22 = strain(h)
     term = 0.5 * w * (s11 * e11 + s22 * e22 + 2.0 * s12 * e12) - state[1]
     total = state[0] + term
@@ -97,7 +102,7 @@ def moduli(h, w, spherical, deviatoric):
     A[a, k, b, l] = delta_ab S_kl + spherical F_ak F_bl + deviatoric / 2 ((F F^T)_ab delta_kl + F_al F_bk)
     """
     ball, half = spherical * w, 0.5 * (deviatoric * w)
-    s11, s12, s22 = second_piola(h, ball, deviatoric * w)
+    s11, s12, s22 = second_piola(strain(h), ball, deviatoric * w)
     f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
     both = ball + half
     c11, c12, c22 = half * (f11 * f11 + f12 * f12), half * (f11 * f21 + f12 * f22), half * (f21 * f21 + f22 * f22)

@@ -7,6 +7,9 @@ import numpy as np
 from polyida.element.lanes import LANES
 from polyida.errors import InputError
 
+CHUNK = 256
+"""Cells treated at once: the work arrays then stay in the cache."""
+
 
 @dataclass(frozen=True, eq=False)
 class ReferenceOperator:
@@ -64,7 +67,7 @@ class ReferenceOperator:
 class CellGroup:
     """Cells of one vertex count n with p points each, cells on the last axis.
 
-    cells (c,); nodes (n, c); gradients (p, n, 2, c); weights (p, c); mass (n, n, c).
+    cells (c,); nodes (n, c); gradients (p, n, 2, c); weights (p, c); mass and stabilisation (n, n, c) or None.
     """
 
     cells: np.ndarray
@@ -72,15 +75,41 @@ class CellGroup:
     gradients: np.ndarray
     weights: np.ndarray
     mass: np.ndarray
+    stabilisation: np.ndarray | None = None
 
 
-def pack(mesh, areas, mean_gradients, groups, stabilisation=None):
+def build(mesh, element):
+    """ReferenceOperator of a mesh from what `element` makes of cells of equal vertex count.
+
+    mesh: anything with points (N, 2) in m, nodes and offsets (corners of cell i are nodes[offsets[i]:offsets[i + 1]]).
+    element(corners (n, 2, c), cells (c,), nodes (n, c)) returns areas (c,), mean gradients (n, 2, c) and, as in a
+    CellGroup, gradients, weights, mass and where there is one the stabilisation; it raises InputError for a cell that it
+    cannot treat. Raises InputError for a node that belongs to no cell.
+    """
+    points = np.asarray(mesh.points, dtype=float)
+    offsets, nodes = np.asarray(mesh.offsets, dtype=np.int64), np.asarray(mesh.nodes, dtype=np.int64)
+    counts = np.diff(offsets)
+    areas, means = np.empty(len(counts)), np.empty((len(nodes), 2))
+    groups = []
+    for n in np.unique(counts):
+        cells = np.flatnonzero(counts == n)
+        slots = offsets[cells] + np.arange(n)[:, None]
+        corners = points[nodes[slots]].transpose(0, 2, 1)
+        chunks = [slice(k, k + CHUNK) for k in range(0, len(cells), CHUNK)]
+        parts = [element(corners[..., k], cells[k], nodes[slots[:, k]]) for k in chunks]
+        area, mean, *rest = (np.concatenate(part, axis=-1) for part in zip(*parts))
+        areas[cells], means[slots] = area, mean.transpose(0, 2, 1)
+        groups.append(CellGroup(cells, nodes[slots], *rest))
+    return pack(mesh, areas, means, groups)
+
+
+def pack(mesh, areas, mean_gradients, groups):
     """ReferenceOperator of a mesh from its groups of cells.
 
     Raises InputError if a node belongs to no cell, since it would have no mass.
     """
     n_nodes = len(mesh.points)
-    indptr, indices, mass, places = _pattern(n_nodes, groups)
+    indptr, indices, places = _pattern(n_nodes, groups)
     tables, starts = [], np.zeros(4, dtype=np.int64)
     parts = {name: [] for name in ("lane_cells", "corners", "gradients", "weights", "pairs")}
     for group, place in zip(groups, places):
@@ -101,11 +130,12 @@ def pack(mesh, areas, mean_gradients, groups, stabilisation=None):
         lane_cells=_integers(lane_cells.reshape(-1, LANES)[along].ravel()),
         corners=_integers(np.concatenate(parts["corners"])), gradients=_aligned(parts["gradients"]),
         weights=_aligned(parts["weights"]), pairs=_integers(np.concatenate(parts["pairs"])),
-        indptr=indptr, indices=indices, mass=mass, stabilisation=stabilisation)
+        indptr=indptr, indices=indices, mass=_summed("mass", groups, places),
+        stabilisation=_summed("stabilisation", groups, places))
 
 
 def _pattern(n_nodes, groups):
-    """Node pattern, mass on it, and for each group the places (n, n, c) of its corner pairs."""
+    """Node pattern, and for each group the places (n, n, c) of its corner pairs."""
     keys = [(group.nodes[:, None] * np.int64(n_nodes) + group.nodes[None]) for group in groups]
     flat = np.concatenate([key.ravel() for key in keys])
     ordered = np.sort(flat)
@@ -115,10 +145,18 @@ def _pattern(n_nodes, groups):
     if not lengths.all():
         raise InputError(f"mesh: node {int(np.argmin(lengths))} belongs to no cell; remove it, it would have no mass")
     place = np.searchsorted(ordered, flat)
-    mass = np.bincount(place, weights=np.concatenate([group.mass.ravel() for group in groups]))
     splits = np.cumsum([key.size for key in keys])[:-1]
     places = [part.reshape(key.shape) for part, key in zip(np.split(place, splits), keys)]
-    return _integers(np.append(0, np.cumsum(lengths))), _integers(columns), mass, places
+    return _integers(np.append(0, np.cumsum(lengths))), _integers(columns), places
+
+
+def _summed(name, groups, places):
+    """The groups' matrices of that name added up on the node pattern, (nnz,); None where the element has none."""
+    matrices = [getattr(group, name) for group in groups]
+    if matrices[0] is None:
+        return None
+    flat = np.concatenate([place.ravel() for place in places])
+    return np.bincount(flat, weights=np.concatenate([matrix.ravel() for matrix in matrices]))
 
 
 def _lane_order(count):

@@ -17,7 +17,8 @@ taken. The mass takes three points a fan triangle, exact for N linear, so that t
 
 import numpy as np
 
-from polyida.element.operator import CellGroup, pack
+from polyida.element.operator import build
+from polyida.element.polygon import after, before, cross, measures
 from polyida.errors import InputError
 
 FLATTEST = 1e-6
@@ -26,9 +27,6 @@ FLATTEST = 1e-6
 MANY = 10
 """Most corners with one point a fan triangle."""
 
-CHUNK = 256
-"""Cells treated at once: the work arrays then stay in the cache."""
-
 
 def reference_operator(mesh):
     """ReferenceOperator of a mesh with strictly convex, counter-clockwise cells.
@@ -36,87 +34,55 @@ def reference_operator(mesh):
     mesh: anything with points (N, 2) in m, nodes and offsets (corners of cell i are nodes[offsets[i]:offsets[i + 1]]).
     Raises InputError naming the cell and the corner where a cell is not strictly convex, or a node without a cell.
     """
-    points = np.asarray(mesh.points, dtype=float)
-    offsets, nodes = np.asarray(mesh.offsets, dtype=np.int64), np.asarray(mesh.nodes, dtype=np.int64)
-    counts = np.diff(offsets)
-    areas, means = np.empty(len(counts)), np.empty((len(nodes), 2))
-    groups = []
-    for n in np.unique(counts):
-        cells = np.flatnonzero(counts == n)
-        slots = offsets[cells] + np.arange(n)[:, None]
-        corners = points[nodes[slots]].transpose(0, 2, 1)
-        sines = _turning(corners, cells, nodes[slots])
-        parts = [_element(corners[..., k:k + CHUNK], sines[:, k:k + CHUNK]) for k in range(0, len(cells), CHUNK)]
-        area, mean, gradients, weights, mass = (np.concatenate(part, axis=-1) for part in zip(*parts))
-        areas[cells], means[slots] = area, mean.transpose(0, 2, 1)
-        groups.append(CellGroup(cells, nodes[slots], gradients, weights, mass))
-    return pack(mesh, areas, means, groups)
-
-
-def _cross(a, b):
-    """a_x b_y - a_y b_x for vectors along axis -2."""
-    return a[..., 0, :] * b[..., 1, :] - a[..., 1, :] * b[..., 0, :]
-
-
-def _after(array):
-    """The next corner's entry at every corner."""
-    return np.roll(array, -1, axis=0)
-
-
-def _before(array):
-    """The previous corner's entry at every corner."""
-    return np.roll(array, 1, axis=0)
+    return build(mesh, _element)
 
 
 def _turning(corners, cells, nodes):
     """Sine of the turning angle (n, c) at every corner: positive where a counter-clockwise cell is strictly convex."""
-    edges = _after(corners) - corners
+    edges = after(corners) - corners
     with np.errstate(invalid="ignore", divide="ignore"):
         edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
-    sines = _cross(_before(edges), edges)
+    sines = cross(before(edges), edges)
     wrong = ~(sines > FLATTEST)
     if wrong.any():
         k = np.flatnonzero(wrong.any(axis=0))[0]
         corner = int(np.argmax(wrong[:, k]))
-        angle = 180 - np.degrees(np.arctan2(sines[corner, k], (_before(edges) * edges).sum(axis=-2)[corner, k]))
+        angle = 180 - np.degrees(np.arctan2(sines[corner, k], (before(edges) * edges).sum(axis=-2)[corner, k]))
         raise InputError(f"cell {cells[k]}: corner {corner} (node {nodes[corner, k]}) has an interior angle of "
                          f"{angle:.6g} degrees; a Wachspress element needs strictly convex, counter-clockwise cells, "
                          "every angle below 180 degrees and no side of zero length")
     return sines
 
 
-def _element(corners, sines):
+def _element(corners, cells, nodes):
     """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells."""
+    sines = _turning(corners, cells, nodes)
     corners = corners - corners.mean(axis=0)
-    after = _after(corners)
-    double = _cross(corners, after)
-    area = double.sum(axis=0) / 2
-    centroid = np.einsum("nc,ndc->dc", double, corners + after) / (6 * area)
-    weights = _cross(corners - centroid, after - centroid) / 2
-    chord = (after - _before(corners)) / (2 * area)
-    mean = np.stack([chord[:, 1], -chord[:, 0]], axis=1)
-    mass = _mass(corners, after, sines, centroid, weights)
+    follower = after(corners)
+    area, centroid, mean = measures(corners)
+    weights = cross(corners - centroid, follower - centroid) / 2
+    mass = _mass(corners, follower, sines, centroid, weights)
     if len(corners) == 3:
         return area, mean, mean[None], area[None], mass
-    points, weights = _rule(corners, after, centroid, weights)
-    shapes, normals, heights = _shapes(corners, after, sines, points)
+    points, weights = _rule(corners, follower, centroid, weights)
+    shapes, normals, heights = _shapes(corners, follower, sines, points)
     gradients = _gradients(shapes, normals, heights)
     gradients += mean - np.einsum("pc,pndc->ndc", weights, gradients) / area
     return area, mean, gradients, weights, mass
 
 
-def _rule(corners, after, centroid, fan):
+def _rule(corners, follower, centroid, fan):
     """Points (p, 2, c) and weights (p, c) from the areas (n, c) of the fan triangles."""
-    middle = centroid + corners + after
+    middle = centroid + corners + follower
     if len(corners) <= MANY:
         return middle / 3, fan
-    vertices = (corners, after, centroid)
+    vertices = (corners, follower, centroid)
     return np.concatenate([(middle + 3 * vertex) / 6 for vertex in vertices]), np.concatenate([fan / 3] * 3)
 
 
-def _shapes(corners, after, sines, points):
+def _shapes(corners, follower, sines, points):
     """Shape functions (p, n, c) at points (p, 2, c); with them the edges' normals (n, 2, c) and distances (p, n, c)."""
-    edges = after - corners
+    edges = follower - corners
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.sqrt((edges**2).sum(axis=1))[:, None]
     offsets = (corners * normals).sum(axis=1)
     heights = offsets - (points[:, None, 0] * normals[:, 0] + points[:, None, 1] * normals[:, 1])
@@ -131,11 +97,11 @@ def _gradients(shapes, normals, heights):
     return shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
 
 
-def _mass(corners, after, sines, centroid, weights):
+def _mass(corners, follower, sines, centroid, weights):
     """Integral of N_i N_j over each cell, (n, n, c)."""
-    middle = centroid + corners + after
+    middle = centroid + corners + follower
     mass = 0.0
-    for vertex in (corners, after, centroid):
-        shapes, _, _ = _shapes(corners, after, sines, (middle + 3 * vertex) / 6)
+    for vertex in (corners, follower, centroid):
+        shapes, _, _ = _shapes(corners, follower, sines, (middle + 3 * vertex) / 6)
         mass = mass + np.einsum("pic,pjc->ijc", shapes * (weights / 3)[:, None], shapes)
     return mass

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from polyida import trajectory_file as files
 from polyida.errors import InputError
-from polyida.frame_file import being_written
+from polyida.file_lock import being_written
 from polyida.frames import MEMORY_LIMIT, FrameStore
 from polyida.integrate.run import Run
 from polyida.integrate.solve import require_run

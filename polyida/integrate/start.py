@@ -5,6 +5,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.integrate.state import State
 from polyida.linear.kkt import KKT, Bordered, SingularSystem, require_independent
+from polyida.model import require_shapes
 
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
 
@@ -12,20 +13,24 @@ VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less 
 def consistent_state(model, t0=0.0, q0=None, v0=None):
     """A State at t0 that satisfies phi = 0, `phi_q v + phi_t = 0` and the equations of motion.
 
-    1. q0 (zeros where None) is projected on phi = 0, then v0 (zeros) on the velocity constraint, both in the metric of M.
+    1. q0 (zeros where None) is freed of round-off in phi, v0 (made where None) put on the velocity constraint, both in the metric of M.
     2. `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`.
-    Raises InputError for wrong shapes or values, for a given q0 or v0 that violates its constraint by more than 1e-6 of its size,
-    and for redundant or inconsistent constraints.
+    Raises InputError for wrong shapes or values, of q0 and v0 or of what the model's functions return, for a start (or a given v0)
+    that violates its constraint by more than 1e-6 of its size, and for redundant or inconsistent constraints.
     """
-    q, v = _given(model, "q0", q0), _given(model, "v0", v0)
-    if not np.isfinite(t0):
-        raise InputError(f"t0 = {t0} must be a finite time in s")
+    q, v = given(model, "q0", q0), given(model, "v0", v0)
+    if not (isinstance(t0, (int, float, np.number)) and np.isfinite(t0)):
+        raise InputError(f"t0 = {t0!r} must be a finite time in s")
+    require_shapes(model, float(t0), q, v)
     if model.m:
         require_independent(model, model.phi_q(t0, q))
-        _require_near(model, "q0", q0, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
+        _require_near(model, "q0", True, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
         q = _project_position(model, t0, q)
+        objection = getattr(model, "objection", lambda t, q: None)(t0, q)
+        if objection:
+            raise InputError(f"the start cannot be accepted: {objection}")
         rate = model.phi_q(t0, q) @ v + model.phi_t(t0, q)
-        _require_near(model, "v0", v0, rate, max(1.0, np.abs(v).max(initial=0)))
+        _require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
         if np.abs(rate).max() > 0:
             v = v + mass_system(model, t0, q).solve(np.zeros(model.n), rate)[0]
     a, lam = consistent_acceleration(model, t0, q, v)
@@ -49,7 +54,8 @@ def jerk(model, state, h):
     return (acceleration(s) - acceleration(-s)) / (2 * s)
 
 
-def _given(model, name, value):
+def given(model, name, value):
+    """The value as n floats, zeros where it is None; raises InputError naming it otherwise."""
     if value is None:
         return np.zeros(model.n)
     try:
@@ -61,14 +67,15 @@ def _given(model, name, value):
     return array
 
 
-def _require_near(model, name, given, violation, size):
+def _require_near(model, name, required, violation, size):
     worst = int(np.argmax(np.abs(violation)))
     if not np.isfinite(violation).all():
         raise InputError(f"{name}: {model.constraint_name(worst)} is not finite at the start")
-    if given is not None and abs(violation[worst]) > VIOLATION * size:
+    if required and abs(violation[worst]) > VIOLATION * size:
         what = "phi" if name == "q0" else "phi_q v + phi_t"
+        hint = ", or leave it out to have it made" if name == "v0" else ""
         raise InputError(f"{name} violates the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0; "
-                         f"give a consistent {name}, or leave it out to have it made")
+                         f"give a consistent {name}{hint}")
 
 
 def _project_position(model, t, q):

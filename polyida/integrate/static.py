@@ -3,8 +3,12 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
+
+FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
+FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
 
 
 def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
@@ -16,12 +20,17 @@ def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
     """
     if not (isinstance(steps, (int, np.integer)) and steps >= 1):
         raise InputError(f"static: steps = {steps!r} must be a whole number of at least 1")
-    q = np.zeros(model.n) if q0 is None else np.array(q0, float)
+    if not (isinstance(tolerance, (int, float, np.floating)) and 0 < tolerance < 1):
+        raise InputError(f"static: tolerance = {tolerance!r} must be between 0 and 1")
+    q = given(model, "q0", q0)
     if model.m:
         require_independent(model, model.phi_q(t, q))
     rest, load, lam = np.zeros(model.n), model.force(t, np.zeros(model.n), np.zeros(model.n)), np.zeros(model.m)
     for part in range(1, steps + 1):
         q, lam = _newton(model, t, q, lam, (1 - part / steps) * load, tolerance, max_iterations)
+    objection = getattr(model, "objection", lambda t, q: None)(t, q)
+    if objection:
+        raise StepFailure("objection", objection, t)
     return State(float(t), q, rest.copy(), rest.copy(), lam)
 
 
@@ -33,11 +42,19 @@ def _newton(model, t, q, lam, offset, tolerance, max_iterations):
             raise StepFailure("not finite", "r or phi is not finite; use more load steps", t, iteration=iteration)
         matrix = model.tangent(t, q, still, still, lam, 0.0, 0.0, 1.0)
         try:
-            dq, dlam = KKT(matrix, model.phi_q(t, q), scaling_factors("physical", 1.0, matrix)).solve(r, phi)
+            system = KKT(matrix, model.phi_q(t, q), scaling_factors("physical", 1.0, matrix))
         except SingularSystem:
-            raise StepFailure("singular", "the structure can move freely: hold it by joints or a clamp", t) from None
+            raise StepFailure("singular", FREE, t) from None
+        dq, dlam = system.solve(r, phi)
+        if not np.abs(dq).max() <= FAR * (np.abs(q).max() + _extent(model)):
+            raise StepFailure("singular", FREE, t, iteration=iteration, **{"|dq|": float(np.abs(dq).max())})
         q, lam = q + dq, lam + dlam
         moved = np.abs(dq).max()
         if moved <= tolerance * max(1.0, np.abs(q).max()):
             return q, lam
     raise StepFailure("newton", "static equilibrium not found; use more load steps", t, iterations=max_iterations, moved=float(moved))
+
+
+def _extent(model):
+    reference = getattr(model, "reference", None)
+    return 1.0 if reference is None else float(np.ptp(reference, axis=0).max())

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from polyida.errors import InputError
-from polyida.joint.attachment import ground, require_sides
+from polyida.joint.attachment import ground, labelled, require_sides
 from polyida.joint.rows import MotorRow
 from polyida.profile import Profile, as_profile
 
@@ -24,7 +24,7 @@ class AngleMotor:
     multiplier = "torque on b, N m"
 
     def __post_init__(self):
-        label = f"angle motor {self.name!r}" if self.name else "AngleMotor"
+        label = labelled("AngleMotor", self.name)
         require_sides(label, self.a, self.b)
         for side in (self.a, self.b):
             if side is not ground and side.turn_weights is None:

@@ -71,10 +71,18 @@ def of_section(body, section, name):
     return Attachment(body, nodes, weights, turn, float(total), name)
 
 
+def labelled(kind, name):
+    """What a part is called in a message; raises InputError for a name that is no text."""
+    if name is not None and not (isinstance(name, str) and name):
+        raise InputError(f"{kind}: name = {name!r} must be a text")
+    return kind if name is None else f"{kind} {name!r}"
+
+
 def require_attachment(part, given):
     """Raise InputError naming the part unless `given` is an attachment of a body."""
     if not isinstance(given, Attachment):
-        raise InputError(f"{part}: {given!r} is no attachment; use plate.section(...), plate.rim(...) or plate.node(...)")
+        given = getattr(given, "label", None) or repr(given)
+        raise InputError(f"{part}: {given[:80]} is no attachment; use plate.section(...), plate.rim(...) or plate.node(...)")
 
 
 def require_sides(part, a, b):

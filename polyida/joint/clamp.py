@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from polyida.errors import InputError
-from polyida.joint.attachment import ground, of_node, require_sides
+from polyida.joint.attachment import ground, labelled, of_node, require_sides
 from polyida.joint.rows import LinearRows
 
 
@@ -23,7 +23,7 @@ class Clamp:
     multiplier = "force on b, N (and moment over length for the direction)"
 
     def __post_init__(self):
-        label = f"clamp {self.name!r}" if self.name else "Clamp"
+        label = labelled("Clamp", self.name)
         require_sides(label, self.a, self.b)
         if self.a is ground or self.b is ground:
             return

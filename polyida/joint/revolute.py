@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from polyida.joint.attachment import require_sides
+from polyida.joint.attachment import labelled, require_sides
 from polyida.joint.rows import LinearRows
 
 
@@ -20,7 +20,7 @@ class Revolute:
     multiplier = "force on b, N"
 
     def __post_init__(self):
-        require_sides(f"revolute {self.name!r}" if self.name else "Revolute", self.a, self.b)
+        require_sides(labelled("Revolute", self.name), self.a, self.b)
 
     def rows(self):
         """The constraint rows, as data."""

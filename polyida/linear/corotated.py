@@ -151,7 +151,7 @@ def solve_plates(s, c, w, rotation, r, x):
         x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
 
 
-@part
+@entry
 def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,); rotation, dz as `equilibrium` left them at the current q. False where it is singular."""
     solve_plates(s, c, w, rotation, r, dq)

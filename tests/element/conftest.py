@@ -75,8 +75,8 @@ class Body:
 
     E, NU, THICKNESS = 2.0e5, 0.3, 0.02
 
-    def __init__(self, mesh, padding=0):
-        self.points, self.op, self.first = np.asarray(mesh.points), reference_operator(mesh), padding
+    def __init__(self, mesh, padding=0, operator=reference_operator):
+        self.points, self.op, self.first = np.asarray(mesh.points), operator(mesh), padding
         self.c1 = self.THICKNESS * self.E / (1 - self.NU**2)
 
     def displacement(self, function):
@@ -102,8 +102,18 @@ class Body:
         blocks = np.zeros((before + len(op.indices), 2, 2))
         kernels.tangent(*op.tangent_arrays, self.first, before, self.c1, self.NU, u, scale, blocks)
         assert not blocks[:before].any()
+        return self.dense(blocks[before:])
+
+    def dense(self, blocks):
+        """Dense matrix (2 n, 2 n) from blocks on the pattern; (n, n) from numbers on it."""
+        op = self.op
+        rows = np.repeat(np.arange(op.n_nodes), np.diff(op.indptr))
+        if blocks.ndim == 1:
+            dense = np.zeros((op.n_nodes, op.n_nodes))
+            dense[rows, op.indices] = blocks
+            return dense
         dense = np.zeros((op.n_nodes, 2, op.n_nodes, 2))
-        dense[np.repeat(np.arange(op.n_nodes), np.diff(op.indptr)), :, op.indices] = blocks[before:]
+        dense[rows, :, op.indices] = blocks
         return dense.reshape(2 * op.n_nodes, -1)
 
     def stress(self, u):
@@ -120,10 +130,17 @@ def body():
     return Body
 
 
+def hanging():
+    """Six cells: nodes on the middle of sides, and an L with a reentrant corner."""
+    points = [[0, 0], [1, 0], [2, 0], [1, .5], [2, .5], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2], [0, 3], [1, 3], [2, 3],
+              [.5, 1]]
+    return mesh(points, [[0, 1, 3, 6, 13, 5], [1, 2, 4, 3], [3, 4, 7, 6], [5, 13, 6, 7, 9, 8, 11, 10], [8, 9, 12], [8, 12, 11]])
+
+
 @pytest.fixture
 def meshes():
     """The functions that make meshes."""
-    return SimpleNamespace(mesh=mesh, polygon=polygon, quads=quads, mixed=mixed)
+    return SimpleNamespace(mesh=mesh, polygon=polygon, quads=quads, mixed=mixed, hanging=hanging)
 
 
 SHAPES = {"mixed": mixed, "quads": lambda: quads(5, 4, jitter=0.3),

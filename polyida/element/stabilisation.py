@@ -1,0 +1,60 @@
+"""Numba kernels of a virtual element's stabilisation: a constant scalar matrix on the node pattern, rows summing to zero.
+
+f = factor (S (x) I) u, W = factor u . (S (x) I) u / 2. Differences of neighbours replace displacements, so that large
+translations cost no digits. Its tangent, factor S on the diagonal of each 2 x 2 block, is constant. There is no viscous
+counterpart: S v is not zero in the rigid spin of a warped cell and would brake it.
+"""
+
+from polyida.element.kernels import kernel
+from polyida.element.lanes import add_pair, load_float, load_integer, load_pair, pair, traced, zero_pair
+from polyida.element.material import add_product, scaled
+
+
+def factor(c1, nu):
+    """t tr(C) in N/m, the sum C11 + C22 + C33 of plane elasticity times the thickness; c1 = t E_mod / (1 - nu^2)."""
+    return c1 * (5.0 - nu) / 2.0
+
+
+@traced(1, pair)
+def _add_pull(total, weight, other, own):
+    """total + weight (other - own)."""
+    return total + weight * (other - own)
+
+
+@kernel
+def force(indptr, indices, stabilisation, factor, node_offset, u, f):
+    """f (N, 2) += factor (stabilisation (x) I2) u of a body's nodes."""
+    for row in range(indptr.shape[0] - 1):
+        total, own = zero_pair(), load_pair(u, 2 * (row + node_offset))
+        for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
+            other = load_pair(u, 2 * (load_integer(indices, k) + node_offset))
+            total = _add_pull(total, load_float(stabilisation, k), other, own)
+        add_pair(f, 2 * (row + node_offset), scaled(factor, total))
+
+
+@kernel
+def inertia_and_force(indptr, indices, mass, scale, stabilisation, factor, node_offset, a, u, r):
+    """r (N, 2) += scale (mass (x) I2) a + factor (stabilisation (x) I2) u: both products in one walk over the pattern."""
+    for row in range(indptr.shape[0] - 1):
+        inertia, total, own = zero_pair(), zero_pair(), load_pair(u, 2 * (row + node_offset))
+        for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
+            place = 2 * (load_integer(indices, k) + node_offset)
+            inertia = add_product(inertia, load_float(mass, k), load_pair(a, place))
+            total = _add_pull(total, load_float(stabilisation, k), load_pair(u, place), own)
+        add_pair(r, 2 * (row + node_offset), add_product(scaled(scale, inertia), factor, total))
+
+
+@kernel
+def energy(indptr, indices, stabilisation, factor, node_offset, u):
+    """factor u . (stabilisation (x) I2) u / 2 in J: the sum of -S_ij |u_i - u_j|^2 / 2 over pairs i < j, compensated."""
+    total, lost = 0.0, 0.0
+    for row in range(indptr.shape[0] - 1):
+        i = row + node_offset
+        for k in range(indptr[row], indptr[row + 1]):
+            j = indices[k] + node_offset
+            if j > i:
+                x, y = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1]
+                term = -0.5 * factor * stabilisation[k] * (x * x + y * y) - lost
+                bigger = total + term
+                lost, total = (bigger - total) - term, bigger
+    return total

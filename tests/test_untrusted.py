@@ -1,0 +1,199 @@
+"""Files that nobody vouches for: damaged, foreign and hostile ones end in one InputError that names the file."""
+
+import json
+import os
+import random
+import struct
+import zlib
+
+import h5py
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.problems import plates
+from polyida.unclosed import checksum
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    path = tmp_path_factory.mktemp("good") / "run.h5"
+    pi.solve(plates.double_plate_motors(cells=6).build(), 0.02, pi.GeneralizedAlpha(h=1e-3), out=path)
+    return path.read_bytes()
+
+
+@pytest.fixture
+def path(good, tmp_path):
+    (tmp_path / "run.h5").write_bytes(good)
+    return tmp_path / "run.h5"
+
+
+def refused(path, *words):
+    with pytest.raises(pi.InputError) as error:
+        pi.load(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+    assert all(word in str(error.value) for word in words), str(error.value)
+    with pytest.raises(pi.InputError, match="run.h5"):
+        pi.resume(path, 0.03)
+
+
+def replaced(file, name, values, **options):
+    del file[name]
+    file.create_dataset(name, data=values, **options)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89HDF\r\n\x1a\n", b"t,x\n0,1\n" * 50, os.urandom(4096)], ids=["empty", "signature", "text", "noise"])
+def test_foreign_files(tmp_path, content):
+    (tmp_path / "run.h5").write_bytes(content)
+    refused(tmp_path / "run.h5")
+
+
+def test_another_hdf5_file(tmp_path):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["q"] = np.zeros(3)
+    refused(tmp_path / "run.h5", "not a polyida trajectory")
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.9999])
+def test_truncated_files(path, good, part):
+    path.write_bytes(good[:int(part * len(good))])
+    refused(path)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_damaged_bytes_never_end_in_anything_else(path, good, seed):
+    """What is read after random damage, mostly where the structure lies, is a trajectory or an InputError."""
+    draw, damaged = random.Random(seed), bytearray(good)
+    for _ in range(draw.randrange(1, 6)):
+        damaged[draw.randrange(20_000)] = draw.randrange(256)
+    path.write_bytes(damaged)
+    try:
+        run = pi.load(path)
+        assert np.isfinite(run.q).all() and len(run.q) == len(run.t)
+    except pi.InputError as error:
+        assert "run.h5" in str(error)
+
+
+HOSTILE = {
+    "values that are not finite": lambda f: f["q"].__setitem__((3, 2), np.nan),
+    "not increase": lambda f: f["t"].__setitem__(3, -1.0),
+    "does not hold numbers": lambda f: replaced(f, "q", np.full((21, f["q"].shape[1]), b"x", "S1")),
+    "has the shape": lambda f: replaced(f, "v", np.zeros((21, 3))),
+    "virtual, external or compressed": lambda f: replaced(f, "a", f["a"][()], compression="gzip"),
+    "is not in the file": lambda f: f.__delitem__("t"),
+    "frames, 21 are stated": lambda f: f["q"].resize(5, axis=0),
+    "no record": lambda f: [f[f"record {slot}"].resize(0, axis=0) for slot in range(2)],
+    "claims": lambda f: replaced(f, "scene/mesh 0/points", np.zeros(1), maxshape=(None,)) or f["scene/mesh 0/points"].resize(1 << 50, axis=0),
+}
+
+
+@pytest.mark.parametrize("word", HOSTILE)
+def test_hostile_contents(path, word):
+    with h5py.File(path, "r+") as file:
+        HOSTILE[word](file)
+    refused(path, word)
+
+
+def test_frames_beyond_the_file_are_not_allocated(path):
+    with h5py.File(path, "r+") as file:
+        file["q"].resize(1 << 40, axis=0)
+    refused(path, "claims")
+
+
+def test_no_link_leads_out_of_the_file(path, tmp_path):
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["q"] = np.zeros((21, 8))
+    with h5py.File(path, "r+") as file:
+        del file["q"]
+        file["q"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "q")
+    refused(path, "q is not in the file")
+
+
+def test_no_raw_data_of_other_files(path, tmp_path):
+    (tmp_path / "secret").write_bytes(bytes(8 * 21 * 60))
+    with h5py.File(path, "r+") as file:
+        shape = file["q"].shape
+        del file["q"]
+        file.create_dataset("q", shape, "f8", external=[(str(tmp_path / "secret"), 0, h5py.h5f.UNLIMITED)])
+    refused(path, "external")
+
+
+def about(path, change):
+    with h5py.File(path, "r+") as file:
+        data = json.loads(file["about"][()].tobytes())
+        change(data)
+        replaced(file, "about", np.frombuffer(json.dumps(data).encode(), np.uint8))
+
+
+ABOUT = {
+    "kind": lambda data: data["scene"]["parts"][0].update(kind="os.system"),
+    "material": lambda data: data["scene"]["parts"][0].update(material=[-1, 0.3, 1, "stress"]),
+    "setting": lambda data: data["integrator"]["settings"].update(h=-1),
+    "unknown setting": lambda data: data["integrator"]["settings"].update(hook="x"),
+    "mesh": lambda data: data["scene"]["parts"][0].update(mesh="no mesh"),
+    "body": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass")["at"].update(body="nobody"),
+    "length": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass")["at"].update(length=float("nan")),
+    "mass": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass").update(mass="heavy"),
+    "angle": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "AngleMotor").update(angle=["__import__", "os"]),
+    "gravity": lambda data: data["scene"].update(gravity="down"),
+    "no scene": lambda data: data["scene"].update(parts=[]),
+    "a list": lambda data: data.update(plan=3, machine=4),
+}
+
+
+@pytest.mark.parametrize("what", ABOUT)
+def test_descriptions_that_describe_nothing(path, what):
+    about(path, ABOUT[what])
+    refused(path)
+
+
+def test_deep_json(path):
+    with h5py.File(path, "r+") as file:
+        replaced(file, "about", np.frombuffer(b"[" * 200_000, np.uint8))
+    refused(path)
+
+
+def test_nodes_and_weights_that_do_not_fit(path):
+    def damaged(key, values):
+        with h5py.File(path, "r+") as file:
+            names = []
+            file["scene"].visit(lambda name: names.append(name) if name.endswith(key) else None)
+            replaced(file, f"scene/{names[0]}", values)
+        refused(path, "scene")
+
+    for key, values in (("at/nodes", np.array([10**6])), ("at/weights", np.ones(1)), ("at/nodes", np.array([0.5]))):
+        damaged(key, values)
+
+
+def test_a_state_to_go_on_from_that_was_changed(path):
+    with h5py.File(path, "r+") as file:
+        for slot in range(2):
+            file[f"restart {slot}"][3] = 7.0
+    refused(path, "go on from is damaged")
+
+
+def test_a_record_that_was_changed_on_purpose(path):
+    with h5py.File(path, "r+") as file:
+        for slot in range(2):
+            stored = file[f"record {slot}"][()].tobytes()
+            data = json.loads(stored[8:8 + struct.unpack("<I", stored[:4])[0]])
+            text = json.dumps(data | {"frames": 10**12, "counts": {"steps": "many"}}).encode()
+            file[f"record {slot}"].resize(len(text) + 8, axis=0)
+            file[f"record {slot}"][:] = np.frombuffer(struct.pack("<II", len(text), zlib.crc32(text)) + text, np.uint8)
+    refused(path, "are stated")
+
+
+def test_the_mark_of_an_unclosed_file_is_taken_off_when_reading(path, good):
+    head = bytearray(good[:48])
+    assert struct.unpack("<I", head[44:])[0] == checksum(head[:44])
+    head[11] = 5
+    head[44:] = struct.pack("<I", checksum(head[:44]))
+    path.write_bytes(head + good[48:])
+    with pytest.raises(OSError):
+        h5py.File(path, "r")
+    assert len(pi.load(path)) == 21 and path.read_bytes()[11] == 5
+    path.write_bytes(head + good[48:20_000] + bytes(200) + good[20_200:])
+    try:
+        pi.load(path)
+    except pi.InputError:
+        pass
