@@ -1,5 +1,7 @@
 """A scene as plain data and back, so that a result file holds the scene that made it: numbers and names, never code."""
 
+from dataclasses import astuple
+
 import numpy as np
 
 from polyida import profile
@@ -41,7 +43,7 @@ def _plate(plate, meshes, arrays):
         arrays |= {f"{key}/points": mesh.points, f"{key}/nodes": mesh.nodes, f"{key}/offsets": mesh.offsets}
         arrays |= {f"{key}/section {number}": nodes for number, nodes in enumerate(mesh.sections.values())}
     material = plate.material
-    return {"mesh": meshes[id(mesh)], "sections": list(mesh.sections), "material": [material.E, material.nu, material.rho, material.plane],
+    return {"mesh": meshes[id(mesh)], "sections": list(mesh.sections), "material": [*astuple(material)], "tau": plate.tau,
             "thickness": plate.thickness, "origin": _plain(plate.origin), "angle": plate.angle, "element": plate.element}
 
 
@@ -79,7 +81,7 @@ def _part(entry, parts, meshes, arrays, drives):
     kind, name = KINDS[entry["kind"]], entry["name"]
     if kind is Plate:
         return Plate(_mesh(entry["mesh"], entry["sections"], meshes, arrays), Material(*entry["material"]), entry["thickness"],
-                     tuple(entry["origin"]), entry["angle"], name, entry["element"])
+                     tuple(entry["origin"]), entry["angle"], name, entry["element"], entry["tau"])
     given = {key: _side(entry[key], parts, arrays) for key in ("a", "b", "at") if key in entry}
     given |= {key: entry[key] for key in ("mass", "force", "traction") if key in entry}
     for key in ("angle", "profile"):

@@ -178,6 +178,7 @@ def killed(path, delay):
     """Start the long run, kill it so many seconds after its file came; whether it was still running."""
     process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(LONG), path])
     while not path.exists():
+        assert process.poll() is None
         time.sleep(1e-3)
     time.sleep(delay)
     running = process.poll() is None

@@ -9,7 +9,8 @@ class Plates(NamedTuple):
     """The plates and their loads. Bodies' nodes are concatenated; equal meshes share one operator.
 
     Operators: concatenated arrays of `element.operator.ReferenceOperator` with the start of each (`at`, (operators + 1, 7): layout,
-    corners, gradients, weights, pairs, indptr, nnz). Bodies: operator number, first node, first block of the tangent, c1, nu, rho t.
+    corners, gradients, weights, pairs, indptr, nnz). stabilisation: like mass, of virtual elements. Bodies: operator
+    number, first node, first block of the tangent, c1, nu, rho t, mass damping (1/s), viscosity (s), factor of the stabilisation (N/m).
     weight: nodal gravity force, (nodes, 2). Loads: nodal forces times a drive.
     """
 
@@ -22,12 +23,16 @@ class Plates(NamedTuple):
     indptr: np.ndarray
     indices: np.ndarray
     mass: np.ndarray
+    stabilisation: np.ndarray
     body_operator: np.ndarray
     body_node: np.ndarray
     body_block: np.ndarray
     body_c1: np.ndarray
     body_nu: np.ndarray
     body_density: np.ndarray
+    body_drag: np.ndarray
+    body_viscosity: np.ndarray
+    body_stabilisation: np.ndarray
     weight: np.ndarray
     load_ptr: np.ndarray
     load_nodes: np.ndarray

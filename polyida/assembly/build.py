@@ -10,6 +10,7 @@ from polyida.assembly.points import Points
 from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
+from polyida.element import stabilisation
 from polyida.element.wachspress import reference_operator
 from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.clamp import Clamp
@@ -45,12 +46,21 @@ def bodies_of(parts):
     """Bodies in order; plates on one mesh share one reference operator."""
     operators, bodies, first = {}, [], 0
     for name, plate in of_kind(parts, Plate).items():
-        key = (id(plate.placed), plate.element)
+        key = (id(plate.placed), plate.element, plate.tau)
         if key not in operators:
-            operators[key] = reference_operator(plate.placed)
+            operators[key] = operator_of(plate)
         bodies.append(Body(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
         first += plate.mesh.n_nodes
     return bodies
+
+
+def operator_of(plate):
+    """The reference operator of a plate's element on its mesh."""
+    if plate.element == "virtual":
+        from polyida.element import virtual
+
+        return virtual.reference_operator(plate.placed, plate.tau)
+    return reference_operator(plate.placed)
 
 
 def assemble(bodies, parts, gravity):
@@ -84,6 +94,8 @@ def operator_arrays(bodies):
     }
     lists = {name: [getattr(operator, name) for operator in operators] for name in parts}
     fields = {name: concatenated(lists[name], dtype, tail) for name, (dtype, tail) in parts.items()}
+    parts_of = [np.zeros_like(o.mass) if o.stabilisation is None else o.stabilisation for o in operators]
+    fields["stabilisation"] = concatenated(parts_of, float)
     order = ("layout", "corners", "gradients", "weights", "pairs", "indptr", "indices")
     number = {id(operator): k for k, operator in enumerate(operators)}
     return fields | {
@@ -94,12 +106,13 @@ def operator_arrays(bodies):
 
 def body_arrays(bodies, gravity):
     """Per-body coefficients and the nodal weight."""
-    c1, ratio, density, weight = [], [], [], []
+    c1, ratio, density, weight, factor = [], [], [], [], []
     for body in bodies:
         plate, operator = body.plate, body.operator
         modulus, nu = plate.material.in_plane
         c1.append(plate.thickness * modulus / (1 - nu**2))
         ratio.append(nu)
+        factor.append(0.0 if operator.stabilisation is None else stabilisation.factor(c1[-1], nu))
         density.append(plate.material.rho * plate.thickness)
         lumped = np.add.reduceat(operator.mass, operator.indptr[:-1]) * density[-1]
         weight.append(np.outer(lumped, gravity))
@@ -107,6 +120,8 @@ def body_arrays(bodies, gravity):
         "body_node": starts([range(body.mesh.n_nodes) for body in bodies]),
         "body_block": starts([body.operator.indices for body in bodies]),
         "body_c1": np.array(c1), "body_nu": np.array(ratio), "body_density": np.array(density),
+        "body_drag": np.array([body.plate.material.mass_damping for body in bodies]),
+        "body_viscosity": np.array([body.plate.material.viscosity for body in bodies]), "body_stabilisation": np.array(factor),
         "weight": concatenated(weight, float, (2,)),
     }
 

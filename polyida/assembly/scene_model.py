@@ -7,6 +7,7 @@ import numpy as np
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly import joints as rows
 from polyida.assembly.build import assemble, bodies_of
+from polyida.assembly.damping import add_damping, damped_blocks
 from polyida.element import kernels
 from polyida.joint.angle_motor import AngleMotor
 from polyida.model import Model, Needs
@@ -16,10 +17,8 @@ class SceneModel(Model):
     """Plates, joints and masses as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
 
     bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read. `rows` names the slice
-    of phi and lam that belongs to each joint. Matrices are scipy.sparse.
+    of phi and lam that belongs to each joint. fused: integrators may take compiled steps (scenes without damping). Matrices are scipy.sparse.
     """
-
-    undamped_flexible = True
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
@@ -32,7 +31,9 @@ class SceneModel(Model):
         links = self.arrays.links
         motors = links.joint_kind == rows.MOTOR
         both = motors & (links.joint_a >= 0) & (links.joint_b >= 0)
-        self.needs = Needs(mass_varies=False, velocity_forces=False, driven=bool(motors.any()), phi_q_varies=bool(both.any()))
+        damped = any(body.plate.material.damped for body in self.bodies)
+        self.undamped_flexible, self.fused = not damped, not damped
+        self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool(motors.any()), phi_q_varies=bool(both.any()))
         self.reference = np.concatenate([body.points for body in self.bodies])
 
     def drives(self, t):
@@ -58,7 +59,12 @@ class SceneModel(Model):
 
     def residual(self, t, q, v, a, lam):
         """`r = M a + g + phi_q^T lam`, (n,)."""
-        return self.evaluate(t, q, a, lam)[0]
+        return self._damped(q, v, self.evaluate(t, q, a, lam)[0])
+
+    def _damped(self, q, v, r):
+        if self.needs.velocity_forces:
+            add_damping(self.arrays.plates, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
+        return r
 
     def phi(self, t, q):
         """Constraints, (m,), in m (points) and m of turned direction (motors)."""
@@ -68,7 +74,7 @@ class SceneModel(Model):
 
     def force(self, t, q, v):
         """g = g_int - g_ext, (n,)."""
-        return self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0]
+        return self._damped(q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
 
     def mass(self, q=None):
         """Mass matrix, constant, (n, n) sparse."""
@@ -132,17 +138,17 @@ class SceneModel(Model):
 
     def force_q(self, t, q, v):
         """dg/dq, (n, n) sparse."""
-        return self._sparse(self._nodal(q), 0.0, 1.0)
+        return self._plates_q(q, v, 0.0, 1.0)
 
     def force_v(self, t, q, v):
-        """dg/dv: zero."""
-        from scipy.sparse import csc_array
-
-        return csc_array((self.n, self.n))
+        """dg/dv, (n, n) sparse: zero without damping."""
+        return self._plates_q(q, v, 1.0, 0.0)
 
     def mass_a_q(self, q, a):
         """d(M a)/dq: zero."""
-        return self.force_v(0.0, q, q)
+        from scipy.sparse import csc_array
+
+        return csc_array((self.n, self.n))
 
     def reaction_q(self, t, q, lam):
         """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the motors on the points."""
@@ -153,8 +159,8 @@ class SceneModel(Model):
         return self._points_t @ csr_array(curvature) @ self._points_t.T
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
-        """`c_m M + c_q dr/dq`, (n, n) sparse."""
-        result = self._sparse(self._nodal(q), 0.0, c_q) + c_m * self._mass
+        """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n) sparse."""
+        result = self._plates_q(q, v, c_v, c_q) + c_m * self._mass
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
 
     def objection(self, t, q):
@@ -215,12 +221,15 @@ class SceneModel(Model):
             indices.append(body.operator.indices + np.int32(body.nodes.start))
         return np.concatenate(indptr), np.concatenate(indices)
 
-    def _sparse(self, u, c_m, c_q):
+    def _plates_q(self, q, v, c_v, c_q):
         from scipy.sparse import bsr_array
 
         indptr, indices = self.pattern
         blocks = np.empty((len(indices), 2, 2))
-        compiled.tangent_blocks(self.arrays.plates, u, c_m, c_q, blocks)
+        if self.needs.velocity_forces:
+            damped_blocks(self.arrays.plates, self._nodal(q), self._nodal(v), c_v, c_q, blocks)
+        else:
+            compiled.tangent_blocks(self.arrays.plates, self._nodal(q), 0.0, c_q, blocks)
         return bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
 
     def stress(self, q):

@@ -12,23 +12,33 @@ class Material:
     """St. Venant-Kirchhoff, `S = E/(1 - nu^2) [(1 - nu) E_GL + nu tr(E_GL) I]` in plane stress.
 
     E: Young's modulus, Pa, > 0. nu: Poisson's ratio in (-1, 0.5). rho: density, kg/m3, > 0. plane: "stress" or "strain"; plane
-    strain is the same formula with E/(1 - nu^2) and nu/(1 - nu). Raises InputError naming the value that is out of range.
+    strain is the same formula with E/(1 - nu^2) and nu/(1 - nu). viscosity: Kelvin-Voigt time, s, >= 0: `S = D : (E_GL + viscosity E_GL')`,
+    objective. mass_damping: Rayleigh's mass-proportional part, 1/s, >= 0: a force `mass_damping M v`. Raises InputError naming the value that is out of range.
     """
 
     E: float
     nu: float
     rho: float
     plane: str = "stress"
+    viscosity: float = 0.0
+    mass_damping: float = 0.0
 
     def __post_init__(self):
         for name, value, good, want in (
             ("E", self.E, _finite(self.E) and self.E > 0, "a positive modulus in Pa"),
             ("nu", self.nu, _finite(self.nu) and -1 < self.nu < 0.5, "inside (-1, 0.5)"),
             ("rho", self.rho, _finite(self.rho) and self.rho > 0, "a positive density in kg/m3"),
+            ("viscosity", self.viscosity, _finite(self.viscosity) and self.viscosity >= 0, "a time in s, not negative"),
+            ("mass_damping", self.mass_damping, _finite(self.mass_damping) and self.mass_damping >= 0, "a rate in 1/s, not negative"),
             ("plane", self.plane, self.plane in ("stress", "strain"), '"stress" or "strain"'),
         ):
             if not good:
                 raise InputError(f"Material: {name} = {value!r} must be {want}")
+
+    @property
+    def damped(self):
+        """Whether the material brakes motion."""
+        return self.viscosity > 0 or self.mass_damping > 0
 
     @property
     def in_plane(self):

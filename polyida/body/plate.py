@@ -10,7 +10,7 @@ from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.mesh import PolygonMesh
 
-ELEMENTS = ("wachspress",)
+ELEMENTS = ("wachspress", "virtual")
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,8 +18,9 @@ class Plate:
     """A flexible plate in plane stress or plane strain, meshed by convex polygons.
 
     mesh: PolygonMesh, m. thickness: m. origin: where the mesh's (0, 0) lies, m. angle: turn about it, rad. name: how joints, tables
-    and files call it (given by the scene where it is None). element: "wachspress".
-    Raises InputError for a thickness that is not positive, a cell that is not strictly convex, an unknown element.
+    and files call it (given by the scene where it is None). element: "wachspress", or "virtual" (first-order virtual element, which takes
+    any simple polygon and whose accuracy in bending depends on its stabilisation `tau`, a tuning parameter).
+    Raises InputError for a thickness that is not positive, an unknown element, a cell that is not strictly convex (wachspress).
     """
 
     mesh: PolygonMesh
@@ -29,6 +30,7 @@ class Plate:
     angle: float = 0.0
     name: str | None = None
     element: str = "wachspress"
+    tau: float = 0.1
     label: str = field(init=False, repr=False)
 
     def __post_init__(self):
@@ -44,7 +46,9 @@ class Plate:
             raise InputError(f"{label}: angle = {self.angle!r} must be a finite number of rad")
         if self.element not in ELEMENTS:
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
-        self._of_mesh(self.mesh.require_convex)
+        positive(label, "tau", self.tau, "no unit")
+        if self.element == "wachspress":
+            self._of_mesh(self.mesh.require_convex)
 
     @cached_property
     def placed(self):

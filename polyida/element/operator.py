@@ -83,8 +83,8 @@ def build(mesh, element):
 
     mesh: anything with points (N, 2) in m, nodes and offsets (corners of cell i are nodes[offsets[i]:offsets[i + 1]]).
     element(corners (n, 2, c), cells (c,), nodes (n, c)) returns areas (c,), mean gradients (n, 2, c) and, as in a
-    CellGroup, gradients, weights, mass and where there is one the stabilisation; it raises InputError for a cell that it
-    cannot treat. Raises InputError for a node that belongs to no cell.
+    CellGroup, gradients, weights, mass and where there is one the stabilisation; it raises InputError for a cell that
+    it cannot treat. Raises InputError for a node that belongs to no cell.
     """
     points = np.asarray(mesh.points, dtype=float)
     offsets, nodes = np.asarray(mesh.offsets, dtype=np.int64), np.asarray(mesh.nodes, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Numba kernels of a virtual element's stabilisation: a constant scalar matrix on the node pattern, rows summing to zero.
+"""Numba kernels of a virtual element's stabilisation S: a constant scalar matrix on the node pattern, rows sum to 0.
 
 f = factor (S (x) I) u, W = factor u . (S (x) I) u / 2. Differences of neighbours replace displacements, so that large
 translations cost no digits. Its tangent, factor S on the diagonal of each 2 x 2 block, is constant. There is no viscous
@@ -34,7 +34,7 @@ def force(indptr, indices, stabilisation, factor, node_offset, u, f):
 
 @kernel
 def inertia_and_force(indptr, indices, mass, scale, stabilisation, factor, node_offset, a, u, r):
-    """r (N, 2) += scale (mass (x) I2) a + factor (stabilisation (x) I2) u: both products in one walk over the pattern."""
+    """r (N, 2) += scale (mass (x) I2) a + factor (stabilisation (x) I2) u in one walk over the pattern."""
     for row in range(indptr.shape[0] - 1):
         inertia, total, own = zero_pair(), zero_pair(), load_pair(u, 2 * (row + node_offset))
         for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
@@ -46,7 +46,7 @@ def inertia_and_force(indptr, indices, mass, scale, stabilisation, factor, node_
 
 @kernel
 def energy(indptr, indices, stabilisation, factor, node_offset, u):
-    """factor u . (stabilisation (x) I2) u / 2 in J: the sum of -S_ij |u_i - u_j|^2 / 2 over pairs i < j, compensated."""
+    """factor u . (stabilisation (x) I2) u / 2 in J: compensated sum of -factor S_ij |u_i - u_j|^2 / 2, i < j."""
     total, lost = 0.0, 0.0
     for row in range(indptr.shape[0] - 1):
         i = row + node_offset

@@ -4,8 +4,8 @@
     midpoint  f_i = int t F_m S_m G_i, F_m = (F_0 + F_1) / 2, S_m = D : (E_0 + E_1) / 2 (Simo, Tarnow 1992), so that
               f . (u_1 - u_0) = W_1 - W_0; with viscosity, plus tau_v / h int t (E_1 - E_0) : D : (E_1 - E_0)
 
-Arguments as in kernels.py. numba's cache compares this file alone: after a change in kernels.py, lanes.py or the material
-files, touch it or delete __pycache__.
+Arguments as in kernels.py. numba's cache compares this file alone: after a change in kernels.py, lanes.py or the
+material files, touch it or delete __pycache__.
 """
 
 import numpy as np
@@ -102,7 +102,7 @@ def _fields(a, b, corners, start, node_offset, m, mix, out):
 
 @part
 def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, mix, a, b, f, rotation):
-    """Force of the fields that `mix` makes of a and b; response = (rate, square, distance along d where det F is seen)."""
+    """Force of the fields that `mix` makes of a and b; response = (rate, square, part of d added to see det F)."""
     room = _room(layout, 6, 0)
     seen = spread(np.inf), spread(0.0)
     rate, square, ahead = response

@@ -6,10 +6,10 @@ sum_i x_i (x) G_i, G_i = (1 / |E|) oint N_i n ds of linear edges (Beirao da Veig
     W = int t S(F) : E(F) / 2 + tau t tr(C) |(I - Pi) x|^2 / 2
     m_ij = int Pi N_i Pi N_j + (|E| / (9 n)) ((I - Pi)^T (I - Pi))_ij
 
-with tr(C) of the 3 x 3 plane elasticity matrix. Linear fields x pass (I - Pi) as zero, and so do the reference positions
-X: x may be replaced by the displacements, and a rotation costs no energy. Total mass and rigid inertia are exact;
-on a square the mass is the bilinear element's, and the factor 1 / (9 n) is within 8 % of Wachspress' trace on regular
-polygons of 4 to 7 corners.
+with tr(C) of the 3 x 3 plane elasticity matrix. (I - Pi) takes linear fields to zero, the reference positions X among
+them: x may be replaced by the displacements, and a rotation costs no energy. Total mass and rigid inertia are exact; on
+a square the mass is the bilinear element's, and on regular polygons of 4 to 7 corners the part with 1 / (9 n) is within
+7 % of what Wachspress functions give.
 """
 
 import numpy as np
@@ -28,14 +28,15 @@ def reference_operator(mesh, tau=0.1):
     mesh: points (N, 2) in m, nodes and offsets (corners of cell i are nodes[offsets[i]:offsets[i + 1]]); cells are
     counter-clockwise simple polygons, not necessarily convex: hanging nodes and reentrant corners are welcome.
     tau: stiffness of the deformations that a cell's F does not see, no unit, > 0. It is a tuning parameter: the answers
-    converge to the same limit for every tau, but on coarse meshes 0.5 bends far too stiffly and 0.1 slightly too softly.
+    converge to the same limit for every tau. The error of a cantilever's tip, 2 / 3 / 5 cells through the thickness, is
+    +3.5 / +0.2 / +0.3 % with 0.1 and -43 / -19 / -8 % with 0.5 (means over six meshes of 40 / 90 / 250 cells).
     The stabilisation has no unit. Its energy is factor u . (stabilisation (x) I) u / 2 with factor = t tr(C)
     = c1 (5 - nu) / 2 in N/m, c1 = t E / (1 - nu^2) (`stabilisation.factor`). Triangles have none.
     Raises InputError for tau <= 0, a cell of no area or clockwise, a side of zero length, a node without a cell.
     """
     if not (np.isfinite(tau) and tau > 0):
-        raise InputError(f"virtual element: tau = {tau!r} must be a positive number, 0.1 is usual; without stabilisation "
-                         "cells of more than three corners have no stiffness against some deformations")
+        raise InputError(f"virtual element: tau = {tau!r} must be a positive number, 0.1 is usual; without "
+                         "stabilisation cells of more than three corners have no stiffness against some deformations")
     return build(mesh, lambda corners, cells, nodes: _element(corners, cells, nodes, tau))
 
 
@@ -49,7 +50,7 @@ def _element(corners, cells, nodes, tau):
     square = np.einsum("kic,kjc->ijc", rest, rest) if n > 3 else np.zeros((n, n, len(cells)))
     middle = 1 / n + np.einsum("idc,dc->ic", mean, centroid)
     spread = np.einsum("idc,dec,jec->ijc", mean, second_moments(corners - centroid), mean)
-    mass = area * middle[:, None] * middle + (spread + spread.transpose(1, 0, 2)) / 2 + area / (9 * n) * square
+    mass = middle[:, None] * middle * area + (spread + spread.transpose(1, 0, 2)) / 2 + area / (9 * n) * square
     return area, mean, mean[None], area[None], mass, tau * square
 
 

@@ -74,6 +74,6 @@ class GeneralizedAlpha:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         for begin, end in segments(model, state.t, t_end):
             count = max(1, int(np.ceil((end - begin) / self.h * (1 - 1e-12))))
-            method = alpha_generic if self.linear == "kkt" or not hasattr(model, "arrays") else alpha_scene
+            method = alpha_generic if self.linear == "kkt" or not getattr(model, "fused", False) else alpha_scene
             for state in method.advance(self, model, state, begin, end, count, counts):
                 yield state

@@ -134,7 +134,8 @@ def hanging():
     """Six cells: nodes on the middle of sides, and an L with a reentrant corner."""
     points = [[0, 0], [1, 0], [2, 0], [1, .5], [2, .5], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2], [0, 3], [1, 3], [2, 3],
               [.5, 1]]
-    return mesh(points, [[0, 1, 3, 6, 13, 5], [1, 2, 4, 3], [3, 4, 7, 6], [5, 13, 6, 7, 9, 8, 11, 10], [8, 9, 12], [8, 12, 11]])
+    cells = [[0, 1, 3, 6, 13, 5], [1, 2, 4, 3], [3, 4, 7, 6], [5, 13, 6, 7, 9, 8, 11, 10], [8, 9, 12], [8, 12, 11]]
+    return mesh(points, cells)
 
 
 @pytest.fixture

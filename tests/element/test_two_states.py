@@ -132,7 +132,8 @@ def test_viscous_force_dissipates(plate):
 
 def test_forces_have_no_resultant(plate, shape):
     u0, u1, v = plate.plate.displacement(wavy), plate.plate.displacement(later), velocity(plate)
-    for f, u in ((plate.viscous(u0, v), u0), (plate.midpoint(u0, u1), (u0 + u1) / 2), (plate.midpoint(u0, u1, 0.4), (u0 + u1) / 2)):
+    mean = (u0 + u1) / 2
+    for f, u in ((plate.viscous(u0, v), u0), (plate.midpoint(u0, u1), mean), (plate.midpoint(u0, u1, 0.4), mean)):
         place = shape.points + u[plate.first:]
         assert abs(f.sum(axis=0)).max() < 1e-14 * abs(f).sum()
         assert abs((place[:, 0] * f[:, 1] - place[:, 1] * f[:, 0]).sum()) < 1e-13 * abs(f).sum()

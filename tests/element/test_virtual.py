@@ -145,7 +145,8 @@ def test_stabilisation_is_symmetric_scales_with_tau_and_spares_triangles(meshes,
 
 
 def test_mass_is_exact_for_rigid_bodies_and_positive(meshes, body):
-    for shape, area, polar in ((meshes.mixed(1.0, 0.7, seed=9), 0.7, 0.7 * (1 + 0.49) / 12), (meshes.hanging(), 6.0, 6 * 13 / 12)):
+    convex = meshes.mixed(1.0, 0.7, seed=9)
+    for shape, area, polar in ((convex, 0.7, 0.7 * (1 + 0.49) / 12), (meshes.hanging(), 6.0, 6 * 13 / 12)):
         plate = body(shape, operator=virtual.reference_operator)
         mass = plate.dense(plate.op.mass)
         x, y = (shape.points - (shape.points.max(axis=0) + shape.points.min(axis=0)) / 2).T
@@ -193,7 +194,8 @@ def test_bending_of_a_cantilever_depends_on_tau(tau, count, low, high, flexible)
     k = plate.tangent(plate.displacement(lambda x: 0 * x))[np.ix_(free, free)]
     tip = load.ravel()[free] @ np.linalg.solve(k, load.ravel()[free])
     modulus, nu, thickness = plate.plain.E, plate.plain.NU, plate.plain.THICKNESS
-    beam = 4 * (length / height)**3 / (modulus * thickness) + 12 / 5 * (1 + nu) * length / (modulus * thickness * height)
+    slenderness = length / height
+    beam = (4 * slenderness**3 + 12 / 5 * (1 + nu) * slenderness) / (modulus * thickness)
     assert low < tip / beam - 1 < high
 
 
