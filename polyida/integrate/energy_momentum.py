@@ -26,6 +26,7 @@ class EnergyMomentum:
     h: float
     tolerance: float = 1e-10
     max_iterations: int = 40
+    multipliers_at_middle = True
 
     def __post_init__(self):
         number = (int, float, np.floating, np.integer)

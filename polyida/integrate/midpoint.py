@@ -10,6 +10,7 @@ import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
+from polyida.assembly.damping import damped_blocks
 from polyida.compiled import entry, part
 from polyida.element import kernels as elements
 from polyida.element import stabilisation, two_states
@@ -120,7 +121,7 @@ def correct(h, w):
 
 
 @entry
-def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, w, counts):
+def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, extent, w, counts):
     """Newton's iteration from w.u1, w.lam. Returns how it ended and the last |dq|."""
     before = 0.0
     for iteration in range(most):
@@ -135,12 +136,12 @@ def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, w, 
             return SINGULAR, before
         counts[1] += 1
         moved, size, pull = correct(h, w)
-        floor = 4.0 * 2.2e-16 * (size + 1e-3)
+        floor = 4.0 * 2.2e-16 * size
         rate = moved / before if before > 0.0 else 1.0
         if moved <= floor or (iteration > 0 and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance * h * h * pull):
             return (DONE if cosine > 0.0 else HALF_TURN), moved
         if iteration > 1 and rate > SLOW:
-            return (DONE if moved <= 1e3 * floor else REFACTOR), moved
+            return (DONE if moved <= 256.0 * 2.2e-16 * (size + extent) and cosine > 0.0 else REFACTOR), moved
         before = moved
     return REFACTOR, before
 
@@ -151,6 +152,7 @@ class Midpoint:
     def __init__(self, settings, model, h, counts):
         self.settings, self.model, self.h, self.counts = settings, model, h, counts
         self.room, self.system = room(model), None
+        self.extent = float(np.ptp(model.reference, axis=0).max())
 
     def step(self, state, t):
         """The accepted state at t. Raises StepFailure where Newton does not converge with a fresh matrix."""
@@ -177,17 +179,24 @@ class Midpoint:
         if self.fresh:
             self._factor(at_middle, t)
         ended = newton(model.arrays, self.system, self.scratch, at_middle, at_end, h, self.settings.tolerance, self.settings.max_iterations,
-                       w, seen)
+                       self.extent, w, seen)
         self.counts.residuals += int(seen[0])
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])
         return ended
+
+    def _damping(self):
+        blocks, still = np.empty((len(self.model.pattern[1]), 2, 2)), np.zeros_like(self.room.um)
+        damped_blocks(self.model.arrays.plates, self.room.um, still, 1.0 / self.h, 0.0, blocks)
+        return blocks
 
     def _factor(self, drives, t):
         model, w, h = self.model, self.room, self.h
         middle(model.arrays, drives, h, w)
         blocks = np.empty((len(model.pattern[1]), 2, 2))
         kernels.tangent_blocks(model.arrays.plates, w.um, 2.0 / (h * h), 0.5, blocks)
+        if model.needs.velocity_forces:
+            blocks += self._damping()
         self.counts.residuals += 1
         self.counts.tangents += 1
         self.counts.factorizations += 1

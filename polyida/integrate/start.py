@@ -43,15 +43,19 @@ def consistent_acceleration(model, t, q, v):
     return mass_system(model, t, q).solve(model.force(t, q, v), bias)
 
 
-def jerk(model, state, h):
-    """q''' at a state, (n,), by central differences of consistent accelerations over h/20 on both sides."""
-    s = h / 20
+def jerk(model, state, h, begin=None):
+    """q''' at a state, (n,), by one-sided differences of consistent accelerations over h/20.
+
+    h > 0 looks ahead only and h < 0 back only, so that a kink of a load or motor at the state does no harm. begin: the time taken
+    for the state's own, to one side of a kink.
+    """
+    s, begin = h / 20, state.t if begin is None else begin
 
     def acceleration(s):
         q = state.q + s * state.v + s * s / 2 * state.a
-        return consistent_acceleration(model, state.t + s, q, state.v + s * state.a)[0]
+        return consistent_acceleration(model, begin + s, q, state.v + s * state.a)[0]
 
-    return (acceleration(s) - acceleration(-s)) / (2 * s)
+    return (4 * acceleration(s) - acceleration(2 * s) - 3 * acceleration(0.0)) / (2 * s)
 
 
 def given(model, name, value):

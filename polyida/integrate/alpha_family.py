@@ -1,0 +1,54 @@
+"""The generalized-alpha family: coefficients of its members, and which of them damp at infinite frequency."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """alpha_m, alpha_f, beta, gamma of a member of the family."""
+
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+
+    @classmethod
+    def chung_hulbert(cls, rho_inf):
+        """`alpha_m = (2 rho - 1)/(rho + 1)`, `alpha_f = rho/(rho + 1)`, second order with the least low-frequency damping."""
+        return cls.second_order((2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1))
+
+    @classmethod
+    def second_order(cls, alpha_m, alpha_f):
+        """`gamma = 1/2 - alpha_m + alpha_f`, `beta = (gamma + 1/2)^2 / 4`."""
+        gamma = 0.5 - alpha_m + alpha_f
+        return cls(alpha_m, alpha_f, (gamma + 0.5) ** 2 / 4, gamma)
+
+    @property
+    def error(self):
+        """C in the local error of q, `C h^2 (q''_1 - q''_0)`: `C = 1/6 - (alpha_m - alpha_f)/2 - beta`."""
+        return 1 / 6 - (self.alpha_m - self.alpha_f) / 2 - self.beta
+
+    @property
+    def offset(self):
+        """Steps by which the algorithmic acceleration is ahead of q'': alpha_m - alpha_f."""
+        return self.alpha_m - self.alpha_f
+
+    @property
+    def at_infinity(self):
+        """Spectral radius on a rigid constraint, of (h v, h^2 a) where q = 0, and of the multipliers: below 1 it is stable on index 3."""
+        b, g = self.beta, self.gamma
+        motion = np.array([[1 - g / b, 1 - g / (2 * b)], [-1 / b, 1 - 1 / (2 * b)]])
+        return max(float(np.abs(np.linalg.eigvals(motion)).max()), abs(self.alpha_f / (1 - self.alpha_f)))
+
+
+def require_damping(name, c):
+    """Raise InputError unless the member has numbers that make a method, and damps at infinite frequency."""
+    if not (np.isfinite([c.alpha_m, c.alpha_f, c.beta, c.gamma]).all() and c.beta > 0 and c.alpha_m < 1 and c.alpha_f < 1):
+        raise InputError(f"{name}: {c} must be finite, with beta > 0, alpha_m < 1, alpha_f < 1")
+    if not c.at_infinity < 1 - 1e-6:
+        raise InputError(f"{name}: {c} has the spectral radius {c.at_infinity:.3g} at infinite frequency; on index 3 it must be "
+                         "below 1, or constraint forces swing ever higher (the trapezoidal rule beta = 1/4, gamma = 1/2 is on the limit)")

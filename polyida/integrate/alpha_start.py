@@ -1,0 +1,104 @@
+"""What generalized-alpha starts from: at the beginning of a run, behind a kink, at another step, after a step that was cut.
+
+The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f) h, and v is off the velocity constraint by
+`B l/h`, `l/h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''`, what the local error of q must be along the constraints (Arnold,
+Bruels 2007). A start without them shows a first-order transient in lam. In the stabilised form v is on its constraint.
+"""
+
+import numpy as np
+
+from polyida.integrate.start import consistent_acceleration, jerk, mass_system
+from polyida.integrate.state import State
+
+
+def started(settings, model, state, h):
+    """The state as the method starts from it with step h: `memory` holds a_alg and h.
+
+    One that this method left at this step goes on as it is; one that it left at another step is scaled to this one; behind a kink
+    of a load or motor, velocities and accelerations jump; any other is a run's beginning. After a cut step a_alg is q''.
+    """
+    memory = state.memory
+    if settings.start == "plain" and "a_alg" not in memory or "cut" in memory:
+        return _with(state, a_alg=state.a, h=h)
+    if "a_alg" not in memory:
+        return beginning(settings, model, _on_the_right(model, state, h), h)
+    if at_kink(model, state.t):
+        state = behind_kink(settings, model, state, float(memory["h"]))
+    return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else rescaled(settings, model, state, h)
+
+
+def at_kink(model, t):
+    """Whether a load or motor has a kink at t."""
+    near = 1e-12 * max(abs(t), 1e-300)
+    return bool(model.kinks(t - near, t + near))
+
+
+def beginning(settings, model, state, h):
+    """A consistent state with `a_alg = q'' + (alpha_m - alpha_f) h q'''` and v moved by `B l/h`."""
+    c, third = settings.coefficients, jerk(model, state, h, _beside(state.t, h) if at_kink(model, state.t) else None)
+    v = state.v + _off_constraint(settings, model, state, h, third)
+    return _with(state, v=v, a_alg=state.a + c.offset * h * third, h=h)
+
+
+def behind_kink(settings, model, state, h):
+    """The state on the other side of a kink at its time: what jumps there is added, what the method carries besides stays.
+
+    Velocities jump with the motors' rates, in the metric of M; accelerations and multipliers with loads and rates; a_alg and v also
+    with the jump of q'''. All are differences of consistent values right and left, so that ringing mesh modes drop out.
+    """
+    t, right, left = state.t, _beside(state.t, h), _beside(state.t, -h)
+    v = state.v
+    if model.m:
+        jump = model.phi_t(right, state.q) - model.phi_t(left, state.q)
+        v = v + mass_system(model, t, state.q).solve(np.zeros(model.n), jump)[0]
+    before, after = (consistent_acceleration(model, side, state.q, speed) for side, speed in ((left, state.v), (right, v)))
+    a, lam = state.a + after[0] - before[0], state.lam + after[1] - before[1]
+    behind = _with(state, v=v, a=a, lam=lam)
+    third = jerk(model, behind, h, right) - jerk(model, state, -h, left)
+    offset = settings.coefficients.offset * h * third
+    v = v + _off_constraint(settings, model, state, h, third)
+    return _with(behind, v=v, a_alg=state.memory["a_alg"] + a - state.a + offset, h=h)
+
+
+def rescaled(settings, model, state, h):
+    """The state at another step: a_alg - q'' scales with h, the part of v off the velocity constraint with h^2.
+
+    A step that grows scales nothing up: noise in the mesh modes would grow with it.
+    """
+    scale, memory, v = h / float(state.memory["h"]), state.memory, state.v
+    if model.m and settings.form == "index3":
+        rate = model.phi_q(state.t, state.q) @ v + model.phi_t(state.t, state.q)
+        v = v + (1 - scale**2) * mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
+    return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h)
+
+
+def _on_the_right(model, state, h):
+    """The state with v, a and lam of the right side, where a run begins at a kink."""
+    if not at_kink(model, state.t):
+        return state
+    right, v = _beside(state.t, h), state.v
+    if model.m:
+        rate = model.phi_q(state.t, state.q) @ v + model.phi_t(right, state.q)
+        v = v + mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
+    a, lam = consistent_acceleration(model, right, state.q, v)
+    return _with(state, v=v, a=a, lam=lam)
+
+
+def _beside(t, h):
+    """A time next to t, on the side that h points to."""
+    return t + np.copysign(max(1e-7 * abs(h), 64 * np.finfo(float).eps * abs(t)), h)
+
+
+def _off_constraint(settings, model, state, h, third):
+    """The move of v off the velocity constraint for q''' = third."""
+    if not model.m or settings.form != "index3":
+        return 0.0
+    c = settings.coefficients
+    offset = (1 - 6 * c.beta - 3 * c.offset) / 6 * h * h * third
+    border = model.phi_q(state.t, state.q) @ offset
+    return mass_system(model, state.t, state.q).solve(np.zeros(model.n), -border)[0]
+
+
+def _with(state, v=None, a=None, lam=None, **memory):
+    return State(state.t, state.q, state.v if v is None else v, state.a if a is None else a, state.lam if lam is None else lam,
+                 state.memory | memory)
