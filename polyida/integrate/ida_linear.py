@@ -52,8 +52,8 @@ def _not_a_number(b):
     return np.full(np.shape(b), np.nan)
 
 
-class ReducedSolve:
-    """The preconditioner of `system` (integrate/ida_forms.py): `setup`, `solve` and `product` are IDA's callbacks.
+class EchoedSolve:
+    """IDA's linear callbacks around a solve with the whole iteration matrix: `setup` factors at a cj, `reduced` solves.
 
     IDA itself keeps a factor while cj moves by up to 5/3. Here S is factored whenever cj has moved: with a stale cj
     Newton contracts at up to 0.5, needs up to 1.7 times the residuals, and on flexible bodies stops further from the
@@ -64,6 +64,27 @@ class ReducedSolve:
         self.system, self.counts = system, counts
         self.cj = math.nan
         self.echo = False
+
+    def product(self, t, y, yp, res, vector, result, cj):
+        """IDA's matrix times vector: hand it through, and have the next `solve` echo it."""
+        self.echo = True
+        result[:] = vector
+
+    def solve(self, t, y, yp, res, r, z, cj, delta):
+        """z = J^-1 r, or the echo of r where `product` came before."""
+        if self.echo:
+            self.echo = False
+            z[:] = r
+            return
+        if not abs(cj - self.cj) <= SAME_CJ * cj:
+            self.setup(t, y, yp, res, cj)
+        self.counts.newton_iterations += 1
+        self.counts.solves += 1
+        self.reduced(t, r, z)
+
+
+class ReducedSolve(EchoedSolve):
+    """The preconditioner of `system` (integrate/ida_forms.py) for any model."""
 
     def setup(self, t, y, yp, res, cj):
         """Evaluate the blocks at (t, y, y'), factor S and the border."""
@@ -83,24 +104,8 @@ class ReducedSolve:
             small[:, blocks.m:] -= self.velocity_rows @ blocks.B.T
         self.inner = dense_factor(small)
 
-    def product(self, t, y, yp, res, vector, result, cj):
-        """IDA's matrix times vector: hand it through, and have the next `solve` echo it."""
-        self.echo = True
-        result[:] = vector
-
-    def solve(self, t, y, yp, res, r, z, cj, delta):
-        """z = J^-1 r, or the echo of r where `product` came before."""
-        if self.echo:
-            self.echo = False
-            z[:] = r
-            return
-        if not abs(cj - self.cj) <= SAME_CJ * cj:
-            self.setup(t, y, yp, res, cj)
-        self.counts.newton_iterations += 1
-        self.counts.solves += 1
-        self._reduced(r, z)
-
-    def _reduced(self, r, z):
+    def reduced(self, t, r, z):
+        """z = J^-1 r."""
         n, m, blocks, cj = self.blocks.n, self.blocks.m, self.blocks, self.cj
         r1 = r[:n]
         dq = self.inverse(r[n:2 * n] + blocks.damping_product(cj, r1))

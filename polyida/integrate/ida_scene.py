@@ -1,11 +1,6 @@
 """IDA's callbacks for a scene: the residual of the stabilised forms in one compiled pass, and one co-rotated solve an iteration.
 
-The iteration matrix is that of `ida_linear`; all joints act through the points z = A q, so with B = Bz A, H = d(B v + phi_t)/dq = Hz A
-
-    S dq + A^T (w + Bz^T dlam + cj m A A^T Bz^T dmu) + cj M B^T dmu = r2 + cj M r1,   w = (C + cj^2 m) A dq
-    Bz A dq = r3,   (Hz + cj Bz) A dq + Bz A A^T Bz^T dmu = r4 + Bz A r1,   dv = cj dq + A^T Bz^T dmu - r1
-
-S and M being those of the plates, m the masses at points, C the curvature of the motors.
+The iteration matrix is that of `ida_linear`; its border on the points z = A q is in `ida_border`.
 """
 
 import math
@@ -15,13 +10,12 @@ import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
-from polyida.compiled import entry, part
+from polyida.compiled import entry
+from polyida.integrate.ida_border import stabilised_border
 from polyida.integrate.ida_forms import System
+from polyida.integrate.ida_linear import EchoedSolve
 from polyida.linear import corotated
-from polyida.linear.dense import solve_small
 from polyida.linear.factor import NotFactorable
-
-SAME_CJ = 1e-3  # relative change of cj below which the factor serves on
 
 
 class Room(NamedTuple):
@@ -163,127 +157,6 @@ def solve(s, c, cm, cr, w, drives, cj, integrated, r, z):
     return True
 
 
-@part
-def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
-    """Solve for w, dlam, dmu; move w.dq by them; leave A's forces Bz^T dmu in w.swing."""
-    wide = w.rate_z.shape[1]
-    corotated.points_matrix(s.links, c, cr)
-    for i in range(wide):
-        for j in range(wide):
-            w.cross[i, j] = cr.g[i, j]
-    corotated.points_matrix(s.links, cm, cr)
-    g, h = w.cross, cr.g
-    joints.joint_jacobian(s.links, drives, w.dz, cr.phi_z)
-    joints.joint_rate_jacobian(s.links, drives, w.dz, w.vz, w.rate_z)
-    corotated.fill_curvature(s.links, cr, drives, w.lam, cj * cj)
-    for i in range(wide):
-        for j in range(wide):
-            h[i, j] *= cj
-        for f in range(w.own.shape[0]):
-            if s.links.point_mass[f] != 0.0:
-                for k in range(2):
-                    for e in range(w.own.shape[0]):
-                        h[i, 2 * e + k] += cj * g[i, 2 * f + k] * s.links.point_mass[f] * w.own[f, e]
-    times_jacobian(c, cr, g, cr.gb)
-    times_jacobian(c, cr, h, w.hb)
-    fill_stabilised(s, c, cr, w, cj, r, n, m)
-    if not solve_small(w.small, w.unknown, w.last):
-        return False
-    apply_border(s, c, cm, cr, w, cj, m)
-    return True
-
-
-@part
-def times_jacobian(c, cr, matrix, product):
-    """product (2 points, m) = matrix Bz^T."""
-    for k in range(product.shape[1]):
-        for p in range(product.shape[0]):
-            total = 0.0
-            for j in c.row_columns[k]:
-                if j >= 0:
-                    total += matrix[p, j] * cr.phi_z[k, j]
-            product[p, k] = total
-
-
-@part
-def fill_stabilised(s, c, cr, w, cj, r, n, m):
-    """The border's system: curvature, position and velocity rows, each a combination of components of A dq."""
-    count = c.active.shape[0]
-    joints.point_values(s.links, w.dq, w.moved)
-    w.small[:] = 0.0
-    w.unknown[:] = 0.0
-    for i in range(count):
-        w.small[w.place[i], w.place[i]] = 1.0
-        for j in c.active:
-            if cr.curvature[c.active[i], j] != 0.0:
-                add_row(c, cr, w, w.place[i], cr.curvature[c.active[i], j], j, m)
-    for k in range(m):
-        for j in c.row_columns[k]:
-            if j >= 0:
-                add_row(c, cr, w, w.place[count + k], cr.phi_z[k, j], j, m)
-                add_row(c, cr, w, w.place[count + m + k], w.rate_z[k, j] + cj * cr.phi_z[k, j], j, m)
-    close_stabilised(s, c, cr, w, r, n, m, count)
-
-
-@part
-def add_row(c, cr, w, at, value, j, m):
-    """Add value times component j of `A dq = A y - g (w + Bz^T dlam) - h Bz^T dmu` to equation `at`."""
-    count = c.active.shape[0]
-    if value == 0.0:
-        return
-    w.unknown[at] += value * w.moved[j // 2, j % 2]
-    for l in range(count):
-        w.small[at, w.place[l]] += value * w.cross[j, c.active[l]]
-    for k in range(m):
-        w.small[at, w.place[count + k]] += value * cr.gb[j, k]
-        w.small[at, w.place[count + m + k]] += value * w.hb[j, k]
-
-
-@part
-def close_stabilised(s, c, cr, w, r, n, m, count):
-    """Right-hand sides r3, r4 + Bz A r1 and the block -Bz A A^T Bz^T of the velocity constraint."""
-    for i in range(w.right.shape[0]):
-        w.right[i, 0], w.right[i, 1] = r[2 * i], r[2 * i + 1]
-    joints.point_values(s.links, w.right, w.moved)
-    for k in range(m):
-        at = w.place[count + m + k]
-        w.unknown[w.place[count + k]] -= r[2 * n + k]
-        w.unknown[at] -= r[2 * n + m + k]
-        for p in c.row_columns[k]:
-            if p < 0:
-                continue
-            value = cr.phi_z[k, p]
-            w.unknown[at] -= value * w.moved[p // 2, p % 2]
-            for l in range(m):
-                for q in c.row_columns[l]:
-                    if q >= 0 and q % 2 == p % 2:
-                        w.small[at, w.place[count + m + l]] -= value * w.own[p // 2, q // 2] * cr.phi_z[l, q]
-
-
-@part
-def apply_border(s, c, cm, cr, w, cj, m):
-    """dq -= X (w + Bz^T dlam + cj m A A^T Bz^T dmu) + cj S^-1 M A^T Bz^T dmu; w.swing = Bz^T dmu."""
-    cr.pull[:] = 0.0
-    w.swing[:] = 0.0
-    count = c.active.shape[0]
-    for i in range(count):
-        cr.pull[c.active[i]] = w.unknown[w.place[i]]
-    for k in range(m):
-        for p in c.row_columns[k]:
-            if p >= 0:
-                cr.pull[p] += cr.phi_z[k, p] * w.unknown[w.place[count + k]]
-                w.swing[p // 2, p % 2] += cr.phi_z[k, p] * w.unknown[w.place[count + m + k]]
-    for f in range(w.own.shape[0]):
-        if s.links.point_mass[f] != 0.0:
-            for e in range(w.own.shape[0]):
-                cr.pull[2 * f] += cj * s.links.point_mass[f] * w.own[f, e] * w.swing[e, 0]
-                cr.pull[2 * f + 1] += cj * s.links.point_mass[f] * w.own[f, e] * w.swing[e, 1]
-    corotated.pull_points(s.links, c, cr, w.dq)
-    for p in range(cr.pull.shape[0]):
-        cr.pull[p] = cj * w.swing[p // 2, p % 2]
-    corotated.pull_points(s.links, cm, cr, w.dq)
-
-
 class SceneSystem(System):
     """`System` of a stabilised form on a scene, with its residual compiled."""
 
@@ -298,48 +171,29 @@ class SceneSystem(System):
             res[:] = math.nan
 
 
-class SceneSolve:
-    """IDA's linear callbacks for a SceneSystem; the same interface as `ida_linear.ReducedSolve`."""
-
-    def __init__(self, system, counts):
-        self.system, self.model, self.counts = system, system.model, counts
-        self.cj, self.echo = math.nan, False
-        self._blocks = np.empty((len(self.model.pattern[1]), 2, 2))
+class SceneSolve(EchoedSolve):
+    """IDA's linear callbacks for a SceneSystem: a co-rotated factor of the plates and the border."""
 
     def setup(self, t, y, yp, res, cj):
         """Factor `S = K + cj^2 M` at y, in the frame of the rotations that the last residual saw."""
-        model, w = self.model, self.system.room
-        kernels.tangent_blocks(model.arrays.plates, w.u, cj * cj, 1.0, self._blocks)
+        model, w = self.system.model, self.system.room
+        blocks = np.empty((len(model.pattern[1]), 2, 2))
+        kernels.tangent_blocks(model.arrays.plates, w.u, cj * cj, 1.0, blocks)
         self.counts.tangents += 1
         self.counts.factorizations += 1
-        self.cj = cj
         try:
-            self.plain, self.counts.backend = corotated.corotated(model, self._blocks, w.rotation)
+            self.plain, self.counts.backend = corotated.corotated(model, blocks, w.rotation)
         except NotFactorable:
             self.cj = math.nan
             return
-        self.scratch = corotated.room(model, self.plain)
+        self.cj, self.scratch = cj, corotated.room(model, self.plain)
         self.massive = self.plain._replace(reach=np.zeros_like(self.plain.reach))
         momentum_reach(model.arrays, self.plain, self.scratch, w, self.massive.reach)
         self.counts.solves += 4 * model.n_points
 
-    def product(self, t, y, yp, res, vector, result, cj):
-        """IDA's matrix times vector: hand it through, and have the next `solve` echo it."""
-        self.echo = True
-        result[:] = vector
-
-    def solve(self, t, y, yp, res, r, z, cj, delta):
-        """z = J^-1 r, or the echo of r where `product` came before."""
-        if self.echo:
-            self.echo = False
-            z[:] = r
-            return
-        if not abs(cj - self.cj) <= SAME_CJ * cj:
-            self.setup(t, y, yp, res, cj)
-        self.counts.newton_iterations += 1
-        self.counts.solves += 1
-        drives = self.model.drives(self.system.clamp(t))
-        done = math.isfinite(self.cj) and solve(self.model.arrays, self.plain, self.massive, self.scratch, self.system.room, drives,
-                                                cj, self.system.form.integrated, r, z)
-        if not done:
+    def reduced(self, t, r, z):
+        """z = J^-1 r; nan where there is no factor."""
+        model, system = self.system.model, self.system
+        if not math.isfinite(self.cj) or not solve(model.arrays, self.plain, self.massive, self.scratch, system.room,
+                                                   model.drives(system.clamp(t)), self.cj, system.form.integrated, r, z):
             z[:] = math.nan

@@ -275,8 +275,8 @@ def add_row(c, w, at, value, j, m):
     """Add value times component j of `A dq = A y - G w - G Bz^T dlam` to equation `at`."""
     count = c.active.shape[0]
     w.right[at] += value * w.moved[j // 2, j % 2]
-    for l in range(count):
-        w.small[at, c.place[l]] += value * w.g[j, c.active[l]]
+    for e in range(count):
+        w.small[at, c.place[e]] += value * w.g[j, c.active[e]]
     for k in range(m):
         w.small[at, c.place[count + k]] += value * w.gb[j, k]
 
