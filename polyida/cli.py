@@ -25,6 +25,9 @@ def _option(kind, text, *names):
 
 SCENE_HELP = "A name from `polyida list`, or my_scene.py:build (the file is executed)."
 Scene = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP)]
+SceneOrNone = Annotated[str | None, typer.Argument(metavar="SCENE", help=SCENE_HELP, show_default=False)]
+RESUME_HELP = ("Go on with a run that did not reach its end, or to a later --time, in the same file; SCENE is needed "
+               "only where a user's file holds functions.")
 RunFile = Annotated[Path, typer.Argument(metavar="RUN.h5", help="A run saved by `polyida run` or `polyida compare`.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", "--force", help="Replace what is there.")]
 Cells = _option(int, "Polygons in each plate.")
@@ -86,10 +89,15 @@ def compare(context: typer.Context, scene: Scene,
 
 
 @app.command()
-def run(scene: Scene, integrator: Integrator = "alpha", cells: Cells = None, time: Time = None, step: Step = None,
-        rho_inf: RhoInf = None, rtol: Rtol = None, atol: Atol = None,
-        out: _option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None, overwrite: Overwrite = False):
-    """Run one integrator on a scene and save the run as HDF5."""
+def run(scene: SceneOrNone = None, integrator: Integrator = "alpha", cells: Cells = None, time: Time = None,
+        step: Step = None, rho_inf: RhoInf = None, rtol: Rtol = None, atol: Atol = None,
+        out: _option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None, overwrite: Overwrite = False,
+        resume: _option(Path, RESUME_HELP) = None):
+    """Run one integrator on a scene, written to an HDF5 file as it goes."""
+    if resume:
+        return _resumed(resume, scene, cells, time)
+    if scene is None:
+        raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
     from polyida.integrate.solve import solve
     from polyida.study.compare import warm_up
     from polyida.study.job import integrator_of, load
@@ -102,12 +110,30 @@ def run(scene: Scene, integrator: Integrator = "alpha", cells: Cells = None, tim
         tell("preparing kernels", None)
         warm_up(job, member)
         result = solve(job.model, job.time, member, q0=job.q0, v0=job.v0,
-                       progress=lambda t: tell(integrator, t / job.time))
-    result.save(path, overwrite=overwrite)
+                       progress=lambda t: tell(integrator, t / job.time), out=path, overwrite=overwrite)
+    _saved(result, path)
+
+
+def _resumed(path, scene, cells, time):
+    """Go on with the run in a file; the model comes from `scene` where that is given."""
+    from contextlib import nullcontext
+
+    from polyida.integrate.resume import resume
+    from polyida.study.job import load
+
+    job = load(scene, time=time, cells=cells) if scene else None
+    end = time or _load(path).plan.get("t_end") or 1.0
+    with _progress() as tell, job.code() if job else nullcontext():
+        result = resume(path, time, model=job and job.model, progress=lambda t: tell("going on", t / end))
+    _saved(result, path)
+
+
+def _saved(result, path):
+    """Say how a run ended and where it is; leave with 1 where it failed."""
     _lines(result.summary(), style=None if result.success else "red")
     _lines(f"Saved: {path}")
     if not result.success:
-        raise typer.Exit(1)
+        raise typer.Exit(INTERRUPTED if result.status == "interrupted" else 1)
 
 
 @app.command("list")

@@ -2,16 +2,20 @@
 
 import argparse
 import json
+import math
 import sys
 from pathlib import Path
 
 from polyida.errors import InputError
 from polyida.machine import machine_info
-from polyida.study.harness import plain, results, write_whole
+from polyida.study.harness import of_other_code, plain, results, write_whole
 
 
 def main(study, arguments=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`. Prints the table, writes figures.json and pictures."""
+    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`. Prints the table, writes figures.json and pictures.
+
+    Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is kept.
+    """
     options = parser(study).parse_args(arguments)
     out = Path(options.out or f"{study.name}{'-quick' if options.quick else ''}")
     tasks = out / "tasks"
@@ -23,17 +27,36 @@ def main(study, arguments=None):
                 path.unlink()
         rows = results(study, options.quick, tasks, _shown)
     except InputError as error:
-        sys.exit(f"error: {error}")
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(f"stopped; what is done is in {tasks}, the same command goes on from there")
-    command = f"python studies/{study.name}.py{' --quick' if options.quick else ''}"
+    except OSError as error:
+        sys.exit(f"error: {error}; what is done is in {tasks}, the same command goes on from there")
     figures = {name: float(value) for name, value in study.figures(rows).items()}
+    _write_figures(study, options, rows, figures, out)
+    _print(study, rows, figures, study.draw(rows, out), out)
+    other = of_other_code(study, options.quick, tasks)
+    if other:
+        print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
+    return json.loads((out / "figures.json").read_text(encoding="utf-8"))
+
+
+def _write_figures(study, options, rows, figures, out):
+    """figures.json: strict JSON, so that what is not finite is null there."""
+    command = f"python studies/{study.name}.py{' --quick' if options.quick else ''}"
     kept = [{name: value for name, value in row.items() if name != "traceback"} for row in rows]
     data = {"figures": figures, "rows": kept, "machine": machine_info(), "command": command}
-    write_whole(out / "figures.json", json.dumps(data, indent=1, default=plain))
-    pictures = study.draw(rows, out)
-    _print(study, rows, figures, pictures, out)
-    return data
+    text = json.dumps(_finite(json.loads(json.dumps(data, default=plain))), indent=1, allow_nan=False)
+    write_whole(out / "figures.json", text)
+
+
+def _finite(value):
+    if isinstance(value, dict):
+        return {name: _finite(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def parser(study):
@@ -63,8 +86,9 @@ def _print(study, rows, figures, pictures, out):
     console.print(table)
     for name, value in figures.items():
         console.print(f"{name}: {value:.6g}", highlight=False)
-    failed = [row for row in rows if row.get("error")]
-    lines = study.notes(rows) + [f"failed: {row['error']}" for row in failed]
+    named = {name for task in study.tasks(False) + study.tasks(True) for name in task}
+    failed = [(", ".join(f"{name} {row[name]}" for name in row if name in named), row["error"]) for row in rows if row.get("error")]
+    lines = study.notes(rows) + [f"failed: {name[:100]}: {error}" for name, error in failed]
     console.print("What failed:" if lines else "Nothing failed.")
     for line in lines:
         console.print(f"  {line}", highlight=False, markup=False)

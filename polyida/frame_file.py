@@ -1,9 +1,10 @@
 """The HDF5 file that frames of a run are appended to, readable at every moment, also after the process was killed.
 
-Layout: `format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t` (frames,), `q`, `v`, `a`
-(frames, n), `lam` (frames, m), in HDF5's mode for one writer and many readers (SWMR); `drive i` (frames, 3) of profiles that have no
-formula; two slots each of `record` (JSON: how many frames hold, how the run stands) and `restart` (the state to go on from). A flush
-writes the frames, then the slot that is older: the other one stays whole whenever the process ends.
+Layout: `format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t`
+(frames,), `q`, `v`, `a` (frames, n), `lam` (frames, m), in HDF5's mode for one writer and many readers (SWMR); `drive
+i` (frames, 3) of profiles that have no formula; two slots each of `record` (JSON: how many frames hold, how the run
+stands) and `restart` (the state to go on from). A flush writes the frames, then the slot that is older: the other one
+stays whole whenever the process ends.
 """
 
 import errno
@@ -21,7 +22,8 @@ from polyida.file_lock import lock
 from polyida.frames import FRAMES, StoredFrames, frames_at_once
 
 FORMAT = "polyida trajectory 2"
-ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is written, for the ending
+ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is known to be needed
+SLOTS = 4 << 15  # bytes of the first chunks of the slots
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
@@ -41,11 +43,13 @@ class FrameFile:
         import h5py
 
         self.path, self.shown, self.count, self.commits, self.drives = path, path, 0, 0, drives or {}
-        self._reserved, self._reserver = 0, os.open(path, os.O_RDWR)
+        self._reserved, self._reserver, self._datasets, self._slots = 0, os.open(path, os.O_RDWR), {}, 0
         try:
             lock(self._reserver)
             self._file = h5py.File(path, "w", libver="v110", locking=False)
             self._make(n, m, about, arrays or {})
+            self._file.flush()
+            self._start = self._file.id.get_filesize()
         except OSError as error:
             raise NotWritten(path, error) from None
 
@@ -60,7 +64,9 @@ class FrameFile:
         except (OSError, NotWritten) as error:
             with suppress(OSError):
                 hidden.unlink(missing_ok=True)
-            raise InputError(f"{path}: no file can be written there ({getattr(error, 'strerror', None) or error})") from None
+            raise InputError(
+                f"{path}: no file can be written there ({getattr(error, 'strerror', None) or error})"
+            ) from None
         file.shown = path
         return file
 
@@ -95,7 +101,9 @@ class FrameFile:
         if width == 0:
             return
         shape, rows = (() if width is None else (width,)), frames_at_once(32 * (width or 1))
-        self._file.create_dataset(name, (0, *shape), "f8", maxshape=(None, *shape), chunks=(rows, *shape), fill_time="never")
+        self._datasets[name] = self._file.create_dataset(
+            name, (0, *shape), "f8", maxshape=(None, *shape), chunks=(rows, *shape), fill_time="never"
+        )
 
     def append(self, block):
         """Append frames, a list of arrays in the order of FRAMES."""
@@ -103,24 +111,29 @@ class FrameFile:
         values = dict(zip(FRAMES, block))
         values |= {name: np.array([profile.at(t) for t in block[0]], float) for name, profile in self.drives.items()}
         try:
-            datasets = {name: self._file[name] for name in values if name in self._file}
-            self._reserve(sum(_growth(dataset, self.count, end) for dataset in datasets.values()))
-            for name, dataset in datasets.items():
+            self._reserve(end)
+            for name, dataset in self._datasets.items():
                 dataset.resize(end, axis=0)
-                dataset[self.count:end] = values[name]
+                dataset[self.count : end] = values[name]
         except (OSError, RuntimeError) as error:
             raise NotWritten(self.shown, error) from None
         self.count = end
 
     def commit(self, record, restart, memory):
-        """Make all frames so far hold: flush them, then `record` (a dictionary) with the numbers `restart` and their names `memory`."""
+        """Make all frames so far hold: flush them, then `record` (plain data) with the numbers `restart`."""
         slot = self.commits % 2
         numbers = np.concatenate([np.ravel(x) for x in restart])
-        record = record | {"commit": self.commits, "frames": self.count, "memory": memory, "numbers": len(numbers),
-                           "check": zlib.crc32(numbers.tobytes())}
+        record = record | {
+            "commit": self.commits,
+            "frames": self.count,
+            "memory": memory,
+            "numbers": len(numbers),
+            "check": zlib.crc32(numbers.tobytes()),
+        }
         text = json.dumps(record, default=_listed).encode()
         try:
-            self._reserve(2 * (numbers.nbytes + len(text)))
+            self._slots = max(self._slots, 2 * (numbers.nbytes + len(text)) + SLOTS)
+            self._reserve(self.count)
             self._put(f"restart {slot}", numbers)
             self._file.flush()
             self._put(f"record {slot}", np.frombuffer(struct.pack("<II", len(text), zlib.crc32(text)) + text, np.uint8))
@@ -135,15 +148,19 @@ class FrameFile:
             dataset.resize(len(values), axis=0)
         dataset[: len(values)] = values
 
-    def _reserve(self, size):
-        """Have the disk promise room before HDF5 writes, because HDF5 cannot close a file that it could not write."""
-        need = self._file.id.get_filesize() + size + size // 8 + ABOVE
+    def _reserve(self, count):
+        """Have the disk promise room for `count` frames before HDF5 gets them: a file that it could not write it cannot close.
+
+        HDF5 gives chunks their place late, so what is needed is counted here: whole chunks, and their index.
+        """
+        chunks = sum(-(-count // x.chunks[0]) * 8 * int(np.prod(x.chunks)) for x in self._datasets.values())
+        need = self._start + chunks + chunks // 32 + self._slots + ABOVE
         if need > self._reserved and hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self._reserver, 0, need)
             self._reserved = need
 
     def publish(self, overwrite):
-        """Move the file to its place. Raises InputError where something came there meanwhile and `overwrite` is False."""
+        """Move the file to its place. Raises InputError where one came there meanwhile and `overwrite` is False."""
         try:
             if overwrite:
                 os.replace(self.path, self.shown)
@@ -177,7 +194,7 @@ class FrameFile:
 
 
 def held(file, count, limit, path):
-    """{name: frames} of the first `count` frames of an open file: arrays, or StoredFrames of q, v and a (and lam, where that is large)."""
+    """{name: frames} of the first `count` frames of an open file: arrays, or StoredFrames of what is large."""
     frames = {"t": file["t"][:count]}
     sizes = {name: file[name].shape[1] if name in file else 0 for name in FRAMES[1:]}
     whole = 8 * count * sum(sizes.values()) <= limit
@@ -188,12 +205,6 @@ def held(file, count, limit, path):
             stored = StoredFrames(file[name], count, file, path)
             frames[name] = np.asarray(stored) if whole or 32 * stored.nbytes <= limit else stored
     return frames
-
-
-def _growth(dataset, count, end):
-    """Bytes of the chunks that a dataset gets when its rows grow from count to end."""
-    rows = dataset.chunks[0]
-    return (-(-end // rows) + (-count // rows)) * 8 * int(np.prod(dataset.chunks))
 
 
 def _move_new(source, target):
@@ -211,7 +222,7 @@ def _move_new(source, target):
 
 
 def _trim(path):
-    """Give back what was reserved beyond the end that the closed file states (superblock of version 3: bytes 28 to 35)."""
+    """Give back what was reserved beyond the end that the closed file states (superblock 3: bytes 28 to 35)."""
     if not os.path.exists(path):
         return
     with open(path, "r+b") as file:

@@ -21,7 +21,7 @@ def blocks(frames):
 
 
 class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
-    """The first `count` rows of an HDF5 dataset, (count, width): indexes, slices and iterates like an array, read when asked for.
+    """The first `count` rows of an HDF5 dataset, (count, width): an array that is read when asked for.
 
     Arithmetic and `np.asarray` read all of it. Raises InputError where a value that is read is not finite.
     """
@@ -29,7 +29,11 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
     ndim, dtype = 2, np.dtype(float)
 
     def __init__(self, dataset, count, file, path):
-        self._dataset, self._file, self._path = dataset, file, path  # the file stays open as long as its frames are known
+        self._dataset, self._file, self._path = (
+            dataset,
+            file,
+            path,
+        )  # the file stays open as long as its frames are known
         self.shape = (int(count), dataset.shape[1])
         self.size = self.shape[0] * self.shape[1]
         self.nbytes = 8 * self.size
@@ -68,13 +72,15 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
         runs = np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1)
         for run in runs:
             for k in range(0, max(1, len(run)), step):
-                part = run[k:k + step]
+                part = run[k : k + step]
                 yield self._read(part[0], part[-1] + 1) if len(part) else self._read(0, 0)
 
     def _read(self, first, end):
         values = np.asarray(self._dataset[first:end], float)
         if not np.isfinite(values).all():
-            raise InputError(f"{self._path}: frames {first} to {end - 1} hold values that are not finite; the file is damaged")
+            raise InputError(
+                f"{self._path}: frames {first} to {end - 1} hold values that are not finite; the file is damaged"
+            )
         return values
 
     def __array__(self, dtype=None, copy=None):
@@ -90,8 +96,9 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
 class FrameStore:
     """Accepted states of one run as they come.
 
-    Without a `file` they stay in memory up to `limit` bytes and go to a temporary file beyond; with one they go there from the
-    start. Not more than a block is held beside the file. Raises NotWritten where the disk does not take them.
+    Without a `file` they stay in memory up to `limit` bytes and go to a temporary file beyond; with one they go there
+    from the start. Not more than a block is held beside the file. Raises NotWritten where the disk does not take
+    them.
     """
 
     def __init__(self, n, m, limit=MEMORY_LIMIT, file=None):
@@ -102,7 +109,11 @@ class FrameStore:
     def _room(self):
         n, m = self.shape
         width = 3 * n + m + 1
-        length = frames_at_once(width) if self.file else min(frames_at_once(width), max(1, int(min(self.limit, 1e15)) // (8 * width)))
+        length = (
+            frames_at_once(width)
+            if self.file
+            else min(frames_at_once(width), max(1, int(min(self.limit, 1e15)) // (8 * width)))
+        )
         return [np.empty((length, *shape)) for shape in ((), (n,), (n,), (n,), (m,))]
 
     def add(self, state):
@@ -115,7 +126,7 @@ class FrameStore:
             self.put_away()
 
     def put_away(self):
-        """Move the block at hand to the file, or to the full ones where there is no file. Safe to be interrupted and called again."""
+        """Move the block at hand to the file or to the full ones. Safe to be interrupted and called again."""
         if self.file:
             waiting = self.count - self.file.count
             if waiting:
@@ -137,7 +148,7 @@ class FrameStore:
         self.file, self._full = file, []
 
     def arrays(self):
-        """{name: frames} of all that was put away: arrays, or StoredFrames where it is beyond the limit. The store is used up then."""
+        """{name: frames} of all that was kept, arrays or StoredFrames. The store is used up then."""
         if self.file:
             return self.file.frames(self.limit)
         parts = [*self._full, [values[: self._rows] for values in self._block]]

@@ -12,7 +12,7 @@ from polyida.integrate.state import Counts, State
 
 
 class Restart(NamedTuple):
-    """Where a run goes on: an accepted state with its integrator's memory, the frames kept up to it, the counts at it."""
+    """Where a run goes on: an accepted state with its memory, the number of frames up to it, the counts at it."""
 
     state: State
     frames: int
@@ -21,7 +21,7 @@ class Restart(NamedTuple):
 
 @dataclass(frozen=True)
 class Energy:
-    """Energies over time, (frames,), J; nan where the model does not state its potential. strain is part of potential's sum in total."""
+    """Energies over time, (frames,), J; nan where the model does not state its potential."""
 
     kinetic: np.ndarray
     potential: np.ndarray
@@ -37,10 +37,11 @@ class Energy:
 class Trajectory:
     """t (frames,), q, v, a (frames, n), lam (frames, m), and how the run went.
 
-    status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "error" (in a user's function),
-    "disk full", or the kind of failure; message: where and why; success: it reached its end. counts: exact work.
-    Frames too large for memory stay in a file: they index, slice and iterate like arrays and are read when asked for.
-    Energies, drift, positions, reactions and stresses are computed from the motion when they are asked for, frame by frame.
+    status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "error" (in a
+    user's function), "disk full", or the kind of failure; message: where and why; success: it reached its end.
+    counts: exact work. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
+    read when asked for. Energies, drift, positions, reactions and stresses are computed from the motion when they are
+    asked for, frame by frame.
     """
 
     model: object
@@ -62,11 +63,13 @@ class Trajectory:
     @property
     def state(self):
         """The last state that the run can go on from: `solve(model, t_end, integrator, state=run.state)`."""
-        return self.restart.state if self.restart else State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1])
+        if self.restart:
+            return self.restart.state
+        return State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1])
 
     @property
     def memory(self):
-        """What the integrator needs to go on from the last frame as if it had not stopped; empty where it stopped elsewhere."""
+        """What the integrator needs to go on from the last frame as if it had not stopped; empty where unknown."""
         return self.state.memory if len(self) and self.state.t == self.t[-1] else {}
 
     @property
@@ -91,7 +94,8 @@ class Trajectory:
     def velocity_drift(self):
         """Largest |phi_q v + phi_t| of every frame, (frames,)."""
         model = self.model
-        return np.array([_largest(model.phi_q(t, q) @ v + model.phi_t(t, q)) for t, q, v in zip(self.t, self.q, self.v)])
+        frames = zip(self.t, self.q, self.v)
+        return np.array([_largest(model.phi_q(t, q) @ v + model.phi_t(t, q)) for t, q, v in frames])
 
     @cached_property
     def energy(self):
@@ -100,14 +104,15 @@ class Trajectory:
         if hasattr(self.model, "strain_energy"):
             strain = np.array([self.model.strain_energy(q) for q in self.q])
             return Energy(kinetic, np.array([self.model.gravity_potential(q) for q in self.q]), strain)
-        potential = [self.model.potential(q) for q in self.q]
-        return Energy(kinetic, np.array([np.nan if value is None else value for value in potential]), np.zeros(len(self)))
+        potential = [np.nan if value is None else value for value in map(self.model.potential, self.q)]
+        return Energy(kinetic, np.array(potential, float), np.zeros(len(self)))
 
     def position(self, name):
         """Path of a mass, load or joint, by name, or of an attachment, (frames, 2), m."""
         nodes, weights = self._nodes_of(name)
         rest = self.model.reference[nodes]
-        return np.concatenate([np.einsum("k,fkx->fx", weights, q.reshape(len(q), -1, 2)[:, nodes] + rest) for q in blocks(self.q)])
+        moved = (q.reshape(len(q), -1, 2)[:, nodes] + rest for q in blocks(self.q))
+        return np.concatenate([np.einsum("k,fkx->fx", weights, x) for x in moved])
 
     def _nodes_of(self, name):
         if not hasattr(self.model, "points_of"):
@@ -120,7 +125,7 @@ class Trajectory:
         return s.point_nodes[part], s.point_weights[part]
 
     def reaction(self, name):
-        """What a joint does to its side b, (frames, k): force in N (revolute, clamp), torque in N m (angle motor, k = 1)."""
+        """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""
         rows = getattr(self.model, "rows", {})
         if name not in rows:
             raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, rows))}")
@@ -139,9 +144,9 @@ class Trajectory:
         c = self.counts
         worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
+        work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         return (f"{self.status}: {type(self.integrator).__name__} to {end}, {c.steps} steps ({c.rejected} rejected), "
-                f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s{worst}"
-                + (f"; {self.message}" if self.message else ""))
+                f"{work}{worst}" + (f"; {self.message}" if self.message else ""))
 
     def save(self, path, overwrite=False):
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""

@@ -22,7 +22,7 @@ INTEGRATORS = ("GeneralizedAlpha", "IDA", "EnergyMomentum")
 
 
 def save(run, path, overwrite=False):
-    """Write a trajectory; the file appears whole or not at all. Raises InputError where it exists and overwrite is False."""
+    """Write a trajectory; the file appears whole or not at all. Raises InputError where it must not be overwritten."""
     path = Path(path)
     require_free(path, overwrite)
     file = create(path, run.model, run.integrator, run.q.shape[1], run.lam.shape[1], run.plan, run.machine)
@@ -75,7 +75,7 @@ def copy_frames(file, frames, count):
     """Append the first `count` of frames (a list in the order of FRAMES), a bounded number at once."""
     step = frames_at_once(sum(values.shape[1] if values.ndim > 1 else 1 for values in frames))
     for first in range(0, count, step):
-        file.append([values[first:min(first + step, count)] for values in frames])
+        file.append([values[first : min(first + step, count)] for values in frames])
 
 
 def continuation(path, stored, model, integrator, plan):
@@ -97,18 +97,26 @@ def continuation(path, stored, model, integrator, plan):
 
 def commit(file, status, message, counts, seconds, restart):
     """Make the frames so far hold, with how the run stands and where it goes on."""
-    record = {"status": status, "message": message, "counts": counts.as_dict(), "cpu_seconds": seconds[0], "wall_seconds": seconds[1]}
+    record = {
+        "status": status,
+        "message": message,
+        "counts": counts.as_dict(),
+        "cpu_seconds": seconds[0],
+        "wall_seconds": seconds[1],
+    }
     if restart is None:
         return file.commit(record | {"restart": None}, [np.zeros(0)], [])
     s = restart.state
     memory = {name: np.asarray(value, float) for name, value in s.memory.items()}
     record["restart"] = {"frames": restart.frames, "counts": restart.counts}
-    file.commit(record, [s.t, s.q, s.v, s.a, s.lam, *memory.values()], [[name, list(x.shape)] for name, x in memory.items()])
+    file.commit(
+        record, [s.t, s.q, s.v, s.a, s.lam, *memory.values()], [[name, list(x.shape)] for name, x in memory.items()]
+    )
 
 
 @dataclass
 class Stored:
-    """An open file, checked: plain data, arrays of the scene, the last whole record, where the run goes on, frames that hold."""
+    """An open file, checked: plain data, arrays of the scene, the last whole record, where the run goes on."""
 
     path: Path
     file: object
@@ -133,10 +141,10 @@ class Stored:
 def load(path, memory_limit=MEMORY_LIMIT):
     """Read a trajectory. Raises InputError naming the file where it is missing, truncated or of another kind.
 
-    Frames beyond `memory_limit` bytes stay in the file and are read when asked for. A file of a run that was killed holds the frames
-    up to the last flush, with status "interrupted"; one that is still written, those up to now, with status "running".
-    The scene is built again from the file's data. A motor or load whose profile was a function of the user's own follows the values
-    that the run saw, which are in the file.
+    Frames beyond `memory_limit` bytes stay in the file and are read when asked for. A file of a run that was killed
+    holds the frames up to the last flush, with status "interrupted"; one that is still written, those up to now, with
+    status "running". The scene is built again from the file's data. A motor or load whose profile was a function of
+    the user's own follows the values that the run saw, which are in the file.
     """
     with naming(path):
         stored = read(path)
@@ -154,9 +162,18 @@ def _trajectory(stored, memory_limit):
     if status == "running":
         status, message = ("running", STILL) if being_written(stored.path) else ("interrupted", KILLED)
     return Trajectory(
-        model, integrator_of(stored), **stored.frames(memory_limit), status=status, message=message, counts=counts_of(record["counts"]),
-        cpu_seconds=float(record["cpu_seconds"]), wall_seconds=float(record["wall_seconds"]), machine=dict(about["machine"]),
-        restart=stored.restart, plan=dict(about["plan"]))
+        model,
+        integrator_of(stored),
+        **stored.frames(memory_limit),
+        status=status,
+        message=message,
+        counts=counts_of(record["counts"]),
+        cpu_seconds=float(record["cpu_seconds"]),
+        wall_seconds=float(record["wall_seconds"]),
+        machine=dict(about["machine"]),
+        restart=stored.restart,
+        plan=dict(about["plan"]),
+    )
 
 
 @contextmanager
@@ -206,7 +223,7 @@ def _restart(reader, record, n, m):
     """Where the run goes on, or None where the file does not say."""
     if record["restart"] is None:
         return None
-    numbers = reader.array(f"restart {int(record['commit']) % 2}", (None,)).astype(float)[:int(record["numbers"])]
+    numbers = reader.array(f"restart {int(record['commit']) % 2}", (None,)).astype(float)[: int(record["numbers"])]
     if zlib.crc32(numbers.tobytes()) != record["check"]:
         raise InputError("the state to go on from is damaged")
     shapes = [(), (n,), (n,), (n,), (m,), *(tuple(map(int, shape)) for _, shape in record["memory"])]
@@ -250,15 +267,20 @@ def model_of(stored, drives):
         scene.add(part)
     model = scene.build()
     if (model.n, model.m) != (stored.n, stored.m):
-        raise InputError(f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; "
-                         "the file is damaged")
+        raise InputError(
+            f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; "
+            "the file is damaged"
+        )
     return model
 
 
 def _drives(stored):
     """{part: profile through the values that the run saw}."""
     reader, times = Reader(stored.file, stored.path), np.asarray(stored.file["t"][: stored.count], float)
-    return {name: _interpolated(times, reader.array(key, (None, 3))[: stored.count]) for name, key in stored.about["drives"].items()}
+    return {
+        name: _interpolated(times, reader.array(key, (None, 3))[: stored.count])
+        for name, key in stored.about["drives"].items()
+    }
 
 
 def _interpolated(times, samples):

@@ -1,9 +1,9 @@
 """An HDF5 file whose writer was killed, read as if it had been closed.
 
-HDF5 marks a file that is open for writing and opens it afterwards only in SWMR mode, in which it reads a damaged spot again and
-again for hours. Here the mark is taken off in what is read, not in the file: the flags of the superblock (version 3: byte 11) are
-cleared, its end of file (bytes 28 to 35) is that of the file at hand, and its checksum (bytes 44 to 47) made to fit.
-Source: HDF5 File Format Specification 3.0; checksum: Bob Jenkins, lookup3.
+HDF5 marks a file that is open for writing and opens it afterwards only in SWMR mode, in which it reads a damaged spot
+again and again for hours. Here the mark is taken off in what is read, not in the file: the flags of the superblock
+(version 3: byte 11) are cleared, its end of file (bytes 28 to 35) is that of the file at hand, and its checksum
+(bytes 44 to 47) made to fit. Source: HDF5 File Format Specification 3.0; checksum: Bob Jenkins, lookup3.
 """
 
 import struct
@@ -38,14 +38,14 @@ class Unclosed:
         """As of a file, the superblock repaired."""
         begin = self._file.tell()
         data = self._file.read(size)
-        return data if begin >= LENGTH else (self._head[begin:begin + len(data)] + data[LENGTH - begin:])
+        return data if begin >= LENGTH else (self._head[begin : begin + len(data)] + data[LENGTH - begin :])
 
     def readinto(self, buffer):
         """As of a file, the superblock repaired."""
         begin = self._file.tell()
         count = self._file.readinto(buffer)
         if begin < LENGTH:
-            part = self._head[begin:begin + count]
+            part = self._head[begin : begin + count]
             memoryview(buffer).cast("B")[: len(part)] = part
         return count
 

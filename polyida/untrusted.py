@@ -1,4 +1,4 @@
-"""Reading of HDF5 files that nobody vouches for: only plain numbers that are in the file, and not more of them than it can hold."""
+"""Reading of HDF5 files that nobody vouches for: plain numbers only, and not more of them than the file can hold."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from polyida.unclosed import LENGTH, Unclosed, is_marked
 
 
 def opened(path):
-    """The file opened for reading, also while it is written or after its writer was killed. Raises OSError where it is no HDF5 file."""
+    """The file opened for reading, also while it is written or after its writer was killed. Raises OSError."""
     import h5py
 
     if being_written(path):
@@ -24,7 +24,7 @@ def opened(path):
 
 
 class Reader:
-    """Datasets of an open file, checked before they are read; all that is read together is at most as large as the file.
+    """Datasets of an open file, checked before they are read, together not more than the size of the file.
 
     No links to other files, no virtual, external or compressed datasets, no numbers but integers and floats.
     Raises InputError naming the dataset.
@@ -60,7 +60,7 @@ class Reader:
         if len(stored) < 8:
             return None
         length, check = struct.unpack("<II", stored[:8])
-        text = stored[8: 8 + length]
+        text = stored[8 : 8 + length]
         return json.loads(text) if len(text) == length and zlib.crc32(text) == check else None
 
     def group(self, name):
@@ -69,10 +69,14 @@ class Reader:
 
         if not self.has(name):
             return {}
-        if not (isinstance(self.file.get(name, getlink=True), h5py.HardLink) and isinstance(self.file[name], h5py.Group)):
+        if not (
+            isinstance(self.file.get(name, getlink=True), h5py.HardLink) and isinstance(self.file[name], h5py.Group)
+        ):
             raise InputError(f"{name} is no group of the file")
         found = {}
-        self.file[name].visititems(lambda key, node: found.update({key: node}) if isinstance(node, h5py.Dataset) else None)
+        self.file[name].visititems(
+            lambda key, node: found.update({key: node}) if isinstance(node, h5py.Dataset) else None
+        )
         return {key: self._read(key, self._checked(key, node, None)) for key, node in found.items()}
 
     def _checked(self, name, node, shape):
@@ -80,7 +84,9 @@ class Reader:
 
         if not isinstance(node, h5py.Dataset) or node.dtype.kind not in "fiu" or node.shape is None:
             raise InputError(f"{name} does not hold numbers")
-        if shape is not None and (len(shape) != node.ndim or any(b not in (None, a) for a, b in zip(node.shape, shape))):
+        if shape is not None and (
+            len(shape) != node.ndim or any(b not in (None, a) for a, b in zip(node.shape, shape))
+        ):
             raise InputError(f"{name} has the shape {node.shape}; {shape} is needed")
         if node.is_virtual or node.external or node.id.get_create_plist().get_nfilters():
             raise InputError(f"{name} is virtual, external or compressed")

@@ -1,7 +1,8 @@
-"""Frames on the disk: the same as in memory, whole up to the last flush whatever ends the run, and never more than a bounded part held."""
+"""Frames on the disk: as in memory, whole up to the last flush whatever ends the run, a bounded part held."""
 
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import textwrap
@@ -75,9 +76,28 @@ def test_beyond_the_limit_frames_go_to_a_file_without_a_name(stored, whole):
     assert equal(run, whole) and os.listdir(folder) == []
 
 
-KEYS = (0, -1, slice(None), slice(3, 9), slice(None, None, -50), slice(5, 300, 7), [1, 5, 3], np.array([2, 2]), (slice(None), 3), (5, 7),
-        (slice(2, 300), slice(3, 5)), (slice(None, None, 2), [1, 4]), np.arange(401) % 3 == 0, slice(4, 4), (slice(4, 4), 3), (Ellipsis, 2),
-        ([1, 5], 2), ([1, 5], [2, 3]), (slice(4, 9), [1, 2]), np.array([], int))
+KEYS = (
+    0,
+    -1,
+    slice(None),
+    slice(3, 9),
+    slice(None, None, -50),
+    slice(5, 300, 7),
+    [1, 5, 3],
+    np.array([2, 2]),
+    (slice(None), 3),
+    (5, 7),
+    (slice(2, 300), slice(3, 5)),
+    (slice(None, None, 2), [1, 4]),
+    np.arange(401) % 3 == 0,
+    slice(4, 4),
+    (slice(4, 4), 3),
+    (Ellipsis, 2),
+    ([1, 5], 2),
+    ([1, 5], [2, 3]),
+    (slice(4, 9), [1, 2]),
+    np.array([], int),
+)
 
 
 @pytest.mark.parametrize("key", KEYS, ids=str)
@@ -155,6 +175,7 @@ def test_output_at_accepted_steps_is_exact(model, whole):
 
 def test_output_between_steps_is_of_fourth_order():
     """On q = sin t the cubic polynomial between two exact states errs by h^4/384 |q''''|."""
+
     def state(t):
         return State(t, np.array([np.sin(t)]), np.array([np.cos(t)]), np.array([-np.sin(t)]), np.zeros(0))
 
@@ -176,7 +197,9 @@ def test_output_gives_just_the_times_wanted(pendulum, integrator, tmp_path):
 QUARTER = 1.8540746773013719 / np.sqrt(9.81)  # K(1/2) / sqrt(g / L): a pendulum's fall from the horizontal
 
 
-@pytest.mark.parametrize("integrator, tolerance", [(pi.GeneralizedAlpha(h=2e-4), 1e-6), (pi.IDA(rtol=1e-9, atol=1e-10), 1e-6)])
+@pytest.mark.parametrize(
+    "integrator, tolerance", [(pi.GeneralizedAlpha(h=2e-4), 1e-6), (pi.IDA(rtol=1e-9, atol=1e-10), 1e-6)]
+)
 def test_until_stops_where_the_function_changes_its_sign(pendulum, integrator, tolerance):
     run = pi.solve(pendulum, 5.0, integrator, q0=[-1.0, 0.0], until=lambda t, q, v: q[0])
     assert run.status == "stopped" and run.success and "until" in run.message
@@ -205,6 +228,17 @@ def test_ctrl_c_returns_the_run_so_far(model, whole, tmp_path, out):
     assert run.status == "interrupted" and not run.success and "0.301 s" in run.message
     assert len(run) == 302 and equal(run, whole, 302)
     assert not out or (pi.load(path).status == "interrupted" and equal(pi.load(path), run))
+
+
+def test_a_real_ctrl_c_is_heeded_between_steps(model, whole, tmp_path):
+    def progress(t):
+        if 0.2 < t < 0.2015:
+            signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    run = pi.solve(model, 0.4, ALPHA, progress=progress, out=tmp_path / "run.h5")
+    assert run.status == "interrupted" and equal(run, whole, 202) and len(run) == 202
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.parametrize("out", [None, "run.h5"])
@@ -266,11 +300,21 @@ def test_a_file_that_came_during_the_start_is_kept(model, tmp_path, monkeypatch)
     assert path.read_text() == "theirs" and os.listdir(tmp_path) == ["run.h5"]
 
 
-@pytest.mark.parametrize("settings, message", [
-    ({"out": "nowhere/run.h5"}, "folder"), ({"out": "."}, "is a folder"), ({"flush_every": 0}, "flush_every = 0"),
-    ({"output": [0.2, 0.1]}, "increasing"), ({"output": []}, "at least one"), ({"output": [0.0, 0.5]}, "within"), ({"until": 3}, "until = 3"),
-    ({"memory_limit": -1}, "memory_limit"), ({"every": True}, "every"), ({"output": "soon"}, "output"),
-])
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"out": "nowhere/run.h5"}, "folder"),
+        ({"out": "."}, "is a folder"),
+        ({"flush_every": 0}, "flush_every = 0"),
+        ({"output": [0.2, 0.1]}, "increasing"),
+        ({"output": []}, "at least one"),
+        ({"output": [0.0, 0.5]}, "within"),
+        ({"until": 3}, "until = 3"),
+        ({"memory_limit": -1}, "memory_limit"),
+        ({"every": True}, "every"),
+        ({"output": "soon"}, "output"),
+    ],
+)
 def test_wrong_input_is_told_before_the_run(model, tmp_path, monkeypatch, settings, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(pi.InputError, match=message):
@@ -283,11 +327,20 @@ def test_a_run_is_read_while_it_is_written(model, whole, tmp_path):
 
     def progress(t):
         if len(seen) < 3 and t > 0.1 * (len(seen) + 1):
-            child = "import polyida as pi, sys; run = pi.load(sys.argv[1]); print(run.status, len(run), run.q[-1].sum().hex())"
-            done = subprocess.run([sys.executable, "-c", child, tmp_path / "run.h5"], capture_output=True, text=True, check=True)
+            child = "import polyida as pi, sys; x = pi.load(sys.argv[1]); print(x.status, len(x), x.q[-1].sum().hex())"
+            done = subprocess.run(
+                [sys.executable, "-c", child, tmp_path / "run.h5"], capture_output=True, text=True, check=True
+            )
             seen.append(done.stdout.split())
 
-    pi.solve(model, 0.4, pi.GeneralizedAlpha(h=1e-3, linear="kkt"), out=tmp_path / "run.h5", flush_every=10, progress=progress)
+    pi.solve(
+        model,
+        0.4,
+        pi.GeneralizedAlpha(h=1e-3, linear="kkt"),
+        out=tmp_path / "run.h5",
+        flush_every=10,
+        progress=progress,
+    )
     lengths = [int(count) for _, count, _ in seen]
     final = pi.load(tmp_path / "run.h5")
     assert [status for status, *_ in seen] == ["running"] * 3 and 85 < lengths[0] < lengths[1] < lengths[2] < 401
@@ -309,8 +362,12 @@ LIMITED = """
 
 def test_a_full_disk_ends_the_run_and_keeps_the_frames(model, whole, tmp_path):
     path = tmp_path / "run.h5"
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(LIMITED), path, "3000000", f"{{'out': {str(path)!r}}}"],
-                          capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(LIMITED), path, "3000000", f"{{'out': {str(path)!r}}}"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     first, second = done.stdout.strip().split("\n")
     assert first == second and first.startswith("disk full") and "run.h5: File too large" in first and done.stderr == ""
     again = pi.load(path)
@@ -320,6 +377,11 @@ def test_a_full_disk_ends_the_run_and_keeps_the_frames(model, whole, tmp_path):
 
 
 def test_a_full_disk_behind_the_memory_limit(tmp_path):
-    done = subprocess.run([sys.executable, "-c", textwrap.dedent(LIMITED), "", "3000000", "{'memory_limit': 1000000}"],
-                          capture_output=True, text=True, check=True, env=os.environ | {"TMPDIR": str(tmp_path)})
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(LIMITED), "", "3000000", "{'memory_limit': 1000000}"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+    )
     assert done.stdout.startswith("disk full") and int(done.stdout.split()[2]) > 200

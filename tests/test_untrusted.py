@@ -42,7 +42,11 @@ def replaced(file, name, values, **options):
     file.create_dataset(name, data=values, **options)
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89HDF\r\n\x1a\n", b"t,x\n0,1\n" * 50, os.urandom(4096)], ids=["empty", "signature", "text", "noise"])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\x89HDF\r\n\x1a\n", b"t,x\n0,1\n" * 50, os.urandom(4096)],
+    ids=["empty", "signature", "text", "noise"],
+)
 def test_foreign_files(tmp_path, content):
     (tmp_path / "run.h5").write_bytes(content)
     refused(tmp_path / "run.h5")
@@ -56,7 +60,7 @@ def test_another_hdf5_file(tmp_path):
 
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.9999])
 def test_truncated_files(path, good, part):
-    path.write_bytes(good[:int(part * len(good))])
+    path.write_bytes(good[: int(part * len(good))])
     refused(path)
 
 
@@ -83,7 +87,10 @@ HOSTILE = {
     "is not in the file": lambda f: f.__delitem__("t"),
     "frames, 21 are stated": lambda f: f["q"].resize(5, axis=0),
     "no record": lambda f: [f[f"record {slot}"].resize(0, axis=0) for slot in range(2)],
-    "claims": lambda f: replaced(f, "scene/mesh 0/points", np.zeros(1), maxshape=(None,)) or f["scene/mesh 0/points"].resize(1 << 50, axis=0),
+    "claims": lambda f: (
+        replaced(f, "scene/mesh 0/points", np.zeros(1), maxshape=(None,))
+        or f["scene/mesh 0/points"].resize(1 << 50, axis=0)
+    ),
 }
 
 
@@ -131,10 +138,16 @@ ABOUT = {
     "setting": lambda data: data["integrator"]["settings"].update(h=-1),
     "unknown setting": lambda data: data["integrator"]["settings"].update(hook="x"),
     "mesh": lambda data: data["scene"]["parts"][0].update(mesh="no mesh"),
-    "body": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass")["at"].update(body="nobody"),
-    "length": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass")["at"].update(length=float("nan")),
+    "body": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass")["at"].update(
+        body="nobody"
+    ),
+    "length": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass")["at"].update(
+        length=float("nan")
+    ),
     "mass": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass").update(mass="heavy"),
-    "angle": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "AngleMotor").update(angle=["__import__", "os"]),
+    "angle": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "AngleMotor").update(
+        angle=["__import__", "os"]
+    ),
     "gravity": lambda data: data["scene"].update(gravity="down"),
     "no scene": lambda data: data["scene"].update(parts=[]),
     "a list": lambda data: data.update(plan=3, machine=4),
@@ -176,7 +189,7 @@ def test_a_record_that_was_changed_on_purpose(path):
     with h5py.File(path, "r+") as file:
         for slot in range(2):
             stored = file[f"record {slot}"][()].tobytes()
-            data = json.loads(stored[8:8 + struct.unpack("<I", stored[:4])[0]])
+            data = json.loads(stored[8 : 8 + struct.unpack("<I", stored[:4])[0]])
             text = json.dumps(data | {"frames": 10**12, "counts": {"steps": "many"}}).encode()
             file[f"record {slot}"].resize(len(text) + 8, axis=0)
             file[f"record {slot}"][:] = np.frombuffer(struct.pack("<II", len(text), zlib.crc32(text)) + text, np.uint8)

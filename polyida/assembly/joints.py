@@ -109,6 +109,78 @@ def _linear_forces(s, j, k, a, b, dz, lam, phi, forces):
 
 
 @entry
+def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
+    """Add to phi and rate = phi_z vz + phi_t what a step of h changes, to the round-off of its second differences alone.
+
+    Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3): increments of the angle,
+    of the angle less h times its rate, of its rate. `phi += h rate + ...`: rate takes the place of terms that cancel in it.
+    """
+    for j in range(s.joint_kind.shape[0]):
+        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
+        if s.joint_kind[j] == MOTOR:
+            motor_change(s, j, drives, gains[s.joint_drive[j]], h, dz, vz, dd, dv, phi, rate)
+            continue
+        for i in range(2):
+            x = y = 0.0
+            if a >= 0:
+                x, y = dd[a, i], dv[a, i]
+            if b >= 0:
+                x -= s.joint_matrix[j, i, 0] * dd[b, 0] + s.joint_matrix[j, i, 1] * dd[b, 1]
+                y -= s.joint_matrix[j, i, 0] * dv[b, 0] + s.joint_matrix[j, i, 1] * dv[b, 1]
+            phi[k + i] += h * rate[k + i] + x
+            rate[k + i] += y
+
+
+@part
+def motor_change(s, j, drives, gain, h, dz, vz, dd, dv, phi, rate):
+    """`joint_change` of a motor: `phi = w x b`, `w = R a`, R turning by theta + theta0; J turns by a right angle.
+
+    `dw = R (da + (cos g - 1) a1 + sin g J a1)`, of which `h R (va + theta' J a)` is in h rate; so is `h w x vb`.
+    """
+    a, b, k, speed = s.joint_a[j], s.joint_b[j], s.joint_row[j], drives[s.joint_drive[j], 1]
+    wx, wy, bx, by = turned_sides(s, j, drives, dz)
+    c, n = turn(s, j, drives)
+    ax, ay = c * wx + n * wy, c * wy - n * wx
+    vax, vay, ddax, dday, dvax, dvay = at_point(vz, dd, dv, a)
+    vbx, vby, ddbx, ddby, dvbx, dvby = at_point(vz, dd, dv, b)
+    dax, day, dbx, dby = h * vax + ddax, h * vay + dday, h * vbx + ddbx, h * vby + ddby
+    x, y, g = ax + dax, ay + day, gain[0]
+    less, sine, cubic = -2.0 * np.sin(0.5 * g) ** 2, np.sin(g), sine_less_angle(g)
+    px, py = ddax - gain[1] * ay + less * x - cubic * y - g * day, dday + gain[1] * ax + less * y + cubic * x + g * dax
+    dwx, dwy = rotated(c, n, dax + less * x - sine * y, day + less * y + sine * x)
+    px, py = rotated(c, n, px, py)
+    phi[k] += h * rate[k] + px * by - py * bx + wx * ddby - wy * ddbx + dwx * dby - dwy * dbx
+    ux, uy = rotated(c, n, vax - speed * ay, vay + speed * ax)
+    later = speed + gain[2]
+    ex, ey = vax + dvax - later * y, vay + dvay + later * x
+    fx, fy = rotated(c, n, less * ex - sine * ey + dvax - gain[2] * y - speed * day,
+                     less * ey + sine * ex + dvay + gain[2] * x + speed * dax)
+    rate[k] += fx * (by + dby) - fy * (bx + dbx) + ux * dby - uy * dbx + dwx * (vby + dvby) - dwy * (vbx + dvbx) + wx * dvby - wy * dvbx
+
+
+@part
+def at_point(vz, dd, dv, a):
+    """Velocity, second-order move and change of velocity of a point; zeros of the ground."""
+    if a < 0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return vz[a, 0], vz[a, 1], dd[a, 0], dd[a, 1], dv[a, 0], dv[a, 1]
+
+
+@part
+def rotated(c, n, x, y):
+    """(x, y) turned by the angle of cosine c and sine n."""
+    return c * x - n * y, n * x + c * y
+
+
+@part
+def sine_less_angle(g):
+    """sin g - g without cancellation."""
+    if abs(g) < 0.05:
+        return -g * g * g / 6.0 * (1.0 - g * g / 20.0 * (1.0 - g * g / 42.0))
+    return np.sin(g) - g
+
+
+@entry
 def joint_jacobian(s, drives, dz, phi_z):
     """Fill phi_z (m, 2 points), dense."""
     phi_z[:] = 0.0
@@ -120,8 +192,8 @@ def joint_jacobian(s, drives, dz, phi_z):
                 phi_z[k + 1, 2 * a + 1] = 1.0
             if b >= 0:
                 for i in range(2):
-                    for l in range(2):
-                        phi_z[k + i, 2 * b + l] = -s.joint_matrix[j, i, l]
+                    for e in range(2):
+                        phi_z[k + i, 2 * b + e] = -s.joint_matrix[j, i, e]
             continue
         wx, wy, bx, by = turned_sides(s, j, drives, dz)
         if a >= 0:
@@ -143,9 +215,9 @@ def joint_curvature(s, drives, lam, curvature):
             g = lam[s.joint_row[j]]
             block = ((-n * g, c * g), (-c * g, -n * g))
             for i in range(2):
-                for l in range(2):
-                    curvature[2 * a + i, 2 * b + l] += block[i][l]
-                    curvature[2 * b + l, 2 * a + i] += block[i][l]
+                for e in range(2):
+                    curvature[2 * a + i, 2 * b + e] += block[i][e]
+                    curvature[2 * b + e, 2 * a + i] += block[i][e]
 
 
 @entry

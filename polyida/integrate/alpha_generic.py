@@ -2,58 +2,34 @@
 
 import numpy as np
 
-from polyida.integrate.grid import goes_on, grid_of
-from polyida.integrate.start import jerk, mass_system
+from polyida.integrate.alpha_increment import Carried, extent, start_values
+from polyida.integrate.start import mass_system
 from polyida.integrate.state import State, StepFailure
+from polyida.integrate.step_control import PATIENCE, largest_calm_error
 from polyida.linear.kkt import KKT, SingularSystem, scaling_factors
 
 SLOW = 0.3  # contraction above which the matrix is made anew
 EPS = np.finfo(float).eps
+STALE, FRESH, FULL = range(3)
 
 
-def advance(settings, model, state, begin, end, count, counts):
-    """Yield `count` equal steps from begin to end."""
-    grid = grid_of(state, begin, end, count)
-    state = started(settings, model, state, grid.h)
-    newton = Newton(settings, model, grid, counts)
-    if goes_on(model, state, grid, "size"):
-        newton.recall(state.memory)
-    for k in range(grid.done + 1, grid.count + 1):
-        state = newton.step(state, k)
-        counts.steps += 1
-        yield state
+class Steps:
+    """Steps on one model; `begin` sets state and h, `run` goes on from there. verdict: "far" or "near" where adaptive steps should change."""
 
+    def __init__(self, settings, model, counts):
+        self.settings, self.model, self.counts, self.c = settings, model, counts, settings.coefficients
+        self.kept, self.verdict, self.kkt = {}, None, None
+        self.carries = settings.incremental_phi and hasattr(model, "arrays")
 
-def started(settings, model, state, h):
-    """The state with the algorithmic acceleration of a run's first step; a state of the same method and step goes on as it is.
-
-    `a_0 = q''_0 + (alpha_m - alpha_f) h q'''_0`, and v_0 moved by dv with `[[M, B^T], [B, 0]] (dv, .) = (0, B l / h)`,
-    `l / h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''_0`: lam is of second order from the first step (Arnold, Bruels 2007).
-    """
-    if np.isclose(state.memory.get("h", 0.0), h, rtol=1e-9, atol=0.0):
-        return state
-    if settings.start == "plain":
-        return State(state.t, state.q, state.v, state.a, state.lam, {"a_alg": state.a, "h": h})
-    c, third = settings.coefficients, jerk(model, state, h)
-    a_alg, v = state.a + (c.alpha_m - c.alpha_f) * h * third, state.v
-    if model.m:
-        offset = (1 - 6 * c.beta - 3 * (c.alpha_m - c.alpha_f)) / 6 * h * h * third
-        phi_q = model.phi_q(state.t, state.q)
-        v = v + mass_system(model, state.t, state.q).solve(np.zeros(model.n), -(phi_q @ offset))[0]
-    return State(state.t, state.q, v, state.a, state.lam, {"a_alg": a_alg, "h": h})
-
-
-class Newton:
-    """One step after the other at one h; holds the factorization between them."""
-
-    def __init__(self, settings, model, grid, counts):
-        self.settings, self.model, self.grid, self.counts = settings, model, grid, counts
-        h = self.h = grid.h
-        c = settings.coefficients
-        self.c = c
+    def begin(self, state, h):
+        """Go on from a state that `started` has made ready for steps of h."""
+        c = self.c
+        self.h, self.last, self.place = h, state, None
         self.to_a = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f))
         self.to_v = c.gamma / (c.beta * h)
-        self.kkt, self.size, self.factored_at = None, 0.0, None
+        self.extent, (self.phi, self.rate) = extent(self.model, state.q), start_values(self.model, state)
+        self.size, self.error, self.since, self.verdict = 0.0, 0.0, 0, None
+        self.kkt, self.factored_at = self.kept.get(h, (None, None)) if self.settings.adaptive else (None, None)
 
     def recall(self, memory):
         """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
@@ -63,67 +39,133 @@ class Newton:
             t, q, v, a, lam = np.split(memory["factored_at"], [1, 1 + n, 1 + 2 * n, 1 + 3 * n])
             self._factor(float(t[0]), q, v, a, lam)
 
-    def step(self, state, k):
-        """The accepted state after step k. Raises StepFailure where Newton does not converge even with fresh matrices."""
-        t, self.place = self.grid.time(k), self.grid.after(k)
-        try:
-            return self._solve(state, t)
-        except Divergence as first:
-            if first.fresh:
-                raise StepFailure("newton", str(first), t, **first.seen) from None
-        self.kkt = None
-        try:
-            return self._solve(state, t, always_fresh=True)
-        except Divergence as second:
-            raise StepFailure("newton", str(second), t, **second.seen) from None
+    def run(self, grid):
+        """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
+        self.verdict = None
+        for k in range(grid.done + 1, grid.count + 1):
+            t, self.place = grid.time(k), grid.after(k)
+            state = self._step(grid.time(k - 1), t)
+            if self.settings.adaptive and self._error(state) > 1:
+                self.verdict = "far"
+                return
+            self.last = state
+            if self.carries:
+                self.phi, self.rate = state.memory["phi"], state.memory["rate"]
+            if self.settings.adaptive and self._calm():
+                self.verdict = "near"
+            yield state
+            if self.verdict:
+                return
 
-    def _predict(self, state):
-        c, h, a0 = self.c, self.h, state.memory["a_alg"]
-        a1 = ((1 - c.alpha_f) * state.a + c.alpha_f * state.a - c.alpha_m * a0) / (1 - c.alpha_m)
-        q = state.q + h * state.v + h * h * ((0.5 - c.beta) * a0 + c.beta * a1)
-        return q, state.v + h * ((1 - c.gamma) * a0 + c.gamma * a1), state.a.copy(), state.lam.copy()
+    def state(self, t):
+        """The last accepted state."""
+        return self.last
 
-    def _solve(self, state, t, always_fresh=False):
-        q, v, a, lam = self._predict(state)
-        model, before, fresh, worst = self.model, np.inf, self.kkt is None, 0.0
-        self.size = max(0.9 * self.size, _rms(a))
+    def _error(self, state):
+        """Local error of q over what is allowed, both root mean squares."""
+        s = self.settings
+        error = abs(self.c.error) * self.h**2 * _rms(state.a - self.last.a) / (s.atol + s.rtol * _rms(state.q))
+        self.error = max(self.error, error) if np.isfinite(error) else np.inf
+        return error if np.isfinite(error) else np.inf
+
+    def _calm(self):
+        self.since += 1
+        if self.since < PATIENCE:
+            return False
+        calm, self.since = self.error < largest_calm_error(), 0
+        self.error = self.error if calm else 0.0
+        return calm
+
+    def _step(self, before, t):
+        """The state at t: with the matrix at hand, with a fresh one, with one in every iteration. Raises StepFailure."""
+        for effort in (STALE, FRESH, FULL):
+            if effort != STALE:
+                self.kkt = None
+            try:
+                return self._solve(before, t, effort)
+            except Divergence as divergence:
+                failed = divergence
+        raise StepFailure("newton", str(failed), t, **failed.seen)
+
+    def _predict(self):
+        c, h, state = self.c, self.h, self.last
+        a0, a1 = state.memory["a_alg"], self._algorithmic(state.a)
+        dd = h * h * ((0.5 - c.beta) * a0 + c.beta * a1)
+        return dd, state.v + h * ((1 - c.gamma) * a0 + c.gamma * a1), state.a.copy(), state.lam.copy()
+
+    def _solve(self, before, t, effort):
+        dd, v, a, lam = self._predict()
+        model, last = self.model, 0.0
+        phi_at = self._constraints(before, t)
+        self.size, self.mass = max(0.9 * self.size, _rms(a)), None
         for iteration in range(self.settings.max_iterations):
-            r, phi = model.residual(t, q, v, a, lam), model.phi(t, q)
+            q = self._at(dd)
+            r, phi = model.residual(t, q, v, a, lam), phi_at(dd, a)[0]
             self.counts.residuals += 1
             if not (np.isfinite(r).all() and np.isfinite(phi).all()):
-                raise Divergence("r or phi is not finite", fresh, iteration, before, phi)
-            if self.kkt is None or always_fresh:
+                raise Divergence("r or phi is not finite", iteration, last, phi)
+            if self.kkt is None or effort == FULL:
                 self._factor(t, q, v, a, lam)
-            dq, dlam = self.kkt.solve(r, phi)
-            self.counts.solves += 1
-            self.counts.newton_iterations += 1
-            q, v, a, lam = q + dq, v + self.to_v * dq, a + self.to_a * dq, lam + dlam
-            moved = _rms(dq)
-            rate = moved / before if before > 0 else 0.0
-            tolerance = self.settings.tolerance * max(self.size, _rms(a)) / self.to_a
-            floor = 16 * EPS * (_rms(q) + self.h * _rms(v))
-            settled = moved <= max(floor, 1e-3 * tolerance) or (iteration and rate < 1 and moved * rate / (1 - rate) <= tolerance)
-            if settled and self._closed(t, q, max(floor, 1e-2 * tolerance)):
-                return self._accepted(state, t, q, v, a, lam)
-            if iteration and rate > SLOW and not always_fresh:
-                if rate > 0.9 and fresh:
-                    raise Divergence("Newton does not contract", fresh, iteration, moved, phi)
-                self.kkt, fresh = None, True
-            before = moved
-        raise Divergence("Newton does not converge", fresh or always_fresh, iteration + 1, moved, phi)
+            x, dlam, slip = self._correction(t, q, v, r, phi)
+            dd, v, a, lam = dd + x + slip, v + self.to_v * x, a + self.to_a * x, lam + dlam
+            moved = _rms(x)
+            rate = moved / last if last > 0 else 1.0
+            if self._settled(moved, rate, dd, q, a, iteration, phi_at):
+                return self._accepted(t, dd, v, a, lam, phi_at)
+            if iteration and rate > SLOW and effort != FULL:
+                raise Divergence("Newton does not contract", iteration, moved, phi)
+            last = moved
+        raise Divergence("Newton does not converge with fresh matrices", iteration + 1, moved, phi)
 
-    def _closed(self, t, q, tolerance):
-        return self.model.m == 0 or np.abs(self.model.phi(t, q)).max() <= tolerance
+    def _at(self, dd):
+        return self.last.q + (self.h * self.last.v + dd)
 
-    def _accepted(self, state, t, q, v, a, lam):
-        objection = getattr(self.model, "objection", lambda t, q: None)(t, q)
+    def _algorithmic(self, a):
+        c, last = self.c, self.last
+        return ((1 - c.alpha_f) * a + c.alpha_f * last.a - c.alpha_m * last.memory["a_alg"]) / (1 - c.alpha_m)
+
+    def _constraints(self, before, t):
+        """(phi, rate) at t as a function of the step's dd and a: carried for scenes, phi from the positions otherwise."""
+        if not self.carries:
+            return lambda dd, a: (self.model.phi(t, self._at(dd)), self.rate)
+        carried, gamma, a0 = Carried(self.model, before, t, self.h, self.last, self.phi, self.rate), self.c.gamma, self.last.memory["a_alg"]
+        return lambda dd, a: carried(dd, self.h * ((1 - gamma) * a0 + gamma * self._algorithmic(a)))
+
+    def _correction(self, t, q, v, r, phi):
+        """(x, dlam, slip) of one iteration; see the stabilised form for the slip of q against v."""
+        self.counts.solves += 1
+        self.counts.newton_iterations += 1
+        if self.settings.form == "index3" or not self.model.m:
+            return *self.kkt.solve(r, phi), 0.0
+        rate = (self.model.phi_q(t, q) @ v + self.model.phi_t(t, q)) / self.to_v
+        if self.mass is None:
+            self.mass = mass_system(self.model, t, q)
+        return *self.kkt.solve(r, rate), self.mass.solve(np.zeros(self.model.n), phi - rate)[0]
+
+    def _settled(self, moved, rate, dd, q, a, iteration, phi_at):
+        """Whether the error to be expected is below the tolerance, or dq is round-off and no longer falls; and phi with it."""
+        tolerance = self.settings.tolerance * max(self.size, _rms(a)) / self.to_a
+        coarse = 16 * EPS * (_rms(q) + self.extent)
+        fine = 16 * EPS * (_rms(dd) if self.carries else _rms(q))
+        stalled = iteration and rate > SLOW and moved <= coarse
+        small = moved <= 1e-3 * tolerance or (iteration and rate < 1 and moved * rate / (1 - rate) <= tolerance)
+        if not (small or stalled or moved <= fine):
+            return False
+        return np.abs(phi_at(dd, a)[0]).max(initial=0) <= max(1e-2 * tolerance, 16 * fine if self.carries and not stalled else coarse)
+
+    def _accepted(self, t, dd, v, a, lam, phi_at):
+        q, model, (phi, rate) = self._at(dd), self.model, phi_at(dd, a)
+        objection = getattr(model, "objection", lambda t, q: None)(t, q)
         if objection:
             raise StepFailure("objection", objection, t)
-        c, a0 = self.c, state.memory["a_alg"]
-        a1 = ((1 - c.alpha_f) * a + c.alpha_f * state.a - c.alpha_m * a0) / (1 - c.alpha_m)
+        if self.settings.form == "stabilised" and model.m:
+            v = v + mass_system(model, t, q).solve(np.zeros(model.n), model.phi_q(t, q) @ v + model.phi_t(t, q))[0]
+            rate = np.zeros(model.m)
         self.size = max(self.size, _rms(a))
         made = np.zeros(0) if self.kkt is None else self.factored_at
-        memory = {"a_alg": a1, "h": self.h, "size": self.size, "factored_at": made, "grid": self.place}
+        memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "factored_at": made, "grid": self.place}
+        if self.carries:
+            memory |= {"phi": phi, "rate": rate}
         return State(float(t), q, v, a, lam, memory)
 
     def _factor(self, t, q, v, a, lam):
@@ -136,14 +178,15 @@ class Newton:
             self.kkt = KKT(matrix, self.model.phi_q(t, q), scaling)
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
+        if self.settings.adaptive:
+            self.kept[self.h] = self.kkt, self.factored_at
 
 
 class Divergence(Exception):
-    """Newton's iteration did not settle; `fresh` tells whether the matrix was new."""
+    """Newton's iteration did not settle."""
 
-    def __init__(self, reason, fresh, iterations, moved, phi):
+    def __init__(self, reason, iterations, moved, phi):
         super().__init__(reason)
-        self.fresh = fresh
         self.seen = {"iterations": iterations, "last |dq|": float(moved), "|phi|": float(np.abs(phi).max(initial=0.0))}
 
 

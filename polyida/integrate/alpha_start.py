@@ -7,6 +7,7 @@ Bruels 2007). A start without them shows a first-order transient in lam. In the 
 
 import numpy as np
 
+from polyida.integrate.alpha_increment import start_values
 from polyida.integrate.start import consistent_acceleration, jerk, mass_system
 from polyida.integrate.state import State
 
@@ -36,28 +37,31 @@ def at_kink(model, t):
 def beginning(settings, model, state, h):
     """A consistent state with `a_alg = q'' + (alpha_m - alpha_f) h q'''` and v moved by `B l/h`."""
     c, third = settings.coefficients, jerk(model, state, h, _beside(state.t, h) if at_kink(model, state.t) else None)
-    v = state.v + _off_constraint(settings, model, state, h, third)
-    return _with(state, v=v, a_alg=state.a + c.offset * h * third, h=h)
+    off, rate = _off_constraint(settings, model, state, h, third)
+    phi, before = start_values(model, state)
+    return _with(state, v=state.v + off, a_alg=state.a + c.offset * h * third, h=h, phi=phi, rate=before + rate)
 
 
 def behind_kink(settings, model, state, h):
     """The state on the other side of a kink at its time: what jumps there is added, what the method carries besides stays.
 
     Velocities jump with the motors' rates, in the metric of M; accelerations and multipliers with loads and rates; a_alg and v also
-    with the jump of q'''. All are differences of consistent values right and left, so that ringing mesh modes drop out.
+    with the jump of q'''. All are differences of consistent values right and left, so that ringing mesh modes drop out. The last
+    step's equilibrium took the loads at the time itself, which may be either side.
     """
     t, right, left = state.t, _beside(state.t, h), _beside(state.t, -h)
-    v = state.v
+    v, system = state.v, mass_system(model, t, state.q)
     if model.m:
-        jump = model.phi_t(right, state.q) - model.phi_t(left, state.q)
-        v = v + mass_system(model, t, state.q).solve(np.zeros(model.n), jump)[0]
-    before, after = (consistent_acceleration(model, side, state.q, speed) for side, speed in ((left, state.v), (right, v)))
+        v = v + system.solve(np.zeros(model.n), model.phi_t(right, state.q) - model.phi_t(left, state.q))[0]
+    bias = model.phi_bias(left, state.q, state.v) if model.m else np.zeros(0)
+    before, after = system.solve(model.force(t, state.q, state.v), bias), consistent_acceleration(model, right, state.q, v)
     a, lam = state.a + after[0] - before[0], state.lam + after[1] - before[1]
     behind = _with(state, v=v, a=a, lam=lam)
     third = jerk(model, behind, h, right) - jerk(model, state, -h, left)
-    offset = settings.coefficients.offset * h * third
-    v = v + _off_constraint(settings, model, state, h, third)
-    return _with(behind, v=v, a_alg=state.memory["a_alg"] + a - state.a + offset, h=h)
+    phi, rate = start_values(model, state, left)
+    a_alg = state.memory["a_alg"] + a - state.a + settings.coefficients.offset * h * third
+    off, more = _off_constraint(settings, model, state, h, third)
+    return _with(behind, v=v + off, a_alg=a_alg, h=h, phi=phi, rate=rate + more)
 
 
 def rescaled(settings, model, state, h):
@@ -66,10 +70,10 @@ def rescaled(settings, model, state, h):
     A step that grows scales nothing up: noise in the mesh modes would grow with it.
     """
     scale, memory, v = h / float(state.memory["h"]), state.memory, state.v
+    phi, rate = start_values(model, state)
     if model.m and settings.form == "index3":
-        rate = model.phi_q(state.t, state.q) @ v + model.phi_t(state.t, state.q)
         v = v + (1 - scale**2) * mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
-    return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h)
+    return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h, phi=phi, rate=scale**2 * rate)
 
 
 def _on_the_right(model, state, h):
@@ -90,13 +94,13 @@ def _beside(t, h):
 
 
 def _off_constraint(settings, model, state, h, third):
-    """The move of v off the velocity constraint for q''' = third."""
+    """The move of v off the velocity constraint for q''' = third, and how far off that is."""
     if not model.m or settings.form != "index3":
-        return 0.0
+        return 0.0, np.zeros(model.m)
     c = settings.coefficients
     offset = (1 - 6 * c.beta - 3 * c.offset) / 6 * h * h * third
     border = model.phi_q(state.t, state.q) @ offset
-    return mass_system(model, state.t, state.q).solve(np.zeros(model.n), -border)[0]
+    return mass_system(model, state.t, state.q).solve(np.zeros(model.n), -border)[0], border
 
 
 def _with(state, v=None, a=None, lam=None, **memory):

@@ -5,40 +5,34 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate import alpha_generic
-from polyida.integrate import alpha_scene
+from polyida.integrate import step_control
+from polyida.integrate.alpha_family import Coefficients, require_damping
+from polyida.integrate.alpha_march import march
 from polyida.integrate.segments import segments
 from polyida.linear.kkt import SCALINGS
 
-
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
-
-
-@dataclass(frozen=True)
-class Coefficients:
-    """alpha_m, alpha_f, beta, gamma of a member of the family."""
-
-    alpha_m: float
-    alpha_f: float
-    beta: float
-    gamma: float
-
-    @classmethod
-    def chung_hulbert(cls, rho_inf):
-        """`alpha_m = (2 rho - 1)/(rho + 1)`, `alpha_f = rho/(rho + 1)`, second order with the least low-frequency damping."""
-        alpha_m, alpha_f = (2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1)
-        gamma = 0.5 - alpha_m + alpha_f
-        return cls(alpha_m, alpha_f, (gamma + 0.5) ** 2 / 4, gamma)
+FORMS = ("index3", "stabilised")
 
 
 @dataclass(frozen=True)
 class GeneralizedAlpha:
-    """Generalized-alpha with constant steps.
+    """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,
+    `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
-    Equilibrium and phi = 0 hold at the end of each step, `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`,
-    with Newmark's formulas in a. h: step, s; a run takes the largest step not above h that divides its time evenly. rho_inf: spectral
-    radius at infinite frequency, in [0, 1). tolerance: Newton's, of beta h^2 times the size of q''. scaling: "none", "bottasso" or
-    "physical". max_iterations: of one Newton solve. start: "consistent" (second order in lam from the first step) or "plain".
+    h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly. rho_inf:
+    spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f, beta, gamma), in
+    place of rho_inf; see `hht`, `wbz` and `newmark`.
+    form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to have both.
+    rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
+    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, m); lam is not
+    in it. h is then the largest step. extrapolate: give (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
+
+    tolerance: Newton's, of beta h^2 times the size of q''. max_iterations: of one Newton solve. max_halvings: a step whose Newton
+    fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4, ... 2^max_halvings parts.
+    scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from the first step) or "plain" (a_0 = q'').
+    incremental_phi: carry phi of a scene by its increments, clean down to h = 1e-9, or take it from positions with their round-off.
+    linear: "auto", "fronts", "band" or "superlu" for scenes, "kkt": the whole matrix in plain code, as for a model of one's own.
     Raises InputError for a setting out of range.
     """
 
@@ -49,31 +43,103 @@ class GeneralizedAlpha:
     max_iterations: int = 25
     start: str = "consistent"
     linear: str = "auto"
+    form: str = "index3"
+    member: tuple | None = None
+    rtol: float | None = None
+    atol: float | None = None
+    extrapolate: bool = False
+    incremental_phi: bool = True
+    max_halvings: int = 6
+
+    @classmethod
+    def hht(cls, h, alpha=-0.05, **settings):
+        """Hilber, Hughes, Taylor 1977: alpha_m = 0, alpha_f = -alpha, alpha in [-1/3, 0); second order."""
+        if not (_number(alpha) and -1 / 3 <= alpha < 0):
+            raise InputError(f"GeneralizedAlpha.hht: alpha = {alpha!r} must be in [-1/3, 0); index 3 is unstable at 0")
+        return cls(h, member=_tuple(Coefficients.second_order(0.0, -alpha)), **settings)
+
+    @classmethod
+    def wbz(cls, h, alpha=-0.05, **settings):
+        """Wood, Bossak, Zienkiewicz 1980: alpha_m = alpha, alpha_f = 0, alpha in (-1, 0); second order."""
+        if not (_number(alpha) and -1 < alpha < 0):
+            raise InputError(f"GeneralizedAlpha.wbz: alpha = {alpha!r} must be in (-1, 0); index 3 is unstable at 0")
+        return cls(h, member=_tuple(Coefficients.second_order(alpha, 0.0)), **settings)
+
+    @classmethod
+    def newmark(cls, h, beta=0.3025, gamma=0.6, **settings):
+        """Newmark 1959: alpha_m = alpha_f = 0. Index 3 needs gamma > 1/2, which makes it first order; the trapezoidal rule
+        (1/4, 1/2) is refused: its constraint forces grow without bound."""
+        return cls(h, member=(0.0, 0.0, float(beta), float(gamma)), **settings)
 
     def __post_init__(self):
-        number = (int, float, np.floating, np.integer)
-        checks = (
-            ("h", isinstance(self.h, number) and np.isfinite(self.h) and self.h > 0, "a positive step in s"),
-            ("rho_inf", isinstance(self.rho_inf, number) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
-            ("tolerance", isinstance(self.tolerance, number) and 0 < self.tolerance < 1, "between 0 and 1"),
-            ("scaling", self.scaling in SCALINGS, f"one of {', '.join(SCALINGS)}"),
-            ("max_iterations", isinstance(self.max_iterations, int) and self.max_iterations > 0, "a positive whole number"),
-            ("linear", self.linear in LINEAR, f"one of {', '.join(LINEAR)}"),
-            ("start", self.start in ("consistent", "plain"), '"consistent" or "plain"'),
-        )
-        for name, good, want in checks:
+        for name, good, want in self._checks():
             if not good:
                 raise InputError(f"GeneralizedAlpha: {name} = {getattr(self, name)!r} must be {want}")
+        if self.member is not None:
+            object.__setattr__(self, "member", tuple(map(float, self.member)))
+            require_damping("GeneralizedAlpha", self.coefficients)
+        if self.adaptive:
+            object.__setattr__(self, "rtol", float(self.rtol or 0.0))
+            object.__setattr__(self, "atol", float(self.atol or 0.0))
+
+    def _checks(self):
+        allowed = lambda x: x is None or (_number(x) and 0 <= x < 1)  # noqa: E731
+        whole = lambda x: isinstance(x, (int, np.integer)) and not isinstance(x, bool)  # noqa: E731
+        return (
+            ("h", _number(self.h) and self.h > 0, "a positive step in s"),
+            ("rho_inf", _number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
+            ("tolerance", _number(self.tolerance) and 0 < self.tolerance < 1, "between 0 and 1"),
+            ("scaling", self.scaling in SCALINGS, f"one of {', '.join(SCALINGS)}"),
+            ("max_iterations", whole(self.max_iterations) and self.max_iterations > 0, "a positive whole number"),
+            ("linear", self.linear in LINEAR, f"one of {', '.join(LINEAR)}"),
+            ("start", self.start in ("consistent", "plain"), '"consistent" or "plain"'),
+            ("form", self.form in FORMS, f"one of {', '.join(FORMS)}"),
+            ("member", self.member is None or (np.shape(self.member) == (4,) and all(map(_number, self.member))),
+             "four numbers, alpha_m, alpha_f, beta, gamma, or None"),
+            ("rtol", allowed(self.rtol), "a number in [0, 1) or None"),
+            ("atol", allowed(self.atol) and (not self.adaptive or (self.rtol or 0) + (self.atol or 0) > 0), "a length below 1 m or None, and not zero beside rtol = 0"),
+            ("extrapolate", self.extrapolate in (False, True) and not (self.extrapolate and self.adaptive), "False where the step adapts"),
+            ("incremental_phi", self.incremental_phi in (False, True), "True or False"),
+            ("max_halvings", whole(self.max_halvings) and 0 <= self.max_halvings <= 20, "a whole number from 0 to 20"),
+        )
 
     @property
     def coefficients(self):
-        """The family's coefficients for rho_inf."""
-        return Coefficients.chung_hulbert(self.rho_inf)
+        """The member's coefficients."""
+        return Coefficients(*self.member) if self.member is not None else Coefficients.chung_hulbert(self.rho_inf)
+
+    @property
+    def adaptive(self):
+        """Whether the step follows the local error."""
+        return self.rtol is not None or self.atol is not None
 
     def steps(self, model, state, t_end, counts):
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+        if self.extrapolate:
+            from polyida.integrate.alpha_richardson import extrapolated
+
+            return extrapolated(self, model, state, t_end, counts)
+        return self._plain_steps(model, state, t_end, counts)
+
+    def _plain_steps(self, model, state, t_end, counts):
+        engine, drive = self._engine(model, counts), step_control.adapt if self.adaptive else march
         for begin, end in segments(model, state.t, t_end):
-            count = max(1, int(np.ceil((end - begin) / self.h * (1 - 1e-12))))
-            method = alpha_generic if self.linear == "kkt" or not getattr(model, "fused", False) else alpha_scene
-            for state in method.advance(self, model, state, begin, end, count, counts):
+            for state in drive(engine, self, model, state, begin, end, counts):
                 yield state
+
+    def _engine(self, model, counts):
+        if self.linear == "kkt" or not hasattr(model, "arrays") or model.needs.velocity_forces:
+            from polyida.integrate.alpha_generic import Steps
+
+            return Steps(self, model, counts)
+        from polyida.integrate.alpha_stretches import Stretches
+
+        return Stretches(self, model, counts)
+
+
+def _number(x):
+    return isinstance(x, (int, float, np.floating, np.integer)) and not isinstance(x, bool) and bool(np.isfinite(x))
+
+
+def _tuple(c):
+    return c.alpha_m, c.alpha_f, c.beta, c.gamma

@@ -38,7 +38,7 @@ def grid_of(state, begin, end, count):
 
 
 def goes_on(model, state, grid, key):
-    """Whether Newton's memory in the state (it has that key) is of use: made at this h, and no kink here, behind which a run starts anew."""
+    """Whether Newton's memory in the state (it has `key`) is of use: the same h, and no kink here to start anew at."""
     near = 1e-12 * max(abs(state.t), abs(grid.end))
     same = key in state.memory and np.isclose(state.memory["h"], grid.h, rtol=1e-9, atol=0.0)
     return same and not model.kinks(state.t - near, state.t + near)

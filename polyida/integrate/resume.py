@@ -14,14 +14,14 @@ from polyida.threads import one_blas_thread
 
 
 def resume(path, t_end=None, *, model=None, integrator=None, until=None, progress=None, memory_limit=MEMORY_LIMIT):
-    """Go on with the run in a file of `solve(..., out=path)` or `save`, to its t_end or another; returns the whole Trajectory.
+    """Go on with the run in a file of `solve(..., out=path)` or `save`, to its t_end or another; the whole Trajectory.
 
-    It starts at the state of the last flush; frames beyond it are computed again. Fixed-step generalized-alpha to the same
-    t_end gives the frames of a run that was never interrupted, bit by bit on the same machine; IDA starts anew at order 1
-    there and agrees to its tolerance. The file is replaced by a copy that goes on, whole or not at all.
-    model: needed for a model of a user's own, and where a motor or load follows a user's own function; the scene in the
-    file otherwise. until: as in `solve`, needed where the run had one (False: go on without).
-    Raises InputError for a file that cannot be read or is being written, has nothing to go on from, or has reached t_end.
+    It starts at the state of the last flush; frames beyond it are computed again. Fixed-step generalized-alpha to the
+    same t_end gives the frames of a run that was never interrupted, bit by bit on the same machine; IDA starts anew
+    at order 1 there and agrees to its tolerance. The file is replaced by a copy that goes on, whole or not at all.
+    model: needed for a model of a user's own, and where a motor or load follows a user's own function; the scene in
+    the file otherwise. until: as in `solve`, needed where the run had one (False: go on without). Raises InputError
+    for a file that cannot be read or is being written, has nothing to go on from, or has reached t_end.
     """
     path = Path(path)
     with files.naming(path):
@@ -62,7 +62,9 @@ def _plan(stored, t_end, until):
     if restart is None or "t_end" not in plan:
         raise InputError("it holds no state to go on from")
     if until is None and plan["until"]:
-        raise InputError("the run had a function `until`, which no file holds; give until=, or until=False to go on without")
+        raise InputError(
+            "the run had a function `until`, which no file holds; give until=, or until=False to go on without"
+        )
     plan |= {"t_end": plan["t_end"] if t_end is None else t_end, "until": bool(until)}
     if not restart.state.t < plan["t_end"]:
         raise InputError(f"the run has reached t = {restart.state.t:.9g} s; give a later t_end to go on")

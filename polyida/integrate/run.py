@@ -4,6 +4,7 @@ import time
 from contextlib import suppress
 
 from polyida.errors import InputError
+from polyida.integrate import ctrl_c
 from polyida.integrate.sampling import Sampler, Until
 from polyida.integrate.state import StepFailure
 from polyida.machine import machine_info
@@ -15,8 +16,8 @@ FLUSH_SECONDS = 2.0
 class Run:
     """A run on its way.
 
-    plan: what was asked for, as plain data. store: a FrameStore; where it has a file, that is flushed as the plan says. clocks: wall
-    and CPU time at the start. until, progress: the user's functions or None.
+    plan: what was asked for, as plain data. store: a FrameStore; where it has a file, that is flushed as the plan
+    says. clocks: wall and CPU time at the start. until, progress: the user's functions or None.
     """
 
     def __init__(self, model, integrator, plan, store, counts, clocks, until=None, progress=None):
@@ -45,11 +46,12 @@ class Run:
                 self.store.file.discard()
 
     def go(self, state):
-        """Run to the end; returns the Trajectory. An exception in a user's function goes on with the Trajectory as an attribute."""
+        """Run to the end; returns the Trajectory. A user's exception goes on, with the Trajectory as an attribute."""
         from polyida.frame_file import NotWritten
 
         try:
-            status, message = self._steps(state)
+            with ctrl_c.noted() as heed:
+                status, message = self._steps(state, heed)
         except StepFailure as failure:
             status, message = failure.status, str(failure)
         except KeyboardInterrupt:
@@ -61,7 +63,7 @@ class Run:
             raise
         return self._end(status, message)
 
-    def _steps(self, state):
+    def _steps(self, state, heed):
         self.last, watch = state, Until(self.until, state) if self.until else None
         for after in self.integrator.steps(self.model, state, self.plan["t_end"], self.counts):
             at_zero = watch.crossing(state, after) if watch else None
@@ -76,13 +78,16 @@ class Run:
                 self._mark(after)
             if self.progress is not None:
                 self.progress(after.t)
+            heed()
         return "done", ""
 
     def _mark(self, state):
         """The run can go on from here; a flush where it is due."""
         self.restart = Restart(state, self.store.count, vars(self.counts).copy())
-        if self.streams and (self.counts.steps - self.flushed_steps >= self.plan["flush_every"]
-                             or time.monotonic() - self.flushed_at >= FLUSH_SECONDS):
+        if self.streams and (
+            self.counts.steps - self.flushed_steps >= self.plan["flush_every"]
+            or time.monotonic() - self.flushed_at >= FLUSH_SECONDS
+        ):
             self._flush()
 
     def _flush(self):
@@ -138,8 +143,19 @@ class Run:
     def _result(self, status, message):
         cpu, wall = self._seconds()
         frames = self._close() if self.streams else self.store.arrays()
-        return Trajectory(self.model, self.integrator, **frames, status=status, message=message, counts=self.counts, cpu_seconds=cpu,
-                          wall_seconds=wall, machine=machine_info(), restart=self.flushed if self.streams else self.restart, plan=self.plan)
+        return Trajectory(
+            self.model,
+            self.integrator,
+            **frames,
+            status=status,
+            message=message,
+            counts=self.counts,
+            cpu_seconds=cpu,
+            wall_seconds=wall,
+            machine=machine_info(),
+            restart=self.flushed if self.streams else self.restart,
+            plan=self.plan,
+        )
 
     def _close(self):
         """The frames, read from the closed file."""

@@ -9,8 +9,8 @@ from polyida.integrate.state import State
 def between(before, after, t):
     """The State at t between two accepted ones.
 
-    q is the cubic Hermite polynomial through q and v at both ends, v its derivative, a and lam are linear in t; at an end it is the
-    accepted state itself. q is of fourth, v of third, a and lam of second order in the step.
+    q is the cubic Hermite polynomial through q and v at both ends, v its derivative, a and lam are linear in t; at an
+    end it is the accepted state itself. q is of fourth, v of third, a and lam of second order in the step.
     """
     if t in (before.t, after.t):
         return before if t == before.t else after
@@ -23,7 +23,7 @@ def between(before, after, t):
 
 
 class Sampler:
-    """Puts into a store every `every`-th accepted step with the first and the last, or, where `output` is given, just those times."""
+    """Puts into a store every `every`-th accepted step, the first and the last; or the times `output`, where given."""
 
     def __init__(self, store, counts, every=1, output=None, done=0):
         self.store, self.counts, self.every = store, counts, every
@@ -67,7 +67,7 @@ class Until:
         self.sign = np.sign(self._value(state))
 
     def crossing(self, before, after):
-        """The state where f is zero between two accepted ones, to round-off of `between`, or None. A zero at the start does not count."""
+        """The state where f is zero between two accepted ones, or None. A zero at the start does not count."""
         value = self._value(after)
         if self.sign == 0 or (value != 0 and np.sign(value) == self.sign):
             self.sign = self.sign or np.sign(value)
@@ -76,7 +76,13 @@ class Until:
             return after
         from scipy.optimize import brentq
 
-        at = brentq(lambda t: self._value(between(before, after, t)), before.t, after.t, xtol=1e-300, rtol=4 * np.finfo(float).eps)
+        at = brentq(
+            lambda t: self._value(between(before, after, t)),
+            before.t,
+            after.t,
+            xtol=1e-300,
+            rtol=4 * np.finfo(float).eps,
+        )
         return between(before, after, at)
 
     def _value(self, state):

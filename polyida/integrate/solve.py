@@ -15,8 +15,24 @@ from polyida.model import Model
 from polyida.threads import one_blas_thread
 
 
-def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
-          out=None, overwrite=False, flush_every=100, memory_limit=MEMORY_LIMIT):
+def solve(
+    model,
+    t_end,
+    integrator,
+    *,
+    q0=None,
+    v0=None,
+    t0=0.0,
+    state=None,
+    every=1,
+    output=None,
+    until=None,
+    progress=None,
+    out=None,
+    overwrite=False,
+    flush_every=100,
+    memory_limit=MEMORY_LIMIT,
+):
     """Run `integrator` on `model` from t0 (or from `state`, an earlier one) to t_end.
 
     q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.
@@ -26,14 +42,15 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
     last frame is there. progress: called with t at every accepted step.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
-    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, at the
-    first step from which the run can be resumed (generalized-alpha on a scene works in stretches of up to 256 steps).
-    overwrite: replace an existing file. Without `out`, frames beyond `memory_limit` bytes go to a file in the folder for
-    temporary files (TMPDIR); a trajectory with more of them than that leaves them in the file, see Trajectory.
+    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, at
+    the first step from which the run can be resumed (generalized-alpha on a scene works in stretches of up to 256
+    steps). overwrite: replace an existing file. Without `out`, frames beyond `memory_limit` bytes go to a file in the
+    folder for temporary files (TMPDIR); a trajectory with more of them than that leaves them in the file, see
+    Trajectory.
 
-    Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with the
-    frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the run so far.
-    Raises InputError for a wrong input, before the run starts.
+    Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with
+    the frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the
+    run so far. Raises InputError for a wrong input, before the run starts.
     """
     _require_start(model, t0, state, q0, v0)
     begin = t0 if state is None else state.t
@@ -55,8 +72,10 @@ def require_run(model, t_end, begin, integrator):
     if not isinstance(model, Model):
         hint = "; call its build()" if hasattr(model, "build") else ""
         raise InputError(f"solve: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
-    if not hasattr(integrator, "steps"):
-        raise InputError(f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
+    if not hasattr(integrator, "steps") or isinstance(integrator, type):
+        raise InputError(
+            f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)"
+        )
     if not (_is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
 
@@ -71,7 +90,9 @@ def _require_start(model, t0, state, q0, v0):
     sizes = {name: np.shape(getattr(state, name, None)) for name in ("q", "v", "a", "lam")}
     n, m = getattr(model, "n", 0), getattr(model, "m", 0)
     if isinstance(model, Model) and sizes != {"q": (n,), "v": (n,), "a": (n,), "lam": (m,)}:
-        raise InputError(f"solve: the state is of another model: its shapes are {sizes}, this model has n = {n}, m = {m}")
+        raise InputError(
+            f"solve: the state is of another model: its shapes are {sizes}, this model has n = {n}, m = {m}"
+        )
 
 
 def _plan(begin, t_end, every, output, until, flush_every):
@@ -82,7 +103,13 @@ def _plan(begin, t_end, every, output, until, flush_every):
     if until is not None and not callable(until):
         raise InputError(f"solve: until = {until!r} must be a function of t, q and v")
     times = None if output is None else _times(output, begin, t_end)
-    return {"t_end": float(t_end), "every": int(every), "output": times, "until": until is not None, "flush_every": int(flush_every)}
+    return {
+        "t_end": float(t_end),
+        "every": int(every),
+        "output": times,
+        "until": until is not None,
+        "flush_every": int(flush_every),
+    }
 
 
 def _times(output, begin, t_end):
@@ -118,4 +145,8 @@ def _file(path, model, integrator, plan):
 
 
 def _is_number(value):
-    return isinstance(value, (int, float, np.floating, np.integer)) and not isinstance(value, bool) and bool(np.isfinite(value))
+    return (
+        isinstance(value, (int, float, np.floating, np.integer))
+        and not isinstance(value, bool)
+        and bool(np.isfinite(value))
+    )

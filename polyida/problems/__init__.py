@@ -40,6 +40,8 @@ MAKERS = {
     "double-plate": "polyida.problems.plates:double_plate_problem",
     "double-plate-motors": "polyida.problems.plates:double_plate_motors_problem",
     "plate-chain": "polyida.problems.plates:plate_chain_problem",
+    "spin-up-beam": "polyida.problems.spin_up_beam:problem",
+    "rigid-limit": "polyida.problems.rigid_limit:problem",
 }
 
 

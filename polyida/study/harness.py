@@ -3,10 +3,13 @@
 import hashlib
 import json
 import os
-import traceback
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Callable
+
+from polyida.study.isolation import Worker, attempt, plain
 
 
 @dataclass(frozen=True)
@@ -16,7 +19,8 @@ class Study:
     tasks(quick): list of dictionaries of plain values, one a run. run(**task): a dictionary of plain values, the row's results.
     figures(rows): {name: number}, the study's findings. draw(rows, folder): writes pictures, returns their paths. columns: of the
     table, all where empty. limit: seconds after which an isolated task counts as hanging; isolated: run each task in a process of
-    its own, so that a crash is a row; notes(rows): lines that say what failed and what the numbers mean.
+    its own, so that a crash is a row; fresh: a new process for each, or else one for all that is replaced after a crash or a hang
+    (starting one costs about a second); notes(rows): lines that say what failed and what the numbers mean.
     """
 
     name: str
@@ -29,6 +33,7 @@ class Study:
     isolated: bool = False
     limit: float = 600.0
     notes: Callable = field(default=lambda rows: [])
+    fresh: bool = True
 
 
 def key_of(study, task):
@@ -37,50 +42,84 @@ def key_of(study, task):
     return hashlib.sha256(f"{study.name} {text}".encode()).hexdigest()[:16]
 
 
+@lru_cache(maxsize=1)
+def code_mark():
+    """A mark of the package's source: results with another one were made by other code."""
+    root, digest = Path(__file__).parents[1], hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
 def write_whole(path, text):
     """Write a text file so that it is there whole or not at all."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with open(partial, "w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(partial, path)
+    try:
+        with open(partial, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def results(study, quick, folder, progress=lambda done, total, task: None):
     """The rows of all tasks: those with a whole file in `folder` are read, the others run. A failing run is a row."""
-    from polyida.study.isolation import run_isolated
-
     folder.mkdir(parents=True, exist_ok=True)
+    _remove_litter(folder)
     rows, tasks = [], study.tasks(quick)
-    for done, task in enumerate(tasks):
-        progress(done, len(tasks), task)
-        path = folder / f"{key_of(study, task)}.json"
-        row = _read(path)
-        if row is None:
-            row = run_isolated(study.run, task, study.limit) if study.isolated else _run_here(study.run, task)
-            write_whole(path, json.dumps(task | row, default=plain))
-            row = _read(path)
-        rows.append(row)
+    with Worker() as worker:
+        for done, task in enumerate(tasks):
+            progress(done, len(tasks), task)
+            path = folder / f"{key_of(study, task)}.json"
+            if _read(path) is None:
+                row = _run(study, worker, task)
+                write_whole(path, json.dumps({"row": task | row, "code": code_mark()}, default=plain))
+            rows.append(_read(path)["row"])
     progress(len(tasks), len(tasks), {})
     return rows
 
 
-def _run_here(run, task):
-    try:
-        return {"error": ""} | run(**task)
-    except Exception as error:  # a task's failure, whatever it is, is a row of the table
-        return {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
+def of_other_code(study, quick, folder):
+    """How many tasks have a result that was made by other code than this."""
+    found = [_read(folder / f"{key_of(study, task)}.json") for task in study.tasks(quick)]
+    return sum(data is not None and data["code"] != code_mark() for data in found)
+
+
+def _run(study, worker, task):
+    if not study.isolated:
+        return attempt(study.run, task)
+    row = worker.call(study.run, task, study.limit)
+    if study.fresh:
+        worker.close()
+    return row
 
 
 def _read(path):
+    """{"row", "code"} of a task's file, or None where there is none that is whole."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
+    return data if isinstance(data, dict) and isinstance(data.get("row"), dict) and "code" in data else None
 
 
-def plain(value):
-    if hasattr(value, "item") and getattr(value, "size", 1) == 1:
-        return value.item()
-    return value.tolist() if hasattr(value, "tolist") else str(value)
+def _remove_litter(folder):
+    """Remove what processes that were killed while writing have left."""
+    for path in folder.glob(".*.json.*.part"):
+        with suppress(OSError, ValueError):
+            if not _lives(int(path.name.split(".")[-2])):
+                path.unlink()
+
+
+def _lives(number):
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True

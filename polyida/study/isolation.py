@@ -1,35 +1,114 @@
-"""A run in a process of its own: a crash or a hang of it is an outcome, not the end of the study."""
+"""Runs in a process of their own: a crash or a hang of one is an outcome, not the end of the study."""
 
+import json
 import multiprocessing
+import signal
 import traceback
+
+GRACE = 5.0  # s beyond its limit after which a task ends itself, should nobody be left to end it
+
+
+class Worker:
+    """A process that runs one call after the other, replaced after a crash or a hang; close it, or use it in a `with`.
+
+    It ends when this process ends, however that ends: at once where it waits, at the limit where a task hangs.
+    """
+
+    def __init__(self):
+        self.process = self.pipe = None
+
+    def call(self, function, arguments, limit):
+        """`function(**arguments)` there, at most `limit` seconds; returns its dictionary as plain values with "error" empty.
+
+        Otherwise {"error": what happened}: an exception by its text, with its traceback; "outcome" "crash" with signal
+        or exit code where the process died, "hang" where it did not end. What is no plain value becomes its text.
+        """
+        if self.process is None:
+            self._start()
+        try:
+            self.pipe.send((function, arguments, limit))
+            if self.pipe.poll(limit):
+                return json.loads(self.pipe.recv_bytes())
+            self._end()
+            return {"error": f"hang: no end within {limit:g} s", "outcome": "hang"}
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            self.process.join(GRACE)
+            code = self.process.exitcode
+            self._end()
+            return {"error": f"crash: {_ending(code)}", "outcome": "crash"}
+        except BaseException:
+            self._end()
+            raise
+
+    def _start(self):
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process.start()
+        theirs.close()
+
+    def _end(self):
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
+        self.process = self.pipe = None
+
+    def close(self):
+        """End the process."""
+        if self.process is not None:
+            self._end()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.close()
 
 
 def run_isolated(function, arguments, limit):
-    """`function(**arguments)` in a new process, at most `limit` seconds.
+    """`Worker.call` in a process of its own."""
+    with Worker() as worker:
+        return worker.call(function, arguments, limit)
 
-    Returns its dictionary with "error" empty, or {"error": what happened}: an exception by its text, "crash" with the signal or
-    exit code where the process died, "hang" where it did not end.
-    """
-    context = multiprocessing.get_context("spawn")
-    receive, send = context.Pipe(duplex=False)
-    process = context.Process(target=_call, args=(send, function, arguments), daemon=True)
-    process.start()
-    send.close()
+
+def attempt(function, arguments):
+    """{"error": ""} and the dictionary that `function(**arguments)` gives, or the exception as {"error", "traceback"}."""
     try:
-        row = receive.recv() if receive.poll(limit) else {"error": f"hang: no end within {limit:g} s", "outcome": "hang"}
-    except EOFError:
-        process.join(5)
-        row = {"error": f"crash: exit code {process.exitcode}", "outcome": "crash"}
-    finally:
-        if process.is_alive():
-            process.kill()
-        process.join()
-    return row
+        return {"error": ""} | function(**arguments)
+    except Exception as error:  # whatever it is, a task's failure is a row of the table
+        return {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
 
 
-def _call(send, function, arguments):
-    try:
-        row = {"error": ""} | function(**arguments)
-    except Exception as error:
-        row = {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
-    send.send(row)
+def plain(value):
+    """A value as JSON holds it: numbers and lists of numpy's, text of anything else."""
+    if hasattr(value, "item") and getattr(value, "size", 1) == 1:
+        return value.item()
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def _serve(pipe):
+    """Run what comes until nobody is there. Ctrl-C is for the process that asks."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        try:
+            function, arguments, limit = pipe.recv()
+        except (EOFError, OSError):
+            return
+        _alarm(limit + GRACE)
+        row = json.dumps(attempt(function, arguments), default=plain)
+        _alarm(0.0)
+        pipe.send_bytes(row.encode())
+
+
+def _alarm(seconds):
+    """End this process in so many seconds, even out of compiled code; 0 calls it off. Nothing where there are no alarms."""
+    if hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, min(seconds, 1e8))
+
+
+def _ending(code):
+    if code is not None and code < 0:
+        with_name = {item.value: item.name for item in signal.Signals}
+        return f"signal {with_name.get(-code, -code)}"
+    return f"exit code {code}"

@@ -13,7 +13,6 @@ import numpy as np
 
 from polyida.assembly import equilibrium
 from polyida.compiled import entry
-from polyida.errors import InputError
 from polyida.integrate.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida import IDA
 from polyida.integrate.solve import solve
@@ -22,18 +21,14 @@ from polyida.integrate.state import Counts
 from polyida.linear import corotated
 from polyida.linear.factor import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
-from polyida.linear.triangular import fill_band
 from polyida.problems import plates
+from polyida.study import peers
+from polyida.study.isolation import run_isolated
 from polyida.threads import one_blas_thread
 
 H = 1e-3  # step of generalized-alpha, s
 NO_FRAMES = 10**9  # keep every so many steps: the first and the last frame alone
-WIDEST_BAND = 30_000  # DOF beyond which a band factor is out of the question
 SCENES = {"scene 1": plates.double_plate, "scene 2": plates.double_plate_motors}
-
-
-class Missing(InputError):
-    """An optional package is not installed: that part of a study is left out."""
 
 
 def cells_for(dof):
@@ -101,12 +96,6 @@ def _solves(count, links, c, room, drives, rotation, dz, lam, r, phi, c_m, dq, d
         corotated.solve(links, c, room, drives, rotation, dz, lam, r, phi, c_m, dq, dlam)
 
 
-@entry
-def _triangular(count, fronts, panels, x):
-    for _ in range(count):
-        solve_fronts(fronts, panels, x)
-
-
 def moved(model, steps=5):
     """(State, c_m) of a short generalized-alpha run: where the kernels are measured."""
     method, state = GeneralizedAlpha(h=H), consistent_state(model, 0.0, None, None)
@@ -117,25 +106,42 @@ def moved(model, steps=5):
 
 
 def kernels_ms(model):
-    """Milliseconds of residual, tangent, factor (with the joints' columns), solve (with its triangular part) at one moved state.
+    """Milliseconds of residual, tangent, factor (with the joints' columns), solve at one moved state.
 
     They are called in compiled loops, at most some tenths of a second each; the state and c_m are those of a run with h = 1 ms.
     """
     state, c_m = moved(model)
     nodal, points = (model.n_nodes, 2), (model.n_points, 2)
     u, a = state.q.reshape(nodal).copy(), state.a.reshape(nodal).copy()
-    r, phi, rotation, dz, forces = np.empty(nodal), np.empty(model.m), np.empty(nodal), np.empty(points), np.empty(points)
+    r, phi, rotation, dz, forces = (
+        np.empty(nodal),
+        np.empty(model.m),
+        np.empty(nodal),
+        np.empty(points),
+        np.empty(points),
+    )
     drives, blocks = model.drives(state.t), np.empty((len(model.pattern[1]), 2, 2))
     residual = (model.arrays, drives, u, a, state.lam.copy(), r, phi, rotation, dz, forces)
     tangent = (model.arrays.plates, u, c_m, blocks)
     _residuals(1, *residual)
     _tangents(1, *tangent)
     system, _ = corotated.corotated(model, blocks, rotation)
-    correction = (model.arrays.links, system, corotated.room(model, system), drives, rotation, dz, state.lam.copy(), r, phi, c_m,
-                  np.empty(nodal), np.empty(model.m))
-    x, count = np.ones(model.n, np.float32), max(3, 200_000 // model.n)
-    timed = {"residual": (_residuals, residual), "tangent": (_tangents, tangent), "solve": (_solves, correction),
-             "triangular": (_triangular, (system.factor.fronts, system.factor.panels, x))}
+    correction = (
+        model.arrays.links,
+        system,
+        corotated.room(model, system),
+        drives,
+        rotation,
+        dz,
+        state.lam.copy(),
+        r,
+        phi,
+        c_m,
+        np.empty(nodal),
+        np.empty(model.m),
+    )
+    count = max(3, 200_000 // model.n)
+    timed = {"residual": (_residuals, residual), "tangent": (_tangents, tangent), "solve": (_solves, correction)}
     times = {}
     for name, (loop, arguments) in timed.items():
         loop(1, *arguments)
@@ -147,20 +153,44 @@ def kernels_ms(model):
 def parts_of_a_step(model, row):
     """Share of each kernel in a step, ms, from its own time and the row's counts; and ns per coordinate of the two assemblies."""
     one = kernels_ms(model)
-    used = {"residual": row["residuals_per_step"], "tangent": row["tangents_per_step"], "factor": row["factorizations_per_step"],
-            "solve": row["newton_iterations_per_step"]}
+    used = {
+        "residual": row["residuals_per_step"],
+        "tangent": row["tangents_per_step"],
+        "factor": row["factorizations_per_step"],
+        "solve": row["newton_iterations_per_step"],
+    }
     shares = {f"{name}_ms": one[name] * times for name, times in used.items()}
     return shares | {
-        "rest_ms": row["ms_per_step"] - sum(shares.values()), "one_triangular_ms": one["triangular"], "one_factor_ms": one["factor"],
+        "rest_ms": row["ms_per_step"] - sum(shares.values()),
+        "one_solve_ms": one["solve"],
+        "one_factor_ms": one["factor"],
         "residual_ns_per_dof": 1e6 * one["residual"] / model.n,
         "residual_tangent_ns_per_dof": 1e6 * (one["residual"] + one["tangent"]) / model.n,
     }
 
 
-def floor_row(dof, backend, repeats):
-    """One factorization + 3 solves of S = c_m M + K of scene 1 with a back-end: numeric work, the analysis apart where it can be.
+def fronts(model, blocks):
+    """(factor, solve) of our own multifrontal Cholesky: in double, kept and solved with in single."""
+    known, kept, b, x = model.once(symbolic_of), {}, np.ones(model.n, np.float32), np.empty(model.n, np.float32)
 
-    Raises Missing where the back-end is not installed.
+    def factor():
+        kept["panels"] = factorize(known, blocks)
+
+    def solved():
+        x[:] = b
+        solve_fronts(known, kept["panels"], x)
+        return x
+
+    return factor, solved
+
+
+BACKENDS = {"fronts": fronts} | peers.BACKENDS
+
+
+def floor_row(dof, backend, repeats):
+    """One factorization + 3 solves of S = c_m M + K of scene 1 with a back-end, called from Python; the analysis apart where it can be.
+
+    Raises peers.Missing where the back-end is not installed.
     """
     model = model_of("scene 1", dof)
     state, c_m = moved(model, 2)
@@ -169,100 +199,110 @@ def floor_row(dof, backend, repeats):
     with one_blas_thread():
         factor, solved = BACKENDS[backend](model, blocks)
         factor()
-        error = _error_of(model, blocks, solved())
+        solution = np.array(solved(), float)
         factor_s, solve_s = median_cpu(factor, repeats), median_cpu(solved, 3 * repeats)
-    return {"n": model.n, "factor_ms": 1e3 * factor_s, "solve_ms": 1e3 * solve_s, "floor_ms": 1e3 * (factor_s + 3 * solve_s),
-            "solve_error": error}
+    solution = solution[model.once(symbolic_of).order] if backend == "fronts" else solution
+    error = np.abs(peers.matrix_of(model, blocks) @ solution - 1.0).max()
+    return {
+        "n": model.n,
+        "factor_ms": 1e3 * factor_s,
+        "solve_ms": 1e3 * solve_s,
+        "floor_ms": 1e3 * (factor_s + 3 * solve_s),
+        "relative_residual": float(error),
+    }
 
 
-def _error_of(model, blocks, x):
-    b = np.ones(model.n)
-    return float(np.abs(_matrix(model, blocks) @ x - b).max())
+def sparse_row(dof, t_end, repeats):
+    """IDA to t_end, s, on scene 1: ours against SUNDIALS' sparse solver, same tolerances and order; that one in its own processes."""
+    model, settings = model_of("scene 1", dof), IDA(rtol=1e-5)
+    solve(model, min(t_end, 1e-3), settings)
+    runs = [cpu(lambda: solve(model, t_end, settings, every=NO_FRAMES)) for _ in range(repeats)]
+    others = [run_isolated(sparse_alone, {"dof": dof, "t_end": t_end}, 300.0) for _ in range(repeats)]
+    good = [row for row in others if not row["error"]]
+    ours = float(np.median([seconds for seconds, _ in runs]))
+    row = {"n": model.n, "steps": runs[0][1].counts.steps, "cpu_s": ours, "status": runs[0][1].status}
+    if not good:
+        return row | {"error": others[0]["error"]}
+    sparse = float(np.median([other["cpu_s"] for other in good]))
+    return row | {"sparse_cpu_s": sparse, "sparse_steps": good[0]["steps"], "speedup": sparse / ours}
 
 
-def _matrix(model, blocks):
-    from scipy.sparse import bsr_array
-
-    indptr, indices = model.pattern
-    return bsr_array((blocks, indices, indptr), shape=(model.n, model.n)).tocsc()
-
-
-def _fronts(model, blocks):
-    known, kept = model.once(symbolic_of), {}
-
-    def factor():
-        kept["panels"] = factorize(known, blocks)
-
-    def solved():
-        x = np.ones(model.n, np.float32)
-        solve_fronts(known, kept["panels"], x)
-        return x[known.order]
-
-    return factor, solved
+def sparse_alone(dof, t_end):
+    """The other side of `sparse_row`, for a process of its own."""
+    model = model_of("scene 1", dof)
+    peers.sparse_ida(model, min(t_end, 1e-3))
+    return peers.sparse_ida(model, t_end)
 
 
-def _superlu(model, blocks):
-    from scipy.sparse.linalg import splu
-
-    matrix, kept, b = _matrix(model, blocks), {}, np.ones(model.n)
-
-    def factor():
-        kept["lu"] = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-
-    return factor, lambda: kept["lu"].solve(b)
+def memory_row(dof, steps):
+    """Peak memory of a process that imports, meshes, builds and runs `steps` steps of 1 ms on scene 1 with every frame kept."""
+    return run_isolated(memory_alone, {"dof": dof, "steps": steps}, 900.0)
 
 
-def _band(model, blocks):
-    from scipy.linalg.lapack import dpbtrf, dpbtrs
+def memory_alone(dof, steps):
+    """`memory_row` in its own process; frames beyond the limit of `solve` go to a file, as by default."""
+    imported = peak_bytes()
+    model = model_of("scene 1", dof)
+    built, (seconds, run) = peak_bytes(), cpu(lambda: solve(model, steps * H, GeneralizedAlpha(h=H)))
+    peak = peak_bytes()
+    return {
+        "n": model.n,
+        "steps": run.counts.steps,
+        "status": run.status,
+        "imported_bytes": imported,
+        "built_bytes": built,
+        "peak_bytes": peak,
+        "bytes_per_dof": peak / model.n,
+        "frame_bytes": 8 * len(run) * (3 * model.n + model.m + 1),
+        "cpu_s": seconds,
+        "ms_per_step": 1e3 * seconds / run.counts.steps,
+        "newton_iterations_per_step": run.counts.newton_iterations / steps,
+    }
 
-    if model.n > WIDEST_BAND:
-        raise Missing(f"no band factor beyond {WIDEST_BAND} coordinates")
-    indptr, indices = model.pattern
-    width = 2 * int(np.max(np.abs(indices - np.repeat(np.arange(model.n_nodes), np.diff(indptr))))) + 1
-    kept, b, band = {}, np.ones(model.n), np.empty((model.n, width + 1))
 
-    def factor():
-        fill_band(indptr, indices, blocks, band)
-        kept["factor"] = dpbtrf(band.T, lower=1, overwrite_ab=1)[0]
-
-    return factor, lambda: dpbtrs(kept["factor"], b, lower=1)[0]
-
-
-def _pardiso(model, blocks, dtype=np.float64):
-    """MKL PARDISO, symmetric positive definite (mtype 2), one thread: phase 11 here, 22 and 33 in the two calls."""
-    import ctypes
-
+def peak_bytes():
+    """Largest resident memory of this process so far. The kernel's own mark where it can be read: that of getrusage a child inherits."""
     try:
-        from pypardiso.pardiso_wrapper import PyPardisoSolver
-    except ImportError:
-        raise Missing("pypardiso is not installed (extra mkl)") from None
-    from scipy.sparse import triu
+        lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+        return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        import resource
 
-    solver = PyPardisoSolver(mtype=2)
-    solver.libmkl.MKL_Set_Num_Threads(1)
-    upper = triu(_matrix(model, blocks), format="csr")
-    upper.sort_indices()
-    arrays = [upper.data.astype(dtype), (upper.indptr + 1).astype(np.int32), (upper.indices + 1).astype(np.int32)]
-    b, x, iparm, error = np.ones(model.n, dtype), np.empty(model.n, dtype), np.zeros(64, np.int32), ctypes.c_int32(0)
-    if dtype == np.float32:
-        iparm[[0, 1, 27]] = 1, 2, 1
-
-    def phase(number):
-        whole = [ctypes.byref(ctypes.c_int32(value)) for value in (1, 1, 2, number, model.n)]
-        pointers = [array.ctypes.data_as(kind) for array, kind in zip([*arrays, solver.perm], solver._mkl_pardiso.argtypes[6:10])]
-        solver._mkl_pardiso(solver.pt.ctypes.data_as(solver._mkl_pardiso.argtypes[0]), *whole, *pointers,
-                            ctypes.byref(ctypes.c_int32(1)), iparm.ctypes.data_as(solver._mkl_pardiso.argtypes[11]),
-                            ctypes.byref(ctypes.c_int32(0)), b.ctypes.data_as(ctypes.c_void_p), x.ctypes.data_as(ctypes.c_void_p),
-                            ctypes.byref(error))
-        if error.value:
-            raise RuntimeError(f"PARDISO: error {error.value} in phase {number}")
-        return x
-
-    phase(11)
-    return lambda: phase(22), lambda: phase(33)
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-BACKENDS = {
-    "fronts": _fronts, "superlu": _superlu, "band": _band, "pardiso": _pardiso,
-    "pardiso single": lambda model, blocks: _pardiso(model, blocks, np.float32),
-}
+START = """
+import json, sys, time
+sys.path[:0] = json.loads(sys.argv[1])
+import polyida as pi
+from polyida.problems.plates import double_plate
+seconds = [time.process_time()]
+model = double_plate(int(sys.argv[2])).build()
+seconds.append(time.process_time())
+run = pi.solve(model, 1e-3, pi.GeneralizedAlpha(h=1e-3))
+seconds.append(time.process_time())
+print(json.dumps(seconds))
+"""
+
+
+def start_rows(dof, warm):
+    """CPU seconds of a fresh process for import, mesh with model, and the first step: numba's cache empty, then `warm` times filled."""
+    with tempfile.TemporaryDirectory(prefix="polyida-kernels-") as folder:
+        cold = _started(dof, folder)
+        filled = np.median([_started(dof, folder) for _ in range(warm)], axis=0)
+    names = ("import_s", "mesh_s", "first_step_s", "start_s")
+    return {
+        f"{kind}_{name}": float(value)
+        for kind, values in (("cold", cold), ("warm", filled))
+        for name, value in zip(names, values)
+    }
+
+
+def _started(dof, folder):
+    paths = json.dumps([str(Path(__file__).parents[2])])
+    command = [sys.executable, "-c", START, paths, str(cells_for(dof))]
+    done = subprocess.run(
+        command, env=os.environ | {"NUMBA_CACHE_DIR": folder}, capture_output=True, text=True, check=True
+    )
+    seconds = json.loads(done.stdout.splitlines()[-1])
+    return [*np.diff([0.0, *seconds]), seconds[-1]]

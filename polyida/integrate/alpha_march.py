@@ -1,0 +1,65 @@
+"""From the start of a run's piece to its end in equal steps; a step that fails is cut in two, four, ... and the grid taken up again."""
+
+import numpy as np
+
+from polyida.integrate.alpha_start import started
+from polyida.integrate.grid import Grid, goes_on, grid_of
+from polyida.integrate.state import State, StepFailure
+
+
+def march(engine, settings, model, state, begin, end, counts):
+    """Yield the states at the ends of equal steps, none above settings.h. Raises StepFailure where the smallest parts fail as well."""
+    grid = grid_of(state, begin, end, max(1, int(np.ceil((end - begin) / settings.h * (1 - 1e-12)))))
+    level, done = int(state.memory.get("cut", 0)), grid.done
+    while done < grid.count:
+        if level == 0:
+            try:
+                for state in _whole(engine, settings, model, state, grid._replace(done=done)):
+                    done += 1
+                    counts.steps += 1
+                    yield state
+                return
+            except StepFailure as failure:
+                first = failure
+                counts.rejected += 1
+        state, level = _in_parts(engine, settings, model, state, grid, done, max(1, level), first if level == 0 else None)
+        done, level = done + 1, level - 1
+        counts.steps += 1
+        yield _cut(state, level, grid.after(done))
+
+
+def _whole(engine, settings, model, state, grid):
+    ready = started(settings, model, state, grid.h)
+    engine.begin(ready, grid.h)
+    if goes_on(model, state, grid, "factored_at"):
+        engine.recall(state.memory)
+    yield from engine.run(grid)
+
+
+def _in_parts(engine, settings, model, state, grid, done, level, first):
+    """(state after one step of the grid, level): taken in 2^level parts, or more where these fail."""
+    seen = [] if first is None else [first]
+    t0, t1 = grid.time(done), grid.time(done + 1)
+    for level in range(level, settings.max_halvings + 1):
+        parts = Grid(t0, t1, 2**level)
+        try:
+            engine.begin(started(settings, model, _cut(state, level), parts.h), parts.h)
+            return list(engine.run(parts))[-1], level
+        except StepFailure as failure:
+            seen.append(failure)
+    raise _with_history(seen, settings.max_halvings)
+
+
+def _cut(state, level, place=None):
+    """A state from which the method starts with a_alg = q''."""
+    memory = {"cut": float(level), "h": 0.0} if place is None else {"cut": float(level), "h": 0.0, "grid": place}
+    return State(state.t, state.q, state.v, state.a, state.lam, memory)
+
+
+def _with_history(seen, halvings):
+    """The first failure, and what came of the step in parts."""
+    first, last = seen[0], seen[-1]
+    if last is first:
+        return first
+    parts = ", ".join(str(2**k) for k in range(1, halvings + 1))
+    return StepFailure(first.status, f"{first.reason}; the step in {parts} parts fails too, at last: {last.reason}", first.t, **last.seen)

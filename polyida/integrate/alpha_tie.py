@@ -1,0 +1,112 @@
+"""The stabilised form in compiled code: positions on phi = 0 and velocities on `phi_q v + phi_t = 0` at once.
+
+`q_1 = q_0 + h v_0 + h^2 ((1/2 - beta) a_0 + beta a_1) - M^-1 phi_q^T eta`: eta takes up the local error of q along the constraints, so
+that v, with Newmark's formula in a, need not (Gear, Gupta, Leimkuhler 1985; Arnold, Cardona, Bruels 2015). In one Newton step,
+with dq = x + y, x what v and a follow and `y = -M^-1 phi_q^T eta`,
+`S x + phi_q^T dlam = -r`, `phi_q x = -rate/gamma'`, `phi_q y = -(phi - rate/gamma')`: x is the usual solve, y costs the points' columns of M^-1.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.assembly import joints
+from polyida.compiled import part
+from polyida.linear.dense import solve_small
+
+
+class Tie(NamedTuple):
+    """M^-1 A^T (nodes, points) and A M^-1 A^T of one direction, and scratch."""
+
+    reach: np.ndarray
+    g: np.ndarray
+    matrix: np.ndarray
+    eta: np.ndarray
+    last: np.ndarray
+    rate: np.ndarray
+    bias: np.ndarray
+    phi_z: np.ndarray
+    vz: np.ndarray
+    pull: np.ndarray
+
+
+def tie(model):
+    """The Tie of a scene."""
+    points, m = model.n_points, model.m
+    both = np.zeros((model.n_nodes, 2, points))
+    for f in range(points):
+        s = model.arrays.links
+        at = slice(s.point_ptr[f], s.point_ptr[f + 1])
+        both[s.point_nodes[at], 0, f] = s.point_weights[at]
+    reach = np.ascontiguousarray(model.mass_inverse(both.reshape(model.n, points)).reshape(both.shape)[:, 0]) if points else both[:, 0]
+    return Tie(reach, np.ascontiguousarray(model._points_s @ reach), np.empty((m, m)), np.empty(m), np.empty(m, np.int64), np.empty(m),
+               np.empty(m), np.empty((m, 2 * points)), np.empty((points, 2)), np.empty((points, 2)))
+
+
+@part
+def velocity_rate(s, drives, dz, v, t):
+    """t.rate = phi_q v + phi_t; t.phi_z with it."""
+    joints.point_values(s, v, t.vz)
+    joints.joint_rates(s, drives, dz, t.vz, t.rate, t.bias)
+    joints.joint_velocities(s, drives, dz, t.vz, t.rate)
+    joints.joint_jacobian(s, drives, dz, t.phi_z)
+
+
+@part
+def project(t, wanted, x):
+    """x -= M^-1 phi_q^T eta with `phi_q M^-1 phi_q^T eta = wanted`. False where that is singular."""
+    m, points = wanted.shape[0], t.pull.shape[0]
+    for i in range(m):
+        t.eta[i] = wanted[i]
+        for j in range(m):
+            t.matrix[i, j] = 0.0
+        for f in range(points):
+            fx, fy = t.phi_z[i, 2 * f], t.phi_z[i, 2 * f + 1]
+            if fx == 0.0 and fy == 0.0:
+                continue
+            for h in range(points):
+                for j in range(m):
+                    t.matrix[i, j] += t.g[f, h] * (fx * t.phi_z[j, 2 * h] + fy * t.phi_z[j, 2 * h + 1])
+    if not solve_small(t.matrix, t.eta, t.last):
+        return False
+    for f in range(points):
+        px = py = 0.0
+        for i in range(m):
+            px += t.phi_z[i, 2 * f] * t.eta[i]
+            py += t.phi_z[i, 2 * f + 1] * t.eta[i]
+        if px != 0.0 or py != 0.0:
+            for i in range(x.shape[0]):
+                x[i, 0] -= t.reach[i, f] * px
+                x[i, 1] -= t.reach[i, f] * py
+    return True
+
+
+@part
+def part_constraints(s, drives, w, t, to_v):
+    """phi in w becomes rate/gamma', for the solve of x; t.bias what is left for y, phi - rate/gamma'."""
+    velocity_rate(s, drives, w.dz, w.v, t)
+    for k in range(w.phi.shape[0]):
+        share = t.rate[k] / to_v
+        t.bias[k] = w.phi[k] - share
+        w.phi[k] = share
+
+
+@part
+def slip(p, y, w, t):
+    """Add y to the step."""
+    if not project(t, t.bias, w.dd):
+        return False
+    for i in range(w.u.shape[0]):
+        for k in range(2):
+            w.u[i, k] = y.u[i, k] + (p.h * y.v[i, k] + w.dd[i, k])
+    return True
+
+
+@part
+def settle(s, drives, w, t):
+    """Take what the tolerance left of the velocity constraint's violation out of v."""
+    joints.point_values(s, w.u, w.dz)
+    velocity_rate(s, drives, w.dz, w.v, t)
+    for k in range(w.rate.shape[0]):
+        w.rate[k] = 0.0
+    return project(t, t.rate, w.v)

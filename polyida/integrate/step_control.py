@@ -1,0 +1,86 @@
+"""Error-controlled steps on a ladder: h is piecewise constant, h_max 2^(-k/4), so that factors are kept and restarts are few."""
+
+import numpy as np
+
+from polyida.integrate.alpha_start import started
+from polyida.integrate.grid import Grid
+from polyida.integrate.state import State, StepFailure
+
+RUNGS = 4  # a factor of two
+PATIENCE = 6  # steps with a small error before the step grows
+SAFETY = 0.85
+ORDER = 3  # the local error is of that order in h
+CUT = 2 * RUNGS  # rungs down where Newton fails
+LOWEST = 30 * RUNGS
+
+
+class Ladder:
+    """The rung of the step: 0 is the largest, each one down a factor 2^(1/4)."""
+
+    def __init__(self, largest, h=None):
+        self.largest = largest
+        self.rung = 0 if not h else int(np.clip(round(RUNGS * np.log2(largest / h)), 0, LOWEST))
+
+    @property
+    def h(self):
+        """The step, s."""
+        return self.largest * 2.0 ** (-self.rung / RUNGS)
+
+    def down(self, error):
+        """To where the error is expected to be allowed; at least one rung."""
+        self.rung += max(1, int(np.ceil(-self._rungs(error))) if np.isfinite(error) else CUT)
+
+    def up(self, error):
+        """To where the error is expected to be allowed, at most to twice the step. False where that is the same rung."""
+        before = self.rung
+        self.rung = max(0, self.rung - min(RUNGS, int(np.floor(self._rungs(error)))))
+        return self.rung < before
+
+    def _rungs(self, error):
+        return RUNGS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / ORDER))
+
+
+def largest_calm_error(rungs=2):
+    """The error below which the step may grow by so many rungs."""
+    return (SAFETY / 2.0 ** (rungs / RUNGS)) ** ORDER
+
+
+def adapt(engine, settings, model, state, begin, end, counts):
+    """Yield accepted states from begin to end, h as the local error allows. Raises StepFailure below the lowest rung."""
+    ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0))), begin, []
+    while t < end:
+        grid = _piece(t, end, ladder.h)
+        engine.begin(started(settings, model, state, grid.h), grid.h)
+        try:
+            for state in engine.run(grid):
+                t = state.t
+                counts.steps += 1
+                yield State(state.t, state.q, state.v, state.a, state.lam, state.memory, restart=bool(state.memory))
+            failures = []
+        except StepFailure as failure:
+            failures.append(failure)
+            _require_room(ladder, CUT, failures)
+            ladder.rung += CUT
+        if failures or engine.verdict == "far":
+            counts.rejected += 1
+        if engine.verdict == "far":
+            ladder.down(engine.error)
+            _require_room(ladder, 0, [StepFailure("step size", "the local error stays above what rtol and atol allow", t)])
+        elif engine.verdict == "near":
+            ladder.up(engine.error)
+        state = engine.state(t)
+
+
+def _piece(t, end, h):
+    """Steps of h up to near the end, or the last few, of equal size, which end there."""
+    rest = (end - t) / h
+    if rest <= 3:
+        return Grid(t, end, max(1, int(np.ceil(rest - 1e-9))))
+    count = int(rest) - 1
+    return Grid(t, t + count * h, count)
+
+
+def _require_room(ladder, down, failures):
+    if ladder.rung + down > LOWEST:
+        first, last = failures[0], failures[-1]
+        raise StepFailure(first.status, f"{first.reason}; down to steps of {ladder.h:.3g} s, at last: {last.reason}", first.t, **last.seen)

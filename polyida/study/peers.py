@@ -1,0 +1,342 @@
+"""Other people's solvers on our models: factorizations, SUNDIALS' sparse direct solver, Radau of solve_dae, exudyn.
+
+All of them get our compiled elements. Optional packages raise Missing where they are not installed.
+"""
+
+import ctypes
+import math
+import time
+import warnings
+
+import numpy as np
+
+from polyida.assembly import equilibrium
+from polyida.errors import InputError
+from polyida.integrate.ida import IDA
+from polyida.integrate.ida_forms import System
+from polyida.integrate.ida_scene import SceneSystem
+from polyida.integrate.start import consistent_state
+from polyida.linear.triangular import fill_band
+
+WIDEST_BAND = 30_000  # coordinates beyond which a band factor is out of the question
+
+
+class Missing(InputError):
+    """An optional package is not installed, or a solver is not for this case: that part of a study is left out."""
+
+
+def superlu(model, blocks):
+    """(factor, solve) of SuperLU in symmetric mode, minimum degree on A + A^T; its ordering is made anew each time."""
+    from scipy.sparse.linalg import splu
+
+    matrix, kept, b = matrix_of(model, blocks), {}, np.ones(model.n)
+
+    def factor():
+        kept["lu"] = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+    return factor, lambda: kept["lu"].solve(b)
+
+
+def matrix_of(model, blocks):
+    """Blocks on the nodal pattern as a sparse matrix."""
+    from scipy.sparse import bsr_array
+
+    indptr, indices = model.pattern
+    return bsr_array((blocks, indices, indptr), shape=(model.n, model.n)).tocsc()
+
+
+def band(model, blocks):
+    """(factor, solve) of LAPACK's band Cholesky in the mesh's own numbering."""
+    from scipy.linalg.lapack import dpbtrf, dpbtrs
+
+    if model.n > WIDEST_BAND:
+        raise Missing(f"no band factor beyond {WIDEST_BAND} coordinates")
+    indptr, indices = model.pattern
+    width = 2 * int(np.max(np.abs(indices - np.repeat(np.arange(model.n_nodes), np.diff(indptr))))) + 1
+    kept, b, room = {}, np.ones(model.n), np.empty((model.n, width + 1))
+
+    def factor():
+        fill_band(indptr, indices, blocks, room)
+        kept["factor"] = dpbtrf(room.T, lower=1, overwrite_ab=1)[0]
+
+    return factor, lambda: dpbtrs(kept["factor"], b, lower=1)[0]
+
+
+def pardiso(model, blocks, dtype=np.float64):
+    """(factor, solve) of MKL PARDISO, symmetric positive definite (mtype 2), one thread: phases 22 and 33, 11 is done here."""
+    try:
+        from pypardiso.pardiso_wrapper import PyPardisoSolver
+    except ImportError:
+        raise Missing("pypardiso is not installed (extra mkl)") from None
+    from scipy.sparse import triu
+
+    solver = PyPardisoSolver(mtype=2)
+    solver.libmkl.MKL_Set_Num_Threads(1)
+    upper = triu(matrix_of(model, blocks), format="csr")
+    upper.sort_indices()
+    arrays = [
+        upper.data.astype(dtype),
+        (upper.indptr + 1).astype(np.int32),
+        (upper.indices + 1).astype(np.int32),
+        solver.perm,
+    ]
+    b, x, error = np.ones(model.n, dtype), np.empty(model.n, dtype), ctypes.c_int32(0)
+    parameters = np.zeros(64, np.int32)
+    if dtype == np.float32:
+        parameters[[0, 1, 27]] = 1, 2, 1  # own values, nested dissection, single precision
+    kinds = solver._mkl_pardiso.argtypes
+
+    def pointer(array, kind=ctypes.c_void_p):
+        return array.ctypes.data_as(kind)
+
+    def phase(number):
+        whole = [ctypes.byref(ctypes.c_int32(value)) for value in (1, 1, 2, number, model.n)]
+        given = [pointer(array, kind) for array, kind in zip(arrays, kinds[6:10])]
+        solver._mkl_pardiso(
+            pointer(solver.pt, kinds[0]),
+            *whole,
+            *given,
+            ctypes.byref(ctypes.c_int32(1)),
+            pointer(parameters, kinds[11]),
+            ctypes.byref(ctypes.c_int32(0)),
+            pointer(b),
+            pointer(x),
+            ctypes.byref(error),
+        )
+        if error.value:
+            raise RuntimeError(f"PARDISO: error {error.value} in phase {number}")
+        return x
+
+    phase(11)
+    return lambda: phase(22), lambda: phase(33)
+
+
+class WholeJacobian:
+    """J = dF/dy + cj dF/dy' of form ggl2 on a scene whose joints are all linear, in CSC order, for IDA's `linsolver="sparse"`.
+
+    pattern: its sparse matrix with int32 indices. Called by IDA with (t, y, y', res, cj, JJ), it fills JJ.
+    """
+
+    def __init__(self, model):
+        from scipy.sparse import bsr_array, coo_array
+
+        if model.needs.driven:
+            raise InputError("WholeJacobian: the scene has motors; it must have linear joints alone")
+        self.model, (indptr, indices), n = model, model.pattern, model.n
+        self.blocks = np.empty((len(indices), 2, 2))
+        stiff = bsr_array(
+            (np.arange(1.0, self.blocks.size + 1).reshape(self.blocks.shape), indices, indptr), shape=(n, n)
+        ).tocoo()
+        self.of_block = stiff.data.astype(np.int64) - 1
+        mass, jacobian, each = model.mass().tocoo(), coo_array(model.phi_q(0.0, np.zeros(n))), np.arange(n)
+        self.mass, B, m = mass.data, jacobian.data, model.m
+        r, c = jacobian.row, jacobian.col
+        places = [(each, each), (each, n + each), (n + stiff.row, stiff.col), (n + mass.row, n + mass.col),
+                  (c, 2 * n + m + r), (n + c, 2 * n + r), (2 * n + r, c), (2 * n + m + r, n + c)]
+        self.fixed = -np.ones(n), np.concatenate([B, B, B, B])
+        rows, columns = (np.concatenate(side) for side in zip(*places))
+        numbered = coo_array((np.arange(1.0, len(rows) + 1), (rows, columns)), shape=2 * (2 * (n + m),)).tocsc()
+        self.order = numbered.data.astype(np.int64) - 1
+        numbered.indices, numbered.indptr = numbered.indices.astype(np.int32), numbered.indptr.astype(np.int32)
+        self.pattern = numbered
+        self.calls = 0
+
+    def __call__(self, t, y, yp, res, cj, JJ):
+        n = self.model.n
+        equilibrium.tangent_blocks(self.model.arrays.plates, np.array(y[:n]).reshape(-1, 2), 0.0, 1.0, self.blocks)
+        minus, borders = self.fixed
+        JJ[:] = np.concatenate([np.full(n, cj), minus, self.blocks.ravel()[self.of_block], cj * self.mass, borders])[
+            self.order
+        ]
+        self.calls += 1
+
+
+def sparse_ida(model, t_end, settings=IDA()):
+    """IDA with SuperLU_MT on the whole 2n + 2m matrix: {"cpu_s", "steps", "setups"}, from the consistent start to t_end.
+
+    Settings' tolerances and order; our fused residual. It can abort the process: call it in one of its own.
+    """
+    from scipy.sparse import csc_matrix
+    from sksundae.ida import IDA as Solver
+
+    system, jacobian = SceneSystem(model, "ggl2", settings.rate), WholeJacobian(model)
+    with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own
+        solver = Solver(
+            system.residual,
+            rtol=settings.rtol,
+            atol=system.tolerances(*settings.tolerances(model.n)),
+            max_order=settings.order(model),
+            linsolver="sparse",
+            sparsity=csc_matrix(jacobian.pattern),
+            jacfn=jacobian,
+            nthreads=1,
+        )
+    start = consistent_state(model, 0.0, None, None)
+    begin, t, steps = time.process_time(), 0.0, 0
+    solver.init_step(0.0, *system.pack(start))
+    while t < t_end:
+        result = solver.step(t_end, method="onestep", tstop=t_end)
+        if result.status < 0:
+            raise RuntimeError(
+                f"IDA with linsolver='sparse' ended with status {result.status} at t = {t:.4g} s: {result.message}"
+            )
+        t, steps = float(result.t), steps + 1
+    return {"cpu_s": time.process_time() - begin, "steps": steps, "setups": jacobian.calls}
+
+
+class FirstOrder:
+    """A scene in the stabilised index-1 form ggl1, F(t, y, y') = 0, with both its sparse Jacobians."""
+
+    def __init__(self, model):
+        self.model, self.calls = model, 0
+        self.system, self.slopes = SceneSystem(model, "ggl1", 0.0), System(model, "ggl1", 0.0)
+
+    def residual(self, t, y, yp):
+        """F, by the compiled residual."""
+        res = np.empty(self.system.size)
+        self.system.residual(t, np.ascontiguousarray(y), np.ascontiguousarray(yp), res)
+        return res
+
+    def jacobians(self, t, y, yp):
+        """(dF/dy, dF/dy'), sparse."""
+        from scipy.sparse import block_array, csc_array, eye_array
+
+        model, (n, m) = self.model, (self.model.n, self.model.m)
+        q, v, a, lam, mu = self.system.split(np.array(y), np.array(yp))
+        B, unit = model.phi_q(t, q), eye_array(n)
+        K, bent, slope = model.force_q(t, q, v), None, None
+        if model.needs.driven:
+            K, bent = K + model.reaction_q(t, q, lam), model.reaction_q(t, q, mu)
+            slope = csc_array(self.slopes._phi_q_along(1.0, v, t, q))
+        wide, square = csc_array((n, m)), csc_array((m, m))
+        in_y = [[bent, -unit, wide, wide], [K, None, None, None], [B, None, square, None], [slope, B, None, square]]
+        in_yp = [
+            [unit, None, None, B.T],
+            [None, model.mass(), B.T, None],
+            [wide.T, None, square, None],
+            [None, wide.T, None, square],
+        ]
+        return block_array(in_y, format="csc"), block_array(in_yp, format="csc")
+
+
+def radau(model, times, rtol, look):
+    """solve_dae's Radau IIA of order 5 on form ggl1: {"cpu_s", "steps", "factorizations", "residuals"} and look(q) at `times`.
+
+    Absolute tolerances: rtol / 100 m, 1e3 1/s times that for v; those of the integrated multipliers keep them out of the way.
+    """
+    try:
+        from solve_dae.integrate import solve_dae
+    except ImportError:
+        raise Missing("solve_dae is not installed (extra peers)") from None
+    first, n = FirstOrder(model), model.n
+    y, yp = first.system.pack(consistent_state(model, 0.0, None, None))
+    atol = np.repeat([rtol * 1e-2, rtol * 10, rtol * 100], [n, n, 2 * model.m])
+    begin = time.process_time()
+    found = solve_dae(
+        first.residual, (0.0, times[-1]), y, yp, method="Radau", rtol=rtol, atol=atol, jac=first.jacobians, t_eval=times
+    )
+    seconds = time.process_time() - begin
+    if found.status != 0:
+        raise RuntimeError(f"solve_dae: {found.message}")
+    seen = np.array([look(q) for q in found.y[:n].T])
+    return {
+        "cpu_s": seconds,
+        "residuals": int(found.nfev),
+        "tangents": int(found.njev),
+        "factorizations": int(found.nlu),
+    }, seen
+
+
+class ExudynScene:
+    """A scene's forces, Jacobian and constraints as user functions of exudyn: one generic body, one vector constraint."""
+
+    def __init__(self, model, look):
+        try:
+            import exudyn
+        except ImportError:
+            raise Missing("exudyn is not installed (extra peers)") from None
+        import exudyn.itemInterface as items
+
+        self.exu, self.model, self.look = exudyn, model, look
+        self.rest, self.counts = np.zeros(model.n), {"residuals": 0, "tangents": 0}
+        self.system = exudyn.SystemContainer().AddSystem()
+        add, zero = self.system, [0.0] * model.n
+        body = add.AddNode(
+            items.NodeGenericODE2(
+                referenceCoordinates=zero,
+                initialCoordinates=zero,
+                initialCoordinates_t=zero,
+                numberOfODE2Coordinates=model.n,
+            )
+        )
+        add.AddObject(items.ObjectGenericODE2(nodeNumbers=[body], massMatrix=self.container(model.mass()),
+                                              forceUserFunction=self.force, jacobianUserFunction=self.stiffness))
+        ground = add.AddNode(items.NodePointGround())
+        markers = [add.AddMarker(items.MarkerNodeCoordinates(nodeNumber=node)) for node in (ground, body)]
+        add.AddObject(
+            items.ObjectConnectorCoordinateVector(
+                markerNumbers=markers,
+                scalingMarker0=np.zeros((model.m, 1)),
+                constraintUserFunction=self.phi,
+                jacobianUserFunction=self.phi_q,
+            )
+        )
+        self.sensor = add.AddSensor(
+            items.SensorUserFunction(
+                sensorNumbers=[], writeToFile=False, storeInternal=True, sensorUserFunction=self.seen
+            )
+        )
+        add.Assemble()
+
+    def container(self, matrix):
+        """A sparse matrix as exudyn takes it: without stored zeros."""
+        from scipy.sparse import csr_matrix
+
+        kept, made = csr_matrix(matrix), self.exu.MatrixContainer()
+        kept.eliminate_zeros()
+        made.SetWithSparseMatrix(kept)
+        return made
+
+    def force(self, system, t, number, q, v):
+        self.counts["residuals"] += 1
+        return -self.model.force(t, np.array(q), self.rest)
+
+    def stiffness(self, system, t, number, q, v, c_q, c_v):
+        self.counts["tangents"] += 1
+        return self.container(c_q * self.model.force_q(t, np.array(q), self.rest))
+
+    def phi(self, system, t, number, q, v, velocity):
+        q = np.array(q)
+        return self.model.phi_q(t, q) @ np.array(v) + self.model.phi_t(t, q) if velocity else self.model.phi(t, q)
+
+    def phi_q(self, system, t, number, q, v, velocity):
+        return self.model.phi_q(t, np.array(q)).toarray()
+
+    def seen(self, system, t, numbers, factors, configuration):
+        return list(self.look(np.array(system.systemData.GetODE2Coordinates())))
+
+    def run(self, times, h, modified):
+        """Generalized-alpha (rho_inf 0.9, modified or full Newton, Eigen's sparse LU) to times[-1]: (row, look(q) at `times`)."""
+        exu, s = self.exu, self.exu.SimulationSettings()
+        warnings.simplefilter("ignore", DeprecationWarning)
+        s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = math.ceil(times[-1] / h - 1e-9), float(times[-1])
+        s.timeIntegration.generalizedAlpha.spectralRadius = 0.9
+        s.timeIntegration.newton.useModifiedNewton = modified
+        s.timeIntegration.verboseMode = 0
+        s.solutionSettings.writeSolutionToFile, s.solutionSettings.sensorsWritePeriod = (
+            False,
+            float(times[1] - times[0]),
+        )
+        s.linearSolverType, s.parallel.numberOfThreads = exu.LinearSolverType.EigenSparse, 1
+        begin = time.process_time()
+        done = exu.SolveDynamic(self.system, s, solverType=exu.DynamicSolverType.GeneralizedAlpha)
+        seconds = time.process_time() - begin
+        if not done:
+            raise RuntimeError("exudyn did not converge")
+        return {"cpu_s": seconds, "steps": s.timeIntegration.numberOfSteps} | self.counts, np.array(
+            self.system.GetSensorStoredData(self.sensor)
+        )[:, 1:]
+
+
+BACKENDS = {"superlu": superlu, "band": band, "pardiso": pardiso,
+            "pardiso single": lambda model, blocks: pardiso(model, blocks, np.float32)}

@@ -1,0 +1,119 @@
+"""References that are independent of the integrators under study, with how well they are known."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from polyida import problems, profile
+from polyida.integrate.start import consistent_acceleration, consistent_state
+from polyida.problems import plates
+from polyida.threads import one_blas_thread
+
+PARTS = ("q", "v", "lam")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A model, its start, and its state at t_end as far as known.
+
+    reference: {"q", "v", "lam"}; known: {part: how far two references of their own are apart} or, of published digits, their
+    error. sizes: typical (q, v) for absolute tolerances. how: where the reference comes from.
+    """
+
+    name: str
+    model: object
+    t_end: float
+    q0: object = None
+    v0: object = None
+    reference: dict = field(default_factory=dict)
+    known: dict = field(default_factory=dict)
+    sizes: tuple = (1.0, 1.0)
+    how: str = ""
+
+    def errors(self, state):
+        """{"error_q", "error_v", "error_lam"}: largest absolute deviations at t_end."""
+        return {f"error_{part}": float(np.abs(getattr(state, part) - value).max()) for part, value in self.reference.items()}
+
+
+def published(name, sizes):
+    """A problem with published digits of q and v; lam follows from these and the equations of motion, which is better than digits of lam."""
+    p = problems.get(name)
+    q, v = p.reference["q"], p.reference["v"]
+    lam = consistent_acceleration(p.model, p.t_end, q, v)[1]
+    known = {"lam": float(np.abs(lam - p.reference["lam"]).max())}
+    return Case(name, p.model, p.t_end, p.q0, p.v0, {"q": q, "v": v, "lam": lam}, known, sizes, p.source)
+
+
+def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None):
+    """States at `times` (default t_end) from DOP853 on (q, v)' = (v, a), with a of the index-1 equations; no code of the integrators."""
+    from scipy.integrate import solve_ivp
+
+    state = consistent_state(model, t0, q0, v0)
+    n = model.n
+
+    def rate(t, y):
+        return np.concatenate([y[n:], consistent_acceleration(model, t, y[:n], y[n:])[0]])
+
+    with one_blas_thread():
+        y, out, t = np.concatenate([state.q, state.v]), [], t0
+        for stop in np.atleast_1d(t_end if times is None else times):
+            for end in [*model.kinks(t, stop), stop]:
+                run = solve_ivp(rate, (t, end), y, method="DOP853", rtol=rtol, atol=rtol * 1e-3, first_step=min(1e-6, end - t))
+                y, t = run.y[:, -1], end
+            out.append(y)
+    return [(y[:n], y[n:], *consistent_acceleration(model, stop, y[:n], y[n:]))
+            for y, stop in zip(out, np.atleast_1d(t_end if times is None else times))]
+
+
+def with_explicit(name, model, t_end, sizes, rtol=1e-9):
+    """A case whose reference is an explicit run, known as well as two of them, at `rtol` and ten times that, agree."""
+    fine, coarse = (explicit(model, t_end, tolerance)[0] for tolerance in (rtol, 10 * rtol))
+    take = lambda state: dict(zip(("q", "v", "a", "lam"), state))  # noqa: E731
+    known = {part: float(np.abs(take(fine)[part] - take(coarse)[part]).max()) for part in PARTS}
+    return Case(name, model, t_end, None, None, {part: take(fine)[part] for part in PARTS}, known, sizes,
+                f"DOP853 on the index-1 equations, rtol {rtol:g}")
+
+
+def with_refined(name, model, t_end, sizes, h, reference=None, known=None):
+    """A case whose reference is generalized-alpha at h and h/2, extrapolated; known as well as that moves it beyond h/2."""
+    from polyida.integrate.generalized_alpha import GeneralizedAlpha
+    from polyida.integrate.solve import solve
+
+    coarse, fine = (solve(model, t_end, GeneralizedAlpha(h=step, tolerance=1e-8), every=10**9) for step in (h, h / 2))
+    reference, known = {}, {}
+    for part in PARTS:
+        a, b = getattr(coarse, part)[-1], getattr(fine, part)[-1]
+        reference[part] = (4 * b - a) / 3
+        known[part] = float(np.abs(reference[part] - b).max())
+    return Case(name, model, t_end, None, None, reference, known, sizes, f"generalized-alpha at {h:g} s and half of it, extrapolated")
+
+
+def rigid_limit():
+    p = problems.get("rigid-limit")
+    return Case(p.name, p.model, p.t_end, None, None, p.reference, {}, (1e-2, 10.0), p.source)
+
+
+def sudden_turn(cells):
+    """The double plate held straight, then turned by its motors by 45 degrees within 10 ms."""
+    angle = profile.quintic(0.0, np.pi / 4, duration=0.01, begin=0.5)
+    return plates.double_plate_motors(cells=cells, angle=angle).build()
+
+
+@lru_cache(maxsize=16)
+def case(name, quick):
+    """The Case of a name; `quick` ones have coarser meshes and shorter times."""
+    cells, scene = (8, 0.1) if quick else (12, 0.25)
+    sizes = (1e-2, 10.0)
+    makers = {
+        "pendulum": lambda: published("pendulum", (1.0, 1.0)),
+        "car-axis": lambda: published("car-axis", (1.0, 1.0)),
+        "andrews": lambda: published("andrews", (0.1, 100.0)),
+        "double-plate": lambda: with_explicit(name, plates.double_plate(cells).build(), scene, sizes),
+        "double-plate-motors": lambda: with_explicit(name, plates.double_plate_motors(cells).build(), scene, sizes),
+        "plate-chain": lambda: with_explicit(name, plates.plate_chain(3, cells).build(), scene, sizes),
+        "rigid-limit": rigid_limit,
+        "spin-up-beam": lambda: with_refined(name, problems.get(name).model, 20.0, (1e-1, 1.0), 2e-3),
+        "sudden-turn": lambda: with_refined(name, sudden_turn(cells), 0.75, sizes, 1e-5),
+    }
+    return makers[name]()

@@ -1,0 +1,273 @@
+"""What each saving is worth: the same run with it and without it, its counts and CPU seconds.
+
+A saving is switched off by a model that does the work again, by a setting, or by driving the same code step by step.
+"""
+
+from collections import Counter
+from contextlib import ExitStack
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+
+from polyida.assembly import equilibrium
+from polyida.assembly import joints as joint_rows
+from polyida.assembly.scene_model import SceneModel
+from polyida.body.loads import PointLoad
+from polyida.body.plate import Plate
+from polyida.integrate import alpha_generic, alpha_stretches
+from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida import IDA
+from polyida.integrate.solve import solve
+from polyida.joint.attachment import ground
+from polyida.joint.revolute import Revolute
+from polyida.linear.factor import symbolic_of
+from polyida.linear.fronts import fill_panels, solve_fronts
+from polyida.mesh import rectangle
+from polyida.problems import plates
+from polyida.scene import Scene
+from polyida.study.step_cost import NO_FRAMES, H, cpu
+
+
+class Wasteful(SceneModel):
+    """A scene's model that counts calls and does again what `again` names: "mass", "phi_q", "rates", "reaction_q", "velocity"."""
+
+    def __init__(self, scene, again=""):
+        super().__init__(scene.parts, scene.gravity)
+        self.again, self.calls = again, Counter()
+        if again in ("reaction_q", "velocity"):
+            flag = {"reaction_q": "phi_q_varies", "velocity": "velocity_forces"}[again]
+            self.needs = replace(self.needs, **{flag: True})
+
+    def mass(self, q=None):
+        if self.again == "mass":
+            for name in ("_mass", "_nodal_mass"):
+                self.__dict__.pop(name, None)
+        self.calls["mass"] += "_mass" not in self.__dict__
+        return super().mass(q)
+
+    def residual(self, t, q, v, a, lam):
+        if self.again == "mass":
+            self.mass(q)
+        return super().residual(t, q, v, a, lam)
+
+    def _jacobian(self, t, q):
+        self.calls["phi_q"] += 1
+        return super()._jacobian(t, q)
+
+    def phi_q(self, t, q):
+        return self._jacobian(t, q) if self.again == "phi_q" else super().phi_q(t, q)
+
+    def _rates(self, t, q, v):
+        if self.again == "rates" or self.needs.driven:
+            self.calls["rates"] += 1
+            phi_t, bias = np.zeros((2, self.m))
+            joint_rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, bias)
+            return phi_t, bias
+        return super()._rates(t, q, v)
+
+    def reaction_q(self, t, q, lam):
+        self.calls["reaction_q"] += 1
+        return super().reaction_q(t, q, lam)
+
+    def force_v(self, t, q, v):
+        self.calls["velocity"] += 1
+        return super().force_v(t, q, v)
+
+
+def sides(on, off, repeats):
+    """Both sides in turn: medians of CPU seconds and the counts that they return, as a row."""
+    on(), off()
+    pairs = [(cpu(on), cpu(off)) for _ in range(repeats)]
+    (on_s, off_s), (count_on, count_off) = (
+        np.median([[a[0], b[0]] for a, b in pairs], axis=0),
+        [side[1] for side in pairs[-1]],
+    )
+    return {
+        "count_on": count_on,
+        "count_off": count_off,
+        "cpu_on_s": float(on_s),
+        "cpu_off_s": float(off_s),
+        "times": float(off_s / on_s),
+    }
+
+
+def done(run):
+    """The run, or an exception where it did not come to its end."""
+    if not run.success:
+        raise RuntimeError(run.message)
+    return run
+
+
+def again(what, integrator):
+    """A saving of the general path: a model that evaluates `what` once or never, against one that does so whenever it is asked."""
+    def measure(cells, t_end, repeats):
+        def side(name):
+            model = Wasteful(plates.double_plate(cells), name)
+
+            def run():
+                model.calls.clear()
+                done(solve(model, t_end, integrator, every=NO_FRAMES))
+                return model.calls[what]
+
+            return run
+
+        return sides(side(""), side(what), repeats)
+
+    return measure
+
+
+def settings(count, on, off, *patches):
+    """A saving of the integrator: one setting against another, the latter under patches (object, name, value)."""
+    def measure(cells, t_end, repeats):
+        model = plates.double_plate(cells).build()
+
+        def side(integrator, changes):
+            def run():
+                with ExitStack() as stack:
+                    for target, name, value in changes:
+                        stack.enter_context(patch.object(target, name, value))
+                    return getattr(done(solve(model, t_end, integrator, every=NO_FRAMES)).counts, count)
+
+            return run
+
+        return sides(side(on, ()), side(off, patches), repeats)
+
+    return measure
+
+
+class Forgetful(alpha_stretches.Stretches):
+    """Compiled stretches that make a new factor at the beginning of each; with stretches of one step, in every step."""
+
+    def _stretch(self, *place):
+        self.system = None
+        yield from super()._stretch(*place)
+
+
+def no_border(cells, t_end, repeats):
+    """A free plate has no point that anything acts on; a load of zero makes one, with its columns and its border."""
+    def side(loaded):
+        scene = Scene(gravity=plates.GRAVITY)
+        plate = scene.add(_plate(rectangle(plates.LENGTH, plates.HEIGHT, cells=cells, seed=1), "plate", 0.0))
+        if loaded:
+            scene.add(PointLoad(plate.section("right"), (0.0, 0.0), name="nothing"))
+        model = scene.build()
+        return lambda: done(solve(model, t_end, GeneralizedAlpha(h=H), every=NO_FRAMES)).counts.solves
+
+    return sides(side(False), side(True), repeats)
+
+
+def _plate(mesh, name, x):
+    return Plate(mesh, plates.RUBBER, thickness=plates.THICKNESS, origin=(x, 0.0), name=name)
+
+
+def shared_operator(cells, t_end, repeats):
+    """Two plates on one mesh object, against two on equal meshes of their own: bytes of the element arrays, CPU of the build."""
+    def build(meshes):
+        scene = Scene(gravity=plates.GRAVITY)
+        upper, lower = (
+            scene.add(_plate(mesh, name, x)) for mesh, name, x in zip(meshes, ("upper", "lower"), (0.0, plates.LENGTH))
+        )
+        scene.add(Revolute(ground, upper.section("left")))
+        scene.add(Revolute(upper.section("right"), lower.section("left")))
+        s = scene.build().arrays.plates
+        return sum(
+            array.nbytes
+            for array in (s.layout, s.corners, s.gradients, s.weights, s.pairs, s.indptr, s.indices, s.mass)
+        )
+
+    one, two = (rectangle(plates.LENGTH, plates.HEIGHT, cells=cells, seed=1) for _ in range(2))
+    return sides(lambda: build((one, one)), lambda: build((one, two)), repeats)
+
+
+def single_precision(cells, t_end, repeats):
+    """Ten solves with the factor kept in single precision, against in double: bytes of the factor (the right side is single in both)."""
+    model = plates.double_plate(cells).build()
+    known, blocks = model.once(symbolic_of), np.empty((len(model.pattern[1]), 2, 2))
+    equilibrium.tangent_blocks(model.arrays.plates, np.zeros((model.n_nodes, 2)), 4.0 / H**2, 1.0, blocks)
+
+    def side(dtype):
+        panels, x = np.empty(known.panel[-1], dtype), np.empty(model.n, np.float32)
+        fill_panels(known, blocks, panels)
+
+        def run():
+            for _ in range(10):
+                x[:] = 1.0
+                solve_fronts(known, panels, x)
+            return panels.nbytes
+
+        return run
+
+    return sides(side(np.float32), side(float), repeats)
+
+
+def only_what_is_asked(cells, t_end, repeats):
+    """A run alone, against one of which energies and stresses of every frame are computed: evaluations of them."""
+    model = plates.double_plate(cells).build()
+
+    def plain():
+        done(solve(model, t_end, GeneralizedAlpha(h=H)))
+        return 0
+
+    def everything():
+        run = done(solve(model, t_end, GeneralizedAlpha(h=H)))
+        run.energy.total
+        return len(run) + len([run.stress(k) for k in range(len(run))])
+
+    return sides(plain, everything, repeats)
+
+
+def no_frames(cells, t_end, repeats):
+    """First and last frame alone, against every frame kept."""
+    model = plates.double_plate(cells).build()
+
+    def keeping(every):
+        return lambda: len(done(solve(model, t_end, GeneralizedAlpha(h=H), every=every)))
+
+    return sides(keeping(NO_FRAMES), keeping(1), repeats)
+
+
+ALPHA, KKT, GENERAL_IDA = GeneralizedAlpha(h=H), GeneralizedAlpha(h=H, linear="kkt"), IDA(linear="kkt")
+ONE_STEP = (alpha_stretches, "CHUNK_BYTES", 1)
+EVERY_ITERATION = tuple((alpha_generic, name, alpha_generic.FULL) for name in ("STALE", "FRESH"))
+SAVINGS = {  # name: (what is counted, how it is switched off, measure)
+    "constant mass": ("assemblies of M", "assembled at every residual, general path", again("mass", KKT)),
+    "linear joints": ("evaluations of phi_q", "rebuilt whenever asked for, general IDA", again("phi_q", GENERAL_IDA)),
+    "no motors: phi_t, bias": ("evaluations", "evaluated whenever asked for, general IDA", again("rates", GENERAL_IDA)),
+    "no motors: reaction_q": ("evaluations", "Needs.phi_q_varies set, general path", again("reaction_q", KKT)),
+    "no damping: dg/dv": ("evaluations", "Needs.velocity_forces set, general IDA", again("velocity", GENERAL_IDA)),
+    "no border": ("solves", "a load of zero on a free plate", no_border),
+    "co-rotated factor": (
+        "factorizations",
+        "modified Newton on the whole matrix",
+        settings("factorizations", ALPHA, KKT),
+    ),
+    "stale matrix": (
+        "factorizations",
+        "full Newton on the whole matrix",
+        settings("factorizations", KKT, KKT, *EVERY_ITERATION),
+    ),
+    "factor kept": (
+        "factorizations",
+        "a new one every step, compiled",
+        settings("factorizations", ALPHA, ALPHA, ONE_STEP, (alpha_stretches, "Stretches", Forgetful)),
+    ),
+    "compiled stretches": ("steps", "back to Python after every step", settings("steps", ALPHA, ALPHA, ONE_STEP)),
+    "compiled IDA callbacks": ("residuals", "general callbacks", settings("residuals", IDA(), GENERAL_IDA)),
+    "single precision": ("bytes of the factor", "kept in double", single_precision),
+    "shared operator": ("bytes of element arrays", "two equal meshes", shared_operator),
+    "no energies, no stresses": ("evaluations", "of every frame", only_what_is_asked),
+    "no frames": ("frames kept", "every frame", no_frames),
+}
+FIXED = (
+    "not switched off: in the compiled steps M, phi_q of linear joints and dg/dv cannot be made anew, as no code for it is there; the general "
+    "path above stands for them",
+    "not switched off: a factor kept without turning it, in the compiled steps; the modified Newton of the general path is one",
+    "not switched off: tangents of plates that are undeformed or only turn: with one factor a run nothing is re-tangented",
+)
+
+
+def measure(saving, cells, t_end, repeats):
+    """The row of one saving on two plates of `cells` cells over t_end, s."""
+    counted, off, run = SAVINGS[saving]
+    return {"counted": counted, "off": off} | run(cells, t_end, repeats)

@@ -1,0 +1,144 @@
+"""What became of a run that was driven hard: right by a check that is stated, stopped with a reason, or neither."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.study.energy import unbalanced
+
+OUTCOMES = ("right", "stated_stop", "wrong", "crash", "hang")
+INTEGRATORS = ("alpha", "adaptive", "stabilised", "energy", "ggl2", "ggl1")
+
+
+@dataclass(frozen=True)
+class Check:
+    """A deviation from what must hold, the bound up to which the run is right, and what it is measured against."""
+
+    name: str
+    deviation: float
+    bound: float
+
+    @property
+    def share(self):
+        """Deviation over bound; infinite where it cannot be told."""
+        share = self.deviation / self.bound if self.bound > 0 else float("nan")
+        return float(share) if np.isfinite(share) else float("inf")
+
+
+def integrator(name, h=1e-3, rtol=1e-5, **settings):
+    """An integrator of the table by its short name; `rtol` is for those that choose their step, with 0.01 m rtol for q."""
+    from polyida.integrate.energy_momentum import EnergyMomentum
+    from polyida.integrate.generalized_alpha import GeneralizedAlpha
+    from polyida.integrate.ida import IDA
+
+    if name == "energy":
+        return EnergyMomentum(h=h, **settings)
+    if name in ("ggl2", "ggl1"):
+        return IDA(rtol=rtol, atol=rtol / 100, form=name, **settings)
+    form = "stabilised" if name == "stabilised" else "index3"
+    adapts = {"rtol": rtol, "atol": rtol / 100} if name == "adaptive" else {}
+    return GeneralizedAlpha(h=h, form=form, **adapts, **settings)
+
+
+def outcome_of(case, arguments):
+    """The row of a case: function(**arguments) -> (Trajectory, checks).
+
+    "right": the run came to its end, its frames are finite and every check holds. "stated_stop": it ended before, with a
+    status and a message and sound frames, or the input was refused in clear words. "wrong" is everything else, also a run
+    whose error cannot be told.
+    """
+    begin = time.process_time()
+    try:
+        run, checks = case(**arguments)
+    except InputError as error:
+        return {"outcome": "stated_stop", "status": "refused", "reason": str(error), "cpu_s": time.process_time() - begin}
+    row = judged(run, checks)
+    counts = {"steps": run.counts.steps, "rejected": run.counts.rejected, "factorizations": run.counts.factorizations}
+    return row | counts | {"t_end": float(run.t[-1]), "cpu_s": time.process_time() - begin}
+
+
+def judged(run, checks):
+    """Outcome, status and reason of a run, and the check that is nearest to its bound."""
+    kept = all(np.isfinite(np.asarray(values)).all() for values in (run.t, run.q, run.v, run.a, run.lam))
+    row = {"status": run.status, "reason": run.message}
+    if not kept:
+        return row | {"outcome": "wrong", "reason": "the frames hold values that are not finite"}
+    if not run.success:
+        drift = Check("drift at the stop", run.drift.max(), 1e-6 * extent(run.model))
+        stated = run.message and drift.share <= 1
+        return row | {"outcome": "stated_stop" if stated else "wrong"} | ({} if stated else {"checked": drift.name})
+    worst = max(checks, key=lambda check: check.share)
+    row |= {"checked": worst.name, "deviation": float(worst.deviation), "bound": float(worst.bound)}
+    if worst.share <= 1:
+        return row | {"outcome": "right", "reason": ""}
+    missed = ", ".join(f"{check.name} {check.deviation:.3g} > {check.bound:.3g}" for check in checks if check.share > 1)
+    return row | {"outcome": "wrong", "reason": missed}
+
+
+def extent(model):
+    """Size of a scene, m; 1 for a model without plates."""
+    reference = getattr(model, "reference", None)
+    return 1.0 if reference is None else float(np.ptp(reference, axis=0).max())
+
+
+def held(run, share=1e-9):
+    """phi stays below a share of the scene's size."""
+    return Check("drift", run.drift.max(), share * extent(run.model))
+
+
+def balance(run, gain, loss):
+    """The energy that neither motors nor gravity explain, over the largest energy in motion and strain or done by motors.
+
+    Generalized-alpha and BDF take energy out of what they do not resolve: a loss beyond `loss` is wrong, a gain beyond `gain` is.
+    """
+    excess, energy = unbalanced(run), run.energy
+    turned = max((energy.kinetic + energy.strain).max(), np.ptp(energy.potential), 1e-300)
+    return [Check("energy gained", max(excess.max(), 0.0) / turned, gain), Check("energy lost", max(-excess.min(), 0.0) / turned, loss)]
+
+
+def tip(run):
+    """Path of the scene's point "tip", (frames, 2), m."""
+    return run.position("tip")
+
+
+def off_by(run, place, bound, of="tip"):
+    """Distance of the tip at the end from where it must be, over the size of the scene."""
+    return Check(of, float(np.linalg.norm(tip(run)[-1] - place)) / extent(run.model), bound)
+
+
+def figures(rows):
+    """Counts of the outcomes, overall and by integrator."""
+    counts = {name: 0 for name in OUTCOMES} | {f"{name}_{key}": 0 for key in INTEGRATORS for name in OUTCOMES}
+    for row in rows:
+        outcome = outcome_in(row)
+        counts[outcome] += 1
+        counts[f"{outcome}_{row['integrator']}"] = counts.get(f"{outcome}_{row['integrator']}", 0) + 1
+    return counts
+
+
+def outcome_in(row):
+    """A row's outcome: a crash or hang that the study met; an exception that is no clear message counts as a crash."""
+    return row.get("outcome") or "crash"
+
+
+def limits(rows):
+    """Lines: for each axis, up to where each integrator is right, and what happens at the first value where it is not."""
+    lines = []
+    for axis in dict.fromkeys(row["axis"] for row in rows):
+        of_axis = [row for row in rows if row["axis"] == axis]
+        for name in dict.fromkeys(row["integrator"] for row in of_axis):
+            lines.append(f"{axis}, {name}: {_limit([row for row in of_axis if row['integrator'] == name])}")
+    return lines
+
+
+def _limit(rows):
+    good = [row["value"] for row in rows if outcome_in(row) == "right"]
+    bad = [row for row in rows if outcome_in(row) != "right"]
+    if not bad:
+        return f"right at all {len(rows)} values, {rows[0]['value']} to {rows[-1]['value']}"
+    first = bad[0]
+    reason = (first.get("reason") or first.get("error") or "").split(";")[0][:160]
+    held_at = f"right at {', '.join(map(str, good))}; " if good else ""
+    return f"{held_at}{outcome_in(first)} at {first['value']}: {reason}"

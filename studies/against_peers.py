@@ -1,0 +1,241 @@
+"""Our integrators against other people's on the same model: CPU seconds at equal measured error of the tip."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from polyida.cli_study import main
+from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida import IDA
+from polyida.study import peers
+from polyida.study.harness import Study
+from polyida.study.isolation import run_isolated
+from polyida.study.step_cost import model_of
+
+TIMES = np.linspace(0.0, 1.0, 101)  # where the tip is compared, s
+SOLVERS = {
+    "alpha": "generalized-alpha",
+    "ida": "IDA",
+    "radau": "Radau (solve_dae)",
+    "exudyn": "generalized-alpha (exudyn)",
+    "exudyn modified": "generalized-alpha (exudyn, modified Newton)",
+}
+PEERS = ("radau", "exudyn", "exudyn modified")
+ALPHA, FINE = (4e-3, 2e-3, 1e-3, 1 / 1250, 5e-4, 2.5e-4), 1 / 8000  # steps, s
+IDA_RTOL, RADAU_RTOL, EXUDYN_H = (1e-4, 1e-5, 1e-6, 3e-7), (1e-3, 1e-4, 1e-5), (2e-3, 1e-3, 5e-4)
+AIMS = {"scene1_800_cpu_s": 0.1, "scene1_3000_cpu_s": 0.5, "ida_over_alpha_at_1e-5": 1.5}
+
+
+def tasks(quick):
+    """Each scene and size: the reference's own error, ours at several steps and tolerances, the peers at fewer."""
+    made = []
+    for scene, dof in (("scene 1", 800), ("scene 2", 800)) + (() if quick else (("scene 1", 3000), ("scene 2", 3000))):
+        fine = 1 if quick or dof > 1000 else 2
+        settings = [("reference", FINE / fine)] + [("alpha", h) for h in ALPHA]
+        settings += [("ida", rtol) for rtol in IDA_RTOL]
+        if dof > 1000:
+            settings += [("radau", 1e-4), ("exudyn", 5e-4), ("exudyn modified", 5e-4)]
+        else:
+            settings += [("radau", rtol) for rtol in (RADAU_RTOL[:2] if quick else RADAU_RTOL)]
+            settings += [
+                (name, h) for name in ("exudyn", "exudyn modified") for h in (EXUDYN_H[1:2] if quick else EXUDYN_H)
+            ]
+        made += [
+            {"scene": scene, "dof": dof, "solver": solver, "setting": setting, "fine": FINE / fine, "repeats": 3}
+            for solver, setting in settings
+        ]
+    return made
+
+
+def tip_of(model):
+    """Function q (n,) -> position of the tip, (2,), m."""
+    at = model.points_of("tip")
+    rest = model.arrays.links.point_rest[at]
+    return lambda q: rest + model.dz(q)[at]
+
+
+@lru_cache(maxsize=4)
+def reference(scene, dof, fine):
+    """(tip at TIMES (101, 2), largest distance of its last two approximations): Richardson's extrapolation of steps fine and fine / 2."""
+    coarse, half = (ours(model_of(scene, dof), GeneralizedAlpha(h=h), 0)[1] for h in (fine, fine / 2))
+    return half + (half - coarse) / 3, float(np.linalg.norm(half - coarse, axis=1).max())
+
+
+def ours(model, integrator, repeats):
+    """(row, tip at TIMES) of an integrator of ours; CPU seconds are the median of runs that keep no frames, kernels warm."""
+    from polyida.integrate.solve import solve
+
+    seen = solve(model, TIMES[-1], integrator, output=TIMES)
+    again = [solve(model, TIMES[-1], integrator, every=10**9) for _ in range(repeats)]
+    if not seen.success:
+        raise RuntimeError(seen.message)
+    counts = {
+        key: getattr(seen.counts, key)
+        for key in ("steps", "newton_iterations", "residuals", "tangents", "factorizations")
+    }
+    return counts | {"cpu_s": float(np.median([x.cpu_seconds for x in again])) if again else np.nan}, seen.position(
+        "tip"
+    )
+
+
+def run(scene, dof, solver, setting, fine, repeats):
+    """One row: CPU seconds of 1 s and the tip's distance from the reference, largest over TIMES and at the end, m."""
+    model = model_of(scene, dof)
+    exact, doubt = reference(scene, dof, fine)
+    if solver == "reference":
+        return {"n": model.n, "reference_doubt": doubt}
+    if solver in ("alpha", "ida"):
+        row, tip = ours(
+            model, GeneralizedAlpha(h=setting) if solver == "alpha" else IDA(rtol=setting, atol=setting / 100), repeats
+        )
+    else:
+        row = run_isolated(peer, {"scene": scene, "dof": dof, "solver": solver, "setting": setting}, 300.0)
+        if row["error"] or row.get("skipped"):
+            return row
+        tip = np.array(row.pop("tip"))
+    distance = np.linalg.norm(tip - exact, axis=1)
+    return {"n": model.n} | row | {"error_max": float(distance.max()), "error_end": float(distance[-1])}
+
+
+def peer(scene, dof, solver, setting):
+    """A run of a peer, in a process of its own; compiled functions warm."""
+    model, rest = model_of(scene, dof), None
+    look, rest = tip_of(model), np.zeros(model.n)
+    model.force(0.0, rest, rest), model.force_q(0.0, rest, rest), model.phi(0.0, rest)
+    try:
+        if solver == "radau":
+            peers.radau(model, TIMES[:1] + np.array([0.0, 1e-5]), 1e-3, look)
+            row, tip = peers.radau(model, TIMES, setting, look)
+        else:
+            row, tip = peers.ExudynScene(model, look).run(TIMES, setting, solver != "exudyn")
+    except peers.Missing as missing:
+        return {"skipped": str(missing)}
+    return row | {"tip": tip.tolist()}
+
+
+def curve(rows, scene, dof, solvers, what="cpu_s"):
+    """(errors, CPU s, or steps) of the runs that no other of these solvers' runs beats in both, by falling error."""
+    good = sorted(
+        (row["error_max"], row[what])
+        for row in rows
+        if (row["scene"], row["dof"]) == (scene, dof)
+        and row["solver"] in solvers
+        and not row.get("error")
+        and not row.get("skipped")
+    )
+    front, least = [], np.inf
+    for error, value in good:
+        if value < least:
+            front.append((error, value))
+            least = value
+    return np.array(front[::-1]).reshape(-1, 2).T
+
+
+def at_error(rows, scene, dof, solvers, error, what="cpu_s"):
+    """CPU s or steps at this error, on the work-precision curve (straight in logarithms); the cheapest run where all are better; nan beyond."""
+    errors, values = curve(rows, scene, dof, solvers, what)
+    if not len(errors) or error < errors.min():
+        return np.nan
+    return float(np.exp(np.interp(np.log(error), np.log(errors[::-1]), np.log(values[::-1]))))
+
+
+def cheapest(rows, scene, dof, solvers, error):
+    """Least CPU s of the runs themselves with at most this error."""
+    errors, seconds = curve(rows, scene, dof, solvers)
+    return float(seconds[errors <= error].min()) if (errors <= error).any() else np.nan
+
+
+def figures(rows, target=2e-5):
+    """CPU seconds at a tip error of 2e-5 m, the best peer against the best of ours at the best peer's own error, IDA against alpha."""
+    found = {}
+    for scene, dof in dict.fromkeys((row["scene"], row["dof"]) for row in rows):
+        name = f"{scene.replace(' ', '')}_{dof}"
+        found[f"{name}_cpu_s"] = cheapest(rows, scene, dof, ("alpha", "ida"), target)
+        ratios = [row["cpu_s"] / at_error(rows, scene, dof, ("alpha", "ida"), row["error_max"]) for row in rows
+                  if row["scene"] == scene and row["dof"] == dof and row["solver"] in PEERS and row.get("cpu_s")]
+        found[f"{name}_peer_ratio"] = min((ratio for ratio in ratios if np.isfinite(ratio)), default=np.nan)
+        for solver in PEERS:
+            found[f"{name}_{solver.replace(' ', '_')}_cpu_s"] = at_error(rows, scene, dof, (solver,), target)
+        found[f"{name}_ida_over_alpha_at_1e-5"] = at_error(rows, scene, dof, ("ida",), 1e-5) / at_error(
+            rows, scene, dof, ("alpha",), 1e-5
+        )
+    found["ida_over_alpha_at_1e-5"] = found.get("scene1_800_ida_over_alpha_at_1e-5", np.nan)
+    return {key: value for key, value in found.items() if np.isfinite(value)}
+
+
+def notes(rows):
+    """Aims that are not reached with what the runs did, how sure the reference is, what was left out."""
+    found = figures(rows)
+    lines = [
+        f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in AIMS.items() if found.get(name, 0) > aim
+    ]
+    for row in rows:
+        if row["solver"] == "reference" and "reference_doubt" in row:
+            lines.append(
+                f"{row['scene']}, {row['n']} coordinates: the reference's steps h and h / 2 differ by {row['reference_doubt']:.2g} m "
+                "before extrapolation"
+            )
+    for scene, dof in dict.fromkeys((row["scene"], row["dof"]) for row in rows):
+        steps, ms = zip(
+            *(
+                (at_error(rows, scene, dof, (solver,), 1e-5, "steps"), at_error(rows, scene, dof, (solver,), 1e-5))
+                for solver in ("alpha", "ida")
+            )
+        )
+        lines.append(
+            f"{scene}, {dof}: at 1e-5 m generalized-alpha takes {steps[0]:.0f} steps of {1e3 * ms[0] / steps[0]:.3g} ms, IDA {steps[1]:.0f} "
+            f"of {1e3 * ms[1] / steps[1]:.3g} ms: {steps[1] / steps[0]:.2g} times the steps, for BDF2's larger error, at "
+            f"{ms[1] / steps[1] / (ms[0] / steps[0]):.2g} times the cost of one"
+        )
+    return lines + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
+
+
+def draw(rows, folder):
+    """Work-precision: CPU time against the tip's largest error, a panel for each scene and size."""
+    from polyida.show.style import figure, line, save, settings
+
+    cases = list(dict.fromkeys((row["scene"], row["dof"]) for row in rows))
+    with settings():
+        made, axes = figure(
+            6.4, 2.2 + 2.4 * ((len(cases) - 1) // 2), ncols=2, nrows=(len(cases) + 1) // 2, squeeze=False, sharex=True
+        )
+        for panel, (scene, dof) in zip(axes.flat, cases):
+            for k, (solver, label) in enumerate(SOLVERS.items()):
+                points = sorted(
+                    (row["error_max"], row["cpu_s"])
+                    for row in rows
+                    if (row["scene"], row["dof"], row["solver"]) == (scene, dof, solver) and row.get("cpu_s")
+                )
+                panel.loglog(*np.array(points).reshape(-1, 2).T, marker="o", markersize=3, label=label, **line(k))
+            panel.set(
+                title=f"{scene}, {dof} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s"
+            )
+        made.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=7)
+        return [save(made, folder / f"against_peers.{kind}") for kind in ("png", "pdf")]
+
+
+study = Study(
+    "against_peers",
+    "Work-precision against other solvers on the same model",
+    tasks,
+    run,
+    figures,
+    draw,
+    notes=notes,
+    columns=(
+        "scene",
+        "n",
+        "solver",
+        "setting",
+        "error_max",
+        "error_end",
+        "cpu_s",
+        "steps",
+        "residuals",
+        "tangents",
+        "factorizations",
+    ),
+)
+
+if __name__ == "__main__":
+    main(study)

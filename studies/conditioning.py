@@ -1,0 +1,145 @@
+"""Condition number of the iteration matrices against the step, and what it does to the solve of each linear back-end."""
+
+import numpy as np
+
+from polyida.cli_study import main
+from polyida.study import conditioning, solve_error
+from polyida.study.drawing import drawn, fitted, legend, loglog, panels, saved, slope_line
+from polyida.study.harness import Study
+
+SCALINGS = ("none", "bottasso", "physical")
+
+
+def steps(quick):
+    return [float(f"1e-{k}") for k in range(1, 10)] if quick else [float(f"{x}e-{k}") for k in range(1, 10) for x in (3, 1)][1:]
+
+
+def tasks(quick):
+    made, given = [], {"cells": 8 if quick else 20, "h": steps(quick)}
+    for plates in ("soft", "steel", "stiffest", "springs"):
+        pairs = [("(q, lam)", scaling) for scaling in conditioning.ALPHA_SCALINGS]
+        pairs += [(form, "none") for form in conditioning.ALPHA_FORMS if form != "(q, lam)"]
+        made += [{"plates": plates, "of": "alpha", "form": form, "scaling": scaling} | given for form, scaling in pairs]
+        made += [{"plates": plates, "of": "IDA", "form": form, "scaling": scaling} | given
+                 for form in conditioning.IDA_SLOPES for scaling in ("none", "characteristic")]
+        made.append({"plates": plates, "of": "alpha", "form": "S on free motions", "scaling": "-"} | given)
+    for plates in ("soft", "steel"):
+        made += [{"plates": plates, "of": "solve", "form": backend, "scaling": scaling} | given
+                 for backend in solve_error.BACKENDS for scaling in SCALINGS]
+    return made
+
+
+def run(plates, cells, of, form, scaling, h):
+    model, state = conditioning.state_of(plates, cells)
+    if of == "solve":
+        errors = np.array([solve_error.solve_errors(model, state, step, form, scaling) for step in h])
+        return {"values": errors.max(axis=1), "worst": errors.max(), "at_1e-2": errors[h.index(1e-2)].max(),
+                "at_1e-9": errors[-1].max()}
+    measure = measured(model, state, of, form, scaling)
+    values, fastest = np.array([measure(step) for step in h]), conditioning.fastest(model, state)
+    far = 1e-3 / fastest**2 * 10.0 ** -np.arange(4)
+    small = np.array(h) < 0.1 / fastest
+    within = np.array(h) <= 1.0001e-2
+    return {"values": values, "theory": theory(of, form, scaling), "slope": fitted(np.array(h)[small], values[small]),
+            "slope_limit": fitted(far, [measure(step) for step in far]), "worst": values[within].max(),
+            "at_1e-2": values[h.index(1e-2)], "at_1e-9": values[-1]}
+
+
+def measured(model, state, of, form, scaling):
+    """Function h -> condition number."""
+    if form == "S on free motions":
+        return lambda h: conditioning.inherent_condition(model, state, h)
+    if of == "alpha":
+        return lambda h: conditioning.alpha_matrix(model, state, h, form, scaling).condition()
+    made = lambda h: conditioning.ida_matrix(model, state, h, form)  # noqa: E731
+    return (lambda h: made(h).condition()) if scaling == "none" else (lambda h: float(np.linalg.cond(made(h).matrix)))
+
+
+def theory(of, form, scaling):
+    if form == "S on free motions" or scaling == "characteristic":
+        return 0
+    if of == "IDA":
+        return conditioning.IDA_SLOPES[form]
+    return conditioning.ALPHA_SCALINGS[scaling] if form == "(q, lam)" else conditioning.ALPHA_FORMS[form][1]
+
+
+def pick(rows, **wanted):
+    return [row for row in rows if not row.get("error") and all(row[key] == value for key, value in wanted.items())]
+
+
+def figures(rows):
+    physical = pick(rows, of="alpha", form="(q, lam)", scaling="physical")
+    unscaled = pick(rows, of="alpha", form="(q, lam)", scaling="none")
+    found = {"slope_unscaled": pick(unscaled, plates="soft")[0]["slope"],
+             "slope_unscaled_worst": max((row["slope_limit"] for row in unscaled), key=lambda slope: abs(slope + 4)),
+             "scaled_condition_max": max(row["worst"] for row in physical),
+             "scaled_condition_at_1e-9_max": max(row["at_1e-9"] for row in physical)}
+    for row in physical:
+        found[f"scaled_condition_max_{row['plates']}"] = row["worst"]
+    free = {row["plates"]: row["values"] for row in pick(rows, form="S on free motions")}
+    found["scaled_over_free_max"] = max(np.max(np.divide(row["values"], free[row["plates"]])) for row in physical)
+    found["ida_scaled_slope_limit_max"] = max(abs(row["slope_limit"]) for row in pick(rows, of="IDA", scaling="characteristic"))
+    for row in pick(rows, of="IDA", scaling="none", plates="soft"):
+        found[f"slope_limit_{row['form']}"] = row["slope_limit"]
+    return found
+
+
+def notes(rows):
+    found = figures(rows)
+    lines = [f"scaled condition numbers exceed 1e4: {row['plates']}, up to {row['worst']:.2g} at h <= 1e-2. That is the plates' own, "
+             "of S on the motions that the constraints leave free; no scaling of the index-3 border removes it"
+             for row in pick(rows, of="alpha", form="(q, lam)", scaling="physical") if row["worst"] > 1e4]
+    lines.append(f"what the border adds: at most a factor {found['scaled_over_free_max']:.2g} over S on the free motions, at every h and stiffness")
+    for row in pick(rows, of="solve"):
+        if row["at_1e-9"] > 1e-3:
+            lines.append(f"no digits at h = 1e-9: {row['form']}, scaling {row['scaling']}, {row['plates']}: error {row['at_1e-9']:.1g}")
+    return lines
+
+
+@drawn
+def draw(rows, folder):
+    return alpha_figure(rows, folder) + ida_figure(rows, folder) + solve_figure(rows, folder)
+
+
+def alpha_figure(rows, folder):
+    made, axes = panels(2, height=3.4)
+    for axis, plates in zip(axes, ("soft", "steel")):
+        kept = pick(rows, of="alpha", plates=plates)
+        for i, row in enumerate(kept):
+            loglog(axis, row["h"], row["values"], i, f"{row['form']}{'' if row['scaling'] in '-' else ', ' + row['scaling']}")
+        for row in kept:
+            if row["scaling"] == "none":
+                slope_line(axis, row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
+        axis.set(xlabel="step h, s", ylabel="condition number", title=f"generalized-alpha, {plates} plates")
+    legend(made, axes, 3)
+    return saved(made, folder, "condition-alpha")
+
+
+def ida_figure(rows, folder):
+    made, axes = panels(2, height=3.4, sharey=True)
+    for axis, scaling, title in zip(axes, ("none", "characteristic"), ("raw", "scaled by characteristic sizes")):
+        for i, row in enumerate(pick(rows, of="IDA", plates="soft", scaling=scaling)):
+            loglog(axis, row["h"], row["values"], i, row["form"])
+        axis.set(xlabel="1 / cj, s", title=f"IDA, soft plates, {title}")
+    axes[0].set_ylabel("condition number")
+    legend(made, axes, 6)
+    return saved(made, folder, "condition-ida")
+
+
+def solve_figure(rows, folder):
+    made, axes = panels(3, width=7.4, height=3.3, columns=3, sharey=True)
+    for axis, scaling in zip(axes, SCALINGS):
+        for i, row in enumerate(pick(rows, of="solve", plates="steel", scaling=scaling)):
+            loglog(axis, row["h"], row["values"], i, row["form"])
+        axis.set(xlabel="step h, s", title=f"scaling: {scaling}", ylim=(1e-16, 1e3))
+    axes[0].set_ylabel("relative error of the solve")
+    legend(made, axes, 2)
+    return saved(made, folder, "solve-error")
+
+
+COLUMNS = ("of", "plates", "form", "scaling", "theory", "slope", "slope_limit", "at_1e-2", "at_1e-9", "worst", "error")
+STUDY = Study("conditioning", "condition numbers: slopes in h beside theory; solve errors of linear back-ends", tasks, run,
+              figures, draw, COLUMNS, notes=notes)
+
+if __name__ == "__main__":
+    main(STUDY)

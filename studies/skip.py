@@ -1,0 +1,67 @@
+"""Each saving switched off in its turn: what is no longer computed, and the CPU time that is saved."""
+
+import numpy as np
+
+from polyida.cli_study import main
+from polyida.study import skip
+from polyida.study.harness import Study
+
+
+def tasks(quick):
+    """Every saving at one size, cells a plate, and time, s; in the full run at two."""
+    sizes = ((120, 0.2, 3),) if quick else ((120, 1.0, 3), (1300, 0.03, 3))
+    return [
+        {"saving": name, "cells": cells, "t_end": t_end, "repeats": repeats}
+        for cells, t_end, repeats in sizes
+        for name in skip.SAVINGS
+    ]
+
+
+def run(saving, cells, t_end, repeats):
+    return skip.measure(saving, cells, t_end, repeats)
+
+
+def figures(rows):
+    """CPU time without the saving over CPU time with it: `<saving>_<cells>`."""
+    names = {
+        row["saving"]: "_".join("".join(c if c.isalnum() else " " for c in row["saving"].lower()).split())
+        for row in rows
+    }
+    return {f"{names[row['saving']]}_{row['cells']}": row["times"] for row in rows if not row.get("error")}
+
+
+def notes(rows):
+    return list(skip.FIXED)
+
+
+def draw(rows, folder):
+    """A bar for each saving: CPU time without over with."""
+    from polyida.show.style import INK, PALETTE, figure, save, settings
+
+    names, sizes = list(dict.fromkeys(row["saving"] for row in rows)), list(dict.fromkeys(row["cells"] for row in rows))
+    with settings():
+        made, axes = figure(6.4, 0.8 + 0.28 * len(names))
+        for k, cells in enumerate(sizes):
+            values = {row["saving"]: row["times"] for row in rows if row["cells"] == cells and not row.get("error")}
+            places = np.arange(len(names)) + (k - (len(sizes) - 1) / 2) * 0.8 / len(sizes)
+            axes.barh(
+                places,
+                [values.get(name, np.nan) for name in names],
+                0.8 / len(sizes),
+                color=PALETTE[k],
+                label=f"{cells} cells a plate",
+            )
+        axes.axvline(1.0, color=INK, linewidth=0.6)
+        axes.set_xscale("log")
+        axes.set_yticks(range(len(names)), names)
+        axes.set(xlabel="CPU time without the saving over CPU time with it")
+        axes.invert_yaxis()
+        axes.legend()
+        return [save(made, folder / f"skip.{kind}") for kind in ("png", "pdf")]
+
+
+study = Study("skip", "Savings switched off in turn", tasks, run, figures, draw, notes=notes,
+              columns=("saving", "cells", "off", "counted", "count_on", "count_off", "cpu_on_s", "cpu_off_s", "times"))
+
+if __name__ == "__main__":
+    main(study)

@@ -1,0 +1,242 @@
+"""What a step costs against the number of coordinates, for both integrators, beside the floor of the machine."""
+
+import numpy as np
+
+from polyida.cli_study import main
+from polyida.study import peers
+from polyida.study import step_cost as cost
+from polyida.study.harness import Study
+
+DECADES = {"1e3": 1_000, "1e4": 10_000, "1e5": 100_000}
+SPARSE = {"2e3": 2_000, "9e3": 9_000, "2e4": 20_000}
+STEPS = {1_000: 1000, 3_000: 600, 10_000: 300, 30_000: 100, 100_000: 50}
+SPANS = {
+    1_000: (0.1, 1.0),
+    3_000: (0.1, 0.5),
+    10_000: (0.05, 0.25),
+    30_000: (0.02, 0.08),
+    100_000: (0.005, 0.02),
+}  # of IDA, s
+AIMS = {  # figure: aim, at most (True) or at least
+    "alpha_step_over_floor_1e3": (0.25, True),
+    "alpha_step_over_floor_1e4": (0.1, True),
+    "alpha_step_over_floor_1e5": (0.12, True),
+    "ida_speedup_over_sparse_2e3": (4, False),
+    "ida_speedup_over_sparse_9e3": (6, False),
+    "ida_speedup_over_sparse_2e4": (8, False),
+    "growth_exponent": (1.15, True),
+    "residual_ns_per_dof": (15, True),
+    "residual_tangent_ns_per_dof": (100, True),
+    "bytes_per_dof_1e5": (2 * 2**30 / 1e5, True),
+    "cold_start_s": (3, True),
+    "warm_start_s": (0.7, True),
+}
+PARTS = ("residual", "tangent", "factor", "solve", "rest")
+RUNS = {
+    "step": cost.step_row,
+    "floor": cost.floor_row,
+    "sparse": cost.sparse_row,
+    "memory": cost.memory_row,
+    "start": cost.start_rows,
+}
+
+
+def tasks(quick):
+    """Steps and floors of each size, then IDA against its sparse solver, memory, start-up."""
+    made = []
+    for dof in DECADES.values() if quick else STEPS:
+        few, large = (4 if quick else 1), dof > 50_000
+        repeats = 1 if quick and large else 3
+        count = max(12, STEPS[dof] // few)
+        for scene in ("scene 1",) if quick else ("scene 1", "scene 2"):
+            made.append({"part": "step", "scene": scene, "dof": dof, "integrator": "alpha", "short": 0.01,
+                         "long": 0.01 + 1e-3 * count, "repeats": repeats})
+        short, long = SPANS[dof]
+        made.append(
+            {
+                "part": "step",
+                "scene": "scene 1",
+                "dof": dof,
+                "integrator": "ida",
+                "short": short,
+                "long": short + (long - short) / few,
+                "repeats": 1 if large else repeats,
+            }
+        )
+        names = [name for name in cost.BACKENDS if name != "band" or dof <= peers.WIDEST_BAND]
+        made += [{"part": "floor", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
+    spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
+    made += [{"part": "sparse", "dof": dof, "t_end": span, "repeats": 1 if quick else 3} for dof, span in spans.items()]
+    made.append({"part": "memory", "dof": 100_000, "steps": 30 if quick else 1000})
+    return made if quick else made + [{"part": "start", "dof": 1_000, "warm": 3}]
+
+
+def run(part, **task):
+    """One row; "skipped" says why where an optional package is missing."""
+    try:
+        return RUNS[part](**task)
+    except peers.Missing as missing:
+        return {"skipped": str(missing)}
+
+
+def only(rows, part, **values):
+    """Rows of a part that went well, with these values."""
+    good = [row for row in rows if row["part"] == part and not row.get("error") and not row.get("skipped")]
+    return [row for row in good if all(row.get(key) == value for key, value in values.items())]
+
+
+def floors(rows):
+    """{dof: the row of the back-end with the lowest floor}."""
+    found = {}
+    for row in only(rows, "floor"):
+        found[row["dof"]] = min(row, found.get(row["dof"], row), key=lambda x: x["floor_ms"])
+    return found
+
+
+def figures(rows):
+    """The study's findings; parts that did not run are left out."""
+    found, best = {}, floors(rows)
+    alpha = only(rows, "step", scene="scene 1", integrator="alpha")
+    for name, dof in DECADES.items():
+        for row in only(rows, "step", scene="scene 1", dof=dof):
+            kind = row["integrator"]
+            found[f"{kind}_ms_per_step_{name}"] = row["ms_per_step"]
+            if dof in best:
+                found[f"{kind}_step_over_floor_{name}"] = row["ms_per_step"] / best[dof]["floor_ms"]
+                found[f"floor_ms_{name}"] = best[dof]["floor_ms"]
+            for floor in only(rows, "floor", dof=dof, backend="pardiso"):
+                found[f"{kind}_step_over_pardiso_{name}"] = row["ms_per_step"] / floor["floor_ms"]
+    if len(alpha) > 1:
+        found["growth_exponent"] = np.polyfit(
+            np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1
+        )[0]
+    found |= {
+        f"ida_speedup_over_sparse_{name}": row["speedup"]
+        for name, dof in SPARSE.items()
+        for row in only(rows, "sparse", dof=dof)
+    }
+    found |= {"bytes_per_dof_1e5": row["bytes_per_dof"] for row in only(rows, "memory")}
+    found |= {key: row[key] for row in only(rows, "step", integrator="alpha", scene="scene 1", dof=10_000)
+              for key in ("residual_ns_per_dof", "residual_tangent_ns_per_dof")}
+    return found | {key: row[key] for row in only(rows, "start") for key in ("cold_start_s", "warm_start_s")}
+
+
+def notes(rows):
+    """Aims that are not reached, and the profile of the step that says why."""
+    found, best = figures(rows), floors(rows)
+    lines = [
+        f"{name}: {found[name]:.3g}, aim {'at most' if most else 'at least'} {aim:.3g}"
+        for name, (aim, most) in AIMS.items()
+        if name in found and (found[name] > aim) == most
+    ]
+    for row in only(rows, "step", integrator="alpha", scene="scene 1"):
+        floor = best.get(row["dof"], {"backend": "-", "factor_ms": np.nan, "solve_ms": np.nan})
+        shares = ", ".join(f"{part} {100 * row[f'{part}_ms'] / row['ms_per_step']:.0f} %" for part in PARTS)
+        lines.append(
+            f"{row['n']} coordinates: a step of {row['ms_per_step']:.3g} ms is {shares} ({row['newton_iterations_per_step']:.2f} "
+            f"iterations); floor {floor['backend']}: {floor['factor_ms']:.3g} + 3 x {floor['solve_ms']:.3g} ms"
+        )
+    for row in only(rows, "memory"):
+        lines.append(
+            f"bytes_per_dof_1e5: peak resident memory of a process of {row['steps']} steps, Python and libraries "
+            f"({row['imported_bytes'] / 2**20:.0f} MiB) and model ({row['built_bytes'] / 2**20:.0f} MiB so far) included, over "
+            f"coordinates: {row['peak_bytes'] / 2**20:.0f} MiB; {row['frame_bytes'] / 2**20:.0f} MiB of frames, in a file beyond 512 MiB"
+        )
+    for row in only(rows, "start"):
+        split = ", ".join(
+            f"{what} {row[f'cold_{what}_s']:.2f} / {row[f'warm_{what}_s']:.2f}"
+            for what in ("import", "mesh", "first_step")
+        )
+        lines.append(f"CPU s of a fresh process, kernel cache empty / filled: {split}")
+    return lines + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
+
+
+def draw(rows, folder):
+    """Cost of a step with the floors, and the parts of a step."""
+    from polyida.show.style import settings
+
+    with settings():
+        return [path for make in (_costs, _parts) for path in make(rows, folder)]
+
+
+def _costs(rows, folder):
+    from polyida.show.style import figure, line
+
+    made, axes = figure(6.4, 4.0)
+    kinds = (
+        ("generalized-alpha, scene 1", "scene 1", "alpha"),
+        ("generalized-alpha, scene 2", "scene 2", "alpha"),
+        ("IDA, scene 1", "scene 1", "ida"),
+    )
+    for k, (label, scene, integrator) in enumerate(kinds):
+        found = only(rows, "step", scene=scene, integrator=integrator)
+        axes.loglog(
+            [r["n"] for r in found],
+            [r["ms_per_step"] for r in found],
+            marker="o",
+            markersize=4,
+            label=f"a step of {label}",
+            **line(k),
+        )
+    for k, name in enumerate(cost.BACKENDS):
+        found = only(rows, "floor", backend=name)
+        axes.loglog(
+            [r["n"] for r in found],
+            [r["floor_ms"] for r in found],
+            marker="x",
+            markersize=4,
+            linewidth=0.8,
+            alpha=0.8,
+            label=f"1 factorization + 3 solves, {name}",
+            **line(k + 3),
+        )
+    axes.set(xlabel="coordinates", ylabel="CPU time, ms")
+    axes.legend(fontsize=7)
+    return _saved(made, folder, "step_cost")
+
+
+def _parts(rows, folder):
+    from polyida.show.style import PALETTE, figure
+
+    made, axes = figure(6.4, 2.8)
+    found, bottom = only(rows, "step", scene="scene 1", integrator="alpha"), 0.0
+    for colour, part in zip(PALETTE, PARTS):
+        share = np.array([100 * max(r[f"{part}_ms"], 0.0) / r["ms_per_step"] for r in found])
+        axes.bar(range(len(found)), share, 0.6, bottom=bottom, label=part, color=colour)
+        bottom = bottom + share
+    axes.set_xticks(range(len(found)), [f"{r['n']}" for r in found])
+    axes.set(xlabel="coordinates", ylabel="share of a step, %")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return _saved(made, folder, "step_parts")
+
+
+def _saved(made, folder, name):
+    from polyida.show.style import save
+
+    return [save(made, folder / f"{name}.{kind}") for kind in ("png", "pdf")]
+
+
+study = Study(
+    "step_cost",
+    "Cost of a step",
+    tasks,
+    run,
+    figures,
+    draw,
+    notes=notes,
+    columns=(
+        "part",
+        "scene",
+        "integrator",
+        "backend",
+        "n",
+        "steps",
+        "ms_per_step",
+        "newton_iterations_per_step",
+        "floor_ms",
+        "speedup",
+    ),
+)
+
+if __name__ == "__main__":
+    main(study)
