@@ -188,6 +188,18 @@ def export(file: RunFile, vtu: Annotated[Path, typer.Option(metavar="FOLDER", he
     _lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
 
 
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="NAME", help="A script in ./studies.")]):
+    """Run a study of the folder ./studies; options after NAME (--quick, --out, --fresh) go to it."""
+    import subprocess
+
+    script = Path("studies") / f"{name}.py"
+    if not script.is_file():
+        known = ", ".join(sorted(path.stem for path in Path("studies").glob("*.py"))) or "none; run it in a clone of the repository"
+        raise InputError(f"no study {name!r} in ./studies; there are: {known}")
+    raise typer.Exit(subprocess.run([sys.executable, str(script), *context.args], check=False).returncode)
+
+
 def _load(file):
     """A saved run; InputError where there is none."""
     from polyida.trajectory_file import load

@@ -88,27 +88,37 @@ class Trajectory:
     @cached_property
     def drift(self):
         """Largest |phi| of every frame, (frames,), in phi's unit (m for joints)."""
-        return np.array([_largest(self.model.phi(t, q)) for t, q in zip(self.t, self.q)])
+        model = self._known_model("drift")
+        return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, self.q)])
 
     @cached_property
     def velocity_drift(self):
         """Largest |phi_q v + phi_t| of every frame, (frames,)."""
-        model = self.model
+        model = self._known_model("velocity_drift")
         frames = zip(self.t, self.q, self.v)
         return np.array([_largest(model.phi_q(t, q) @ v + model.phi_t(t, q)) for t, q, v in frames])
 
     @cached_property
     def energy(self):
         """Kinetic, potential (gravity) and strain energy of every frame."""
-        kinetic = np.array([0.5 * v @ (self.model.mass(q) @ v) for q, v in zip(self.q, self.v)])
-        if hasattr(self.model, "strain_energy"):
-            strain = np.array([self.model.strain_energy(q) for q in self.q])
-            return Energy(kinetic, np.array([self.model.gravity_potential(q) for q in self.q]), strain)
-        potential = [np.nan if value is None else value for value in map(self.model.potential, self.q)]
+        model = self._known_model("energy")
+        kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(self.q, self.v)])
+        if hasattr(model, "strain_energy"):
+            strain = np.array([model.strain_energy(q) for q in self.q])
+            return Energy(kinetic, np.array([model.gravity_potential(q) for q in self.q]), strain)
+        potential = [np.nan if value is None else value for value in map(model.potential, self.q)]
         return Energy(kinetic, np.array(potential, float), np.zeros(len(self)))
 
+    def _known_model(self, what):
+        if self.model is None:
+            raise InputError(f"{what}: no file holds a model of a user's own; the run that was loaded has frames only")
+        return self.model
+
     def position(self, name):
-        """Path of a mass, load or joint, by name, or of an attachment, (frames, 2), m."""
+        """Path of a mass, load or joint, by name or itself, or of an attachment, (frames, 2), m.
+
+        Raises InputError for what is not in the scene.
+        """
         nodes, weights = self._nodes_of(name)
         rest = self.model.reference[nodes]
         moved = (q.reshape(len(q), -1, 2)[:, nodes] + rest for q in blocks(self.q))
@@ -117,9 +127,12 @@ class Trajectory:
     def _nodes_of(self, name):
         if not hasattr(self.model, "points_of"):
             raise InputError(f"position({name!r}): {type(self.model).__name__} has no named points; read q")
-        if not isinstance(name, str):
-            body = next(body for body in self.model.bodies if body.plate is name.body)
+        if hasattr(name, "weights"):
+            body = next((body for body in self.model.bodies if body.plate is name.body), None)
+            if body is None:
+                raise InputError(f"position({name!r}): its body is not in the scene of this run")
             return name.nodes + body.nodes.start, name.weights
+        name = next((known for known, part in self.model.parts.items() if part is name), name)
         s, point = self.model.arrays.links, self.model.points_of(name)
         part = slice(s.point_ptr[point], s.point_ptr[point + 1])
         return s.point_nodes[part], s.point_weights[part]

@@ -56,13 +56,13 @@ def tip_of(model):
 
 @lru_cache(maxsize=4)
 def reference(scene, dof, fine):
-    """(tip at TIMES (101, 2), largest distance of its last two approximations): Richardson's extrapolation of steps fine and fine / 2."""
+    """(tip at TIMES (101, 2), largest distance of steps fine and fine / 2): Richardson's extrapolation of these two."""
     coarse, half = (ours(model_of(scene, dof), GeneralizedAlpha(h=h), 0)[1] for h in (fine, fine / 2))
     return half + (half - coarse) / 3, float(np.linalg.norm(half - coarse, axis=1).max())
 
 
 def ours(model, integrator, repeats):
-    """(row, tip at TIMES) of an integrator of ours; CPU seconds are the median of runs that keep no frames, kernels warm."""
+    """(row, tip at TIMES) of an integrator of ours; CPU seconds are the median of runs that keep no frames."""
     from polyida.integrate.solve import solve
 
     seen = solve(model, TIMES[-1], integrator, output=TIMES)
@@ -132,7 +132,7 @@ def curve(rows, scene, dof, solvers, what="cpu_s"):
 
 
 def at_error(rows, scene, dof, solvers, error, what="cpu_s"):
-    """CPU s or steps at this error, on the work-precision curve (straight in logarithms); the cheapest run where all are better; nan beyond."""
+    """CPU s or steps at this error on the curve, straight in logarithms; nan beyond its precise end."""
     errors, values = curve(rows, scene, dof, solvers, what)
     if not len(errors) or error < errors.min():
         return np.nan
@@ -146,7 +146,7 @@ def cheapest(rows, scene, dof, solvers, error):
 
 
 def figures(rows, target=2e-5):
-    """CPU seconds at a tip error of 2e-5 m, the best peer against the best of ours at the best peer's own error, IDA against alpha."""
+    """CPU seconds at a tip error of 2e-5 m, each peer's run against ours at its error, IDA against alpha."""
     found = {}
     for scene, dof in dict.fromkeys((row["scene"], row["dof"]) for row in rows):
         name = f"{scene.replace(' ', '')}_{dof}"
@@ -164,30 +164,26 @@ def figures(rows, target=2e-5):
 
 
 def notes(rows):
-    """Aims that are not reached with what the runs did, how sure the reference is, what was left out."""
+    """Aims that are not reached, what makes IDA dearer, how sure the reference is, what was left out."""
     found = figures(rows)
-    lines = [
-        f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in AIMS.items() if found.get(name, 0) > aim
-    ]
+    missed = {name: aim for name, aim in AIMS.items() if found.get(name, 0) > aim}
+    lines = [f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in missed.items()]
     for row in rows:
-        if row["solver"] == "reference" and "reference_doubt" in row:
-            lines.append(
-                f"{row['scene']}, {row['n']} coordinates: the reference's steps h and h / 2 differ by {row['reference_doubt']:.2g} m "
-                "before extrapolation"
-            )
-    for scene, dof in dict.fromkeys((row["scene"], row["dof"]) for row in rows):
-        steps, ms = zip(
-            *(
-                (at_error(rows, scene, dof, (solver,), 1e-5, "steps"), at_error(rows, scene, dof, (solver,), 1e-5))
-                for solver in ("alpha", "ida")
-            )
-        )
-        lines.append(
-            f"{scene}, {dof}: at 1e-5 m generalized-alpha takes {steps[0]:.0f} steps of {1e3 * ms[0] / steps[0]:.3g} ms, IDA {steps[1]:.0f} "
-            f"of {1e3 * ms[1] / steps[1]:.3g} ms: {steps[1] / steps[0]:.2g} times the steps, for BDF2's larger error, at "
-            f"{ms[1] / steps[1] / (ms[0] / steps[0]):.2g} times the cost of one"
-        )
+        if row["solver"] == "reference" and not row.get("error"):
+            lines.append(f"{row['scene']}, {row['n']} coordinates: the reference's steps h and h / 2 differ by "
+                         f"{row['reference_doubt']:.2g} m before extrapolation")
+    cases = dict.fromkeys((row["scene"], row["dof"]) for row in rows)
+    lines += [_ida_and_alpha(rows, scene, dof) for scene, dof in cases]
     return lines + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
+
+
+def _ida_and_alpha(rows, scene, dof, error=1e-5):
+    steps, seconds = ([at_error(rows, scene, dof, (solver,), error, what) for solver in ("alpha", "ida")]
+                      for what in ("steps", "cpu_s"))
+    ms = [1e3 * cpu / count for cpu, count in zip(seconds, steps)]
+    return (f"{scene}, {dof}: at {error:.0e} m generalized-alpha takes {steps[0]:.0f} steps of {ms[0]:.3g} ms, "
+            f"IDA {steps[1]:.0f} of {ms[1]:.3g} ms: {steps[1] / steps[0]:.2g} times the steps, for BDF2's larger error, "
+            f"at {ms[1] / ms[0]:.2g} times the cost")
 
 
 def draw(rows, folder):

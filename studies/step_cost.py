@@ -133,14 +133,16 @@ def notes(rows):
         floor = best.get(row["dof"], {"backend": "-", "factor_ms": np.nan, "solve_ms": np.nan})
         shares = ", ".join(f"{part} {100 * row[f'{part}_ms'] / row['ms_per_step']:.0f} %" for part in PARTS)
         lines.append(
-            f"{row['n']} coordinates: a step of {row['ms_per_step']:.3g} ms is {shares} ({row['newton_iterations_per_step']:.2f} "
-            f"iterations); floor {floor['backend']}: {floor['factor_ms']:.3g} + 3 x {floor['solve_ms']:.3g} ms"
+            f"{row['n']} coordinates: a step of {row['ms_per_step']:.3g} ms is {shares} "
+            f"({row['newton_iterations_per_step']:.2f} iterations); floor {floor['backend']}: "
+            f"{floor['factor_ms']:.3g} + 3 x {floor['solve_ms']:.3g} ms"
         )
     for row in only(rows, "memory"):
         lines.append(
             f"bytes_per_dof_1e5: peak resident memory of a process of {row['steps']} steps, Python and libraries "
-            f"({row['imported_bytes'] / 2**20:.0f} MiB) and model ({row['built_bytes'] / 2**20:.0f} MiB so far) included, over "
-            f"coordinates: {row['peak_bytes'] / 2**20:.0f} MiB; {row['frame_bytes'] / 2**20:.0f} MiB of frames, in a file beyond 512 MiB"
+            f"({row['imported_bytes'] / 2**20:.0f} MiB) and model ({row['built_bytes'] / 2**20:.0f} MiB so far) "
+            f"included, over coordinates: {row['peak_bytes'] / 2**20:.0f} MiB; {row['frame_bytes'] / 2**20:.0f} MiB of "
+            "frames, in a file beyond 512 MiB"
         )
     for row in only(rows, "start"):
         split = ", ".join(

@@ -12,13 +12,29 @@ EPS = np.finfo(float).eps
 NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1/2, 1/2]
 
 
-def drive_table(model, times):
-    """Values and two derivatives of every profile at the times, (times, profiles, 3)."""
+def drive_table(model, times, h):
+    """Values and two derivatives of every profile at the times, (times, profiles, 3); derivatives at a kink are those of this side."""
     table = np.empty((len(times), len(model.profiles), 3))
+    if not table.size:
+        return table
+    inner = np.array(times)
+    inner[0] = beside(times[0], h) if at_kink(model, times[0]) else times[0]
+    inner[-1] = beside(times[-1], -h) if at_kink(model, times[-1]) else times[-1]
     for k, profile in enumerate(model.profiles):
-        for column, function in enumerate((profile.value, profile.d1, profile.d2)):
-            table[:, k, column] = function(times) if profile.formula else [function(t) for t in times]
+        for column, (function, at) in enumerate(((profile.value, times), (profile.d1, inner), (profile.d2, inner))):
+            table[:, k, column] = function(at) if profile.formula else [function(t) for t in at]
     return table
+
+
+def at_kink(model, t):
+    """Whether a load or motor has a kink at t."""
+    near = 1e-12 * max(abs(t), 1e-300)
+    return bool(model.kinks(t - near, t + near))
+
+
+def beside(t, h):
+    """A time next to t, on the side that h points to."""
+    return t + np.copysign(max(1e-7 * abs(h), 64 * EPS * abs(t)), h)
 
 
 def gain_table(model, times, drives, h):
@@ -67,7 +83,7 @@ def velocity_rate(model, t, q, v):
         return np.zeros(0)
     phi_t, phi_q = model.phi_t(t, q), model.phi_q(t, q)
     rate = phi_q @ v + phi_t
-    size = abs(phi_q) @ np.abs(v) + np.abs(phi_t)
+    size = abs(phi_q.copy()) @ np.abs(v) + np.abs(phi_t)  # abs sorts a sparse matrix in place
     return np.where(np.abs(rate) > 64 * EPS * size, rate, 0.0)
 
 
@@ -82,7 +98,7 @@ class Carried:
 
     def __init__(self, model, t0, t1, h, state, phi, rate):
         times = np.array([t0, t1])
-        drives = drive_table(model, times)
+        drives = drive_table(model, times, h)
         self.model, self.h, self.phi, self.rate, self.drives = model, h, phi, rate, drives[0]
         self.gain = gain_table(model, times, drives, h)[0]
         self.dz, self.vz = model.dz(state.q), model.dz(state.v)

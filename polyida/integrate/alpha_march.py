@@ -1,15 +1,13 @@
 """From the start of a run's piece to its end in equal steps; a step that fails is cut in two, four, ... and the grid taken up again."""
 
-import numpy as np
-
 from polyida.integrate.alpha_start import started
 from polyida.integrate.grid import Grid, goes_on, grid_of
 from polyida.integrate.state import State, StepFailure
 
 
-def march(engine, settings, model, state, begin, end, counts):
-    """Yield the states at the ends of equal steps, none above settings.h. Raises StepFailure where the smallest parts fail as well."""
-    grid = grid_of(state, begin, end, max(1, int(np.ceil((end - begin) / settings.h * (1 - 1e-12)))))
+def march(engine, settings, model, state, begin, end, count, counts):
+    """Yield the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts of one fail as well."""
+    grid = grid_of(state, begin, end, count)
     level, done = int(state.memory.get("cut", 0)), grid.done
     while done < grid.count:
         if level == 0:

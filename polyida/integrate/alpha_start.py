@@ -7,7 +7,7 @@ Bruels 2007). A start without them shows a first-order transient in lam. In the 
 
 import numpy as np
 
-from polyida.integrate.alpha_increment import start_values
+from polyida.integrate.alpha_increment import at_kink, beside, start_values
 from polyida.integrate.start import consistent_acceleration, jerk, mass_system
 from polyida.integrate.state import State
 
@@ -28,17 +28,12 @@ def started(settings, model, state, h):
     return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else rescaled(settings, model, state, h)
 
 
-def at_kink(model, t):
-    """Whether a load or motor has a kink at t."""
-    near = 1e-12 * max(abs(t), 1e-300)
-    return bool(model.kinks(t - near, t + near))
-
-
 def beginning(settings, model, state, h):
     """A consistent state with `a_alg = q'' + (alpha_m - alpha_f) h q'''` and v moved by `B l/h`."""
-    c, third = settings.coefficients, jerk(model, state, h, _beside(state.t, h) if at_kink(model, state.t) else None)
+    right = beside(state.t, h) if at_kink(model, state.t) else None
+    c, third = settings.coefficients, jerk(model, state, h, right)
     off, rate = _off_constraint(settings, model, state, h, third)
-    phi, before = start_values(model, state)
+    phi, before = start_values(model, state, right)
     return _with(state, v=state.v + off, a_alg=state.a + c.offset * h * third, h=h, phi=phi, rate=before + rate)
 
 
@@ -49,7 +44,7 @@ def behind_kink(settings, model, state, h):
     with the jump of q'''. All are differences of consistent values right and left, so that ringing mesh modes drop out. The last
     step's equilibrium took the loads at the time itself, which may be either side.
     """
-    t, right, left = state.t, _beside(state.t, h), _beside(state.t, -h)
+    t, right, left = state.t, beside(state.t, h), beside(state.t, -h)
     v, system = state.v, mass_system(model, t, state.q)
     if model.m:
         v = v + system.solve(np.zeros(model.n), model.phi_t(right, state.q) - model.phi_t(left, state.q))[0]
@@ -80,17 +75,12 @@ def _on_the_right(model, state, h):
     """The state with v, a and lam of the right side, where a run begins at a kink."""
     if not at_kink(model, state.t):
         return state
-    right, v = _beside(state.t, h), state.v
+    right, v = beside(state.t, h), state.v
     if model.m:
         rate = model.phi_q(state.t, state.q) @ v + model.phi_t(right, state.q)
         v = v + mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
     a, lam = consistent_acceleration(model, right, state.q, v)
     return _with(state, v=v, a=a, lam=lam)
-
-
-def _beside(t, h):
-    """A time next to t, on the side that h points to."""
-    return t + np.copysign(max(1e-7 * abs(h), 64 * np.finfo(float).eps * abs(t)), h)
 
 
 def _off_constraint(settings, model, state, h, third):

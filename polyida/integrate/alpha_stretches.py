@@ -80,7 +80,7 @@ class Stretches:
         """The states at times[1:]."""
         model, count = self.model, len(times) - 1
         frames = [np.empty((count, model.n_nodes, 2)) for _ in range(3)] + [np.empty((count, model.m))]
-        drives = drive_table(model, times)
+        drives = drive_table(model, times, self.method.h)
         gains = gain_table(model, times, drives, self.method.h)
         first, stage = 0, 0
         while first < count:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate import step_control
 from polyida.integrate.alpha_family import Coefficients, require_damping
 from polyida.integrate.alpha_march import march
 from polyida.integrate.segments import segments
+from polyida.integrate.step_control import adapt
 from polyida.linear.kkt import SCALINGS
 
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
@@ -119,13 +119,22 @@ class GeneralizedAlpha:
             from polyida.integrate.alpha_richardson import extrapolated
 
             return extrapolated(self, model, state, t_end, counts)
-        return self._plain_steps(model, state, t_end, counts)
+        return self.in_pieces(model, state, t_end, counts)
 
-    def _plain_steps(self, model, state, t_end, counts):
-        engine, drive = self._engine(model, counts), step_control.adapt if self.adaptive else march
+    def in_pieces(self, model, state, t_end, counts, split=1):
+        """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
+        engine = self._engine(model, counts)
         for begin, end in segments(model, state.t, t_end):
-            for state in drive(engine, self, model, state, begin, end, counts):
+            if self.adaptive:
+                piece = adapt(engine, self, model, state, begin, end, counts)
+            else:
+                piece = march(engine, self, model, state, begin, end, split * self.number_of_steps(end - begin), counts)
+            for state in piece:
                 yield state
+
+    def number_of_steps(self, length):
+        """Equal steps in a length of time, none above h."""
+        return max(1, int(np.ceil(length / self.h * (1 - 1e-12))))
 
     def _engine(self, model, counts):
         if self.linear == "kkt" or not hasattr(model, "arrays") or model.needs.velocity_forces:

@@ -51,6 +51,13 @@ class Comparison:
         return float(_size(ends[0] - ends[1])) if len(ends) == 2 else float("nan")
 
 
+def heeded(run):
+    """The run, unless Ctrl-C ended it: that ends the whole comparison."""
+    if run.status == "interrupted":
+        raise KeyboardInterrupt
+    return run
+
+
 def integrators(job, rtol=None):
     """{label: integrator}: generalized-alpha with the job's step; IDA, where rtol is given with 0.01 m rtol for q."""
     from polyida.integrate.generalized_alpha import GeneralizedAlpha
@@ -99,14 +106,14 @@ def warm_up(job, member):
     from polyida.integrate.solve import solve
 
     with job.code():
-        solve(job.model, min(job.time, 2 * job.step), member, q0=job.q0, v0=job.v0)
+        heeded(solve(job.model, min(job.time, 2 * job.step), member, q0=job.q0, v0=job.v0))
 
 
 def _run(job, member, label, tell):
     from polyida.integrate.solve import solve
 
     with job.code():
-        return solve(job.model, job.time, member, q0=job.q0, v0=job.v0, progress=lambda t: tell(label, t / job.time))
+        return heeded(solve(job.model, job.time, member, q0=job.q0, v0=job.v0, progress=lambda t: tell(label, t / job.time)))
 
 
 @dataclass

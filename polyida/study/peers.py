@@ -63,7 +63,7 @@ def band(model, blocks):
 
 
 def pardiso(model, blocks, dtype=np.float64):
-    """(factor, solve) of MKL PARDISO, symmetric positive definite (mtype 2), one thread: phases 22 and 33, 11 is done here."""
+    """(factor, solve) of MKL PARDISO, positive definite (mtype 2), one thread: phases 22 and 33; 11 is done here."""
     try:
         from pypardiso.pardiso_wrapper import PyPardisoSolver
     except ImportError:
@@ -74,12 +74,8 @@ def pardiso(model, blocks, dtype=np.float64):
     solver.libmkl.MKL_Set_Num_Threads(1)
     upper = triu(matrix_of(model, blocks), format="csr")
     upper.sort_indices()
-    arrays = [
-        upper.data.astype(dtype),
-        (upper.indptr + 1).astype(np.int32),
-        (upper.indices + 1).astype(np.int32),
-        solver.perm,
-    ]
+    places = [(array + 1).astype(np.int32) for array in (upper.indptr, upper.indices)]
+    arrays = [upper.data.astype(dtype), *places, solver.perm]
     b, x, error = np.ones(model.n, dtype), np.empty(model.n, dtype), ctypes.c_int32(0)
     parameters = np.zeros(64, np.int32)
     if dtype == np.float32:
@@ -90,19 +86,10 @@ def pardiso(model, blocks, dtype=np.float64):
         return array.ctypes.data_as(kind)
 
     def phase(number):
-        whole = [ctypes.byref(ctypes.c_int32(value)) for value in (1, 1, 2, number, model.n)]
+        *whole, one, quiet = [ctypes.byref(ctypes.c_int32(value)) for value in (1, 1, 2, number, model.n, 1, 0)]
         given = [pointer(array, kind) for array, kind in zip(arrays, kinds[6:10])]
-        solver._mkl_pardiso(
-            pointer(solver.pt, kinds[0]),
-            *whole,
-            *given,
-            ctypes.byref(ctypes.c_int32(1)),
-            pointer(parameters, kinds[11]),
-            ctypes.byref(ctypes.c_int32(0)),
-            pointer(b),
-            pointer(x),
-            ctypes.byref(error),
-        )
+        solver._mkl_pardiso(pointer(solver.pt, kinds[0]), *whole, *given, one, pointer(parameters, kinds[11]), quiet,
+                            pointer(b), pointer(x), ctypes.byref(error))
         if error.value:
             raise RuntimeError(f"PARDISO: error {error.value} in phase {number}")
         return x
@@ -112,7 +99,7 @@ def pardiso(model, blocks, dtype=np.float64):
 
 
 class WholeJacobian:
-    """J = dF/dy + cj dF/dy' of form ggl2 on a scene whose joints are all linear, in CSC order, for IDA's `linsolver="sparse"`.
+    """J = dF/dy + cj dF/dy' of form ggl2 on a scene with linear joints alone, in CSC order, for IDA.
 
     pattern: its sparse matrix with int32 indices. Called by IDA with (t, y, y', res, cj, JJ), it fills JJ.
     """
@@ -124,9 +111,8 @@ class WholeJacobian:
             raise InputError("WholeJacobian: the scene has motors; it must have linear joints alone")
         self.model, (indptr, indices), n = model, model.pattern, model.n
         self.blocks = np.empty((len(indices), 2, 2))
-        stiff = bsr_array(
-            (np.arange(1.0, self.blocks.size + 1).reshape(self.blocks.shape), indices, indptr), shape=(n, n)
-        ).tocoo()
+        numbers = np.arange(1.0, self.blocks.size + 1).reshape(self.blocks.shape)
+        stiff = bsr_array((numbers, indices, indptr), shape=(n, n)).tocoo()
         self.of_block = stiff.data.astype(np.int64) - 1
         mass, jacobian, each = model.mass().tocoo(), coo_array(model.phi_q(0.0, np.zeros(n))), np.arange(n)
         self.mass, B, m = mass.data, jacobian.data, model.m
@@ -144,15 +130,13 @@ class WholeJacobian:
     def __call__(self, t, y, yp, res, cj, JJ):
         n = self.model.n
         equilibrium.tangent_blocks(self.model.arrays.plates, np.array(y[:n]).reshape(-1, 2), 0.0, 1.0, self.blocks)
-        minus, borders = self.fixed
-        JJ[:] = np.concatenate([np.full(n, cj), minus, self.blocks.ravel()[self.of_block], cj * self.mass, borders])[
-            self.order
-        ]
+        (minus, borders), stiffness = self.fixed, self.blocks.ravel()[self.of_block]
+        JJ[:] = np.concatenate([np.full(n, cj), minus, stiffness, cj * self.mass, borders])[self.order]
         self.calls += 1
 
 
 def sparse_ida(model, t_end, settings=IDA()):
-    """IDA with SuperLU_MT on the whole 2n + 2m matrix: {"cpu_s", "steps", "setups"}, from the consistent start to t_end.
+    """IDA with SuperLU_MT on the whole 2n + 2m matrix to t_end: {"cpu_s", "steps", "setups"}, start included.
 
     Settings' tolerances and order; our fused residual. It can abort the process: call it in one of its own.
     """
@@ -162,24 +146,14 @@ def sparse_ida(model, t_end, settings=IDA()):
     system, jacobian = SceneSystem(model, "ggl2", settings.rate), WholeJacobian(model)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own
         solver = Solver(
-            system.residual,
-            rtol=settings.rtol,
-            atol=system.tolerances(*settings.tolerances(model.n)),
-            max_order=settings.order(model),
-            linsolver="sparse",
-            sparsity=csc_matrix(jacobian.pattern),
-            jacfn=jacobian,
-            nthreads=1,
-        )
-    start = consistent_state(model, 0.0, None, None)
+            system.residual, rtol=settings.rtol, atol=system.tolerances(*settings.tolerances(model.n)), jacfn=jacobian,
+            max_order=settings.order(model), linsolver="sparse", sparsity=csc_matrix(jacobian.pattern), nthreads=1)
     begin, t, steps = time.process_time(), 0.0, 0
-    solver.init_step(0.0, *system.pack(start))
+    solver.init_step(0.0, *system.pack(consistent_state(model, 0.0, None, None)))
     while t < t_end:
         result = solver.step(t_end, method="onestep", tstop=t_end)
         if result.status < 0:
-            raise RuntimeError(
-                f"IDA with linsolver='sparse' ended with status {result.status} at t = {t:.4g} s: {result.message}"
-            )
+            raise RuntimeError(f"IDA, sparse: status {result.status} at t = {t:.4g} s: {result.message}")
         t, steps = float(result.t), steps + 1
     return {"cpu_s": time.process_time() - begin, "steps": steps, "setups": jacobian.calls}
 
@@ -210,19 +184,15 @@ class FirstOrder:
             slope = csc_array(self.slopes._phi_q_along(1.0, v, t, q))
         wide, square = csc_array((n, m)), csc_array((m, m))
         in_y = [[bent, -unit, wide, wide], [K, None, None, None], [B, None, square, None], [slope, B, None, square]]
-        in_yp = [
-            [unit, None, None, B.T],
-            [None, model.mass(), B.T, None],
-            [wide.T, None, square, None],
-            [None, wide.T, None, square],
-        ]
+        in_yp = [[unit, None, None, B.T], [None, model.mass(), B.T, None], [wide.T, None, square, None],
+                 [None, wide.T, None, square]]
         return block_array(in_y, format="csc"), block_array(in_yp, format="csc")
 
 
 def radau(model, times, rtol, look):
-    """solve_dae's Radau IIA of order 5 on form ggl1: {"cpu_s", "steps", "factorizations", "residuals"} and look(q) at `times`.
+    """solve_dae's Radau IIA of order 5 on form ggl1: (row of CPU seconds and counts, look(q) at `times`).
 
-    Absolute tolerances: rtol / 100 m, 1e3 1/s times that for v; those of the integrated multipliers keep them out of the way.
+    Absolute tolerances: rtol / 100 m, 1e3 1/s times that for v, 1e4 times for the integrated multipliers.
     """
     try:
         from solve_dae.integrate import solve_dae
@@ -232,23 +202,17 @@ def radau(model, times, rtol, look):
     y, yp = first.system.pack(consistent_state(model, 0.0, None, None))
     atol = np.repeat([rtol * 1e-2, rtol * 10, rtol * 100], [n, n, 2 * model.m])
     begin = time.process_time()
-    found = solve_dae(
-        first.residual, (0.0, times[-1]), y, yp, method="Radau", rtol=rtol, atol=atol, jac=first.jacobians, t_eval=times
-    )
+    found = solve_dae(first.residual, (0.0, times[-1]), y, yp, method="Radau", rtol=rtol, atol=atol, t_eval=times,
+                      jac=first.jacobians)
     seconds = time.process_time() - begin
     if found.status != 0:
         raise RuntimeError(f"solve_dae: {found.message}")
-    seen = np.array([look(q) for q in found.y[:n].T])
-    return {
-        "cpu_s": seconds,
-        "residuals": int(found.nfev),
-        "tangents": int(found.njev),
-        "factorizations": int(found.nlu),
-    }, seen
+    counts = {"residuals": int(found.nfev), "tangents": int(found.njev), "factorizations": int(found.nlu)}
+    return {"cpu_s": seconds} | counts, np.array([look(q) for q in found.y[:n].T])
 
 
 class ExudynScene:
-    """A scene's forces, Jacobian and constraints as user functions of exudyn: one generic body, one vector constraint."""
+    """A scene's forces, Jacobian and constraints as user functions of exudyn: a generic body, a vector constraint."""
 
     def __init__(self, model, look):
         try:
@@ -261,31 +225,17 @@ class ExudynScene:
         self.rest, self.counts = np.zeros(model.n), {"residuals": 0, "tangents": 0}
         self.system = exudyn.SystemContainer().AddSystem()
         add, zero = self.system, [0.0] * model.n
-        body = add.AddNode(
-            items.NodeGenericODE2(
-                referenceCoordinates=zero,
-                initialCoordinates=zero,
-                initialCoordinates_t=zero,
-                numberOfODE2Coordinates=model.n,
-            )
-        )
+        names = ("referenceCoordinates", "initialCoordinates", "initialCoordinates_t")
+        body = add.AddNode(items.NodeGenericODE2(**dict.fromkeys(names, zero), numberOfODE2Coordinates=model.n))
         add.AddObject(items.ObjectGenericODE2(nodeNumbers=[body], massMatrix=self.container(model.mass()),
                                               forceUserFunction=self.force, jacobianUserFunction=self.stiffness))
         ground = add.AddNode(items.NodePointGround())
         markers = [add.AddMarker(items.MarkerNodeCoordinates(nodeNumber=node)) for node in (ground, body)]
-        add.AddObject(
-            items.ObjectConnectorCoordinateVector(
-                markerNumbers=markers,
-                scalingMarker0=np.zeros((model.m, 1)),
-                constraintUserFunction=self.phi,
-                jacobianUserFunction=self.phi_q,
-            )
-        )
-        self.sensor = add.AddSensor(
-            items.SensorUserFunction(
-                sensorNumbers=[], writeToFile=False, storeInternal=True, sensorUserFunction=self.seen
-            )
-        )
+        add.AddObject(items.ObjectConnectorCoordinateVector(
+            markerNumbers=markers, scalingMarker0=np.zeros((model.m, 1)), constraintUserFunction=self.phi,
+            jacobianUserFunction=self.phi_q))
+        self.sensor = add.AddSensor(items.SensorUserFunction(
+            sensorNumbers=[], writeToFile=False, storeInternal=True, sensorUserFunction=self.seen))
         add.Assemble()
 
     def container(self, matrix):
@@ -316,26 +266,23 @@ class ExudynScene:
         return list(self.look(np.array(system.systemData.GetODE2Coordinates())))
 
     def run(self, times, h, modified):
-        """Generalized-alpha (rho_inf 0.9, modified or full Newton, Eigen's sparse LU) to times[-1]: (row, look(q) at `times`)."""
+        """Generalized-alpha (rho_inf 0.9, Eigen's sparse LU) to times[-1], evenly spaced: (row, look(q) at `times`)."""
         exu, s = self.exu, self.exu.SimulationSettings()
-        warnings.simplefilter("ignore", DeprecationWarning)
         s.timeIntegration.numberOfSteps, s.timeIntegration.endTime = math.ceil(times[-1] / h - 1e-9), float(times[-1])
         s.timeIntegration.generalizedAlpha.spectralRadius = 0.9
         s.timeIntegration.newton.useModifiedNewton = modified
-        s.timeIntegration.verboseMode = 0
-        s.solutionSettings.writeSolutionToFile, s.solutionSettings.sensorsWritePeriod = (
-            False,
-            float(times[1] - times[0]),
-        )
-        s.linearSolverType, s.parallel.numberOfThreads = exu.LinearSolverType.EigenSparse, 1
+        s.timeIntegration.verboseMode, s.parallel.numberOfThreads = 0, 1
+        with warnings.catch_warnings(action="ignore"):  # newer versions have other names for these, and know the old ones
+            s.solutionSettings.writeSolutionToFile = False
+            s.solutionSettings.sensorsWritePeriod = float(times[1] - times[0])
+            s.linearSolverType = exu.LinearSolverType.EigenSparse
         begin = time.process_time()
         done = exu.SolveDynamic(self.system, s, solverType=exu.DynamicSolverType.GeneralizedAlpha)
         seconds = time.process_time() - begin
         if not done:
             raise RuntimeError("exudyn did not converge")
-        return {"cpu_s": seconds, "steps": s.timeIntegration.numberOfSteps} | self.counts, np.array(
-            self.system.GetSensorStoredData(self.sensor)
-        )[:, 1:]
+        row = {"cpu_s": seconds, "steps": s.timeIntegration.numberOfSteps} | self.counts
+        return row, np.array(self.system.GetSensorStoredData(self.sensor))[:, 1:]
 
 
 BACKENDS = {"superlu": superlu, "band": band, "pardiso": pardiso,

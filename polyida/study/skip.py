@@ -30,7 +30,7 @@ from polyida.study.step_cost import NO_FRAMES, H, cpu
 
 
 class Wasteful(SceneModel):
-    """A scene's model that counts calls and does again what `again` names: "mass", "phi_q", "rates", "reaction_q", "velocity"."""
+    """A scene's model that counts calls and repeats `again`: "mass", "phi_q", "rates", "reaction_q", "velocity"."""
 
     def __init__(self, scene, again=""):
         super().__init__(scene.parts, scene.gravity)
@@ -100,7 +100,7 @@ def done(run):
 
 
 def again(what, integrator):
-    """A saving of the general path: a model that evaluates `what` once or never, against one that does so whenever it is asked."""
+    """A saving of the general path: a model that evaluates `what` once or never, against one that always does."""
     def measure(cells, t_end, repeats):
         def side(name):
             model = Wasteful(plates.double_plate(cells), name)
@@ -162,7 +162,7 @@ def _plate(mesh, name, x):
 
 
 def shared_operator(cells, t_end, repeats):
-    """Two plates on one mesh object, against two on equal meshes of their own: bytes of the element arrays, CPU of the build."""
+    """Two plates on one mesh object, against two on equal meshes: bytes of the element arrays, CPU of the build."""
     def build(meshes):
         scene = Scene(gravity=plates.GRAVITY)
         upper, lower = (
@@ -181,7 +181,7 @@ def shared_operator(cells, t_end, repeats):
 
 
 def single_precision(cells, t_end, repeats):
-    """Ten solves with the factor kept in single precision, against in double: bytes of the factor (the right side is single in both)."""
+    """Ten solves with the factor kept in single precision, against in double; counted: bytes of the factor."""
     model = plates.double_plate(cells).build()
     known, blocks = model.once(symbolic_of), np.empty((len(model.pattern[1]), 2, 2))
     equilibrium.tangent_blocks(model.arrays.plates, np.zeros((model.n_nodes, 2)), 4.0 / H**2, 1.0, blocks)
@@ -260,10 +260,10 @@ SAVINGS = {  # name: (what is counted, how it is switched off, measure)
     "no frames": ("frames kept", "every frame", no_frames),
 }
 FIXED = (
-    "not switched off: in the compiled steps M, phi_q of linear joints and dg/dv cannot be made anew, as no code for it is there; the general "
-    "path above stands for them",
-    "not switched off: a factor kept without turning it, in the compiled steps; the modified Newton of the general path is one",
-    "not switched off: tangents of plates that are undeformed or only turn: with one factor a run nothing is re-tangented",
+    "not switched off: M, phi_q of linear joints and dg/dv in the compiled steps, which have no code "
+    "for it; the general path stands for them",
+    "not switched off: the turning of a kept factor in compiled steps; modified Newton of the general path has none",
+    "not switched off: tangents of plates that are undeformed or only turn: with one factor a run there are none",
 )
 
 

@@ -1,4 +1,4 @@
-"""What a step costs: both integrators, the parts of a step, the floor of the machine, memory, start-up and IDA's sparse solver."""
+"""What a step costs: both integrators, its parts, the machine's floor, memory, start-up, IDA's sparse solver."""
 
 import json
 import os
@@ -55,7 +55,7 @@ def median_cpu(call, repeats):
 
 
 def step_row(scene, dof, integrator, short, long, repeats):
-    """Cost of a step in the midst of a run: what a run to `long` costs beyond one to `short`, s, by the steps between them.
+    """Cost of a step in the midst of a run: what a run to `long` costs beyond one to `short`, s, by the steps between.
 
     start_ms is what the shorter run costs beyond its own steps: consistent start and first factor. No frames are kept.
     """
@@ -108,38 +108,20 @@ def moved(model, steps=5):
 def kernels_ms(model):
     """Milliseconds of residual, tangent, factor (with the joints' columns), solve at one moved state.
 
-    They are called in compiled loops, at most some tenths of a second each; the state and c_m are those of a run with h = 1 ms.
+    They are called in compiled loops of some tenths of a second; state and c_m are those of a run with h = 1 ms.
     """
     state, c_m = moved(model)
     nodal, points = (model.n_nodes, 2), (model.n_points, 2)
     u, a = state.q.reshape(nodal).copy(), state.a.reshape(nodal).copy()
-    r, phi, rotation, dz, forces = (
-        np.empty(nodal),
-        np.empty(model.m),
-        np.empty(nodal),
-        np.empty(points),
-        np.empty(points),
-    )
+    r, phi, rotation, dz, forces = (np.empty(shape) for shape in (nodal, model.m, nodal, points, points))
     drives, blocks = model.drives(state.t), np.empty((len(model.pattern[1]), 2, 2))
     residual = (model.arrays, drives, u, a, state.lam.copy(), r, phi, rotation, dz, forces)
     tangent = (model.arrays.plates, u, c_m, blocks)
     _residuals(1, *residual)
     _tangents(1, *tangent)
     system, _ = corotated.corotated(model, blocks, rotation)
-    correction = (
-        model.arrays.links,
-        system,
-        corotated.room(model, system),
-        drives,
-        rotation,
-        dz,
-        state.lam.copy(),
-        r,
-        phi,
-        c_m,
-        np.empty(nodal),
-        np.empty(model.m),
-    )
+    correction = (model.arrays.links, system, corotated.room(model, system), drives, rotation, dz, state.lam.copy(), r,
+                  phi, c_m, np.empty(nodal), np.empty(model.m))
     count = max(3, 200_000 // model.n)
     timed = {"residual": (_residuals, residual), "tangent": (_tangents, tangent), "solve": (_solves, correction)}
     times = {}
@@ -151,19 +133,13 @@ def kernels_ms(model):
 
 
 def parts_of_a_step(model, row):
-    """Share of each kernel in a step, ms, from its own time and the row's counts; and ns per coordinate of the two assemblies."""
+    """Share of each kernel in a step, ms, from its own time and the row's counts; ns per coordinate."""
     one = kernels_ms(model)
-    used = {
-        "residual": row["residuals_per_step"],
-        "tangent": row["tangents_per_step"],
-        "factor": row["factorizations_per_step"],
-        "solve": row["newton_iterations_per_step"],
-    }
-    shares = {f"{name}_ms": one[name] * times for name, times in used.items()}
+    counted = {"residual": "residuals", "tangent": "tangents", "factor": "factorizations", "solve": "newton_iterations"}
+    shares = {f"{name}_ms": one[name] * row[f"{count}_per_step"] for name, count in counted.items()}
     return shares | {
         "rest_ms": row["ms_per_step"] - sum(shares.values()),
-        "one_solve_ms": one["solve"],
-        "one_factor_ms": one["factor"],
+        "one_solve_ms": one["solve"], "one_factor_ms": one["factor"],
         "residual_ns_per_dof": 1e6 * one["residual"] / model.n,
         "residual_tangent_ns_per_dof": 1e6 * (one["residual"] + one["tangent"]) / model.n,
     }
@@ -188,9 +164,9 @@ BACKENDS = {"fronts": fronts} | peers.BACKENDS
 
 
 def floor_row(dof, backend, repeats):
-    """One factorization + 3 solves of S = c_m M + K of scene 1 with a back-end, called from Python; the analysis apart where it can be.
+    """One factorization + 3 solves of S = c_m M + K of scene 1 with a back-end, called from Python.
 
-    Raises peers.Missing where the back-end is not installed.
+    The analysis is apart where it can be. Raises peers.Missing where the back-end is not installed.
     """
     model = model_of("scene 1", dof)
     state, c_m = moved(model, 2)
@@ -203,17 +179,12 @@ def floor_row(dof, backend, repeats):
         factor_s, solve_s = median_cpu(factor, repeats), median_cpu(solved, 3 * repeats)
     solution = solution[model.once(symbolic_of).order] if backend == "fronts" else solution
     error = np.abs(peers.matrix_of(model, blocks) @ solution - 1.0).max()
-    return {
-        "n": model.n,
-        "factor_ms": 1e3 * factor_s,
-        "solve_ms": 1e3 * solve_s,
-        "floor_ms": 1e3 * (factor_s + 3 * solve_s),
-        "relative_residual": float(error),
-    }
+    return {"n": model.n, "factor_ms": 1e3 * factor_s, "solve_ms": 1e3 * solve_s,
+            "floor_ms": 1e3 * (factor_s + 3 * solve_s), "relative_residual": float(error)}
 
 
 def sparse_row(dof, t_end, repeats):
-    """IDA to t_end, s, on scene 1: ours against SUNDIALS' sparse solver, same tolerances and order; that one in its own processes."""
+    """IDA to t_end, s, on scene 1: ours against SUNDIALS' sparse solver, in processes of its own."""
     model, settings = model_of("scene 1", dof), IDA(rtol=1e-5)
     solve(model, min(t_end, 1e-3), settings)
     runs = [cpu(lambda: solve(model, t_end, settings, every=NO_FRAMES)) for _ in range(repeats)]
@@ -235,7 +206,7 @@ def sparse_alone(dof, t_end):
 
 
 def memory_row(dof, steps):
-    """Peak memory of a process that imports, meshes, builds and runs `steps` steps of 1 ms on scene 1 with every frame kept."""
+    """Peak memory of a process that imports, meshes, builds and runs steps of 1 ms on scene 1, every frame kept."""
     return run_isolated(memory_alone, {"dof": dof, "steps": steps}, 900.0)
 
 
@@ -246,22 +217,14 @@ def memory_alone(dof, steps):
     built, (seconds, run) = peak_bytes(), cpu(lambda: solve(model, steps * H, GeneralizedAlpha(h=H)))
     peak = peak_bytes()
     return {
-        "n": model.n,
-        "steps": run.counts.steps,
-        "status": run.status,
-        "imported_bytes": imported,
-        "built_bytes": built,
-        "peak_bytes": peak,
-        "bytes_per_dof": peak / model.n,
-        "frame_bytes": 8 * len(run) * (3 * model.n + model.m + 1),
-        "cpu_s": seconds,
-        "ms_per_step": 1e3 * seconds / run.counts.steps,
-        "newton_iterations_per_step": run.counts.newton_iterations / steps,
+        "n": model.n, "steps": run.counts.steps, "status": run.status, "imported_bytes": imported, "built_bytes": built,
+        "peak_bytes": peak, "bytes_per_dof": peak / model.n, "frame_bytes": 8 * len(run) * (3 * model.n + model.m + 1),
+        "ms_per_step": 1e3 * seconds / steps, "newton_iterations_per_step": run.counts.newton_iterations / steps,
     }
 
 
 def peak_bytes():
-    """Largest resident memory of this process so far. The kernel's own mark where it can be read: that of getrusage a child inherits."""
+    """Largest resident memory of this process so far; from the kernel where it tells, as getrusage's is inherited."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
         return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
@@ -286,23 +249,19 @@ print(json.dumps(seconds))
 
 
 def start_rows(dof, warm):
-    """CPU seconds of a fresh process for import, mesh with model, and the first step: numba's cache empty, then `warm` times filled."""
+    """CPU seconds of a fresh process for import, mesh, first step: kernel cache empty, then `warm` times filled."""
     with tempfile.TemporaryDirectory(prefix="polyida-kernels-") as folder:
         cold = _started(dof, folder)
         filled = np.median([_started(dof, folder) for _ in range(warm)], axis=0)
     names = ("import_s", "mesh_s", "first_step_s", "start_s")
-    return {
-        f"{kind}_{name}": float(value)
-        for kind, values in (("cold", cold), ("warm", filled))
-        for name, value in zip(names, values)
-    }
+    return {f"{kind}_{name}": float(value) for kind, values in (("cold", cold), ("warm", filled))
+            for name, value in zip(names, values)}
 
 
 def _started(dof, folder):
     paths = json.dumps([str(Path(__file__).parents[2])])
     command = [sys.executable, "-c", START, paths, str(cells_for(dof))]
-    done = subprocess.run(
-        command, env=os.environ | {"NUMBA_CACHE_DIR": folder}, capture_output=True, text=True, check=True
-    )
+    cache = os.environ | {"NUMBA_CACHE_DIR": folder}
+    done = subprocess.run(command, env=cache, capture_output=True, text=True, check=True)
     seconds = json.loads(done.stdout.splitlines()[-1])
     return [*np.diff([0.0, *seconds]), seconds[-1]]

@@ -42,8 +42,8 @@ def integrator(name, h=1e-3, rtol=1e-5, **settings):
     return GeneralizedAlpha(h=h, form=form, **adapts, **settings)
 
 
-def outcome_of(case, arguments):
-    """The row of a case: function(**arguments) -> (Trajectory, checks).
+def outcome_of(case, *arguments):
+    """The row of a case: case(*arguments) -> (Trajectory, checks).
 
     "right": the run came to its end, its frames are finite and every check holds. "stated_stop": it ended before, with a
     status and a message and sound frames, or the input was refused in clear words. "wrong" is everything else, also a run
@@ -51,7 +51,7 @@ def outcome_of(case, arguments):
     """
     begin = time.process_time()
     try:
-        run, checks = case(**arguments)
+        run, checks = case(*arguments)
     except InputError as error:
         return {"outcome": "stated_stop", "status": "refused", "reason": str(error), "cpu_s": time.process_time() - begin}
     row = judged(run, checks)

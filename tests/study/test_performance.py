@@ -1,0 +1,155 @@
+"""The performance studies: their counts, what they compare, and how figures follow from rows. No times are judged."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polyida.errors import InputError
+from polyida.integrate.ida import IDA
+from polyida.integrate.ida_scene import SceneSystem
+from polyida.integrate.solve import solve
+from polyida.problems import plates
+from polyida.study import peers, skip, step_cost
+
+SMALL = 120
+
+
+def script(name):
+    """A script of studies/ as a module."""
+    spec = importlib.util.spec_from_file_location(f"study_{name}", Path(__file__).parents[2] / "studies" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+against_peers, of_cost, of_skip = map(script, ("against_peers", "step_cost", "skip"))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return step_cost.model_of("scene 1", SMALL)
+
+
+@pytest.mark.parametrize("dof", [1_000, 9_000])
+def test_meshes_have_the_size_asked_for(dof):
+    assert step_cost.model_of("scene 1", dof).n == pytest.approx(dof, rel=0.05)
+
+
+@pytest.mark.parametrize("integrator", ["alpha", "ida"])
+def test_a_steps_row_counts_what_lies_between_the_two_runs(integrator):
+    row = step_cost.step_row("scene 1", SMALL, integrator, 0.01, 0.03, 1)
+    assert row["status"] == "done" and row["newton_iterations_per_step"] >= 1
+    if integrator == "alpha":
+        assert row["steps"] == 20 and row["factorizations_in_all"] == 1 and row["tangents_per_step"] == 0
+        assert row["ms_per_step"] == pytest.approx(sum(row[f"{part}_ms"] for part in of_cost.PARTS))
+
+
+@pytest.mark.parametrize("backend", step_cost.BACKENDS)
+def test_every_back_end_solves_the_same_system(backend):
+    try:
+        row = step_cost.floor_row(SMALL, backend, 1)
+    except peers.Missing as missing:
+        pytest.skip(str(missing))
+    assert row["relative_residual"] < (1e-3 if backend in ("fronts", "pardiso single") else 1e-10)
+
+
+def slope(residual, y, yp, along_y, along_yp):
+    s = 1e-6
+    return (residual(y + s * along_y, yp + s * along_yp) - residual(y - s * along_y, yp - s * along_yp)) / (2 * s)
+
+
+def test_the_whole_jacobian_is_the_slope_of_the_residual(model):
+    system, jacobian, random, cj = SceneSystem(model, "ggl2", 0.0), peers.WholeJacobian(model), np.random.default_rng(1), 30.0
+
+    def residual(y, yp):
+        res = np.empty(system.size)
+        system.residual(0.0, y, yp, res)
+        return res
+
+    y, yp = 1e-3 * random.standard_normal((2, system.size))
+    direction, values = random.standard_normal(system.size), np.empty(jacobian.pattern.nnz)
+    jacobian(0.0, y, yp, None, cj, values)
+    matrix = jacobian.pattern.copy()
+    matrix.data[:] = values
+    expected = slope(residual, y, yp, direction, cj * direction)
+    assert np.abs(matrix @ direction - expected).max() < 1e-6 * np.abs(expected).max()
+    assert matrix.indices.dtype == np.int32
+
+
+def test_the_whole_jacobian_refuses_motors():
+    with pytest.raises(InputError, match="motors"):
+        peers.WholeJacobian(plates.double_plate_motors(4).build())
+
+
+@pytest.mark.parametrize("scene", step_cost.SCENES)
+def test_both_jacobians_of_the_first_order_form_are_slopes(scene):
+    first, random = peers.FirstOrder(step_cost.model_of(scene, SMALL)), np.random.default_rng(2)
+    y, yp, direction = np.array([[1e-3], [1e-3], [1.0]]) * random.standard_normal((3, first.system.size))
+    zero = np.zeros_like(y)
+    for matrix, along in zip(first.jacobians(0.3, y, yp), ((direction, zero), (zero, direction))):
+        expected = slope(lambda a, b: first.residual(0.3, a, b), y, yp, *along)
+        assert np.abs(matrix @ direction - expected).max() < 1e-5 * np.abs(expected).max()
+
+
+def test_the_sparse_solver_takes_the_same_steps(model):
+    run = solve(model, 5e-3, IDA(rtol=1e-5))
+    other = step_cost.run_isolated(step_cost.sparse_alone, {"dof": SMALL, "t_end": 5e-3}, 60.0)
+    assert not other["error"] and abs(other["steps"] - run.counts.steps) <= 3
+
+
+@pytest.mark.parametrize("solver", ["radau", "exudyn", "exudyn modified"])
+def test_peers_find_the_same_motion(model, solver):
+    look, times = against_peers.tip_of(model), np.linspace(0.0, 0.02, 3)
+    own = solve(model, times[-1], against_peers.GeneralizedAlpha(h=2e-4), output=times).position("tip")
+    try:
+        if solver == "radau":
+            _, seen = peers.radau(model, times, 1e-5, look)
+        else:
+            _, seen = peers.ExudynScene(model, look).run(times, 1e-3, solver != "exudyn")
+    except peers.Missing as missing:
+        pytest.skip(str(missing))
+    assert np.abs(seen - own).max() < 2e-5
+
+
+SAVED = {"constant mass", "linear joints", "no motors: phi_t, bias", "no motors: reaction_q", "no damping: dg/dv", "no border",
+         "stale matrix", "factor kept", "single precision", "shared operator", "no energies, no stresses", "no frames"}
+
+
+@pytest.mark.parametrize("saving", skip.SAVINGS)
+def test_a_saving_that_is_switched_off_is_counted(saving):
+    row = skip.measure(saving, 6, 0.01, 1)
+    assert row["count_off"] > row["count_on"] if saving in SAVED else row["count_off"] >= row["count_on"] > 0
+
+
+def work_precision(solver, scale):
+    return [{"scene": "scene 1", "dof": 800, "solver": solver, "setting": h, "error_max": h**2, "cpu_s": scale / h, "steps": 1 / h}
+            for h in (1e-2, 1e-3)]
+
+
+def test_figures_compare_at_equal_error():
+    rows = work_precision("alpha", 1e-4) + work_precision("ida", 3e-4) + work_precision("radau", 2e-3)
+    rows += [{"scene": "scene 1", "dof": 800, "solver": "exudyn", "setting": 1, "skipped": "exudyn is not installed"}]
+    found = against_peers.figures(rows)
+    assert found["ida_over_alpha_at_1e-5"] == pytest.approx(3.0) and found["scene1_800_peer_ratio"] == pytest.approx(20.0)
+    assert found["scene1_800_cpu_s"] == pytest.approx(0.1) and "scene1_800_exudyn_cpu_s" not in found
+    assert any("not installed" in line for line in against_peers.notes(rows))
+
+
+def test_growth_and_floor_come_from_their_rows():
+    step = {"part": "step", "scene": "scene 1", "integrator": "alpha", "residual_ns_per_dof": 1.0, "residual_tangent_ns_per_dof": 2.0}
+    rows = [step | {"dof": n, "n": n, "ms_per_step": 1e-4 * n**1.2} for n in (1_000, 10_000, 100_000)]
+    rows += [{"part": "floor", "dof": 1_000, "backend": name, "factor_ms": ms, "solve_ms": 0.0, "floor_ms": ms}
+             for name, ms in (("fronts", 2.0), ("band", 1.0))]
+    found = of_cost.figures(rows)
+    assert found["growth_exponent"] == pytest.approx(1.2)
+    assert found["alpha_step_over_floor_1e3"] == pytest.approx(1e-4 * 1_000**1.2)
+
+
+@pytest.mark.parametrize("study", [against_peers.study, of_cost.study, of_skip.study])
+def test_a_study_has_distinct_tasks_and_a_smaller_selection(study):
+    for quick in (True, False):
+        tasks = [tuple(task.items()) for task in study.tasks(quick)]
+        assert len(set(tasks)) == len(tasks)
+    assert len(study.tasks(True)) <= len(study.tasks(False))
