@@ -32,11 +32,11 @@ RunFile = Annotated[Path, typer.Argument(metavar="RUN.h5", help="A run saved by 
 Overwrite = Annotated[bool, typer.Option("--overwrite", "--force", help="Replace what is there.")]
 Cells = _option(int, "Polygons in each plate.")
 Time = _option(float, "Time to simulate, s.")
-Step = _option(float, "Step of generalized-alpha, s.")
+Step = _option(float, "Step of generalized-alpha and energy-momentum, s.")
 RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite frequency, in [0, 1).")
 Rtol = _option(float, "Relative tolerance of IDA.")
 Atol = _option(float, "Absolute tolerance of IDA for q, m.")
-Integrator = Annotated[str, typer.Option(help="alpha or ida.")]
+Integrator = Annotated[str, typer.Option(help="alpha (generalized-alpha), ida, or energy (energy-momentum).")]
 Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
+from polyida.assembly.damping import add_damping
 from polyida.compiled import entry, part
 from polyida.integrate import alpha_tie
 from polyida.integrate.step_control import PATIENCE
@@ -218,7 +219,7 @@ def solve(s, c, room, p, tie, drives, y, w):
 
 
 @part
-def newton(s, c, room, p, tie, before, drives, gains, y, w, counts):
+def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
     """Newton's iteration from the predicted state, or on from where it was. Returns how it ended and the last |dq|.
 
     It ends where the error to be expected is below the tolerance, or where dq is round-off and no longer falls.
@@ -233,6 +234,8 @@ def newton(s, c, room, p, tie, before, drives, gains, y, w, counts):
         counts[0] += 1
         if not det > 0.0:
             return (INVERTED if det <= 0.0 else NOT_FINITE), last
+        if damp is not None:
+            add_damping(s.plates, w.u, w.v, damp, w.r)
         if p.incremental:
             carry(s.links, p, before, gains, y, w)
         good, moved, length, size = solve(s.links, c, room, p, tie, drives, y, w)
@@ -271,13 +274,13 @@ def record(y, q, v, a, lam):
 
 
 @entry
-def stretch(s, c, room, p, tie, drives, gains, y, w, counts, qs, vs, accelerations, lams):
+def stretch(s, c, room, p, tie, damp, drives, gains, y, w, counts, qs, vs, accelerations, lams):
     """Steps until the frames, the factor's use or that of h end; drives (steps + 1, ...) begin with those of the last state.
 
-    Frames go to qs, vs, accelerations, lams. Returns (steps, end, last |dq|).
+    tie: of the stabilised form, or None; damp: scratch (nodes, 2) of a damped scene, or None. What is None is not compiled. Frames go to qs, vs, accelerations, lams. Returns (steps, end, last |dq|).
     """
     for k in range(qs.shape[0]):
-        end, moved = newton(s, c, room, p, tie, drives[k], drives[k + 1], gains[k], y, w, counts)
+        end, moved = newton(s, c, room, p, tie, damp, drives[k], drives[k + 1], gains[k], y, w, counts)
         if end != DONE:
             return k, end, moved
         if p.control > 0.0:

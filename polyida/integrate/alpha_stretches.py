@@ -3,6 +3,7 @@
 import numpy as np
 
 from polyida.assembly import equilibrium as kernels
+from polyida.assembly.damping import damped_blocks
 from polyida.integrate import alpha_scene as compiled
 from polyida.integrate.alpha_increment import drive_table, extent, gain_table, start_values
 from polyida.integrate.alpha_scene import AGE, ERROR, FORWARD, FRESHEN, MARKS, MOVED, RATE
@@ -29,8 +30,9 @@ class Stretches:
 
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts = settings, model, counts
-        self.tie = tie(model) if settings.form == "stabilised" and model.m else None
         nodes = (model.n_nodes, 2)
+        self.tie = tie(model) if settings.form == "stabilised" and model.m else None
+        self.damp = np.zeros(nodes) if model.needs.velocity_forces else None
         self.memory = compiled.Memory(*(np.zeros(nodes) for _ in range(5)), *(np.zeros(model.m) for _ in range(3)), np.zeros(MARKS))
         self.trial = compiled.trial(model.n_nodes, model.n_points, model.m)
         self.system = self.room = self.factored_at = self.verdict = None
@@ -111,8 +113,8 @@ class Stretches:
 
     def _compiled(self, method, drives, gains, *frames):
         seen = np.zeros(2, np.int64)
-        result = compiled.stretch(self.model.arrays, self.system, self.room, method, self.tie, drives, gains, self.memory, self.trial,
-                                  seen, *frames)
+        result = compiled.stretch(self.model.arrays, self.system, self.room, method, self.tie, self.damp, drives, gains,
+                                  self.memory, self.trial, seen, *frames)
         self.counts.residuals += int(seen[0])
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])
@@ -160,12 +162,16 @@ class Stretches:
         self._factor(t, drives)
 
     def _factor(self, t, drives):
-        """The factor at the trial state's u, which decides it alone."""
+        """The factor at the trial state's u, which decides it alone: damping is taken at rest, where it is symmetric."""
         model, p, w = self.model, self.method, self.trial
         self.factored_at = w.u.ravel().copy()
         kernels.equilibrium(model.arrays, drives, w.u, w.a, w.lam, w.r, w.phi, w.rotation, w.dz, w.forces)
         blocks = np.empty((len(model.pattern[1]), 2, 2))
-        kernels.tangent_blocks(model.arrays.plates, w.u, p.to_a, 1.0, blocks)
+        kernels.tangent_blocks(model.arrays.plates, w.u, p.to_a, 1.0 if self.damp is None else 0.0, blocks)
+        if self.damp is not None:
+            viscous = np.empty_like(blocks)
+            damped_blocks(model.arrays.plates, w.u, np.zeros_like(w.u), p.to_v, 1.0, viscous)
+            blocks += viscous
         self.counts.residuals += 1
         self.counts.tangents += 1
         self.counts.factorizations += 1

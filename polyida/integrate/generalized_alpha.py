@@ -137,7 +137,7 @@ class GeneralizedAlpha:
         return max(1, int(np.ceil(length / self.h * (1 - 1e-12))))
 
     def _engine(self, model, counts):
-        if self.linear == "kkt" or not hasattr(model, "arrays") or model.needs.velocity_forces:
+        if self.linear == "kkt" or not hasattr(model, "arrays"):
             from polyida.integrate.alpha_generic import Steps
 
             return Steps(self, model, counts)

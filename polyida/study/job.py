@@ -126,15 +126,17 @@ def _default_point(made):
 
 
 def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
-    """"alpha" or "ida" with the settings given; InputError for an unknown name and for a setting of the other one."""
+    """"alpha", "ida" or "energy" with the settings given; InputError for an unknown name and for a setting of another one."""
+    from polyida.integrate.energy_momentum import EnergyMomentum
     from polyida.integrate.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.ida import IDA
 
-    settings = {"alpha": {"step": step, "rho_inf": rho_inf}, "ida": {"rtol": rtol, "atol": atol}}
-    if name not in settings:
-        raise InputError(f"integrator {name!r} is unknown; there are {', '.join(settings)}")
-    for other, options in settings.items():
-        if other != name and (strange := [key for key, value in options.items() if value is not None]):
-            raise InputError(f"--{strange[0].replace('_', '-')} is a setting of {other}, not of {name}")
-    given = {key: value for key, value in settings[name].items() if value is not None and key != "step"}
-    return GeneralizedAlpha(h=job.step, **given) if name == "alpha" else IDA(**given)
+    makers = {"alpha": (GeneralizedAlpha, ("step", "rho_inf")), "ida": (IDA, ("rtol", "atol")), "energy": (EnergyMomentum, ("step",))}
+    if name not in makers:
+        raise InputError(f"integrator {name!r} is unknown; there are {', '.join(makers)}")
+    maker, own = makers[name]
+    given = {key: value for key, value in (("step", step), ("rho_inf", rho_inf), ("rtol", rtol), ("atol", atol)) if value is not None}
+    if strange := [key for key in given if key not in own]:
+        raise InputError(f"--{strange[0].replace('_', '-')} is no setting of {name}; its settings are {', '.join(own)}")
+    given.pop("step", None)
+    return maker(**given) if name == "ida" else maker(h=job.step, **given)
