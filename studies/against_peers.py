@@ -32,18 +32,15 @@ def tasks(quick):
     for scene, dof in (("scene 1", 800), ("scene 2", 800)) + (() if quick else (("scene 1", 3000), ("scene 2", 3000))):
         fine = 1 if quick or dof > 1000 else 2
         settings = [("reference", FINE / fine)] + [("alpha", h) for h in ALPHA]
-        settings += [("ida", rtol) for rtol in IDA_RTOL]
+        settings += [("ida", rtol) for rtol in (IDA_RTOL[:-1] if quick and scene == "scene 2" else IDA_RTOL)]
         if dof > 1000:
-            settings += [("radau", 1e-4), ("exudyn", 5e-4), ("exudyn modified", 5e-4)]
+            settings += [("radau", 1e-4), ("exudyn modified", 5e-4)]
         else:
             settings += [("radau", rtol) for rtol in (RADAU_RTOL[:2] if quick else RADAU_RTOL)]
-            settings += [
-                (name, h) for name in ("exudyn", "exudyn modified") for h in (EXUDYN_H[1:2] if quick else EXUDYN_H)
-            ]
-        made += [
-            {"scene": scene, "dof": dof, "solver": solver, "setting": setting, "fine": FINE / fine, "repeats": 3}
-            for solver, setting in settings
-        ]
+            settings += [("exudyn modified", h) for h in (EXUDYN_H[1:2] if quick else EXUDYN_H)]
+            settings += [] if quick else [("exudyn", h) for h in EXUDYN_H]
+        made += [{"scene": scene, "dof": dof, "solver": solver, "setting": setting, "fine": FINE / fine, "repeats": 3}
+                 for solver, setting in settings]
     return made
 
 
@@ -182,8 +179,8 @@ def _ida_and_alpha(rows, scene, dof, error=1e-5):
                       for what in ("steps", "cpu_s"))
     ms = [1e3 * cpu / count for cpu, count in zip(seconds, steps)]
     return (f"{scene}, {dof}: at {error:.0e} m generalized-alpha takes {steps[0]:.0f} steps of {ms[0]:.3g} ms, "
-            f"IDA {steps[1]:.0f} of {ms[1]:.3g} ms: {steps[1] / steps[0]:.2g} times the steps, for BDF2's larger error, "
-            f"at {ms[1] / ms[0]:.2g} times the cost")
+            f"IDA {steps[1]:.0f} of {ms[1]:.3g} ms: {steps[1] / steps[0]:.2g} times the steps, for BDF2's larger "
+            f"error, at {ms[1] / ms[0]:.2g} times the cost")
 
 
 def draw(rows, folder):

@@ -36,27 +36,24 @@ def notes(rows):
 
 def draw(rows, folder):
     """A bar for each saving: CPU time without over with."""
-    from polyida.show.style import INK, PALETTE, figure, save, settings
+    from polyida.show.style import PALETTE, figure, save, settings
 
     names, sizes = list(dict.fromkeys(row["saving"] for row in rows)), list(dict.fromkeys(row["cells"] for row in rows))
     with settings():
-        made, axes = figure(6.4, 0.8 + 0.28 * len(names))
+        made, axes = figure(6.4, 1.0 + 0.26 * len(names))
         for k, cells in enumerate(sizes):
-            values = {row["saving"]: row["times"] for row in rows if row["cells"] == cells and not row.get("error")}
+            found = {row["saving"]: row["times"] for row in rows if row["cells"] == cells and not row.get("error")}
             places = np.arange(len(names)) + (k - (len(sizes) - 1) / 2) * 0.8 / len(sizes)
-            axes.barh(
-                places,
-                [values.get(name, np.nan) for name in names],
-                0.8 / len(sizes),
-                color=PALETTE[k],
-                label=f"{cells} cells a plate",
-            )
-        axes.axvline(1.0, color=INK, linewidth=0.6)
+            values = np.array([found.get(name, np.nan) for name in names])
+            label = f"{cells} cells a plate"
+            axes.barh(places, values - 1.0, 0.8 / len(sizes), left=1.0, color=PALETTE[k], label=label)
         axes.set_xscale("log")
+        axes.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
+        axes.set_xticks([], minor=True)
         axes.set_yticks(range(len(names)), names)
         axes.set(xlabel="CPU time without the saving over CPU time with it")
         axes.invert_yaxis()
-        axes.legend()
+        axes.legend(loc="lower right")
         return [save(made, folder / f"skip.{kind}") for kind in ("png", "pdf")]
 
 

@@ -52,17 +52,8 @@ def tasks(quick):
             made.append({"part": "step", "scene": scene, "dof": dof, "integrator": "alpha", "short": 0.01,
                          "long": 0.01 + 1e-3 * count, "repeats": repeats})
         short, long = SPANS[dof]
-        made.append(
-            {
-                "part": "step",
-                "scene": "scene 1",
-                "dof": dof,
-                "integrator": "ida",
-                "short": short,
-                "long": short + (long - short) / few,
-                "repeats": 1 if large else repeats,
-            }
-        )
+        made.append({"part": "step", "scene": "scene 1", "dof": dof, "integrator": "ida", "short": short,
+                     "long": short + (long - short) / (1 if large else few), "repeats": 1 if large else repeats})
         names = [name for name in cost.BACKENDS if name != "band" or dof <= peers.WIDEST_BAND]
         made += [{"part": "floor", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
     spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
@@ -164,36 +155,18 @@ def draw(rows, folder):
 def _costs(rows, folder):
     from polyida.show.style import figure, line
 
-    made, axes = figure(6.4, 4.0)
-    kinds = (
-        ("generalized-alpha, scene 1", "scene 1", "alpha"),
-        ("generalized-alpha, scene 2", "scene 2", "alpha"),
-        ("IDA, scene 1", "scene 1", "ida"),
-    )
-    for k, (label, scene, integrator) in enumerate(kinds):
-        found = only(rows, "step", scene=scene, integrator=integrator)
-        axes.loglog(
-            [r["n"] for r in found],
-            [r["ms_per_step"] for r in found],
-            marker="o",
-            markersize=4,
-            label=f"a step of {label}",
-            **line(k),
-        )
-    for k, name in enumerate(cost.BACKENDS):
-        found = only(rows, "floor", backend=name)
-        axes.loglog(
-            [r["n"] for r in found],
-            [r["floor_ms"] for r in found],
-            marker="x",
-            markersize=4,
-            linewidth=0.8,
-            alpha=0.8,
-            label=f"1 factorization + 3 solves, {name}",
-            **line(k + 3),
-        )
+    made, axes = figure(6.4, 4.6)
+    lines = [(f"a step of {name}, {scene}", only(rows, "step", scene=scene, integrator=key), "ms_per_step", "o")
+             for name, key, scene in (("generalized-alpha", "alpha", "scene 1"), ("generalized-alpha", "alpha", "scene 2"),
+                                      ("IDA", "ida", "scene 1"))]
+    lines += [(f"1 factorization + 3 solves, {name}", only(rows, "floor", backend=name), "floor_ms", "x")
+              for name in cost.BACKENDS]
+    for k, (label, found, key, marker) in enumerate(lines):
+        if found:
+            axes.loglog([row["n"] for row in found], [row[key] for row in found], marker=marker, label=label,
+                        **line(k) | {"markersize": 4} | {"linewidth": 1.4 if marker == "o" else 0.8})
     axes.set(xlabel="coordinates", ylabel="CPU time, ms")
-    axes.legend(fontsize=7)
+    made.legend(loc="outside lower center", ncols=2, fontsize=7)
     return _saved(made, folder, "step_cost")
 
 

@@ -8,7 +8,7 @@ from polyida.integrate.state import State, StepFailure
 def march(engine, settings, model, state, begin, end, count, counts):
     """Yield the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts of one fail as well."""
     grid = grid_of(state, begin, end, count)
-    level, done = int(state.memory.get("cut", 0)), grid.done
+    level, done = min(int(state.memory.get("cut", 0)), settings.max_halvings), grid.done
     while done < grid.count:
         if level == 0:
             try:
@@ -20,7 +20,8 @@ def march(engine, settings, model, state, begin, end, count, counts):
             except StepFailure as failure:
                 first = failure
                 counts.rejected += 1
-        state, level = _in_parts(engine, settings, model, state, grid, done, max(1, level), first if level == 0 else None)
+        failed = [first] if level == 0 else []
+        state, level = _in_parts(engine, settings, model, state, grid._replace(done=done), max(1, level), failed, counts)
         done, level = done + 1, level - 1
         counts.steps += 1
         yield _cut(state, level, grid.after(done))
@@ -34,10 +35,9 @@ def _whole(engine, settings, model, state, grid):
     yield from engine.run(grid)
 
 
-def _in_parts(engine, settings, model, state, grid, done, level, first):
-    """(state after one step of the grid, level): taken in 2^level parts, or more where these fail."""
-    seen = [] if first is None else [first]
-    t0, t1 = grid.time(done), grid.time(done + 1)
+def _in_parts(engine, settings, model, state, grid, level, seen, counts):
+    """(state after the next step of the grid, level): taken in 2^level parts, or more where these fail. seen: failures so far."""
+    t0, t1 = grid.time(grid.done), grid.time(grid.done + 1)
     for level in range(level, settings.max_halvings + 1):
         parts = Grid(t0, t1, 2**level)
         try:
@@ -45,6 +45,7 @@ def _in_parts(engine, settings, model, state, grid, done, level, first):
             return list(engine.run(parts))[-1], level
         except StepFailure as failure:
             seen.append(failure)
+            counts.rejected += 1
     raise _with_history(seen, settings.max_halvings)
 
 

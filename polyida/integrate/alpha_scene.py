@@ -112,14 +112,14 @@ def predict(p, y, w):
 
 
 @part
-def correct(p, y, w):
+def correct(p, w):
     """Add dq and dlam to the trial state; root mean squares of dq, of dd, of q and of q''."""
     moved = length = size = pull = 0.0
     for i in range(w.u.shape[0]):
         for k in range(2):
             d = w.dq[i, k]
             w.dd[i, k] += d
-            w.u[i, k] = y.u[i, k] + (p.h * y.v[i, k] + w.dd[i, k])
+            w.u[i, k] += d
             w.v[i, k] += p.to_v * d
             w.a[i, k] += p.to_a * d
             moved += d * d
@@ -211,11 +211,10 @@ def solve(s, c, room, p, tie, drives, y, w):
     if tie is not None:
         alpha_tie.part_constraints(s, drives, w, tie, p.to_v)
     good = corotated.solve(s, c, room, drives, w.rotation, w.dz, w.lam, w.r, w.phi, p.to_a, w.dq, w.dlam)
-    moved, length, size, pull = correct(p, y, w)
-    y.marks[SIZE] = max(y.marks[SIZE], pull)
+    moved, length, size, pull = correct(p, w)
     if tie is not None:
         good = alpha_tie.slip(p, y, w, tie) and good
-    return good, moved, length, size
+    return good, moved, length, size, pull
 
 
 @part
@@ -238,7 +237,7 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
             add_damping(s.plates, w.u, w.v, damp, w.r)
         if p.incremental:
             carry(s.links, p, before, gains, y, w)
-        good, moved, length, size = solve(s.links, c, room, p, tie, drives, y, w)
+        good, moved, length, size, pull = solve(s.links, c, room, p, tie, drives, y, w)
         counts[1] += 1
         if not good:
             return SINGULAR, last
@@ -246,7 +245,7 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
         if measured:
             rate = moved / last
             y.marks[RATE], y.marks[AGE] = (max(rate, 0.5 * y.marks[RATE]) if iteration == 1 else max(rate, y.marks[RATE])), 0.0
-        tolerance, coarse = p.tolerance * y.marks[SIZE] / p.to_a, 16.0 * EPS * (size + p.extent)
+        tolerance, coarse = p.tolerance * max(y.marks[SIZE], pull) / p.to_a, 16.0 * EPS * (size + p.extent)
         fine = 16.0 * EPS * (length if p.incremental else size)
         small = (measured or y.marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance
         stalled = measured and rate > SLOW and moved <= coarse
@@ -254,6 +253,7 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
             constrain(s.links, p, before, drives, gains, y, w)
             if largest(w.phi) <= max(1e-2 * tolerance, (16.0 * fine if p.incremental and not stalled else coarse)):
                 y.marks[AGE] += 1.0
+                y.marks[SIZE] = max(y.marks[SIZE], pull)
                 if tie is not None:
                     alpha_tie.settle(s.links, drives, w, tie)
                 return (DONE if cosine > 0.0 else HALF_TURN), moved

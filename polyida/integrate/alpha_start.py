@@ -19,10 +19,10 @@ def started(settings, model, state, h):
     of a load or motor, velocities and accelerations jump; any other is a run's beginning. After a cut step a_alg is q''.
     """
     memory = state.memory
-    if settings.start == "plain" and "a_alg" not in memory or "cut" in memory:
-        return _with(state, a_alg=state.a, h=h)
     if "a_alg" not in memory:
-        return beginning(settings, model, _on_the_right(model, state, h), h)
+        state = _on_the_right(model, state, h)
+        plain = settings.start == "plain" or "cut" in memory
+        return _with(state, a_alg=state.a, h=h) if plain else beginning(settings, model, state, h)
     if at_kink(model, state.t):
         state = behind_kink(settings, model, state, float(memory["h"]))
     return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else rescaled(settings, model, state, h)

@@ -156,6 +156,7 @@ class _Run:
         self.system, linear = _callbacks(settings, model, counts)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
+        self.refused = None  # where the residual was last not finite
         self.solver = Solver(
             self._residual, rtol=float(settings.rtol), atol=self.system.tolerances(*settings.tolerances(model.n)),
             max_order=settings.order(model), max_step=float(settings.max_step), first_step=float(settings.first_step),
@@ -167,6 +168,8 @@ class _Run:
         if t != self.tried:
             self.attempts, self.tried = self.attempts + 1, t
         self.system.residual(t, y, yp, res)
+        if math.isnan(res[self.model.n]):
+            self.refused = t, np.array(y[:self.model.n])
 
     def piece(self, state, begin, end, limits):
         """Accepted States on the smooth piece from begin to end, the model's time held to `limits`."""
@@ -186,7 +189,10 @@ class _Run:
                 raise self._failure(STATUS.get(result.status, "ida"), reason, state)
             self._count_step(t, float(result.t))
             t = float(result.t)
-            state = self.system.state(t, result.y, result.yp)
+            before, state = state, self.system.state(t, result.y, result.yp)
+            if objection := self.system.objection(t, state.q):
+                raise self._failure("objection", objection, before)
+            self.refused = self.refused if self.standing else None
             yield state
 
     def _count_step(self, before, t):
@@ -198,6 +204,9 @@ class _Run:
 
     def _failure(self, status, reason, state):
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
+        if self.refused:
+            why = getattr(self.model, "objection", lambda t, q: None)(*self.refused)
+            status, reason = ("objection", f"{why}; {reason}") if why else ("not finite", f"the residual is not finite; {reason}")
         phi = np.abs(self.model.phi(state.t, state.q))
         tried = float(self.tried - state.t)
         seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}

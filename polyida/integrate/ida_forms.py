@@ -136,6 +136,10 @@ class System:
             if mu is not None:
                 res[:n] += B.T @ mu
 
+    def objection(self, t, q):
+        """Why the model cannot stand at an accepted (t, q), or None."""
+        return getattr(self.model, "objection", lambda t, q: None)(self.clamp(t), q)
+
     def clamp(self, t):
         """t held to `limits`."""
         return min(max(t, self.limits[0]), self.limits[1])

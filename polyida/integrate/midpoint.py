@@ -149,7 +149,8 @@ def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, ext
 class Midpoint:
     """Steps at one h; holds the factor between them."""
 
-    def __init__(self, settings, model, h, counts):
+    def __init__(self, settings, model, h, counts, halvings=6):
+        self.halvings = halvings
         self.settings, self.model, self.h, self.counts = settings, model, h, counts
         self.room, self.system = room(model), None
         self.extent = float(np.ptp(model.reference, axis=0).max())
@@ -162,10 +163,20 @@ class Midpoint:
             ended, moved = self._solve(state, t)
         w = self.room
         if ended != DONE:
-            status, reason = REASONS[ended]
-            raise StepFailure(status, reason, t, **{"last |dq|": float(moved), "|phi|": float(np.abs(w.phi).max(initial=0.0))})
+            return self._halved(state, t, ended, moved)
         v = 2.0 * (w.u1 - w.u0) / self.h - w.v0
         return State(float(t), w.u1.ravel().copy(), v.ravel(), ((v - w.v0) / self.h).ravel(), w.lam.copy())
+
+    def _halved(self, state, t, ended, moved):
+        """The state at t by two steps of half the size, each keeping energy by itself."""
+        if not self.halvings:
+            status, reason = REASONS[ended]
+            seen = {"last |dq|": float(moved), "|phi|": float(np.abs(self.room.phi).max(initial=0.0)), "step": self.h}
+            raise StepFailure(status, f"{reason}; the step in 2 to 64 parts fails too", t, **seen)
+        self.system = None
+        self.counts.rejected += 1
+        half = Midpoint(self.settings, self.model, self.h / 2, self.counts, self.halvings - 1)
+        return half.step(half.step(state, t - self.h / 2), t)
 
     def _solve(self, state, t):
         w, h, model = self.room, self.h, self.model

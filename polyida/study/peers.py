@@ -18,7 +18,7 @@ from polyida.integrate.ida_scene import SceneSystem
 from polyida.integrate.start import consistent_state
 from polyida.linear.triangular import fill_band
 
-WIDEST_BAND = 30_000  # coordinates beyond which a band factor is out of the question
+WIDEST_BAND = 40_000  # coordinates beyond which a band factor is out of the question
 
 
 class Missing(InputError):
@@ -272,7 +272,7 @@ class ExudynScene:
         s.timeIntegration.generalizedAlpha.spectralRadius = 0.9
         s.timeIntegration.newton.useModifiedNewton = modified
         s.timeIntegration.verboseMode, s.parallel.numberOfThreads = 0, 1
-        with warnings.catch_warnings(action="ignore"):  # newer versions have other names for these, and know the old ones
+        with warnings.catch_warnings(action="ignore"):  # newer versions have other names as well
             s.solutionSettings.writeSolutionToFile = False
             s.solutionSettings.sensorsWritePeriod = float(times[1] - times[0])
             s.linearSolverType = exu.LinearSolverType.EigenSparse

@@ -22,11 +22,11 @@ SETTLED = 1e-9  # of the scene's size: drift of phi
 class Axis:
     """values: from benign to harsh, those of the quick selection and those that the full one adds; case(value, name) -> (Trajectory, checks)."""
 
-    title: str
     quick: tuple
     more: tuple
     case: Callable
     integrators: tuple = INTEGRATORS
+    slow: tuple = ()  # integrators that the quick selection leaves out
 
     def values(self, quick):
         """The values of a selection, in order."""
@@ -259,31 +259,31 @@ def pressing(pressure, name):
 
 
 AXES = {
-    "modulus, Pa": Axis("soft and stiff plates", (50e6, 5e6, 1e5), (20e6, 10e6, 2e6, 1e6, 3e5),
+    "modulus, Pa": Axis((50e6, 5e6, 1e5), (20e6, 10e6, 2e6, 1e6, 3e5),
                         against_refined(lambda value: scenes.swing(scenes.rubber(value)), 0.5)),
-    "rigid limit, Pa": Axis("plates so stiff that they are rigid", (1e9, 2e11), (1e10,), stiff_limit),
-    "tip over plate mass": Axis("", (1e-6, 1.0, 1e3, 1e6), (1e-3, 10.0, 100.0, 1e4, 1e5),
+    "rigid limit, Pa": Axis((1e9, 2e11), (1e10,), stiff_limit),
+    "tip over plate mass": Axis((1e-6, 1.0, 1e3, 1e6), (1e-3, 10.0, 100.0, 1e4, 1e5),
                                 against_refined(lambda value: scenes.swing(tip_mass=value * scenes.PLATE_MASS), 0.3)),
-    "slenderness": Axis("", (10.0, 50.0, 200.0), (20.0, 100.0), against_refined(scenes.slender, 0.3)),
-    "links": Axis("", (2, 10, 50), (3, 5, 20, 35), against_refined(scenes.chain, 0.3)),
-    "gravity factor": Axis("", (1.0, 10.0, 100.0), (3.0, 30.0, 50.0), against_refined(scenes.heavy, 0.2)),
-    "long step, s": Axis("", (0.01, 0.1, 1.0), (0.003, 0.03, 0.3), large_steps, FIXED),
-    "short step, s": Axis("", (1e-5, 1e-7, 1e-10), (1e-4, 1e-6, 1e-8, 1e-9), small_steps, FIXED + ("ggl2", "ggl1")),
-    "rho_inf": Axis("", (0.9, 0.0, 0.99), (0.5, 0.8, 0.95), spectral_radius, ("alpha", "adaptive", "stabilised")),
-    "Newton tolerance": Axis("", (1e-4, 1e-2, 1e-12), (1e-3, 1e-6, 1e-8, 1e-10), newton_tolerance, FIXED),
-    "error tolerance": Axis("", (1e-2, 1e-5, 1e-8), (1e-3, 1e-4, 1e-6, 1e-7, 1e-10, 1e-12), error_tolerance, CHOOSING),
-    "turns": Axis("", (1, 10, 100), (3, 30), many_turns),
-    "reversal, rad/s": Axis("", (1.0, 10.0, 100.0), (3.0, 30.0), reversal),
-    "jump in a step, rad": Axis("", (0.5, 1.5, 3.1), (1.0, 2.0, 2.5, 3.2, 4.7, 6.28), half_turn),
-    "width of a sliver, m": Axis("", (1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7, 1e-10, 1e-12), against_refined(scenes.sliver, 0.3)),
-    "short edge, m": Axis("", (1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7, 1e-10, 1e-12), against_refined(scenes.short_edge, 0.3)),
-    "corners of one element": Axis("", (3, 8, 30), (4, 5, 6, 12, 20), one_element),
-    "plates of one element": Axis("", (1, 2, 5), (3, 10, 20), against_refined(scenes.blocks, 0.3)),
-    "four-bar from, rad": Axis("", (1.0, 0.0), (1.5, 0.5, 0.1), through_flat),
-    "held twice": Axis("", ("hinge twice", "hinge and clamp", "motor and clamp", "two motors", "weld and motor"), (), held_twice,
+    "slenderness": Axis((10.0, 50.0, 200.0), (20.0, 100.0), against_refined(scenes.slender, 0.3)),
+    "links": Axis((2, 10, 50), (3, 5, 20, 35), against_refined(scenes.chain, 0.3)),
+    "gravity factor": Axis((1.0, 10.0, 100.0), (3.0, 30.0, 50.0), against_refined(scenes.heavy, 0.2)),
+    "long step, s": Axis((0.01, 0.1, 1.0), (0.003, 0.03, 0.3), large_steps, FIXED),
+    "short step, s": Axis((1e-5, 1e-7, 1e-10), (1e-4, 1e-6, 1e-8, 1e-9), small_steps, FIXED + ("ggl2", "ggl1")),
+    "rho_inf": Axis((0.9, 0.0, 0.99), (0.5, 0.8, 0.95), spectral_radius, ("alpha", "adaptive", "stabilised")),
+    "Newton tolerance": Axis((1e-4, 1e-2, 1e-12), (1e-3, 1e-6, 1e-8, 1e-10), newton_tolerance, FIXED),
+    "error tolerance": Axis((1e-2, 1e-5, 1e-8), (1e-3, 1e-4, 1e-6, 1e-7, 1e-10, 1e-12), error_tolerance, CHOOSING),
+    "turns": Axis((1, 10, 100), (3, 30), many_turns),
+    "reversal, rad/s": Axis((1.0, 10.0, 100.0), (3.0, 30.0), reversal),
+    "jump in a step, rad": Axis((0.5, 1.5, 3.1), (1.0, 2.0, 2.5, 3.2, 4.7, 6.28), half_turn),
+    "width of a sliver, m": Axis((1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7, 1e-10, 1e-12), against_refined(scenes.sliver, 0.3)),
+    "short edge, m": Axis((1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7, 1e-10, 1e-12), against_refined(scenes.short_edge, 0.3)),
+    "corners of one element": Axis((3, 8, 30), (4, 5, 6, 12, 20), one_element),
+    "plates of one element": Axis((1, 2, 5), (3, 10, 20), against_refined(scenes.blocks, 0.3)),
+    "four-bar from, rad": Axis((1.0, 0.0), (1.5, 0.5, 0.1), through_flat),
+    "held twice": Axis(("hinge twice", "hinge and clamp", "motor and clamp", "two motors", "weld and motor"), (), held_twice,
                        ("alpha", "energy", "ggl2")),
-    "pulse, s": Axis("", (1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7), blow),
-    "collapse, Pa": Axis("", (50e6, 10e6, 1e6), (30e6, 20e6, 15e6, 5e6), against_refined(scenes.collapsing, 1.1)),
-    "pressure over modulus": Axis("", (0.1, 0.19, 0.25), (0.05, 0.15, 0.18, 0.2, 0.5, 1.0), pressing),
-    "viscosity, s": Axis("", (1e-6, 1e-3, 1e-1), (1e-5, 1e-4, 1e-2), against_refined(scenes.damped, 0.3)),
+    "pulse, s": Axis((1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7), blow),
+    "collapse, Pa": Axis((50e6, 10e6, 1e6), (30e6, 20e6, 15e6, 5e6), against_refined(scenes.collapsing, 1.1)),
+    "pressure over modulus": Axis((0.1, 0.19, 0.25), (0.05, 0.15, 0.18, 0.2, 0.5, 1.0), pressing),
+    "viscosity, s": Axis((1e-6, 1e-3, 1e-1), (1e-5, 1e-4, 1e-2), against_refined(scenes.damped, 0.3)),
 }

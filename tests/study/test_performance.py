@@ -40,7 +40,7 @@ def test_meshes_have_the_size_asked_for(dof):
 @pytest.mark.parametrize("integrator", ["alpha", "ida"])
 def test_a_steps_row_counts_what_lies_between_the_two_runs(integrator):
     row = step_cost.step_row("scene 1", SMALL, integrator, 0.01, 0.03, 1)
-    assert row["status"] == "done" and row["newton_iterations_per_step"] >= 1
+    assert row["steps"] > 0 and row["newton_iterations_per_step"] >= 1
     if integrator == "alpha":
         assert row["steps"] == 20 and row["factorizations_in_all"] == 1 and row["tangents_per_step"] == 0
         assert row["ms_per_step"] == pytest.approx(sum(row[f"{part}_ms"] for part in of_cost.PARTS))
@@ -61,7 +61,8 @@ def slope(residual, y, yp, along_y, along_yp):
 
 
 def test_the_whole_jacobian_is_the_slope_of_the_residual(model):
-    system, jacobian, random, cj = SceneSystem(model, "ggl2", 0.0), peers.WholeJacobian(model), np.random.default_rng(1), 30.0
+    system, jacobian, cj = SceneSystem(model, "ggl2", 0.0), peers.WholeJacobian(model), 30.0
+    random = np.random.default_rng(1)
 
     def residual(y, yp):
         res = np.empty(system.size)
@@ -113,8 +114,9 @@ def test_peers_find_the_same_motion(model, solver):
     assert np.abs(seen - own).max() < 2e-5
 
 
-SAVED = {"constant mass", "linear joints", "no motors: phi_t, bias", "no motors: reaction_q", "no damping: dg/dv", "no border",
-         "stale matrix", "factor kept", "single precision", "shared operator", "no energies, no stresses", "no frames"}
+SAVED = {"constant mass", "linear joints", "no motors: phi_t, bias", "no motors: reaction_q", "no damping: dg/dv",
+         "no border", "stale matrix", "factor kept", "single precision", "shared operator", "no energies, no stresses",
+         "no frames"}
 
 
 @pytest.mark.parametrize("saving", skip.SAVINGS)
@@ -124,21 +126,23 @@ def test_a_saving_that_is_switched_off_is_counted(saving):
 
 
 def work_precision(solver, scale):
-    return [{"scene": "scene 1", "dof": 800, "solver": solver, "setting": h, "error_max": h**2, "cpu_s": scale / h, "steps": 1 / h}
-            for h in (1e-2, 1e-3)]
+    case = {"scene": "scene 1", "dof": 800, "solver": solver}
+    return [case | {"setting": h, "error_max": h**2, "cpu_s": scale / h, "steps": 1 / h} for h in (1e-2, 1e-3)]
 
 
 def test_figures_compare_at_equal_error():
     rows = work_precision("alpha", 1e-4) + work_precision("ida", 3e-4) + work_precision("radau", 2e-3)
     rows += [{"scene": "scene 1", "dof": 800, "solver": "exudyn", "setting": 1, "skipped": "exudyn is not installed"}]
     found = against_peers.figures(rows)
-    assert found["ida_over_alpha_at_1e-5"] == pytest.approx(3.0) and found["scene1_800_peer_ratio"] == pytest.approx(20.0)
+    assert found["ida_over_alpha_at_1e-5"] == pytest.approx(3.0)
+    assert found["scene1_800_peer_ratio"] == pytest.approx(20.0)
     assert found["scene1_800_cpu_s"] == pytest.approx(0.1) and "scene1_800_exudyn_cpu_s" not in found
     assert any("not installed" in line for line in against_peers.notes(rows))
 
 
 def test_growth_and_floor_come_from_their_rows():
-    step = {"part": "step", "scene": "scene 1", "integrator": "alpha", "residual_ns_per_dof": 1.0, "residual_tangent_ns_per_dof": 2.0}
+    step = {"part": "step", "scene": "scene 1", "integrator": "alpha"}
+    step |= {"residual_ns_per_dof": 1.0, "residual_tangent_ns_per_dof": 2.0}
     rows = [step | {"dof": n, "n": n, "ms_per_step": 1e-4 * n**1.2} for n in (1_000, 10_000, 100_000)]
     rows += [{"part": "floor", "dof": 1_000, "backend": name, "factor_ms": ms, "solve_ms": 0.0, "floor_ms": ms}
              for name, ms in (("fronts", 2.0), ("band", 1.0))]

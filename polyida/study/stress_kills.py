@@ -1,0 +1,147 @@
+"""Kill -9 at random moments: of a run that streams to a file and is resumed, of a sweep that is started again."""
+
+import mmap
+import os
+import random
+import signal
+import struct
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from polyida.frames import FRAMES
+from polyida.integrate.resume import resume
+from polyida.integrate.solve import solve
+from polyida.problems import plates
+from polyida.study.harness import Study, results
+from polyida.study.stress import Check, integrator
+from polyida.trajectory_file import load
+
+FLUSH, STRETCH = 50, 256  # steps between flushes; steps that the compiled code takes in one go
+ALLOWED = {"alpha": 0.0, "energy": 1e-9, "ggl2": 5e-3, "ggl1": 5e-3}  # m: the resumed run against the whole one
+
+
+def victim(work):
+    """The number of a new process that does work() and ends; it shares this one's memory up to here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads: those of BLAS are idle
+        number = os.fork()
+    if number == 0:
+        code = 1
+        try:
+            work()
+            code = 0
+        finally:
+            os._exit(code)
+    return number
+
+
+def killed_after(number, delay):
+    """Kill the process after `delay` seconds; whether it had ended well before. Raises ChildProcessError where it failed by itself."""
+    end = time.monotonic() + delay
+    while time.monotonic() < end:
+        if os.waitid(os.P_PID, number, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+            break
+        time.sleep(0.002)
+    os.kill(number, signal.SIGKILL)
+    status = os.waitpid(number, 0)[1]
+    if os.WIFEXITED(status) and os.WEXITSTATUS(status):
+        raise ChildProcessError(f"the process failed by itself with code {os.WEXITSTATUS(status)}")
+    return os.WIFEXITED(status)
+
+
+def killed_runs(kills, name, seed=0):
+    """`kills` kills of runs to a file, each resumed until it is killed again or ends: (last whole Trajectory, checks).
+
+    Lost frames: those accepted up to the last flush before a kill that the file does not hold, where at most one flush
+    interval and one stretch may be missing. Wrong frames: up to the first kill and, where resuming is exact, all.
+    """
+    model, method = plates.double_plate_motors(cells=4).build(), integrator(name, 1e-4 if name in ("alpha", "energy") else 1e-3, rtol=1e-7)
+    t_end = 0.8
+    begin = time.monotonic()
+    whole = solve(model, t_end, method)
+    span = 2.0 * (time.monotonic() - begin)
+    chance, deviation, lost, count = random.Random(seed), 0.0, 0, 0
+    accepted = mmap.mmap(-1, 8)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.h5"
+        while count < kills:
+            work = _going_on(path, model, method, t_end, accepted)
+            ended = killed_after(victim(work), chance.uniform(0.0, span))
+            count += not ended
+            if not path.exists():
+                continue
+            part = load(path)
+            told = struct.unpack("q", accepted[:8])[0]
+            lost = max(lost, told - FLUSH - STRETCH - (len(part) - 1)) if not ended else lost
+            deviation = max(deviation, _apart(part, whole, name))
+            if ended:
+                path.unlink()
+                accepted[:8] = struct.pack("q", 0)
+        last = resume(path) if path.exists() and part.status == "running" else whole
+    deviation = max(deviation, _apart(last, whole, name))
+    same_end = float(np.abs(last.q[-1] - whole.q[-1]).max())
+    allowed = ALLOWED[name]
+    return last, [Check("frames lost beyond the last flush", float(max(lost, 0)), 0.5), Check("kept frames, m", deviation, max(allowed, 1e-300)),
+                  Check("end of the resumed run, m", same_end, max(allowed, 1e-300)), Check("kills", float(kills), float(count))]
+
+
+def _going_on(path, model, method, t_end, accepted):
+    """What a victim does: go on from the file where there is one, tell every accepted step."""
+    done = len(load(path)) - 1 if path.exists() else 0
+
+    def tell(t, steps=[done]):  # noqa: B006, the list is the counter
+        steps[0] += 1
+        accepted[:8] = struct.pack("q", steps[0])
+
+    accepted[:8] = struct.pack("q", done)
+    if path.exists():
+        return lambda: resume(path, progress=tell)
+    return lambda: solve(model, t_end, method, out=path, flush_every=FLUSH, progress=tell)
+
+
+def _apart(run, whole, name):
+    """Largest difference of the frames of fixed-step runs, entry by entry; for IDA that of the motion at equal times."""
+    if name in ("alpha", "energy"):
+        differences = [np.abs(np.asarray(getattr(run, key)) - getattr(whole, key)[:len(run)]).max(initial=0.0) for key in FRAMES]
+        return float(max(differences) if name == "alpha" else differences[1])
+    at = np.stack([np.interp(run.t, whole.t, column) for column in whole.q.T], axis=1)
+    return float(np.abs(np.asarray(run.q) - at).max())
+
+
+def short_run(number, folder):
+    """A task of the sweep: a short run, and a line in a log that tells that it was done."""
+    with open(Path(folder) / "log", "a") as log:
+        log.write(f"{number}\n")
+    run = solve(plates.double_plate(cells=2).build(), 0.02 + 0.01 * (number % 7), integrator("alpha"))
+    return {"end": [value.hex() for value in run.position("tip")[-1].tolist()]}
+
+
+def killed_sweeps(kills, name="-", seed=0, tasks=12):
+    """`kills` kills of sweeps of short runs, started again until they are whole: nothing is done twice that was written,
+    and the rows are those of a sweep that was never killed."""
+    chance, count, repeated, wrong = random.Random(seed), 0, 0, 0
+    with tempfile.TemporaryDirectory() as folder:
+        def sweep(number):
+            place = Path(folder) / str(number)
+            place.mkdir(exist_ok=True)
+            study = Study("sweep", "", lambda quick: [{"number": k, "folder": str(place)} for k in range(tasks)], short_run, dict)
+            return place, lambda: [row["end"] for row in results(study, True, place / "tasks")]
+
+        begin = time.monotonic()
+        expected, number = sweep("whole")[1](), 0
+        span = time.monotonic() - begin
+        while count < kills:
+            number += 1
+            place, work = sweep(number)
+            ended, here = False, 0
+            while not ended and count < kills:
+                ended = killed_after(victim(work), chance.uniform(0.0, span))
+                count, here = count + (not ended), here + (not ended)
+            wrong += work() != expected
+            repeated = max(repeated, len((place / "log").read_text().split()) - tasks - here)
+            wrong += any(path.suffix != ".json" for path in (place / "tasks").iterdir())
+    return count, [Check("sweeps with other rows or litter", float(wrong), 0.5), Check("tasks done again though written", float(max(repeated, 0)), 0.5)]

@@ -1,0 +1,61 @@
+"""Runs of very many steps: whether phi, energy, time and memory stay as they were."""
+
+import resource
+import sys
+import time
+
+import numpy as np
+
+from polyida.integrate.solve import solve
+from polyida.problems import plates
+from polyida.study.stress import Check, balance, extent, integrator
+
+H = 1e-3
+PARTS = 20  # of a run, between which time and memory are compared
+
+
+class Meter:
+    """A progress function that notes CPU seconds and the largest memory of this process after every part of a run."""
+
+    def __init__(self, steps):
+        self.due, self.every, self.count, self.marks = steps // PARTS, steps // PARTS, 0, []
+
+    def __call__(self, t):
+        self.count += 1
+        if self.count == self.due:
+            self.due += self.every
+            self.marks.append((self.count, time.process_time(), _memory()))
+
+    @property
+    def slower(self):
+        """CPU seconds a step in the last quarter of the parts over those in the second quarter."""
+        counts, cpu, _ = np.array(self.marks).T
+        each = np.diff(cpu) / np.diff(counts)
+        quarter = len(each) // 4
+        return float(np.median(each[-quarter:]) / np.median(each[quarter:2 * quarter]))
+
+    @property
+    def grown(self):
+        """Bytes by which the largest memory grew in the second half of the parts."""
+        memory = np.array(self.marks)[:, 2]
+        return float(memory[-1] - memory[len(memory) // 2])
+
+
+def _memory():
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+def many_steps(steps, name):
+    """`steps` steps of 1 ms of two swinging plates of few cells: drift of phi below 1e-10 m, no energy gained, no step
+    slower than twice an early one, no memory beyond 4 MiB and 8 bytes a step gained in the second half."""
+    model, meter = plates.double_plate(cells=2).build(), Meter(steps)
+    settings = {"max_step": H, "max_num_steps": 4 * steps} if name in ("ggl2", "ggl1") else {}
+    run = solve(model, steps * H, integrator(name, H, **settings), every=max(1, steps // 2000), progress=meter)
+    gained, lost = balance(run, 1e-3, 1.01)
+    if name == "energy":
+        gained, lost = balance(run, 1e-6, 1e-6)
+    if not run.success:
+        return run, []
+    return run, [Check("drift, m", run.drift.max(), 1e-10 * extent(model)), gained, lost, Check("time a step, late over early", meter.slower, 2.0),
+                 Check("memory gained, bytes", max(meter.grown, 0.0), 4 * 2**20 + 8.0 * steps)]

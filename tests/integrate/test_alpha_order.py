@@ -1,0 +1,159 @@
+"""Order of generalized-alpha and of its relatives: q, v and lam from the first step on, across kinks, extrapolated, stabilised."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.integrate.alpha_family import Coefficients
+
+START = dict(q0=[-1.0, 0.0], v0=[0.0, -3.0])
+FIELDS = ("q", "v", "lam")
+
+
+def bending(scenes):
+    """A clamped plate, bent by a tip load that grows smoothly over 0.25 s."""
+    scene, upper = scenes.cantilever()
+    scene.add(pi.PointLoad(upper.section("right"), (0.0, -8.0), pi.profile.ramp(0.0, 1.0, duration=0.25), name="push"))
+    return scene.build()
+
+
+def orders(scenes, model, end, counts, finest, reference=None, fields=FIELDS, **settings):
+    """{field: fitted order of the largest deviation over all times from a run with `finest` steps}."""
+    start = settings.pop("begin", {})
+    solve = lambda n, **more: pi.solve(model, end, pi.GeneralizedAlpha(h=end / n, **(settings | more)), **start)  # noqa: E731
+    exact = solve(finest, **(reference or {}))
+    errors = {name: [] for name in fields}
+    for n in counts:
+        run = solve(n)
+        assert run.success, run.message
+        for name in fields:
+            errors[name].append(np.abs(getattr(run, name) - getattr(exact, name)[:: finest // n]).max())
+    return {name: scenes.slope([end / n for n in counts], column) for name, column in errors.items()}
+
+
+def test_second_order_on_a_ramp_from_1e_2_to_6e_4(scenes):
+    found = orders(scenes, bending(scenes), 0.3, (30, 60, 120, 240, 480), 3840, tolerance=1e-6)
+    assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.05)
+
+
+def test_second_order_of_a_motor_s_smooth_turn(scenes):
+    scene, upper = scenes.hinged((0.0, 0.0))
+    turn = pi.profile.ramp(0.0, 0.5, duration=0.3)
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=turn, name="drive"))
+    found = orders(scenes, scene.build(), 0.3, (60, 120, 240), 1920, tolerance=1e-6)
+    assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.1)
+
+
+@pytest.mark.parametrize("linear", ["auto", "kkt"])
+def test_stabilised_form(scenes, linear):
+    """Second order, phi and the velocity constraint to round-off at every step."""
+    model, end = scenes.jointed("motor between", pi.profile.ramp(0.0, 0.5, duration=0.3), gravity=(0.0, 0.0)).build(), 0.3
+    found = orders(scenes, model, end, (40, 80, 160), 640, tolerance=1e-6, form="stabilised", linear=linear)
+    assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.15)
+    runs = [pi.solve(model, end, pi.GeneralizedAlpha(h=5e-3, form=form, linear=linear)) for form in ("index3", "stabilised")]
+    assert runs[0].velocity_drift.max() > 1e-6
+    assert runs[1].velocity_drift.max() < 1e-13 and runs[1].drift.max() < 1e-11
+
+
+@pytest.mark.parametrize("form", ["index3", "stabilised"])
+def test_a_model_of_ones_own(scenes, form):
+    model = pi.problems.get("pendulum").model
+    found = orders(scenes, model, 0.5, (100, 200, 400), 6400, {"tolerance": 1e-7}, tolerance=1e-9, form=form, begin=START)
+    assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.1)
+
+
+MEMBERS = {
+    "hht": (lambda h, **more: pi.GeneralizedAlpha.hht(h, -0.1, **more), 2.0),
+    "wbz": (lambda h, **more: pi.GeneralizedAlpha.wbz(h, -0.2, **more), 2.0),
+    "newmark": (lambda h, **more: pi.GeneralizedAlpha.newmark(h, 0.3025, 0.6, **more), 1.0),
+}
+
+
+@pytest.mark.parametrize("name", MEMBERS)
+def test_other_members(scenes, name):
+    make, order = MEMBERS[name]
+    model = pi.problems.get("pendulum").model
+    exact = pi.solve(model, 0.5, pi.GeneralizedAlpha(h=0.5 / 6400, tolerance=1e-7), **START)
+    steps = [0.5 / n for n in (100, 200, 400)]
+    runs = [pi.solve(model, 0.5, make(h, tolerance=1e-9), **START) for h in steps]
+    assert scenes.slope(steps, [np.abs(run.q[-1] - exact.q[-1]).max() for run in runs]) == pytest.approx(order, abs=0.1)
+    compiled, plain = (pi.solve(bending(scenes), 0.05, make(1e-3, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt"))
+    assert np.abs(compiled.q - plain.q).max() < 1e-9
+
+
+@pytest.mark.parametrize("rho_inf", [0.0, 0.3, 0.9])
+def test_spectral_radius_at_infinity(rho_inf):
+    assert Coefficients.chung_hulbert(rho_inf).at_infinity == pytest.approx(rho_inf, abs=1e-6)
+    c = Coefficients.chung_hulbert(rho_inf)
+    assert Coefficients.second_order(c.alpha_m, c.alpha_f) == c
+
+
+@pytest.mark.parametrize(
+    "make, told",
+    [
+        (lambda: pi.GeneralizedAlpha.newmark(1e-3, 0.25, 0.5), "trapezoidal"),
+        (lambda: pi.GeneralizedAlpha.newmark(1e-3, -0.1, 0.6), "beta > 0"),
+        (lambda: pi.GeneralizedAlpha.hht(1e-3, 0.0), "alpha = 0.0"),
+        (lambda: pi.GeneralizedAlpha.wbz(1e-3, "soft"), "alpha = 'soft'"),
+        (lambda: pi.GeneralizedAlpha(1e-3, member=(0.1, 0.2)), "member"),
+        (lambda: pi.GeneralizedAlpha(1e-3, form="index2"), "form"),
+        (lambda: pi.GeneralizedAlpha(1e-3, rtol=-1.0), "rtol"),
+        (lambda: pi.GeneralizedAlpha(1e-3, rtol=0.0), "atol"),
+        (lambda: pi.GeneralizedAlpha(1e-3, atol=1e-6, extrapolate=True), "extrapolate"),
+        (lambda: pi.GeneralizedAlpha(1e-3, max_halvings=-1), "max_halvings"),
+    ],
+)
+def test_settings_out_of_range(make, told):
+    with pytest.raises(pi.InputError, match=told):
+        make()
+
+
+def test_settings_survive_a_file(tmp_path):
+    """Also those of a member, which are a tuple."""
+    integrator = pi.GeneralizedAlpha.hht(5e-3, -0.1, form="stabilised", max_halvings=3)
+    pi.solve(pi.problems.get("pendulum").model, 0.1, integrator, q0=[-1.0, 0.0]).save(tmp_path / "run.h5")
+    assert pi.load(tmp_path / "run.h5").integrator == integrator
+
+
+def test_extrapolation_is_of_higher_order_and_cheaper(scenes):
+    """On a smooth ramp, at the ends of the steps; fewer solves for a tenth of the error."""
+    model, end = bending(scenes), 0.3
+    found = orders(scenes, model, end, (30, 60, 120), 960, tolerance=1e-7, extrapolate=True)
+    assert min(found.values()) > 3.0
+    exact = pi.solve(model, end, pi.GeneralizedAlpha(h=end / 960, tolerance=1e-7, extrapolate=True))
+    plain, better = (pi.solve(model, end, pi.GeneralizedAlpha(h=end / n, extrapolate=extrapolate)) for n, extrapolate in ((480, False), (60, True)))
+    assert better.counts.steps == 60 and better.counts.newton_iterations < plain.counts.newton_iterations
+    assert np.abs(better.q[-1] - exact.q[-1]).max() < 0.3 * np.abs(plain.q[-1] - exact.q[-1]).max()
+
+
+class Kinked(pi.Model):
+    """A pendulum of length 1 m and mass 1 kg, pushed by a force that grows linearly within `over`, from 0.1 s on."""
+
+    n, m, needs = 2, 1, pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
+
+    def __init__(self, over):
+        self.over = over
+
+    def kinks(self, t0, t1):
+        return tuple(t for t in sorted({0.1, 0.1 + self.over}) if t0 < t < t1)
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        push = float(t > 0.1) if self.over == 0 else np.clip((t - 0.1) / self.over, 0.0, 1.0)
+        return np.array([-30.0 * push, 9.81])
+
+    def phi(self, t, q):
+        return np.array([q @ q - 1.0])
+
+    def phi_q(self, t, q):
+        return 2 * q[None]
+
+
+@pytest.mark.parametrize("over", [0.2, 0.0], ids=["a kink of a load", "a jump of a load"])
+def test_second_order_across_kinks(scenes, over):
+    """q''' and q'' jump there, and with them what the method carries; a load that jumps has two values at that time, so lam is left out."""
+    fields = FIELDS if over else ("q", "v")
+    found = orders(scenes, Kinked(over), 0.4, (80, 160, 320), 2560, tolerance=1e-9, begin=START, fields=fields)
+    assert found == pytest.approx(dict.fromkeys(fields, 2.0), abs=0.15)
