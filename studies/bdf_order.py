@@ -51,7 +51,7 @@ def draw(rows, folder):
 
 
 COLUMNS = ("viscosity", "max_order", "dof", "steps", "steps_per_s", "rejected", "residuals", "factorizations", "cpu_s", "tip_error", "outcome", "error")
-STUDY = Study("bdf_order", "IDA on the swinging double plate: the highest order of BDF", tasks, lambda **task: run_order(**task), figures, draw,
+STUDY = Study("bdf_order", "IDA on the swinging double plate: the highest order of BDF", tasks, run_order, figures, draw,
               COLUMNS, notes=notes)
 
 if __name__ == "__main__":

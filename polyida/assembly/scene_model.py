@@ -58,9 +58,8 @@ class SceneModel(Model):
         return r.ravel(), phi, rotation, det, cosine
 
     def residual(self, t, q, v, a, lam):
-        """`r = M a + g + phi_q^T lam`, (n,); nan where an element is turned inside out, for there is no equilibrium there."""
-        r, _, _, det, _ = self.evaluate(t, q, a, lam)
-        return self._damped(q, v, r) if det > 0 else np.full(self.n, np.nan)
+        """`r = M a + g + phi_q^T lam`, (n,)."""
+        return self._damped(q, v, self.evaluate(t, q, a, lam)[0])
 
     def _damped(self, q, v, r):
         if self.needs.velocity_forces:

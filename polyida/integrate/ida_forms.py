@@ -125,9 +125,12 @@ class System:
         return atol
 
     def residual(self, t, y, yp, res):
-        """IDA's F(t, y, y') into `res`."""
+        """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where the model objects."""
         n, model, t = self.model.n, self.model, self.clamp(t)
         q, v, a, lam, mu = self.split(y.copy(), yp.copy())
+        if self.objection(t, q):
+            res[:] = np.nan
+            return
         np.subtract(yp[:n], v, out=res[:n])
         res[n:2 * n] = model.residual(t, q, v, a, lam)
         if model.m:

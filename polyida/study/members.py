@@ -7,6 +7,7 @@ from polyida.integrate.ida import IDA
 
 FIXED = {  # name: integrator of a step h and Newton's tolerance
     "alpha": lambda h, newton: GeneralizedAlpha(h=h, tolerance=newton),
+    "alpha, rho 0.99": lambda h, newton: GeneralizedAlpha(h=h, rho_inf=0.99, tolerance=newton),
     "alpha, rho 0.5": lambda h, newton: GeneralizedAlpha(h=h, rho_inf=0.5, tolerance=newton),
     "alpha, stabilised": lambda h, newton: GeneralizedAlpha(h=h, form="stabilised", tolerance=newton),
     "alpha, Richardson": lambda h, newton: GeneralizedAlpha(h=h, extrapolate=True, tolerance=1e-11),

@@ -55,12 +55,16 @@ def outcome_of(case, *arguments):
     except InputError as error:
         return {"outcome": "stated_stop", "status": "refused", "reason": str(error), "cpu_s": time.process_time() - begin}
     row = judged(run, checks)
+    if run is None:
+        return row | {"cpu_s": time.process_time() - begin}
     counts = {"steps": run.counts.steps, "rejected": run.counts.rejected, "factorizations": run.counts.factorizations}
     return row | counts | {"t_end": float(run.t[-1]), "cpu_s": time.process_time() - begin}
 
 
 def judged(run, checks):
-    """Outcome, status and reason of a run, and the check that is nearest to its bound."""
+    """Outcome, status and reason of a run, and the check that is nearest to its bound; run None: the checks alone."""
+    if run is None:
+        return {"status": "done"} | _by_checks(checks)
     kept = all(np.isfinite(np.asarray(values)).all() for values in (run.t, run.q, run.v, run.a, run.lam))
     row = {"status": run.status, "reason": run.message}
     if not kept:
@@ -69,8 +73,12 @@ def judged(run, checks):
         drift = Check("drift at the stop", run.drift.max(), 1e-6 * extent(run.model))
         stated = run.message and drift.share <= 1
         return row | {"outcome": "stated_stop" if stated else "wrong"} | ({} if stated else {"checked": drift.name})
+    return row | _by_checks(checks)
+
+
+def _by_checks(checks):
     worst = max(checks, key=lambda check: check.share)
-    row |= {"checked": worst.name, "deviation": float(worst.deviation), "bound": float(worst.bound)}
+    row = {"checked": worst.name, "deviation": float(worst.deviation), "bound": float(worst.bound)}
     if worst.share <= 1:
         return row | {"outcome": "right", "reason": ""}
     missed = ", ".join(f"{check.name} {check.deviation:.3g} > {check.bound:.3g}" for check in checks if check.share > 1)

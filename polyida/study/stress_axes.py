@@ -1,289 +1,85 @@
-"""The axes along which scenes are driven to where something breaks, each with the check that tells right from wrong."""
+"""The axes of the stress study: what is driven, from benign to harsh, and by which integrators."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Callable
 
 import numpy as np
 
-from polyida import profile
-from polyida.integrate.solve import solve
+from polyida.study import stress_cases as cases
 from polyida.study import stress_scenes as scenes
-from polyida.study.stress import INTEGRATORS, Check, balance, extent, held, integrator, off_by, tip
+from polyida.study.stress import INTEGRATORS, outcome_of
+from polyida.study.stress_kills import killed_runs, killed_sweeps
+from polyida.study.stress_long import many_steps
 
-FIXED = ("alpha", "stabilised", "energy")
 CHOOSING = ("adaptive", "ggl2", "ggl1")
-FEW_FRAMES = 10**9
-GAIN = 1e-3  # energy gained beyond this share of what is turned over is wrong in any run
-SETTLED = 1e-9  # of the scene's size: drift of phi
+IDA = ("ggl2", "ggl1")
 
 
 @dataclass(frozen=True)
 class Axis:
-    """values: from benign to harsh, those of the quick selection and those that the full one adds; case(value, name) -> (Trajectory, checks)."""
+    """case(value, integrator's name) -> (Trajectory, checks); all values, from benign to harsh; those of the quick selection.
 
-    quick: tuple
-    more: tuple
+    slow: integrators that the quick selection leaves out, because they take long.
+    """
+
     case: Callable
+    values: tuple
+    quick: tuple
     integrators: tuple = INTEGRATORS
-    slow: tuple = ()  # integrators that the quick selection leaves out
+    slow: tuple = ()
 
-    def values(self, quick):
-        """The values of a selection, in order."""
-        if quick or not self.more:
-            return self.quick
-        both = {*self.quick, *self.more}
-        return tuple(sorted(both, key=self.order))
-
-    def order(self, value):
-        """Numbers in the direction in which the quick values run."""
-        down = not isinstance(value, str) and self.quick[0] > self.quick[-1]
-        return -value if down else value
+    def tasks(self, quick):
+        """(value, integrator's name) of a selection."""
+        names = [name for name in self.integrators if not (quick and name in self.slow)]
+        return [(value, name) for value in (self.quick if quick else self.values) for name in names]
 
 
-def against_refined(make, t_end, h=1e-3, within=2e-3, loss=0.05, **settings):
-    """A case: the tip at t_end against a run with an eighth of the step, within a share of the scene's size.
-
-    The methods that choose their step are allowed 500 times their rtol of 1e-5, the ratio of global to local error that is usual
-    for them. The reference's own error, its distance from a run with twice its step, is added to the bound thrice, and must be
-    below a third of it. Energy must not grow, the energy-momentum method must keep it to 1e-7.
-    """
-    reference = lru_cache(maxsize=4)(lambda value: _refined(make(value), t_end, h))
-
-    def case(value, name):
-        model = make(value)
-        run = solve(model, t_end, integrator(name, h, **settings))
-        place, own, failed = reference(value)
-        if failed:
-            return run, [Check(f"no reference: {failed}", float("nan"), 1.0)]
-        bound = within if name in FIXED else 5e-3
-        kept = bound + 3 * own if 3 * own < bound else float("nan")
-        return run, [off_by(run, place, kept, "tip against a refined run"), held(run, SETTLED), *_energies(run, name, loss)]
-
-    return case
-
-
-def _energies(run, name, loss):
-    gain = 1e-7 if name == "energy" and not run.model.needs.velocity_forces else GAIN
-    if run.model.needs.velocity_forces:
-        return balance(run, gain, 1.01)
-    return balance(run, gain, gain if name == "energy" else loss)
-
-
-def _refined(model, t_end, h):
-    """(place of the tip at t_end, its error as a share of the scene's size, why there is none)."""
-    runs = [solve(model, t_end, integrator("alpha", h / part), every=FEW_FRAMES) for part in (4, 8)]
-    failed = next((run.message for run in runs if not run.success), "")
-    if failed:
-        return None, None, failed
-    coarse, fine = (tip(run)[-1] for run in runs)
-    return fine, float(np.linalg.norm(fine - coarse)) / extent(model), ""
-
-
-def stiff_limit(modulus, name):
-    """Two plates so stiff that they swing as rigid bodies: against their ordinary differential equation.
-
-    They sag by about 0.3 m at E = 50 MPa, in inverse proportion to E; that much and 2e-3 of their length is allowed.
-    """
-    model = scenes.swing(scenes.rubber(modulus))
-    run = solve(model, 0.5, integrator(name))
-    return run, [off_by(run, rigid_tip(model, 0.5), 2e-3 + 0.3 * 50e6 / modulus / 2, "tip against rigid bodies"), held(run, SETTLED),
-                 *_energies(run, name, 0.1)]
-
-
-def rigid_tip(model, t_end):
-    """Place of the tip of the double plate as two rigid bodies that fall from rest, masses and inertias from the mass matrix."""
-    from scipy.integrate import solve_ivp
-
-    mass, first = model._nodal_mass, model.bodies[0].nodes
-    x = model.reference[:, 0]
-    upper = (np.arange(len(x)) < first.stop).astype(float)
-    lower, y = 1 - upper, model.reference[:, 1]
-    shape_1 = np.stack([x * upper + lower, y * upper])  # what turns with the upper plate: itself, and the joint that carries the lower
-    shape_2 = np.stack([(x - 1) * lower, y * lower])
-    inner = [[sum(a[k] @ (mass @ b[k]) for k in (0, 1)) for b in (shape_1, shape_2)] for a in (shape_1, shape_2)]
-    cross = shape_1[0] @ (mass @ shape_2[1]) - shape_1[1] @ (mass @ shape_2[0])
-    ones = np.ones(len(x))
-    pull = [[ones @ (mass @ shape[k]) for k in (0, 1)] for shape in (shape_1, shape_2)]
-
-    def rate(t, state):
-        (p1, p2), (w1, w2) = state[:2], state[2:]
-        c, s = np.cos(p2 - p1), np.sin(p2 - p1)
-        coupling, slope = inner[0][1] * c - cross * s, -inner[0][1] * s - cross * c
-        load = [-9.81 * (pull[k][0] * np.cos(p) - pull[k][1] * np.sin(p)) for k, p in enumerate((p1, p2))]
-        matrix = [[inner[0][0], coupling], [coupling, inner[1][1]]]
-        return [w1, w2, *np.linalg.solve(matrix, [load[0] - slope * w2**2, load[1] + slope * w1**2])]
-
-    p1, p2 = solve_ivp(rate, (0.0, t_end), np.zeros(4), rtol=1e-10, atol=1e-12).y[:2, -1]
-    return np.array([np.cos(p1) + np.cos(p2), np.sin(p1) + np.sin(p2)])
-
-
-def one_element(corners, name):
-    """A single polygon that swings about a corner as a rigid body: against the compound pendulum of its own mass matrix."""
-    from scipy.integrate import solve_ivp
-
-    model = scenes.one_polygon(corners)
-    run = solve(model, 0.5, integrator(name))
-    arm = model.reference - model.reference[np.argmin(model.reference[:, 0])]
-    mass = model._nodal_mass
-    inertia = sum(arm[:, k] @ (mass @ arm[:, k]) for k in (0, 1))
-    pull = np.ones(len(arm)) @ (mass @ arm)
-    angle = solve_ivp(lambda t, y: [y[1], -9.81 * (pull[0] * np.cos(y[0]) - pull[1] * np.sin(y[0])) / inertia], (0.0, 0.5), [0.0, 0.0],
-                      rtol=1e-10, atol=1e-12).y[0, -1]
-    to_tip = tip(run)[0] + [0.5, 0.0]
-    place = [to_tip[0] * np.cos(angle) - to_tip[1] * np.sin(angle) - 0.5, to_tip[0] * np.sin(angle) + to_tip[1] * np.cos(angle)]
-    return run, [off_by(run, place, 5e-3, "tip against a rigid pendulum"), held(run, SETTLED), *_energies(run, name, 0.05)]
-
-
-def large_steps(h, name):
-    """The swinging plates with steps too long to be accurate: what is left to ask for is that phi holds and no energy comes in."""
-    run = solve(scenes.swing(), max(0.5, 20 * h), integrator(name, h))
-    gain = 1e-7 if name == "energy" else 0.02
-    return run, [held(run, SETTLED), balance(run, gain, 1.01 if name != "energy" else gain)[0]]
-
-
-def small_steps(h, name):
-    """40 steps of the motor-driven plates: q and v against Taylor's series at the start, a and lam against the equations of motion.
-
-    a, lam: distance from what M a + g + B^T lam = 0, phi'' = 0 give at the same q and v, relative; for the energy-momentum method in the middle
-    of the step, for IDA, whose error control leaves them out, not asked for.
-    """
-    from polyida.integrate.start import consistent_acceleration, consistent_state, jerk
-
-    model = scenes.plates.double_plate_motors(scenes.CELLS).build()
-    start, span = consistent_state(model), 40 * h
-    settings = {"max_step": h, "first_step": h} if name in ("ggl2", "ggl1") else {}
-    run = solve(model, span, integrator(name, h, **settings))
-    third, t = jerk(model, start, 1e-4), span
-    q, v = start.a * t**2 / 2 + third * t**3 / 6, start.a * t + third * t**2 / 2
-    far = np.abs(start.a).max() * span
-    checks = [Check("q against Taylor", np.abs(run.q[-1] - q).max() / (far * span), 1e-3 + 1e3 * span),
-              Check("v against Taylor", np.abs(run.v[-1] - v).max() / far, 1e-3 + 1e3 * span), held(run, SETTLED)]
-    if name in ("alpha", "stabilised"):
-        a, lam = consistent_acceleration(model, float(run.t[-1]), run.q[-1], run.v[-1])
-        checks += [Check("a against the equations", np.abs(run.a[-1] - a).max() / np.abs(a).max(), 1e-4),
-                   Check("lam against the equations", np.abs(run.lam[-1] - lam).max() / np.abs(lam).max(), 1e-4)]
-    return run, checks
-
-
-def newton_tolerance(tolerance, name):
-    """The swinging plates with another Newton tolerance: it must not show beside the time error of 2e-3 of the size."""
-    return _toleranced(name, tolerance=tolerance)
-
-
-def error_tolerance(rtol, name):
-    """The swinging plates with another rtol: 500 times that, and the reference's error, is allowed."""
-    return _toleranced(name, rtol=rtol, allowed=500 * rtol, t_end=0.3 if rtol > 1e-7 else 0.02)
-
-
-@lru_cache(maxsize=4)
-def _swing_reference(t_end):
-    return _refined(scenes.swing(), t_end, 2e-4)
-
-
-def _toleranced(name, allowed=2e-3, t_end=0.3, **settings):
-    run = solve(scenes.swing(), t_end, integrator(name, **settings))
-    place, own, _ = _swing_reference(t_end)
-    kept = allowed + 3 * own
-    return run, [off_by(run, place, kept, "tip against a refined run"), held(run, max(SETTLED, 1e-2 * kept)), *balance(run, max(GAIN, kept), 1.01)]
-
-
-def spectral_radius(rho_inf, name):
-    """The swinging plates with another rho_inf."""
-    run = solve(scenes.swing(), 0.5, integrator(name, rho_inf=rho_inf))
-    place, own, _ = _swing_reference(0.5)
-    return run, [off_by(run, place, 2e-3 + 3 * own, "tip against a refined run"), held(run, SETTLED), *balance(run, GAIN, 0.05)]
-
-
-def many_turns(turns, name):
-    """A motor turns a plate `turns` times, 0.1 s a turn: it must stand where it began, the motor's work be the energy gained."""
-    t_end = 0.1 * turns
-    model = scenes.driven(profile.quintic(0.0, 2 * np.pi * turns, duration=t_end))
-    run = solve(model, t_end, integrator(name))
-    return run, [off_by(run, tip(run)[0], 5e-3, "tip after whole turns"), held(run, SETTLED), *balance(run, 0.01, 0.01)]
-
-
-def reversal(rate, name):
-    """A motor at `rate` rad/s turns back within one step of 1 ms: the section follows, and the plate holds no more energy
-    than an elastic rebound at twice the speed would leave in it."""
-    angle = scenes.zigzag(rate, 1e-3)
-    model = scenes.driven(angle)
-    run = solve(model, 0.1, integrator(name))
-    arm = model.reference[:, 0]
-    most = 0.5 * rate**2 * (arm @ (model._nodal_mass @ arm))
-    inner = (run.energy.kinetic + run.energy.strain).max()
-    away = model.phi(0.1, run.q[-1])
-    return run, [Check("energy over that of a rebound", inner / most, 9.0), Check("angle", np.abs(away).max(), 1e-9), held(run, SETTLED)]
-
-
-def half_turn(jump, name):
-    """A motor jumps by `jump` rad within one step: the section stands at its angle, on the right half-turn, or the run stops."""
-    model = scenes.driven(profile.quintic(0.0, jump, duration=1e-3, begin=0.01))
-    run = solve(model, 0.03, integrator(name))
-    objections = [model.objection(t, q) for t, q in zip(run.t, run.q)]
-    return run, [Check("frames on the wrong half-turn or inside out", sum(map(bool, objections)), 0.5), held(run, SETTLED)]
-
-
-def through_flat(start, name):
-    """A parallelogram of plates falls from crank angle `start` through its flat position: phi and energy hold; rest at 0 is the flat start."""
-    run = solve(scenes.four_bar(start), 0.8, integrator(name))
-    return run, [held(run, SETTLED), *_energies(run, name, 0.05)]
-
-
-def held_twice(kind, name):
-    """Joints that repeat or contradict each other: the scene must be refused; a run of it proves nothing."""
-    run = solve(scenes.redundant(kind), 0.02, integrator(name))
-    return run, [Check("a redundant scene was solved", float("nan"), 1.0)]
-
-
-def blow(duration, name):
-    """A pulse of 1 N s on a free plate: linear and angular momentum afterwards."""
-    model = scenes.struck(duration)
-    run = solve(model, 0.03, integrator(name))
-    ones, x = np.ones(model.n_nodes), model.reference + run.q[-1].reshape(-1, 2)
-    v = run.v[-1].reshape(-1, 2)
-    momentum = ones @ (model._nodal_mass @ v)
-    spin = np.sum(x[:, 0] * (model._nodal_mass @ v[:, 1]) - x[:, 1] * (model._nodal_mass @ v[:, 0]))
-    exact = 1e-9 if name in FIXED else 5e-3
-    return run, [Check("linear momentum", float(np.hypot(momentum[0], momentum[1] - 1.0)), exact),
-                 Check("angular momentum", abs(spin - 1.0), 0.02), held(run)]
-
-
-def pressing(pressure, name):
-    """A block pressed slowly: the stretch of the material's law up to 0.19245 E; beyond, a stop that says that it collapses."""
-    run = solve(scenes.pressed(pressure), 0.6, integrator(name))
-    if pressure > 1 / np.sqrt(27):
-        return run, [Check("a run beyond the material's limit came to its end", float("nan"), 1.0)]
-    stretch = max(root.real for root in np.roots([1.0, 0.0, -1.0, 2 * pressure]) if abs(root.imag) < 1e-9)
-    return run, [Check("stretch", abs(tip(run)[-1, 0] / 0.05 - stretch), 2e-3), held(run, SETTLED)]
+def _refined(make, t_end, **settings):
+    return cases.against_refined(make, t_end, **settings)
 
 
 AXES = {
-    "modulus, Pa": Axis((50e6, 5e6, 1e5), (20e6, 10e6, 2e6, 1e6, 3e5),
-                        against_refined(lambda value: scenes.swing(scenes.rubber(value)), 0.5)),
-    "rigid limit, Pa": Axis((1e9, 2e11), (1e10,), stiff_limit),
-    "tip over plate mass": Axis((1e-6, 1.0, 1e3, 1e6), (1e-3, 10.0, 100.0, 1e4, 1e5),
-                                against_refined(lambda value: scenes.swing(tip_mass=value * scenes.PLATE_MASS), 0.3)),
-    "slenderness": Axis((10.0, 50.0, 200.0), (20.0, 100.0), against_refined(scenes.slender, 0.3)),
-    "links": Axis((2, 10, 50), (3, 5, 20, 35), against_refined(scenes.chain, 0.3)),
-    "gravity factor": Axis((1.0, 10.0, 100.0), (3.0, 30.0, 50.0), against_refined(scenes.heavy, 0.2)),
-    "long step, s": Axis((0.01, 0.1, 1.0), (0.003, 0.03, 0.3), large_steps, FIXED),
-    "short step, s": Axis((1e-5, 1e-7, 1e-10), (1e-4, 1e-6, 1e-8, 1e-9), small_steps, FIXED + ("ggl2", "ggl1")),
-    "rho_inf": Axis((0.9, 0.0, 0.99), (0.5, 0.8, 0.95), spectral_radius, ("alpha", "adaptive", "stabilised")),
-    "Newton tolerance": Axis((1e-4, 1e-2, 1e-12), (1e-3, 1e-6, 1e-8, 1e-10), newton_tolerance, FIXED),
-    "error tolerance": Axis((1e-2, 1e-5, 1e-8), (1e-3, 1e-4, 1e-6, 1e-7, 1e-10, 1e-12), error_tolerance, CHOOSING),
-    "turns": Axis((1, 10, 100), (3, 30), many_turns),
-    "reversal, rad/s": Axis((1.0, 10.0, 100.0), (3.0, 30.0), reversal),
-    "jump in a step, rad": Axis((0.5, 1.5, 3.1), (1.0, 2.0, 2.5, 3.2, 4.7, 6.28), half_turn),
-    "width of a sliver, m": Axis((1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7, 1e-10, 1e-12), against_refined(scenes.sliver, 0.3)),
-    "short edge, m": Axis((1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7, 1e-10, 1e-12), against_refined(scenes.short_edge, 0.3)),
-    "corners of one element": Axis((3, 8, 30), (4, 5, 6, 12, 20), one_element),
-    "plates of one element": Axis((1, 2, 5), (3, 10, 20), against_refined(scenes.blocks, 0.3)),
-    "four-bar from, rad": Axis((1.0, 0.0), (1.5, 0.5, 0.1), through_flat),
-    "held twice": Axis(("hinge twice", "hinge and clamp", "motor and clamp", "two motors", "weld and motor"), (), held_twice,
-                       ("alpha", "energy", "ggl2")),
-    "pulse, s": Axis((1e-2, 1e-4, 1e-8), (1e-3, 1e-5, 1e-6, 1e-7), blow),
-    "collapse, Pa": Axis((50e6, 10e6, 1e6), (30e6, 20e6, 15e6, 5e6), against_refined(scenes.collapsing, 1.1)),
-    "pressure over modulus": Axis((0.1, 0.19, 0.25), (0.05, 0.15, 0.18, 0.2, 0.5, 1.0), pressing),
-    "viscosity, s": Axis((1e-6, 1e-3, 1e-1), (1e-5, 1e-4, 1e-2), against_refined(scenes.damped, 0.3)),
+    "modulus, Pa": Axis(_refined(lambda value: scenes.swing(scenes.rubber(value)), 0.5),
+                        (50e6, 20e6, 10e6, 5e6, 2e6, 1e6, 3e5, 1e5), (50e6, 5e6, 1e5)),
+    "rigid limit, Pa": Axis(cases.stiff_limit, (1e9, 1e10, 1e11, 2e11), (1e9, 2e11)),
+    "tip over plate mass": Axis(_refined(lambda value: scenes.swing(tip_mass=value * scenes.PLATE_MASS), 0.1),
+                                (1e-6, 1e-3, 1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6), (1e-6, 1.0, 1e3, 1e6), slow=("ggl1",)),
+    "slenderness": Axis(_refined(scenes.slender, 0.3), (10.0, 20.0, 50.0, 100.0, 200.0), (10.0, 50.0, 200.0)),
+    "links": Axis(_refined(scenes.chain, 0.3), (2, 3, 5, 10, 20, 35, 50), (2, 10, 50)),
+    "gravity factor": Axis(_refined(scenes.heavy, lambda factor: 0.3 / np.sqrt(factor), h=lambda factor: 1e-3 / np.sqrt(factor)),
+                           (1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)),
+    "long step, s": Axis(cases.large_steps, (0.003, 0.01, 0.03, 0.1, 0.3, 1.0), (0.01, 0.1, 1.0), cases.FIXED),
+    "short step, s": Axis(cases.small_steps, (1e-6, 1e-7, 1e-8, 1e-9, 1e-10), (1e-6, 1e-8, 1e-10), cases.FIXED + IDA),
+    "rho_inf": Axis(cases.spectral_radius, (0.9, 0.8, 0.5, 0.0, 0.95, 0.99), (0.9, 0.0, 0.99), ("alpha", "adaptive", "stabilised")),
+    "Newton tolerance": Axis(cases.newton_tolerance, (1e-4, 1e-3, 1e-2, 1e-6, 1e-8, 1e-10, 1e-12), (1e-4, 1e-2, 1e-12), cases.FIXED),
+    "error tolerance": Axis(cases.error_tolerance, (1e-5, 1e-4, 1e-3, 1e-2, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12), (1e-5, 1e-2, 1e-8), CHOOSING),
+    "turns": Axis(cases.many_turns, (1, 3, 10, 30, 100), (1, 10, 100), slow=("ggl1",)),
+    "reversal, rad/s": Axis(cases.reversal, (1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0), slow=("ggl1",)),
+    "jump in a step, rad": Axis(cases.half_turn, (0.5, 1.0, 1.5, 2.0, 2.5, 3.1, 3.2, 4.7, 6.28), (0.5, 1.5, 3.1), slow=("ggl1",)),
+    "width of a sliver, m": Axis(_refined(scenes.sliver, 0.3, benign=1e-2), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12),
+                                 (1e-2, 1e-4, 1e-8)),
+    "short edge, m": Axis(_refined(scenes.short_edge, 0.3, benign=1e-2), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12),
+                          (1e-2, 1e-6, 1e-12)),
+    "corners of one element": Axis(cases.one_element, (3, 4, 5, 6, 8, 12, 20, 30), (3, 8, 30)),
+    "plates of one element": Axis(_refined(scenes.blocks, 0.3), (1, 2, 3, 5, 10, 20), (1, 2, 5)),
+    "four-bar from, rad": Axis(cases.through_flat, (1.5, 1.0, 0.5, 0.1, 0.0), (1.0, 0.0)),
+    "held twice": Axis(cases.held_twice, cases.REDUNDANT, cases.REDUNDANT, ("alpha", "energy", "ggl2")),
+    "pulse, s": Axis(cases.blow, (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8), (1e-2, 1e-4, 1e-8)),
+    "driven collapse, Pa": Axis(_refined(scenes.collapsing, 1.1), (50e6, 20e6, 10e6, 5e6, 2e6, 1e6), (50e6, 10e6, 1e6)),
+    "pressure over modulus": Axis(cases.pressing, (0.05, 0.1, 0.15, 0.18, 0.2, 0.25, 0.5, 1.0), (0.1, 0.18, 0.25)),
+    "viscosity, s": Axis(_refined(scenes.damped, 0.3), (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1), (1e-6, 1e-3, 1e-1)),
+    "steps": Axis(many_steps, (20_000, 100_000, 1_000_000), (20_000,), ("alpha", "energy")),
+    "steps of IDA": Axis(many_steps, (2_000, 100_000), (2_000,), ("ggl2",)),
+    "kills of a run": Axis(killed_runs, (50,), (5,), ("alpha", "energy", "ggl2")),
+    "kills of a sweep": Axis(killed_sweeps, (50,), (5,), ("-",)),
 }
+
+
+def tasks(quick):
+    """One task a value and integrator."""
+    return [{"axis": title, "value": value, "integrator": name} for title, axis in AXES.items() for value, name in axis.tasks(quick)]
+
+
+def run(axis, value, integrator):
+    """The row of a task."""
+    return outcome_of(AXES[axis].case, value, integrator)

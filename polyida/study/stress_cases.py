@@ -1,0 +1,238 @@
+"""Cases of the stress study: each drives one scene to one value and states how right is told from wrong."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from polyida import profile
+from polyida.integrate.solve import solve
+from polyida.study import stress_scenes as scenes
+from polyida.study.stress import Check, balance, extent, held, integrator, off_by, tip
+
+FIXED = ("alpha", "stabilised", "energy")
+FEW_FRAMES = 10**9
+GAIN = 1e-3  # energy gained beyond this share of what is turned over is wrong in any run
+REDUNDANT = ("hinge twice", "hinge and clamp", "motor and clamp", "two motors", "weld and motor")
+SETTLED = 1e-9  # of the scene's size: drift of phi
+
+
+def against_refined(make, t_end, h=1e-3, within=2e-3, loss=0.05, benign=None):
+    """A case: the tip at t_end against a run with an eighth of the step, within a share of the scene's size.
+
+    t_end, h: numbers, or functions of the value. benign: the value at which the reference is taken, where the value must not matter.
+    The methods that choose their step are allowed 500 times their rtol of 1e-5, the ratio of global to local error that is usual
+    for them. The reference's own error, its distance from a run with twice its step, is added to the bound thrice, and must be
+    below a third of it. Energy must not grow, the energy-momentum method must keep it to 1e-7.
+    """
+    span, step = (x if callable(x) else (lambda value, x=x: x) for x in (t_end, h))
+    reference = lru_cache(maxsize=4)(lambda value: _refined(make(value), span(value), step(value)))
+
+    def case(value, name):
+        run = solve(make(value), span(value), integrator(name, step(value)))
+        place, own, failed = reference(value if benign is None else benign)
+        if failed:
+            return run, [Check(f"tip; the refined run stops: {failed[:80]}", float("nan"), 1.0)]
+        bound = within if name in FIXED else 5e-3
+        kept = bound + 3 * own if 3 * own < bound else float("nan")
+        return run, [off_by(run, place, kept, "tip against a refined run"), held(run, SETTLED), *_energies(run, name, loss)]
+
+    return case
+
+
+def _energies(run, name, loss):
+    needs = run.model.needs
+    if needs.velocity_forces:
+        return balance(run, GAIN, 1.01)
+    exact = name == "energy"
+    if exact and not needs.driven:
+        return balance(run, 1e-7, 1e-7)
+    return balance(run, GAIN, GAIN if exact else loss)
+
+
+def _refined(model, t_end, h):
+    """(place of the tip at t_end, its error as a share of the scene's size, why there is none)."""
+    runs = [solve(model, t_end, integrator("alpha", h / part), every=FEW_FRAMES) for part in (4, 8)]
+    failed = next((run.message for run in runs if not run.success), "")
+    if failed:
+        return None, None, failed
+    coarse, fine = (tip(run)[-1] for run in runs)
+    return fine, float(np.linalg.norm(fine - coarse)) / extent(model), ""
+
+
+def stiff_limit(modulus, name):
+    """Two plates so stiff that they swing as rigid bodies: against their ordinary differential equation.
+
+    They sag by about 0.3 m at E = 50 MPa, in inverse proportion to E; that much and 2e-3 of their length is allowed.
+    """
+    model = scenes.swing(scenes.rubber(modulus))
+    run = solve(model, 0.5, integrator(name))
+    return run, [off_by(run, rigid_tip(model, 0.5), 2e-3 + 0.3 * 50e6 / modulus / 2, "tip against rigid bodies"), held(run, SETTLED),
+                 *_energies(run, name, 0.1)]
+
+
+def rigid_tip(model, t_end):
+    """Place of the tip of the double plate as two rigid bodies that fall from rest, masses and inertias from the mass matrix."""
+    from scipy.integrate import solve_ivp
+
+    mass, first = model._nodal_mass, model.bodies[0].nodes
+    x = model.reference[:, 0]
+    upper = (np.arange(len(x)) < first.stop).astype(float)
+    lower, y = 1 - upper, model.reference[:, 1]
+    shape_1 = np.stack([x * upper + lower, y * upper])  # what turns with the upper plate: itself, and the joint that carries the lower
+    shape_2 = np.stack([(x - 1) * lower, y * lower])
+    inner = [[sum(a[k] @ (mass @ b[k]) for k in (0, 1)) for b in (shape_1, shape_2)] for a in (shape_1, shape_2)]
+    cross = shape_1[0] @ (mass @ shape_2[1]) - shape_1[1] @ (mass @ shape_2[0])
+    ones = np.ones(len(x))
+    pull = [[ones @ (mass @ shape[k]) for k in (0, 1)] for shape in (shape_1, shape_2)]
+
+    def rate(t, state):
+        (p1, p2), (w1, w2) = state[:2], state[2:]
+        c, s = np.cos(p2 - p1), np.sin(p2 - p1)
+        coupling, slope = inner[0][1] * c - cross * s, -inner[0][1] * s - cross * c
+        load = [-9.81 * (pull[k][0] * np.cos(p) - pull[k][1] * np.sin(p)) for k, p in enumerate((p1, p2))]
+        matrix = [[inner[0][0], coupling], [coupling, inner[1][1]]]
+        return [w1, w2, *np.linalg.solve(matrix, [load[0] - slope * w2**2, load[1] + slope * w1**2])]
+
+    p1, p2 = solve_ivp(rate, (0.0, t_end), np.zeros(4), rtol=1e-10, atol=1e-12).y[:2, -1]
+    return np.array([np.cos(p1) + np.cos(p2), np.sin(p1) + np.sin(p2)])
+
+
+def one_element(corners, name):
+    """A single polygon that swings about a corner as a rigid body: against the compound pendulum of its own mass matrix."""
+    from scipy.integrate import solve_ivp
+
+    model = scenes.one_polygon(corners)
+    run = solve(model, 0.5, integrator(name))
+    arm = model.reference - model.reference[np.argmin(model.reference[:, 0])]
+    mass = model._nodal_mass
+    inertia = sum(arm[:, k] @ (mass @ arm[:, k]) for k in (0, 1))
+    pull = np.ones(len(arm)) @ (mass @ arm)
+    angle = solve_ivp(lambda t, y: [y[1], -9.81 * (pull[0] * np.cos(y[0]) - pull[1] * np.sin(y[0])) / inertia], (0.0, 0.5), [0.0, 0.0],
+                      rtol=1e-10, atol=1e-12).y[0, -1]
+    to_tip = tip(run)[0] + [0.5, 0.0]
+    place = [to_tip[0] * np.cos(angle) - to_tip[1] * np.sin(angle) - 0.5, to_tip[0] * np.sin(angle) + to_tip[1] * np.cos(angle)]
+    return run, [off_by(run, place, 5e-3, "tip against a rigid pendulum"), held(run, SETTLED), *_energies(run, name, 0.05)]
+
+
+def large_steps(h, name):
+    """The swinging plates with steps too long to be accurate: what is left to ask for is that phi holds and no energy comes in."""
+    run = solve(scenes.swing(), max(0.5, 20 * h), integrator(name, h))
+    gain = 1e-7 if name == "energy" else 0.02
+    return run, [held(run, SETTLED), balance(run, gain, 1.01 if name != "energy" else gain)[0]]
+
+
+def small_steps(h, name):
+    """40 steps of the motor-driven plates: q and v against Taylor's series at the start, a and lam against the equations of motion.
+
+    a, lam: distance from what M a + g + B^T lam = 0, phi'' = 0 give at the same q and v, relative; not for the energy-momentum
+    method, whose are those of the middle of a step, nor for IDA, which leaves them out of its error control. IDA is given h as its
+    first and largest step; its q and v are allowed 500 times rtol |q| + atol.
+    """
+    from polyida.integrate.start import consistent_acceleration, consistent_state, jerk
+
+    model = scenes.plates.double_plate_motors(scenes.CELLS).build()
+    start, t, chooses = consistent_state(model), 40 * h, name in ("ggl2", "ggl1")
+    settings = {"max_step": h, "first_step": h} if chooses else {}
+    run = solve(model, t, integrator(name, h, **settings))
+    third = jerk(model, start, 1e-4)
+    q, v, pull = start.a * t**2 / 2 + third * t**3 / 6, start.a * t + third * t**2 / 2, np.abs(start.a).max()
+    extra = 500 * 1e-7 if chooses else 0.0
+    checks = [Check("q against Taylor", np.abs(run.q[-1] - q).max(), 2e-3 * pull * t**2 + extra),
+              Check("v against Taylor", np.abs(run.v[-1] - v).max(), 2e-3 * pull * t + 1e3 * extra), held(run, SETTLED)]
+    if name in ("alpha", "stabilised"):
+        a, lam = consistent_acceleration(model, float(run.t[-1]), run.q[-1], run.v[-1])
+        checks += [Check("a against the equations", np.abs(run.a[-1] - a).max() / np.abs(a).max(), 1e-4),
+                   Check("lam against the equations", np.abs(run.lam[-1] - lam).max() / np.abs(lam).max(), 1e-4)]
+    return run, checks
+
+
+def newton_tolerance(tolerance, name):
+    """The swinging plates with another Newton tolerance: it must not show beside the time error of 2e-3 of the size."""
+    return _toleranced(name, tolerance=tolerance)
+
+
+def error_tolerance(rtol, name):
+    """The swinging plates with another rtol: 500 times that, and the reference's error, is allowed."""
+    return _toleranced(name, rtol=rtol, allowed=500 * rtol, t_end=0.3 if rtol > 1e-7 else 0.01)
+
+
+@lru_cache(maxsize=4)
+def _swing_reference(t_end):
+    return _refined(scenes.swing(), t_end, 2e-4)
+
+
+def _toleranced(name, allowed=2e-3, t_end=0.3, **settings):
+    run = solve(scenes.swing(), t_end, integrator(name, **settings))
+    place, own, _ = _swing_reference(t_end)
+    kept = allowed + 3 * own
+    return run, [off_by(run, place, kept, "tip against a refined run"), held(run, max(SETTLED, 1e-2 * kept)), *balance(run, max(GAIN, kept), 1.01)]
+
+
+def spectral_radius(rho_inf, name):
+    """The swinging plates with another rho_inf."""
+    run = solve(scenes.swing(), 0.5, integrator(name, rho_inf=rho_inf))
+    place, own, _ = _swing_reference(0.5)
+    return run, [off_by(run, place, 2e-3 + 3 * own, "tip against a refined run"), held(run, SETTLED), *balance(run, GAIN, 0.05)]
+
+
+def many_turns(turns, name):
+    """A motor turns a plate `turns` times, 0.1 s a turn, 1 s at least: it must stand where it began, the work be the energy gained."""
+    t_end = max(1.0, 0.1 * turns)
+    model = scenes.driven(profile.quintic(0.0, 2 * np.pi * turns, duration=t_end))
+    run = solve(model, t_end, integrator(name))
+    return run, [off_by(run, tip(run)[0], 5e-3, "tip after whole turns"), held(run, SETTLED), *balance(run, 0.01, 0.01)]
+
+
+def reversal(rate, name):
+    """A motor at `rate` rad/s turns back within one step of 1 ms: the section follows, and the plate holds no more energy
+    than an elastic rebound at twice the speed would leave in it."""
+    angle = scenes.zigzag(rate, 1e-3)
+    model = scenes.driven(angle)
+    run = solve(model, 0.07, integrator(name))
+    arm = model.reference[:, 0]
+    most = 0.5 * rate**2 * (arm @ (model._nodal_mass @ arm))
+    inner = (run.energy.kinetic + run.energy.strain).max()
+    away = model.phi(0.07, run.q[-1])
+    return run, [Check("energy over that of a rebound", inner / most, 9.0), Check("angle", np.abs(away).max(), 1e-9), held(run, SETTLED)]
+
+
+def half_turn(jump, name):
+    """A motor jumps by `jump` rad within one step: the section stands at its angle, on the right half-turn, or the run stops."""
+    model = scenes.driven(profile.quintic(0.0, jump, duration=1e-3, begin=0.01))
+    run = solve(model, 0.012, integrator(name))
+    objections = [model.objection(t, q) for t, q in zip(run.t, run.q)]
+    return run, [Check("frames on the wrong half-turn or inside out", sum(map(bool, objections)), 0.5), held(run, SETTLED)]
+
+
+def through_flat(start, name):
+    """A parallelogram of plates falls from crank angle `start` through its flat position: phi and energy hold; rest at 0 is the flat start."""
+    run = solve(scenes.four_bar(start), 0.8, integrator(name))
+    return run, [held(run, SETTLED), *_energies(run, name, 0.05)]
+
+
+def held_twice(kind, name):
+    """Joints that repeat or contradict each other: the scene must be refused; a run of it proves nothing."""
+    run = solve(scenes.redundant(kind), 0.02, integrator(name))
+    return run, [Check("a redundant scene was solved", float("nan"), 1.0)]
+
+
+def blow(duration, name):
+    """A pulse of 1 N s on a free plate: linear and angular momentum afterwards, to what Newton and error control leave."""
+    model = scenes.struck(duration)
+    run = solve(model, 0.013, integrator(name))
+    ones, x = np.ones(model.n_nodes), model.reference + run.q[-1].reshape(-1, 2)
+    v = run.v[-1].reshape(-1, 2)
+    momentum = ones @ (model._nodal_mass @ v)
+    spin = np.sum(x[:, 0] * (model._nodal_mass @ v[:, 1]) - x[:, 1] * (model._nodal_mass @ v[:, 0]))
+    exact = {"energy": 1e-8, "alpha": 1e-3, "stabilised": 1e-3}.get(name, 5e-3)
+    return run, [Check("linear momentum", float(np.hypot(momentum[0], momentum[1] - 1.0)), exact),
+                 Check("angular momentum", abs(spin - 1.0), 0.02), held(run)]
+
+
+def pressing(pressure, name):
+    """A block pressed slowly: the stretch of the material's law up to 0.19245 E; beyond, a stop that says that it collapses."""
+    run = solve(scenes.pressed(pressure), 0.6, integrator(name))
+    if pressure > 1 / np.sqrt(27):
+        return run, [Check("a run beyond the material's limit came to its end", float("nan"), 1.0)]
+    stretch = max(root.real for root in np.roots([1.0, 0.0, -1.0, 2 * pressure]) if abs(root.imag) < 1e-9)
+    return run, [Check("stretch", abs(tip(run)[-1, 0] / 0.05 - stretch), 2e-3), held(run, SETTLED)]

@@ -1,0 +1,45 @@
+"""Scenes driven along many axes to where something breaks, in every integrator: right, stopped with a reason, or neither."""
+
+import numpy as np
+
+from polyida.cli_study import main
+from polyida.show.style import figure, save, settings
+from polyida.study.harness import Study
+from polyida.study.stress import OUTCOMES, figures, limits, outcome_in
+from polyida.study.stress_axes import run, tasks
+
+COLUMNS = ("axis", "value", "integrator", "outcome", "checked", "deviation", "bound", "steps", "cpu_s", "status", "reason")
+COLOURS = {"right": "#0072B2", "stated_stop": "#E69F00", "wrong": "#D55E00", "crash": "#000000", "hang": "#CC79A7"}
+
+
+def draw(rows, folder):
+    """One row an axis, one column an integrator: a square a value, from benign on the left to harsh, coloured by the outcome."""
+    axes = list(dict.fromkeys(row["axis"] for row in rows))
+    names = list(dict.fromkeys(row["integrator"] for row in rows))
+    with settings():
+        made, panel = figure(1.2 + 1.1 * len(names), 1.0 + 0.24 * len(axes))
+        for row_number, axis in enumerate(axes):
+            for column, name in enumerate(names):
+                of_cell = [row for row in rows if row["axis"] == axis and row["integrator"] == name]
+                x = column + (np.arange(len(of_cell)) + 0.5) / max(8, len(of_cell)) * 0.9
+                panel.scatter(x, np.full(len(x), row_number), marker="s", s=14, color=[COLOURS[outcome_in(row)] for row in of_cell])
+        panel.set_yticks(range(len(axes)), axes)
+        panel.set_xticks(np.arange(len(names)) + 0.4, names)
+        panel.invert_yaxis()
+        panel.grid(False)
+        for outcome in OUTCOMES:
+            panel.scatter([], [], marker="s", s=14, color=COLOURS[outcome], label=outcome.replace("_", " "))
+        made.legend(loc="outside upper center", ncols=len(OUTCOMES))
+        return [save(made, folder / f"stress.{kind}") for kind in ("png", "pdf")]
+
+
+def notes(rows):
+    """Up to where each integrator is right on each axis."""
+    return [f"breaks: {line}" for line in limits(rows)]
+
+
+STUDY = Study("stress", "Scenes driven to where something breaks", tasks, run, figures, draw, COLUMNS, isolated=True, limit=300.0,
+              notes=notes, fresh=False)
+
+if __name__ == "__main__":
+    main(STUDY)
