@@ -49,7 +49,7 @@ def gain_table(model, times, drives, h):
     for k in np.unique(links.joint_drive[links.joint_kind == joints.MOTOR]):
         t, ends = times[1:], after[:, k]
         size = np.abs(before[:, k, :2]) + np.abs(ends[:, :2]) + np.abs(t[:, None] * ends[:, 1:])
-        lost = np.flatnonzero(np.abs(gains[:, k, 2]) < 1e-5 * size[:, 1])
+        lost = np.flatnonzero((np.abs(gains[:, k, ::2]) < 1e-5 * size).any(axis=1))
         if lost.size:
             _sharpen(model.profiles[k], times[:-1][lost], h, before[lost, k, 1], gains[:, k], lost, size[lost])
     return gains

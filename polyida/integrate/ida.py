@@ -206,7 +206,7 @@ class _Run:
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
         if self.refused:
             why = getattr(self.model, "objection", lambda t, q: None)(*self.refused)
-            status, reason = ("objection", f"{why}; {reason}") if why else ("not finite", f"the residual is not finite; {reason}")
+            status, reason = ("objection", f"{why}; {reason}") if why else (status, f"the residual is not finite; {reason}")
         phi = np.abs(self.model.phi(state.t, state.q))
         tried = float(self.tried - state.t)
         seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}

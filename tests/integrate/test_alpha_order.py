@@ -54,7 +54,7 @@ def test_stabilised_form(scenes, linear):
     model, end = turning(scenes), 0.3
     found = orders(scenes, model, end, (60, 120, 240), 960, tolerance=1e-6, form="stabilised", linear=linear)
     assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.1)
-    runs = [pi.solve(model, end, pi.GeneralizedAlpha(h=5e-3, form=form, linear=linear)) for form in ("index3", "stabilised")]
+    runs = [pi.solve(model, end, pi.GeneralizedAlpha(h=5e-3, tolerance=1e-7, form=form, linear=linear)) for form in ("index3", "stabilised")]
     assert runs[0].velocity_drift.max() > 1e-6
     assert runs[1].velocity_drift.max() < 1e-13 and runs[1].drift.max() < 1e-11
 
