@@ -11,21 +11,31 @@ SCALINGS = ("none", "bottasso", "physical")
 
 
 def steps(quick):
-    return [float(f"1e-{k}") for k in range(1, 10)] if quick else [float(f"{x}e-{k}") for k in range(1, 10) for x in (3, 1)][1:]
+    return (
+        [float(f"1e-{k}") for k in range(1, 10)]
+        if quick
+        else [float(f"{x}e-{k}") for k in range(1, 10) for x in (3, 1)][1:]
+    )
 
 
 def tasks(quick):
     made, given = [], {"cells": 8 if quick else 20, "h": steps(quick)}
     for plates in ("soft", "steel", "stiffest", "springs"):
         pairs = [("(q, lam)", scaling) for scaling in conditioning.ALPHA_SCALINGS]
-        pairs += [(form, "none") for form in conditioning.ALPHA_FORMS if form != "(q, lam)"]
+        pairs += [(f"({unknown}, lam)", "none") for unknown in conditioning.ALPHA_UNKNOWNS if unknown != "q"]
         made += [{"plates": plates, "of": "alpha", "form": form, "scaling": scaling} | given for form, scaling in pairs]
-        made += [{"plates": plates, "of": "IDA", "form": form, "scaling": scaling} | given
-                 for form in conditioning.IDA_SLOPES for scaling in ("none", "characteristic")]
+        made += [
+            {"plates": plates, "of": "IDA", "form": form, "scaling": scaling} | given
+            for form in conditioning.IDA_SLOPES
+            for scaling in ("none", "characteristic")
+        ]
         made.append({"plates": plates, "of": "alpha", "form": "S on free motions", "scaling": "-"} | given)
     for plates in ("soft", "steel"):
-        made += [{"plates": plates, "of": "solve", "form": backend, "scaling": scaling} | given
-                 for backend in solve_error.BACKENDS for scaling in SCALINGS]
+        made += [
+            {"plates": plates, "of": "solve", "form": backend, "scaling": scaling} | given
+            for backend in solve_error.BACKENDS
+            for scaling in SCALINGS
+        ]
     return made
 
 
@@ -33,16 +43,26 @@ def run(plates, cells, of, form, scaling, h):
     model, state = conditioning.state_of(plates, cells)
     if of == "solve":
         errors = np.array([solve_error.solve_errors(model, state, step, form, scaling) for step in h])
-        return {"values": errors.max(axis=1), "worst": errors.max(), "at_1e-2": errors[h.index(1e-2)].max(),
-                "at_1e-9": errors[-1].max()}
+        return {
+            "values": errors.max(axis=1),
+            "worst": errors.max(),
+            "at_1e-2": errors[h.index(1e-2)].max(),
+            "at_1e-9": errors[-1].max(),
+        }
     measure = measured(model, state, of, form, scaling)
     values, fastest = np.array([measure(step) for step in h]), conditioning.fastest(model, state)
     far = 1e-3 / fastest**2 * 10.0 ** -np.arange(4)
     small = np.array(h) < 0.1 / fastest
     within = np.array(h) <= 1.0001e-2
-    return {"values": values, "theory": theory(of, form, scaling), "slope": fitted(np.array(h)[small], values[small]),
-            "slope_limit": fitted(far, [measure(step) for step in far]), "worst": values[within].max(),
-            "at_1e-2": values[h.index(1e-2)], "at_1e-9": values[-1]}
+    return {
+        "values": values,
+        "theory": theory(of, form, scaling),
+        "slope": fitted(np.array(h)[small], values[small]),
+        "slope_limit": fitted(far, [measure(step) for step in far]),
+        "worst": values[within].max(),
+        "at_1e-2": values[h.index(1e-2)],
+        "at_1e-9": values[-1],
+    }
 
 
 def measured(model, state, of, form, scaling):
@@ -50,7 +70,7 @@ def measured(model, state, of, form, scaling):
     if form == "S on free motions":
         return lambda h: conditioning.inherent_condition(model, state, h)
     if of == "alpha":
-        return lambda h: conditioning.alpha_matrix(model, state, h, form, scaling).condition()
+        return lambda h: conditioning.alpha_condition(model, state, h, form[1], scaling)
     made = lambda h: conditioning.ida_matrix(model, state, h, form)  # noqa: E731
     return (lambda h: made(h).condition()) if scaling == "none" else (lambda h: float(np.linalg.cond(made(h).matrix)))
 
@@ -60,7 +80,7 @@ def theory(of, form, scaling):
         return 0
     if of == "IDA":
         return conditioning.IDA_SLOPES[form]
-    return conditioning.ALPHA_SCALINGS[scaling] if form == "(q, lam)" else conditioning.ALPHA_FORMS[form][1]
+    return conditioning.ALPHA_SCALINGS[scaling] if form == "(q, lam)" else conditioning.ALPHA_UNKNOWNS[form[1]]
 
 
 def pick(rows, **wanted):
@@ -70,15 +90,19 @@ def pick(rows, **wanted):
 def figures(rows):
     physical = pick(rows, of="alpha", form="(q, lam)", scaling="physical")
     unscaled = pick(rows, of="alpha", form="(q, lam)", scaling="none")
-    found = {"slope_unscaled": pick(unscaled, plates="soft")[0]["slope"],
-             "slope_unscaled_worst": max((row["slope_limit"] for row in unscaled), key=lambda slope: abs(slope + 4)),
-             "scaled_condition_max": max(row["worst"] for row in physical),
-             "scaled_condition_at_1e-9_max": max(row["at_1e-9"] for row in physical)}
+    found = {
+        "slope_unscaled": pick(unscaled, plates="soft")[0]["slope"],
+        "slope_unscaled_worst": max((row["slope_limit"] for row in unscaled), key=lambda slope: abs(slope + 4)),
+        "scaled_condition_max": max(row["worst"] for row in physical),
+        "scaled_condition_at_1e-9_max": max(row["at_1e-9"] for row in physical),
+    }
     for row in physical:
         found[f"scaled_condition_max_{row['plates']}"] = row["worst"]
     free = {row["plates"]: row["values"] for row in pick(rows, form="S on free motions")}
     found["scaled_over_free_max"] = max(np.max(np.divide(row["values"], free[row["plates"]])) for row in physical)
-    found["ida_scaled_slope_limit_max"] = max(abs(row["slope_limit"]) for row in pick(rows, of="IDA", scaling="characteristic"))
+    found["ida_scaled_slope_limit_max"] = max(
+        abs(row["slope_limit"]) for row in pick(rows, of="IDA", scaling="characteristic")
+    )
     for row in pick(rows, of="IDA", scaling="none", plates="soft"):
         found[f"slope_limit_{row['form']}"] = row["slope_limit"]
     return found
@@ -86,13 +110,20 @@ def figures(rows):
 
 def notes(rows):
     found = figures(rows)
-    lines = [f"scaled condition numbers exceed 1e4: {row['plates']}, up to {row['worst']:.2g} at h <= 1e-2. That is the plates' own, "
-             "of S on the motions that the constraints leave free; no scaling of the index-3 border removes it"
-             for row in pick(rows, of="alpha", form="(q, lam)", scaling="physical") if row["worst"] > 1e4]
-    lines.append(f"what the border adds: at most a factor {found['scaled_over_free_max']:.2g} over S on the free motions, at every h and stiffness")
+    lines = [
+        f"scaled condition numbers exceed 1e4: {row['plates']}, up to {row['worst']:.2g} at h <= 1e-2. That is the plates' own, "
+        "of S on the motions that the constraints leave free; no scaling of the index-3 border removes it"
+        for row in pick(rows, of="alpha", form="(q, lam)", scaling="physical")
+        if row["worst"] > 1e4
+    ]
+    lines.append(
+        f"what the border adds: at most a factor {found['scaled_over_free_max']:.2g} over S on the free motions, at every h and stiffness"
+    )
     for row in pick(rows, of="solve"):
         if row["at_1e-9"] > 1e-3:
-            lines.append(f"no digits at h = 1e-9: {row['form']}, scaling {row['scaling']}, {row['plates']}: error {row['at_1e-9']:.1g}")
+            lines.append(
+                f"no digits at h = 1e-9: {row['form']}, scaling {row['scaling']}, {row['plates']}: error {row['at_1e-9']:.1g}"
+            )
     return lines
 
 
@@ -106,7 +137,13 @@ def alpha_figure(rows, folder):
     for axis, plates in zip(axes, ("soft", "steel")):
         kept = pick(rows, of="alpha", plates=plates)
         for i, row in enumerate(kept):
-            loglog(axis, row["h"], row["values"], i, f"{row['form']}{'' if row['scaling'] in '-' else ', ' + row['scaling']}")
+            loglog(
+                axis,
+                row["h"],
+                row["values"],
+                i,
+                f"{row['form']}{'' if row['scaling'] in '-' else ', ' + row['scaling']}",
+            )
         for row in kept:
             if row["scaling"] == "none":
                 slope_line(axis, row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
@@ -138,8 +175,16 @@ def solve_figure(rows, folder):
 
 
 COLUMNS = ("of", "plates", "form", "scaling", "theory", "slope", "slope_limit", "at_1e-2", "at_1e-9", "worst", "error")
-STUDY = Study("conditioning", "condition numbers: slopes in h beside theory; solve errors of linear back-ends", tasks, run,
-              figures, draw, COLUMNS, notes=notes)
+STUDY = Study(
+    "conditioning",
+    "condition numbers: slopes in h beside theory; solve errors of linear back-ends",
+    tasks,
+    run,
+    figures,
+    draw,
+    COLUMNS,
+    notes=notes,
+)
 
 if __name__ == "__main__":
     main(STUDY)

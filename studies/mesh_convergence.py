@@ -1,4 +1,6 @@
-"""What the mesh and the element cost: elastica, CSM1, frequencies, a short cantilever, joints at a node and at a section, spin-up."""
+"""What the mesh and the element cost: elastica, CSM1, frequencies, a short cantilever, joints at a node and at a
+section, spin-up.
+"""
 
 from functools import cache
 
@@ -8,24 +10,59 @@ from polyida.study import mesh_cases
 from polyida.study.drawing import drawn, fitted, legend, loglog, look, panels, saved
 from polyida.study.harness import Study
 
-MEMBERS = (("polygons", "wachspress"), ("quads", "wachspress"), ("triangles", "wachspress"), ("polygons", "virtual"), ("quads", "virtual"))
+MEMBERS = (
+    ("polygons", "wachspress"),
+    ("quads", "wachspress"),
+    ("triangles", "wachspress"),
+    ("polygons", "virtual"),
+    ("quads", "virtual"),
+)
 
 
 def tasks(quick):
-    sizes = {"elastica": (2, 4, 8) if quick else (2, 3, 4, 6, 8, 12), "cantilever": (2, 4, 8) if quick else (2, 3, 5, 10, 20),
-             "csm1": (2, 4, 8) if quick else (2, 4, 8, 16), "frequencies": (2, 4) if quick else (2, 3, 4, 6, 8)}
-    made = [{"case": "elastica", "kind": kind, "element": element, "through": n, "load": load}
-            for load in (1, 10) for kind, element in MEMBERS for n in sizes["elastica"]]
-    made += [{"case": "csm1", "kind": kind, "element": element, "through": n, "clamp": clamp}
-             for clamp in ("arc", "straight") for kind, element in MEMBERS for n in sizes["csm1"]]
-    made += [{"case": "csm1", "kind": "quads", "element": "wachspress", "through": n, "clamp": clamp}
-             for clamp in ("arc", "straight") for n in ((16, 40) if quick else (24, 40))]
-    made += [{"case": case, "kind": kind, "element": element, "through": n}
-             for case in ("cantilever", "frequencies") for kind, element in MEMBERS for n in sizes[case]]
-    made += [{"case": "compliance", "kind": "polygons", "element": "wachspress", "through": n, "at": at}
-             for at in ("node", "section") for n in ((2, 4, 8) if quick else (2, 4, 8, 16, 32))]
-    spins = ((130, 1, 0.01), (130, 2, 5e-3)) if quick else ((65, 1, 0.01), (130, 1, 0.01), (130, 2, 5e-3), (260, 2, 5e-3), (260, 2, 2e-3))
-    return made + [{"case": "spin-up", "kind": "quads", "element": "wachspress", "through": ny, "nx": nx, "h": h} for nx, ny, h in spins]
+    sizes = {
+        "elastica": (2, 4, 8) if quick else (2, 3, 4, 6, 8, 12),
+        "cantilever": (2, 4, 8) if quick else (2, 3, 5, 10, 20),
+        "csm1": (2, 4, 8) if quick else (2, 4, 8, 16),
+        "frequencies": (2, 4) if quick else (2, 3, 4, 6, 8),
+    }
+    made = [
+        {"case": "elastica", "kind": kind, "element": element, "through": n, "load": load}
+        for load in (1, 10)
+        for kind, element in MEMBERS
+        for n in sizes["elastica"]
+    ]
+    made += [
+        {"case": "csm1", "kind": kind, "element": element, "through": n, "clamp": clamp}
+        for clamp in ("arc", "straight")
+        for kind, element in MEMBERS
+        for n in sizes["csm1"]
+    ]
+    made += [
+        {"case": "csm1", "kind": "quads", "element": "wachspress", "through": n, "clamp": clamp}
+        for clamp in ("arc", "straight")
+        for n in ((16, 40) if quick else (24, 40))
+    ]
+    made += [
+        {"case": case, "kind": kind, "element": element, "through": n}
+        for case in ("cantilever", "frequencies")
+        for kind, element in MEMBERS
+        for n in sizes[case]
+    ]
+    made += [
+        {"case": "compliance", "kind": "polygons", "element": "wachspress", "through": n, "at": at}
+        for at in ("node", "section")
+        for n in ((2, 4, 8) if quick else (2, 4, 8, 16, 32))
+    ]
+    spins = (
+        ((130, 1, 0.01), (130, 2, 5e-3))
+        if quick
+        else ((65, 1, 0.01), (130, 1, 0.01), (130, 2, 5e-3), (260, 2, 5e-3), (260, 2, 2e-3))
+    )
+    return made + [
+        {"case": "spin-up", "kind": "quads", "element": "wachspress", "through": ny, "nx": nx, "h": h}
+        for nx, ny, h in spins
+    ]
 
 
 @cache
@@ -42,7 +79,9 @@ def run(case, kind, element, through, **options):
 
 
 def pick(rows, **wanted):
-    kept = [row for row in rows if not row.get("error") and "dof" in row and all(row.get(k) == v for k, v in wanted.items())]
+    kept = [
+        row for row in rows if not row.get("error") and "dof" in row and all(row.get(k) == v for k, v in wanted.items())
+    ]
     return sorted(kept, key=lambda row: row["dof"])
 
 
@@ -50,7 +89,9 @@ def figures(rows):
     found = {}
     for load in (1, 10):
         for kind, element in MEMBERS:
-            found[f"elastica_{load}_error_{kind}_{element}"] = pick(rows, case="elastica", load=load, kind=kind, element=element)[-1]["deviation"]
+            found[f"elastica_{load}_error_{kind}_{element}"] = pick(
+                rows, case="elastica", load=load, kind=kind, element=element
+            )[-1]["deviation"]
         found[f"elastica_{load}_error"] = found[f"elastica_{load}_error_polygons_wachspress"]
     for clamp in ("arc", "straight"):
         runs = pick(rows, case="csm1", clamp=clamp, kind="quads", element="wachspress")
@@ -64,10 +105,14 @@ def figures(rows):
         found[f"compliance_growth_{at}"] = runs[-1]["compliance"] / runs[0]["compliance"] - 1
     for kind, element in MEMBERS:
         runs = pick(rows, case="cantilever", kind=kind, element=element)
-        found[f"cantilever_order_{kind}_{element}"] = -2 * fitted([row["dof"] for row in runs], [row["deviation"] for row in runs])
+        found[f"cantilever_order_{kind}_{element}"] = -2 * fitted(
+            [row["dof"] for row in runs], [row["deviation"] for row in runs]
+        )
         last = pick(rows, case="frequencies", kind=kind, element=element)[-1]
-        found[f"bending_frequency_error_{kind}_{element}"], found[f"axial_frequency_error_{kind}_{element}"] = \
-            abs(last["bending_errors"][0]), max(map(abs, last["axial_errors"]))
+        found[f"bending_frequency_error_{kind}_{element}"], found[f"axial_frequency_error_{kind}_{element}"] = (
+            abs(last["bending_errors"][0]),
+            max(map(abs, last["axial_errors"])),
+        )
     return found
 
 
@@ -75,11 +120,15 @@ def notes(rows):
     found = figures(rows)
     aims = {"elastica_1_error": 1e-3, "elastica_10_error": 1e-3, "csm1_error": 1e-3, "spin_up_extension_error": 1e-2}
     lines = [f"{name} = {found[name]:.2g} misses {aim:g}" for name, aim in aims.items() if found[name] > aim]
-    lines.append(f"a joint at one node does not converge: its compliance grows by {found['compliance_growth_node']:.1%} from the coarsest to the "
-                 f"finest mesh, that of a section by {found['compliance_growth_section']:.1e}")
+    lines.append(
+        f"a joint at one node does not converge: its compliance grows by {found['compliance_growth_node']:.1%} from the coarsest to the "
+        f"finest mesh, that of a section by {found['compliance_growth_section']:.1e}"
+    )
     triangles = max(found["elastica_1_error_triangles_wachspress"], found["elastica_10_error_triangles_wachspress"])
     lines.append(f"linear triangles lock in bending: {triangles:.1%} off on the finest elastica")
-    lines.append("elastica: the reference has neither shear nor stretch; at L/h = 50 and nu = 0 shear alone adds 1.2 (h/L)^2 = 5e-4 to u")
+    lines.append(
+        "elastica: the reference has neither shear nor stretch; at L/h = 50 and nu = 0 shear alone adds 1.2 (h/L)^2 = 5e-4 to u"
+    )
     return lines
 
 
@@ -89,9 +138,14 @@ def draw(rows, folder):
 
 
 def convergence_figure(rows, folder):
-    cases = {"elastica, PL²/EI = 1": {"case": "elastica", "load": 1}, "elastica, PL²/EI = 10": {"case": "elastica", "load": 10},
-             "CSM1, arc clamp": {"case": "csm1", "clamp": "arc"}, "CSM1, straight clamp": {"case": "csm1", "clamp": "straight"},
-             "short cantilever, L/H = 10": {"case": "cantilever"}, "frequencies, L/H = 50": {"case": "frequencies"}}
+    cases = {
+        "elastica, PL²/EI = 1": {"case": "elastica", "load": 1},
+        "elastica, PL²/EI = 10": {"case": "elastica", "load": 10},
+        "CSM1, arc clamp": {"case": "csm1", "clamp": "arc"},
+        "CSM1, straight clamp": {"case": "csm1", "clamp": "straight"},
+        "short cantilever, L/H = 10": {"case": "cantilever"},
+        "frequencies, L/H = 50": {"case": "frequencies"},
+    }
     made, axes = panels(len(cases), height=2.3)
     for axis, (title, wanted) in zip(axes, cases.items()):
         for i, (kind, element) in enumerate(MEMBERS):
@@ -109,7 +163,9 @@ def joint_figure(rows, folder):
     made, axes = panels(1, width=4.2, height=2.6)
     for i, at in enumerate(("node", "section")):
         runs = pick(rows, case="compliance", at=at)
-        axes[0].semilogx([row["dof"] for row in runs], [row["compliance"] for row in runs], label=f"pulled at a {at}", **look(i))
+        axes[0].semilogx(
+            [row["dof"] for row in runs], [row["compliance"] for row in runs], label=f"pulled at a {at}", **look(i)
+        )
     axes[0].set(xlabel="degrees of freedom", ylabel="compliance over that of the bar")
     legend(made, axes, 2)
     return saved(made, folder, "node-against-section")
@@ -126,8 +182,25 @@ def spin_up_figure(rows, folder):
     return saved(made, folder, "spin-up")
 
 
-COLUMNS = ("case", "kind", "element", "through", "load", "clamp", "at", "nx", "h", "dof", "deviation", "compliance", "cpu_s", "error")
-STUDY = Study("mesh_convergence", "meshes and elements against known answers", tasks, run, figures, draw, COLUMNS, notes=notes)
+COLUMNS = (
+    "case",
+    "kind",
+    "element",
+    "through",
+    "load",
+    "clamp",
+    "at",
+    "nx",
+    "h",
+    "dof",
+    "deviation",
+    "compliance",
+    "cpu_s",
+    "error",
+)
+STUDY = Study(
+    "mesh_convergence", "meshes and elements against known answers", tasks, run, figures, draw, COLUMNS, notes=notes
+)
 
 if __name__ == "__main__":
     main(STUDY)

@@ -156,9 +156,10 @@ def _costs(rows, folder):
     from polyida.show.style import figure, line
 
     made, axes = figure(6.4, 4.6)
+    alpha = ("generalized-alpha", "alpha")
+    kinds = ((*alpha, "scene 1"), (*alpha, "scene 2"), ("IDA", "ida", "scene 1"))
     lines = [(f"a step of {name}, {scene}", only(rows, "step", scene=scene, integrator=key), "ms_per_step", "o")
-             for name, key, scene in (("generalized-alpha", "alpha", "scene 1"), ("generalized-alpha", "alpha", "scene 2"),
-                                      ("IDA", "ida", "scene 1"))]
+             for name, key, scene in kinds]
     lines += [(f"1 factorization + 3 solves, {name}", only(rows, "floor", backend=name), "floor_ms", "x")
               for name in cost.BACKENDS]
     for k, (label, found, key, marker) in enumerate(lines):

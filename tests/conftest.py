@@ -1,5 +1,7 @@
 """Small scenes that many tests share: one or two rubber plates on a coarse mesh, held by every kind of joint."""
 
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +13,23 @@ RUBBER = dict(E=50e6, nu=0.3, rho=1100.0)
 LENGTH, HEIGHT, THICKNESS, GRAVITY = 1.0, 0.1, 0.01, (0.0, -9.81)
 PLATE_MASS = RUBBER["rho"] * LENGTH * HEIGHT * THICKNESS
 _meshes = {}
+WARM_UP = """
+import polyida as pi
+scene = pi.Scene()
+plate = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=4), pi.Material(5e7, 0.3, 1100.0), 0.01))
+scene.add(pi.Revolute(pi.ground, plate.section("left")))
+for integrator in (pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA()):
+    pi.solve(scene.build(), 2e-3, integrator)
+"""
+
+
+def pytest_sessionstart(session):
+    """Fill the kernels' cache in a process of its own.
+
+    The process that compiles a kernel and those that load it may differ in the last bit (what is inlined decides how sums are
+    reassociated), and some tests compare runs of two processes to the bit.
+    """
+    subprocess.run([sys.executable, "-c", WARM_UP], check=True)
 
 
 def mesh(cells=20):

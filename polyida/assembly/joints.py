@@ -1,7 +1,8 @@
 """Joints on the values dz of the scene's points: phi, its derivatives, and the forces of the multipliers.
 
-`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. All of phi is a function of dz and of the drives (value, first
-and second derivative of each motor's angle). The chain rule with the constant A gives everything in q: `phi_q = phi_z A`.
+`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. All of phi is a function of dz and of the
+drives (value, first and second derivative of each motor's angle). The chain rule with the constant A gives everything
+in q: `phi_q = phi_z A`.
 """
 
 import numpy as np
@@ -110,10 +111,12 @@ def _linear_forces(s, j, k, a, b, dz, lam, phi, forces):
 
 @entry
 def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
-    """Add to phi and rate = phi_z vz + phi_t what a step of h changes, to the round-off of its second differences alone.
+    """Add to phi and rate = phi_z vz + phi_t what a step of h changes, to the round-off of its second differences
+    alone.
 
-    Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3): increments of the angle,
-    of the angle less h times its rate, of its rate. `phi += h rate + ...`: rate takes the place of terms that cancel in it.
+    Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3):
+    increments of the angle, of the angle less h times its rate, of its rate. `phi += h rate + ...`: rate takes the
+    place of terms that cancel in it.
     """
     for j in range(s.joint_kind.shape[0]):
         k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
@@ -155,7 +158,8 @@ def motor_change(s, j, drives, gain, h, dz, vz, dd, dv, phi, rate):
     ex, ey = vax + dvax - later * y, vay + dvay + later * x
     fx, fy = rotated(c, n, less * ex - sine * ey + dvax - gain[2] * y - speed * day,
                      less * ey + sine * ex + dvay + gain[2] * x + speed * dax)
-    rate[k] += fx * (by + dby) - fy * (bx + dbx) + ux * dby - uy * dbx + dwx * (vby + dvby) - dwy * (vbx + dvbx) + wx * dvby - wy * dvbx
+    rate[k] += fx * (by + dby) - fy * (bx + dbx) + ux * dby - uy * dbx
+    rate[k] += dwx * (vby + dvby) - dwy * (vbx + dvbx) + wx * dvby - wy * dvbx
 
 
 @part

@@ -5,7 +5,7 @@ import numpy as np
 from polyida.integrate.alpha_increment import Carried, extent, start_values
 from polyida.integrate.start import mass_system
 from polyida.integrate.state import State, StepFailure
-from polyida.integrate.step_control import PATIENCE, largest_calm_error
+from polyida.integrate.step_control import PATIENCE, calm_error
 from polyida.linear.kkt import KKT, SingularSystem, scaling_factors
 
 SLOW = 0.3  # contraction above which the matrix is made anew
@@ -14,7 +14,9 @@ STALE, FRESH, FULL = range(3)
 
 
 class Steps:
-    """Steps on one model; `begin` sets state and h, `run` goes on from there. verdict: "far" or "near" where adaptive steps should change."""
+    """Steps on one model; `begin` sets state and h, `run` goes on from there. verdict: "far" or "near" where adaptive
+    steps should change.
+    """
 
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts, self.c = settings, model, counts, settings.coefficients
@@ -72,12 +74,14 @@ class Steps:
         self.since += 1
         if self.since < PATIENCE:
             return False
-        calm, self.since = self.error < largest_calm_error(), 0
+        calm, self.since = self.error < calm_error(self.h, self.settings.h), 0
         self.error = self.error if calm else 0.0
         return calm
 
     def _step(self, before, t):
-        """The state at t: with the matrix at hand, with a fresh one, with one in every iteration. Raises StepFailure."""
+        """The state at t: with the matrix at hand, with a fresh one, with one in every iteration. Raises
+        StepFailure.
+        """
         for effort in (STALE, FRESH, FULL):
             if effort != STALE:
                 self.kkt = None
@@ -125,10 +129,13 @@ class Steps:
         return ((1 - c.alpha_f) * a + c.alpha_f * last.a - c.alpha_m * last.memory["a_alg"]) / (1 - c.alpha_m)
 
     def _constraints(self, before, t):
-        """(phi, rate) at t as a function of the step's dd and a: carried for scenes, phi from the positions otherwise."""
+        """(phi, rate) at t as a function of the step's dd and a: carried for scenes, phi from the positions
+        otherwise.
+        """
         if not self.carries:
             return lambda dd, a: (self.model.phi(t, self._at(dd)), self.rate)
-        carried, gamma, a0 = Carried(self.model, before, t, self.h, self.last, self.phi, self.rate), self.c.gamma, self.last.memory["a_alg"]
+        carried = Carried(self.model, before, t, self.h, self.last, self.phi, self.rate)
+        gamma, a0 = self.c.gamma, self.last.memory["a_alg"]
         return lambda dd, a: carried(dd, self.h * ((1 - gamma) * a0 + gamma * self._algorithmic(a)))
 
     def _correction(self, t, q, v, r, phi):
@@ -143,7 +150,9 @@ class Steps:
         return *self.kkt.solve(r, rate), self.mass.solve(np.zeros(self.model.n), phi - rate)[0]
 
     def _settled(self, moved, rate, dd, q, a, iteration, phi_at):
-        """Whether the error to be expected is below the tolerance, or dq is round-off and no longer falls; and phi with it."""
+        """Whether the error to be expected is below the tolerance, or dq is round-off and no longer falls; and phi
+        with it.
+        """
         tolerance = self.settings.tolerance * max(self.size, _rms(a)) / self.to_a
         coarse = 16 * EPS * (_rms(q) + self.extent)
         fine = 16 * EPS * (_rms(dd) if self.carries else _rms(q))
@@ -151,7 +160,8 @@ class Steps:
         small = moved <= 1e-3 * tolerance or (iteration and rate < 1 and moved * rate / (1 - rate) <= tolerance)
         if not (small or stalled or moved <= fine):
             return False
-        return np.abs(phi_at(dd, a)[0]).max(initial=0) <= max(1e-2 * tolerance, 16 * fine if self.carries and not stalled else coarse)
+        floor = 16 * fine if self.carries and not stalled else coarse
+        return np.abs(phi_at(dd, a)[0]).max(initial=0) <= max(1e-2 * tolerance, floor)
 
     def _accepted(self, t, dd, v, a, lam, phi_at):
         q, model, (phi, rate) = self._at(dd), self.model, phi_at(dd, a)
@@ -163,7 +173,8 @@ class Steps:
             rate = np.zeros(model.m)
         self.size = max(self.size, _rms(a))
         made = np.zeros(0) if self.kkt is None else self.factored_at
-        memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "factored_at": made, "grid": self.place}
+        memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "factored_at": made}
+        memory["grid"] = self.place
         if self.carries:
             memory |= {"phi": phi, "rate": rate}
         return State(float(t), q, v, a, lam, memory)

@@ -1,7 +1,8 @@
 """Constraints carried along by their increments: `phi_{n+1} = phi_n + D`, and with them `rate = phi_q v + phi_t`.
 
-phi taken from positions has a round-off of eps |q|, which a step divides by beta h^2: at h = 1e-9 accelerations are noise. What a step
-adds is known to a round-off of its own size; and since its first-order part is h rate, to one of h^2 q'' where rate is carried too.
+phi taken from positions has a round-off of eps |q|, which a step divides by beta h^2: at h = 1e-9 accelerations are
+noise. What a step adds is known to a round-off of its own size; and since its first-order part is h rate, to one of
+h^2 q'' where rate is carried too.
 """
 
 import numpy as np
@@ -13,7 +14,9 @@ NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1
 
 
 def drive_table(model, times, h):
-    """Values and two derivatives of every profile at the times, (times, profiles, 3); derivatives at a kink are those of this side."""
+    """Values and two derivatives of every profile at the times, (times, profiles, 3); derivatives at a kink are those
+    of this side.
+    """
     table = np.empty((len(times), len(model.profiles), 3))
     if not table.size:
         return table
@@ -34,13 +37,15 @@ def at_kink(model, t):
 
 def beside(t, h):
     """A time next to t, on the side that h points to."""
-    return t + np.copysign(max(1e-7 * abs(h), 64 * EPS * abs(t)), h)
+    return t + np.copysign(max(1e-9 * abs(h), 64 * EPS * abs(t)), h)
 
 
 def gain_table(model, times, drives, h):
-    """What every profile gains over each step of size h between the times, (steps, profiles, 3): value, value - h rate, rate.
+    """What every profile gains over each step of size h between the times, (steps, profiles, 3): value, value - h
+    rate, rate.
 
-    Differences; of a motor, where the integrals of its second derivative are the same to round-off, those, which are sharper.
+    Differences; of a motor, where the integrals of its second derivative are the same to round-off, those, which are
+    sharper.
     """
     links, before, after = model.arrays.links, drives[:-1], drives[1:]
     gains = np.empty(before.shape)
@@ -61,12 +66,14 @@ def _sharpen(profile, begin, h, rate, gains, rows, size):
     second = np.broadcast_to(second, at.shape)
     change, ahead = h * (second @ WEIGHTS), h * h * (second @ (WEIGHTS * (0.5 - NODES)))
     whole = h * rate + ahead
-    same = (np.abs(change - gains[rows, 2]) <= 16 * EPS * size[:, 1]) & (np.abs(whole - gains[rows, 0]) <= 16 * EPS * size[:, 0])
+    apart = np.abs(np.stack([whole - gains[rows, 0], change - gains[rows, 2]], axis=1))
+    same = (apart <= 16 * EPS * size).all(axis=1)
     gains[rows[same]] = np.stack([whole, ahead, change], axis=1)[same]
 
 
 def start_values(model, state, t=None):
-    """(phi, rate) at the start of a run: as carried where the state has them, zero where they are nothing but round-off.
+    """(phi, rate) at the start of a run: as carried where the state has them, zero where they are nothing but
+    round-off.
 
     t: the time for rate, to one side of a kink.
     """
@@ -106,5 +113,6 @@ class Carried:
     def __call__(self, dd, dv):
         """(phi, rate) at the end of the step, velocities changed by dv."""
         phi, rate, model = self.phi.copy(), self.rate.copy(), self.model
-        joints.joint_change(model.arrays.links, self.drives, self.gain, self.h, self.dz, self.vz, model.dz(dd), model.dz(dv), phi, rate)
+        move, change = model.dz(dd), model.dz(dv)
+        joints.joint_change(model.arrays.links, self.drives, self.gain, self.h, self.dz, self.vz, move, change, phi, rate)
         return phi, rate

@@ -1,4 +1,6 @@
-"""From the start of a run's piece to its end in equal steps; a step that fails is cut in two, four, ... and the grid taken up again."""
+"""From the start of a run's piece to its end in equal steps; a step that fails is cut in two, four, ... and the grid
+taken up again.
+"""
 
 from polyida.integrate.alpha_start import started
 from polyida.integrate.grid import Grid, goes_on, grid_of
@@ -6,7 +8,9 @@ from polyida.integrate.state import State, StepFailure
 
 
 def march(engine, settings, model, state, begin, end, count, counts):
-    """Yield the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts of one fail as well."""
+    """Yield the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts of one fail as
+    well.
+    """
     grid = grid_of(state, begin, end, count)
     level, done = min(int(state.memory.get("cut", 0)), settings.max_halvings), grid.done
     while done < grid.count:
@@ -20,11 +24,12 @@ def march(engine, settings, model, state, begin, end, count, counts):
             except StepFailure as failure:
                 first = failure
                 counts.rejected += 1
-        failed = [first] if level == 0 else []
-        state, level = _in_parts(engine, settings, model, state, grid._replace(done=done), max(1, level), failed, counts)
+        here, failed = grid._replace(done=done), [first] if level == 0 else []
+        state, level = _in_parts(engine, settings, model, state, here, max(1, level), failed, counts)
         done, level = done + 1, level - 1
         counts.steps += 1
-        yield _cut(state, level, grid.after(done))
+        state = _cut(state, level, grid.after(done))
+        yield state
 
 
 def _whole(engine, settings, model, state, grid):
@@ -36,7 +41,9 @@ def _whole(engine, settings, model, state, grid):
 
 
 def _in_parts(engine, settings, model, state, grid, level, seen, counts):
-    """(state after the next step of the grid, level): taken in 2^level parts, or more where these fail. seen: failures so far."""
+    """(state after the next step of the grid, level): taken in 2^level parts, or more where these fail. seen: failures
+    so far.
+    """
     t0, t1 = grid.time(grid.done), grid.time(grid.done + 1)
     for level in range(level, settings.max_halvings + 1):
         parts = Grid(t0, t1, 2**level)
@@ -61,4 +68,5 @@ def _with_history(seen, halvings):
     if last is first:
         return first
     parts = ", ".join(str(2**k) for k in range(1, halvings + 1))
-    return StepFailure(first.status, f"{first.reason}; the step in {parts} parts fails too, at last: {last.reason}", first.t, **last.seen)
+    reason = f"{first.reason}; the step in {parts} parts fails too, at last: {last.reason}"
+    return StepFailure(first.status, reason, first.t, **last.seen)

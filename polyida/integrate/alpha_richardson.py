@@ -1,7 +1,8 @@
-"""Richardson extrapolation: `x = (4 x(h/2) - x(h)) / 3` at the ends of steps of h, of order 3 and more where the motion is smooth.
+"""Richardson extrapolation: `x = (4 x(h/2) - x(h)) / 3` at the ends of steps of h, of order 3 and more where the
+motion is smooth.
 
-Two runs side by side, with h and h/2, none of which sees the other; phi = 0 and energy hold to the order of the result only. A kink
-that is hit exactly does no harm; ringing mesh modes, which no step resolves, gain nothing.
+Two runs side by side, with h and h/2, none of which sees the other; phi = 0 and energy hold to the order of the result
+only. A kink that is hit exactly does no harm; ringing mesh modes, which no step resolves, gain nothing.
 """
 
 from dataclasses import replace

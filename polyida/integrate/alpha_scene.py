@@ -1,6 +1,6 @@
-"""Steps of generalized-alpha on a scene in compiled code: whole stretches on one stale factor in the frame of the nodal rotations."""
-
-from typing import NamedTuple
+"""Steps of generalized-alpha on a scene in compiled code: whole stretches on one stale factor in the frame of the
+nodal rotations.
+"""
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
 from polyida.compiled import entry, part
 from polyida.integrate import alpha_tie
+from polyida.integrate.alpha_arrays import AGE, ERROR, FORWARD, MOVED, RATE, SINCE, SIZE
 from polyida.integrate.step_control import PATIENCE
 from polyida.linear import corotated
 
@@ -16,83 +17,6 @@ EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
 DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR = range(8)
-RATE, AGE, SIZE, FORWARD, MOVED, ERROR, SINCE = range(7)
-MARKS = 7
-
-
-class Method(NamedTuple):
-    """Numbers of the method at one h.
-
-    extent: of the coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control: |C| h^2 of the local
-    error (0: fixed steps), of which atol + rtol |q| is allowed; grow: the error below which the step is too short.
-    """
-
-    h: float
-    alpha_m: float
-    alpha_f: float
-    beta: float
-    gamma: float
-    to_a: float
-    to_v: float
-    tolerance: float
-    extent: float
-    incremental: bool
-    max_iterations: int
-    control: float
-    rtol: float
-    atol: float
-    grow: float
-
-
-class Memory(NamedTuple):
-    """What goes from step to step: states in place, phi and rate = phi_q v + phi_t as they are carried, and `marks`.
-
-    RATE: contraction of Newton; AGE of it in steps; SIZE of q''; FORWARD: extrapolate q'' or not; MOVED: the last |dq| of an iteration
-    to go on with (0: a new step); ERROR: largest local error of the last SINCE steps.
-    """
-
-    u: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    a_alg: np.ndarray
-    a_before: np.ndarray
-    lam: np.ndarray
-    phi: np.ndarray
-    rate: np.ndarray
-    marks: np.ndarray
-
-
-class Trial(NamedTuple):
-    """The state that Newton works on, `u = u_0 + (h v_0 + dd)`, and scratch.
-
-    Of the points: start, vx, ax: dz, velocity and algorithmic acceleration at the last state, dx: A dd, dv: change of velocity.
-    """
-
-    u: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    lam: np.ndarray
-    dd: np.ndarray
-    r: np.ndarray
-    phi: np.ndarray
-    rate: np.ndarray
-    rotation: np.ndarray
-    dz: np.ndarray
-    forces: np.ndarray
-    start: np.ndarray
-    vx: np.ndarray
-    ax: np.ndarray
-    dx: np.ndarray
-    dv: np.ndarray
-    dq: np.ndarray
-    dlam: np.ndarray
-
-
-def trial(n_nodes, n_points, m):
-    """A Trial of a scene's size."""
-    shapes = dict.fromkeys(("lam", "phi", "rate", "dlam"), m)
-    shapes |= dict.fromkeys(("dz", "forces", "start", "vx", "ax", "dx", "dv"), (n_points, 2))
-    return Trial(*(np.zeros(shapes.get(name, (n_nodes, 2))) for name in Trial._fields))
 
 
 @entry
@@ -244,7 +168,7 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
         measured = last > 0.0
         if measured:
             rate = moved / last
-            y.marks[RATE], y.marks[AGE] = (max(rate, 0.5 * y.marks[RATE]) if iteration == 1 else max(rate, y.marks[RATE])), 0.0
+            y.marks[RATE], y.marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * y.marks[RATE]), 0.0
         tolerance, coarse = p.tolerance * max(y.marks[SIZE], pull) / p.to_a, 16.0 * EPS * (size + p.extent)
         fine = 16.0 * EPS * (length if p.incremental else size)
         small = (measured or y.marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance
@@ -275,9 +199,11 @@ def record(y, q, v, a, lam):
 
 @entry
 def stretch(s, c, room, p, tie, damp, drives, gains, y, w, counts, qs, vs, accelerations, lams):
-    """Steps until the frames, the factor's use or that of h end; drives (steps + 1, ...) begin with those of the last state.
+    """Steps until the frames, the factor's use or that of h end; drives (steps + 1, ...) begin with those of the last
+    state.
 
-    tie: of the stabilised form, or None; damp: scratch (nodes, 2) of a damped scene, or None. What is None is not compiled. Frames go to qs, vs, accelerations, lams. Returns (steps, end, last |dq|).
+    tie: of the stabilised form, or None; damp: scratch (nodes, 2) of a damped scene, or None. What is None is not
+    compiled. Frames go to qs, vs, accelerations, lams. Returns (steps, end, last |dq|).
     """
     for k in range(qs.shape[0]):
         end, moved = newton(s, c, room, p, tie, damp, drives[k], drives[k + 1], gains[k], y, w, counts)

@@ -1,8 +1,11 @@
-"""What generalized-alpha starts from: at the beginning of a run, behind a kink, at another step, after a step that was cut.
+"""What generalized-alpha starts from: at the beginning of a run, behind a kink, at another step, after a step that was
+cut.
 
-The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f) h, and v is off the velocity constraint by
-`B l/h`, `l/h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''`, what the local error of q must be along the constraints (Arnold,
-Bruels 2007). A start without them shows a first-order transient in lam. In the stabilised form v is on its constraint.
+The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f) h, and v is off the velocity
+constraint by
+`B l/h`, `l/h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''`, what the local error of q must be along the
+constraints (Arnold, Bruels 2007). A start without them shows a first-order transient in lam. In the stabilised form v
+is on its constraint.
 """
 
 import numpy as np
@@ -15,41 +18,46 @@ from polyida.integrate.state import State
 def started(settings, model, state, h):
     """The state as the method starts from it with step h: `memory` holds a_alg and h.
 
-    One that this method left at this step goes on as it is; one that it left at another step is scaled to this one; behind a kink
-    of a load or motor, velocities and accelerations jump; any other is a run's beginning. After a cut step a_alg is q''.
+    One that this method left at this step goes on as it is; one that it left at another step is scaled to this one;
+    behind a kink of a load or motor, velocities and accelerations jump; any other is a run's beginning. After a cut
+    step a_alg is q''.
     """
     memory = state.memory
     if "a_alg" not in memory:
-        state = _on_the_right(model, state, h)
-        plain = settings.start == "plain" or "cut" in memory
-        return _with(state, a_alg=state.a, h=h) if plain else beginning(settings, model, state, h)
+        right = beside(state.t, h) if at_kink(model, state.t) else None
+        state = state if right is None else _on_the_right(model, state, right)
+        phi, rate = start_values(model, state, right)
+        state = _with(state, a_alg=state.a, h=h, phi=phi, rate=rate)
+        return state if settings.start == "plain" or "cut" in memory else beginning(settings, model, state, h, right)
     if at_kink(model, state.t):
         state = behind_kink(settings, model, state, float(memory["h"]))
     return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else rescaled(settings, model, state, h)
 
 
-def beginning(settings, model, state, h):
-    """A consistent state with `a_alg = q'' + (alpha_m - alpha_f) h q'''` and v moved by `B l/h`."""
-    right = beside(state.t, h) if at_kink(model, state.t) else None
+def beginning(settings, model, state, h, right=None):
+    """A consistent state with `a_alg = q'' + (alpha_m - alpha_f) h q'''` and v moved by `B l/h`. right: the time
+    behind a kink here.
+    """
     c, third = settings.coefficients, jerk(model, state, h, right)
     off, rate = _off_constraint(settings, model, state, h, third)
-    phi, before = start_values(model, state, right)
-    return _with(state, v=state.v + off, a_alg=state.a + c.offset * h * third, h=h, phi=phi, rate=before + rate)
+    return _with(state, v=state.v + off, a_alg=state.a + c.offset * h * third, rate=state.memory["rate"] + rate)
 
 
 def behind_kink(settings, model, state, h):
-    """The state on the other side of a kink at its time: what jumps there is added, what the method carries besides stays.
+    """The state on the other side of a kink at its time: what jumps there is added, what the method carries besides
+    stays.
 
-    Velocities jump with the motors' rates, in the metric of M; accelerations and multipliers with loads and rates; a_alg and v also
-    with the jump of q'''. All are differences of consistent values right and left, so that ringing mesh modes drop out. The last
-    step's equilibrium took the loads at the time itself, which may be either side.
+    Velocities jump with the motors' rates, in the metric of M; accelerations and multipliers with loads and rates;
+    a_alg and v also with the jump of q'''. All are differences of consistent values right and left, so that ringing
+    mesh modes drop out. The last step's equilibrium took the loads at the time itself, which may be either side.
     """
     t, right, left = state.t, beside(state.t, h), beside(state.t, -h)
     v, system = state.v, mass_system(model, t, state.q)
     if model.m:
         v = v + system.solve(np.zeros(model.n), model.phi_t(right, state.q) - model.phi_t(left, state.q))[0]
     bias = model.phi_bias(left, state.q, state.v) if model.m else np.zeros(0)
-    before, after = system.solve(model.force(t, state.q, state.v), bias), consistent_acceleration(model, right, state.q, v)
+    before = system.solve(model.force(t, state.q, state.v), bias)
+    after = consistent_acceleration(model, right, state.q, v)
     a, lam = state.a + after[0] - before[0], state.lam + after[1] - before[1]
     behind = _with(state, v=v, a=a, lam=lam)
     third = jerk(model, behind, h, right) - jerk(model, state, -h, left)
@@ -71,11 +79,9 @@ def rescaled(settings, model, state, h):
     return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h, phi=phi, rate=scale**2 * rate)
 
 
-def _on_the_right(model, state, h):
+def _on_the_right(model, state, right):
     """The state with v, a and lam of the right side, where a run begins at a kink."""
-    if not at_kink(model, state.t):
-        return state
-    right, v = beside(state.t, h), state.v
+    v = state.v
     if model.m:
         rate = model.phi_q(state.t, state.q) @ v + model.phi_t(right, state.q)
         v = v + mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
@@ -94,5 +100,5 @@ def _off_constraint(settings, model, state, h, third):
 
 
 def _with(state, v=None, a=None, lam=None, **memory):
-    return State(state.t, state.q, state.v if v is None else v, state.a if a is None else a, state.lam if lam is None else lam,
-                 state.memory | memory)
+    v, a, lam = (old if new is None else new for old, new in ((state.v, v), (state.a, a), (state.lam, lam)))
+    return State(state.t, state.q, v, a, lam, state.memory | memory)

@@ -1,15 +1,18 @@
-"""Generalized-alpha on a scene: drives compiled stretches, makes factors where one asks for it, and turns frames into states."""
+"""Generalized-alpha on a scene: drives compiled stretches, makes factors where one asks for it, and turns frames into
+states.
+"""
 
 import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.damping import damped_blocks
 from polyida.integrate import alpha_scene as compiled
+from polyida.integrate.alpha_arrays import AGE, ERROR, FORWARD, MARKS, MOVED, RATE, Memory, Method, trial
 from polyida.integrate.alpha_increment import drive_table, extent, gain_table, start_values
-from polyida.integrate.alpha_scene import AGE, ERROR, FORWARD, FRESHEN, MARKS, MOVED, RATE
+from polyida.integrate.alpha_scene import FRESHEN
 from polyida.integrate.alpha_tie import tie
 from polyida.integrate.state import State, StepFailure
-from polyida.integrate.step_control import largest_calm_error
+from polyida.integrate.step_control import calm_error
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 
@@ -18,7 +21,8 @@ LONGEST, ADAPTIVE = 256, 32  # steps of a stretch; of one whose step may change 
 KEPT = 6  # factors that adaptive steps keep
 REASONS = {
     compiled.REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
-    compiled.INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
+    compiled.INVERTED: ("inverted",
+                        "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
     compiled.NOT_FINITE: ("not finite", "the motion is not finite"),
     compiled.HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
     compiled.SINGULAR: ("singular", "the constraints' system is singular"),
@@ -26,25 +30,29 @@ REASONS = {
 
 
 class Stretches:
-    """Steps on one model; `begin` sets state and h, `run` goes on from there. verdict: "far" or "near" where adaptive steps should change."""
+    """Steps on one model; `begin` sets state and h, `run` goes on from there. verdict: "far" or "near" where adaptive
+    steps should change.
+    """
 
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts = settings, model, counts
         nodes = (model.n_nodes, 2)
         self.tie = tie(model) if settings.form == "stabilised" and model.m else None
         self.damp = np.zeros(nodes) if model.needs.velocity_forces else None
-        self.memory = compiled.Memory(*(np.zeros(nodes) for _ in range(5)), *(np.zeros(model.m) for _ in range(3)), np.zeros(MARKS))
-        self.trial = compiled.trial(model.n_nodes, model.n_points, model.m)
+        self.memory = Memory(*map(np.zeros, (nodes,) * 5 + (model.m,) * 3 + (MARKS,)))
+        self.trial = trial(model.n_nodes, model.n_points, model.m)
         self.system = self.room = self.factored_at = self.verdict = None
         self.kept = {}
 
     def begin(self, state, h):
-        """Go on from a state that `started` has made ready for steps of h; with `recall`, the factor and Newton's memory that it holds."""
+        """Go on from a state that `started` has made ready for steps of h; with `recall`, the factor and Newton's
+        memory that it holds.
+        """
         s, c, y = self.settings, self.settings.coefficients, self.memory
-        self.method = compiled.Method(
-            h, c.alpha_m, c.alpha_f, c.beta, c.gamma, (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)), c.gamma / (c.beta * h),
-            s.tolerance, extent(self.model, state.q), bool(s.incremental_phi), s.max_iterations,
-            abs(c.error) * h * h if s.adaptive else 0.0, s.rtol or 0.0, s.atol or 0.0, largest_calm_error())
+        to_a, to_v = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)), c.gamma / (c.beta * h)
+        self.method = Method(
+            h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, s.tolerance, extent(self.model, state.q), bool(s.incremental_phi), s.max_iterations,
+            abs(c.error) * h * h if s.adaptive else 0.0, s.rtol or 0.0, s.atol or 0.0, calm_error(h, s.h))
         for array, value in zip(y, (state.q, state.v, state.a, state.memory["a_alg"], state.a)):
             array[:] = np.reshape(value, array.shape)
         y.lam[:] = state.lam
@@ -92,10 +100,12 @@ class Stretches:
             part = [drives[first:], gains[first:], *(frame[first:] for frame in frames)]
             steps, ended, moved = self._compiled(self.method, *part)
             if steps == 0 and stage == 1 and ended in (compiled.REFACTOR, compiled.INVERTED, compiled.NOT_FINITE):
-                steps, ended, moved = self._full_newton(times[first + 1], part[0][:2], *(array[:1] for array in part[1:]))
+                one = [part[0][:2], *(array[:1] for array in part[1:])]
+                steps, ended, moved = self._full_newton(times[first + 1], *one)
             for k in range(first, first + steps):
                 whole = k == count - 1 or (k == first + steps - 1 and ended == compiled.TOO_NEAR)
-                yield self._state(times[k + 1], *(frame[k] for frame in frames), grid.after(done + k + 1) if whole else None)
+                place = grid.after(done + k + 1) if whole else None
+                yield self._state(times[k + 1], *(frame[k] for frame in frames), place)
             first, stage = first + steps, 0 if steps else stage
             if ended in (compiled.TOO_FAR, compiled.TOO_NEAR):
                 self.verdict = "far" if ended == compiled.TOO_FAR else "near"
@@ -109,7 +119,8 @@ class Stretches:
             self.memory.marks[FORWARD] = 0.0
             return
         status, reason = REASONS[ended]
-        raise StepFailure(status, reason, t, **{"last |dq|": float(moved), "|phi|": float(np.abs(self.trial.phi).max(initial=0))})
+        phi = float(np.abs(self.trial.phi).max(initial=0))
+        raise StepFailure(status, reason, t, **{"last |dq|": float(moved), "|phi|": phi})
 
     def _compiled(self, method, drives, gains, *frames):
         seen = np.zeros(2, np.int64)
@@ -162,7 +173,9 @@ class Stretches:
         self._factor(t, drives)
 
     def _factor(self, t, drives):
-        """The factor at the trial state's u, which decides it alone: damping is taken at rest, where it is symmetric."""
+        """The factor at the trial state's u, which decides it alone: damping is taken at rest, where it is
+        symmetric.
+        """
         model, p, w = self.model, self.method, self.trial
         self.factored_at = w.u.ravel().copy()
         kernels.equilibrium(model.arrays, drives, w.u, w.a, w.lam, w.r, w.phi, w.rotation, w.dz, w.forces)

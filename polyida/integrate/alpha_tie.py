@@ -1,9 +1,10 @@
 """The stabilised form in compiled code: positions on phi = 0 and velocities on `phi_q v + phi_t = 0` at once.
 
-`q_1 = q_0 + h v_0 + h^2 ((1/2 - beta) a_0 + beta a_1) - M^-1 phi_q^T eta`: eta takes up the local error of q along the constraints, so
-that v, with Newmark's formula in a, need not (Gear, Gupta, Leimkuhler 1985; Arnold, Cardona, Bruels 2015). In one Newton step,
-with dq = x + y, x what v and a follow and `y = -M^-1 phi_q^T eta`,
-`S x + phi_q^T dlam = -r`, `phi_q x = -rate/gamma'`, `phi_q y = -(phi - rate/gamma')`: x is the usual solve, y costs the points' columns of M^-1.
+`q_1 = q_0 + h v_0 + h^2 ((1/2 - beta) a_0 + beta a_1) - M^-1 phi_q^T eta`: eta takes up the local error of q along the
+constraints, so that v, with Newmark's formula in a, need not (Gear, Gupta, Leimkuhler 1985; Arnold, Cardona, Bruels
+2015). In one Newton step, with dq = x + y, x what v and a follow and `y = -M^-1 phi_q^T eta`,
+`S x + phi_q^T dlam = -r`, `phi_q x = -rate/gamma'`, `phi_q y = -(phi - rate/gamma')`: x is the usual solve, y costs
+the points' columns of M^-1.
 """
 
 from typing import NamedTuple
@@ -33,14 +34,16 @@ class Tie(NamedTuple):
 def tie(model):
     """The Tie of a scene."""
     points, m = model.n_points, model.m
-    both = np.zeros((model.n_nodes, 2, points))
+    s, both = model.arrays.links, np.zeros((model.n_nodes, 2, points))
     for f in range(points):
-        s = model.arrays.links
         at = slice(s.point_ptr[f], s.point_ptr[f + 1])
         both[s.point_nodes[at], 0, f] = s.point_weights[at]
-    reach = np.ascontiguousarray(model.mass_inverse(both.reshape(model.n, points)).reshape(both.shape)[:, 0]) if points else both[:, 0]
-    return Tie(reach, np.ascontiguousarray(model._points_s @ reach), np.empty((m, m)), np.empty(m), np.empty(m, np.int64), np.empty(m),
-               np.empty(m), np.empty((m, 2 * points)), np.empty((points, 2)), np.empty((points, 2)))
+    reach = np.ascontiguousarray(model.mass_inverse(both.reshape(model.n, points)).reshape(both.shape)[:, 0])
+    g = np.array([[s.point_weights[a:b] @ reach[s.point_nodes[a:b], f] for f in range(points)]
+                  for a, b in zip(s.point_ptr[:-1], s.point_ptr[1:])])
+    shapes = ((m, m), m, m, m, (m, 2 * points), (points, 2), (points, 2))
+    matrix, eta, rate, bias, phi_z, vz, pull = map(np.empty, shapes)
+    return Tie(reach, g, matrix, eta, np.empty(m, np.int64), rate, bias, phi_z, vz, pull)
 
 
 @part

@@ -20,20 +20,21 @@ class GeneralizedAlpha:
     """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
-    h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly. rho_inf:
-    spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f, beta, gamma), in
-    place of rho_inf; see `hht`, `wbz` and `newmark`.
-    form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to have both.
-    rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
-    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, m); lam is not
-    in it. h is then the largest step. extrapolate: give (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
+    h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly.
+    rho_inf: spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f,
+    beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
+    form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
+    have both. rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
+    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, m); lam
+    is not in it. h is then the largest step. extrapolate: give (4 x(h/2) - x(h))/3 at the ends of steps of h
+    (Richardson), fixed steps only.
 
-    tolerance: Newton's, of beta h^2 times the size of q''. max_iterations: of one Newton solve. max_halvings: a step whose Newton
-    fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4, ... 2^max_halvings parts.
-    scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from the first step) or "plain" (a_0 = q'').
-    incremental_phi: carry phi of a scene by its increments, clean down to h = 1e-9, or take it from positions with their round-off.
-    linear: "auto", "fronts", "band" or "superlu" for scenes, "kkt": the whole matrix in plain code, as for a model of one's own.
-    Raises InputError for a setting out of range.
+    tolerance: Newton's, of beta h^2 times the size of q''. max_iterations: of one Newton solve. max_halvings: a step
+    whose Newton fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4,
+    ... 2^max_halvings parts. scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from
+    the first step) or "plain" (a_0 = q''). incremental_phi: carry phi of a scene by its increments, clean down to h =
+    1e-9, or take it from positions with their round-off. linear: "auto", "fronts", "band" or "superlu" for scenes,
+    "kkt": the whole matrix in plain code, as for a model of one's own. Raises InputError for a setting out of range.
     """
 
     h: float
@@ -67,8 +68,8 @@ class GeneralizedAlpha:
 
     @classmethod
     def newmark(cls, h, beta=0.3025, gamma=0.6, **settings):
-        """Newmark 1959: alpha_m = alpha_f = 0. Index 3 needs gamma > 1/2, which makes it first order; the trapezoidal rule
-        (1/4, 1/2) is refused: its constraint forces grow without bound."""
+        """Newmark 1959: alpha_m = alpha_f = 0. Index 3 needs gamma > 1/2, which makes it first order; the trapezoidal
+        rule (1/4, 1/2) is refused: its constraint forces grow without bound."""
         return cls(h, member=(0.0, 0.0, float(beta), float(gamma)), **settings)
 
     def __post_init__(self):
@@ -97,8 +98,10 @@ class GeneralizedAlpha:
             ("member", self.member is None or (np.shape(self.member) == (4,) and all(map(_number, self.member))),
              "four numbers, alpha_m, alpha_f, beta, gamma, or None"),
             ("rtol", allowed(self.rtol), "a number in [0, 1) or None"),
-            ("atol", allowed(self.atol) and (not self.adaptive or (self.rtol or 0) + (self.atol or 0) > 0), "a length below 1 m or None, and not zero beside rtol = 0"),
-            ("extrapolate", self.extrapolate in (False, True) and not (self.extrapolate and self.adaptive), "False where the step adapts"),
+            ("atol", allowed(self.atol) and (not self.adaptive or self.rtol or self.atol),
+             "a length below 1 m or None, and not zero beside rtol = 0"),
+            ("extrapolate", self.extrapolate in (False, True) and not (self.extrapolate and self.adaptive),
+             "True or False, and False where the step adapts"),
             ("incremental_phi", self.incremental_phi in (False, True), "True or False"),
             ("max_halvings", whole(self.max_halvings) and 0 <= self.max_halvings <= 20, "a whole number from 0 to 20"),
         )

@@ -1,4 +1,6 @@
-"""Error-controlled steps on a ladder: h is piecewise constant, h_max 2^(-k/4), so that factors are kept and restarts are few."""
+"""Error-controlled steps on a ladder: h is piecewise constant, h_max 2^(-k/4), so that factors are kept and restarts
+are few.
+"""
 
 import numpy as np
 
@@ -31,7 +33,9 @@ class Ladder:
         self.rung += max(1, int(np.ceil(-self._rungs(error))) if np.isfinite(error) else CUT)
 
     def up(self, error):
-        """To where the error is expected to be allowed, at most to twice the step. False where that is the same rung."""
+        """To where the error is expected to be allowed, at most to twice the step. False where that is the same
+        rung.
+        """
         before = self.rung
         self.rung = max(0, self.rung - min(RUNGS, int(np.floor(self._rungs(error)))))
         return self.rung < before
@@ -40,13 +44,15 @@ class Ladder:
         return RUNGS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / ORDER))
 
 
-def largest_calm_error(rungs=2):
-    """The error below which the step may grow by so many rungs."""
-    return (SAFETY / 2.0 ** (rungs / RUNGS)) ** ORDER
+def calm_error(h, largest, rungs=2):
+    """The error below which the step h may grow by so many rungs; 0 where it is the largest."""
+    return (SAFETY / 2.0 ** (rungs / RUNGS)) ** ORDER if h < 0.99 * largest else 0.0
 
 
 def adapt(engine, settings, model, state, begin, end, counts):
-    """Yield accepted states from begin to end, h as the local error allows. Raises StepFailure below the lowest rung."""
+    """Yield accepted states from begin to end, h as the local error allows. Raises StepFailure below the lowest
+    rung.
+    """
     ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0))), begin, []
     while t < end:
         grid = _piece(t, end, ladder.h)
@@ -65,7 +71,7 @@ def adapt(engine, settings, model, state, begin, end, counts):
             counts.rejected += 1
         if engine.verdict == "far":
             ladder.down(engine.error)
-            _require_room(ladder, 0, [StepFailure("step size", "the local error stays above what rtol and atol allow", t)])
+            _require_room(ladder, 0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
         elif engine.verdict == "near":
             ladder.up(engine.error)
         state = engine.state(t)
@@ -83,4 +89,5 @@ def _piece(t, end, h):
 def _require_room(ladder, down, failures):
     if ladder.rung + down > LOWEST:
         first, last = failures[0], failures[-1]
-        raise StepFailure(first.status, f"{first.reason}; down to steps of {ladder.h:.3g} s, at last: {last.reason}", first.t, **last.seen)
+        reason = f"{first.reason}; down to steps of {ladder.h:.3g} s, at last: {last.reason}"
+        raise StepFailure(first.status, reason, first.t, **last.seen)

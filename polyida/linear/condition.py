@@ -10,12 +10,13 @@ EXACT = 2000  # unknowns up to which the singular values are computed
 
 
 def condition_number(model, integrator, state, scaling=None, unknown="q", exact=None):
-    """Condition number of `[[S, B^T], [B, 0]]` at a state, `S = beta' M + gamma' C + K`, scaled as the integrator or `scaling` says.
+    """Condition number of `[[S, B^T], [B, 0]]` at a state, `S = beta' M + gamma' C + K`, scaled as the integrator or
+    `scaling` says.
 
     unknown: "q" for the unknowns (dq, dlam), or "v" or "a", whose increments are gamma' dq and beta' dq. exact: in the
-    2-norm, from singular values (dense; by default up to 2000 unknowns); otherwise an estimate of the condition number in
-    the 1-norm, from a sparse factor (Higham, Tisseur 2000), which is within a factor n + m of it and mostly within 10.
-    Returns inf where the matrix is singular. Raises InputError for an unknown scaling or unknown.
+    2-norm, from singular values (dense; by default up to 2000 unknowns); otherwise an estimate of the condition number
+    in the 1-norm, from a sparse factor (Higham, Tisseur 2000), which is within a factor n + m of it and mostly within
+    10. Returns inf where the matrix is singular. Raises InputError for an unknown scaling or unknown.
     """
     matrix = iteration_matrix(model, integrator, state, scaling, unknown)
     if exact is None:

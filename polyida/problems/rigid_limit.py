@@ -1,9 +1,12 @@
 """The double plate in the limit of a large modulus, against the ordinary differential equation of two rigid bodies.
 
-Angles a_k of the plates from +x; each has mass m, half-length L/2 and central inertia m (L^2 + H^2)/12, the tip mass M sits at the end:
+Angles a_k of the plates from +x; each has mass m, half-length L/2 and central inertia m (L^2 + H^2)/12, the tip mass M
+sits at the end:
 
-    (m/3 + m + M) L^2 a1'' + (m/2 + M) L^2 (cos(a1 - a2) a2'' + sin(a1 - a2) a2'^2) + (3m/2 + M) g L cos a1 = -m H^2 a1'' / 12
-    (m/3 + M) L^2 a2'' + (m/2 + M) L^2 (cos(a1 - a2) a1'' - sin(a1 - a2) a1'^2) + (m/2 + M) g L cos a2 = -m H^2 a2'' / 12
+    (4m/3 + M + b) L^2 a1'' + (m/2 + M) L^2 (cos(a1 - a2) a2'' + sin(a1 - a2) a2'^2) + (3m/2 + M) g L cos a1 = 0
+    (m/3 + M + b) L^2 a2'' + (m/2 + M) L^2 (cos(a1 - a2) a1'' - sin(a1 - a2) a1'^2) + (m/2 + M) g L cos a2 = 0
+
+with b = m H^2 / (12 L^2).
 """
 
 import numpy as np
@@ -19,11 +22,16 @@ def accelerations(a1, a2, w1, w2):
     """(a1'', a2'') of the two rigid plates, rad/s2."""
     m, M, L, H = PLATE_MASS, TIP_MASS, LENGTH, HEIGHT
     coupling, apart = (m / 2 + M) * L * L, a1 - a2
-    matrix = np.array([
-        [(4 * m / 3 + M) * L * L + m * H * H / 12, coupling * np.cos(apart)],
-        [coupling * np.cos(apart), (m / 3 + M) * L * L + m * H * H / 12]])
-    right = [-coupling * np.sin(apart) * w2**2 - (1.5 * m + M) * WEIGHT * L * np.cos(a1),
-             coupling * np.sin(apart) * w1**2 - (m / 2 + M) * WEIGHT * L * np.cos(a2)]
+    matrix = np.array(
+        [
+            [(4 * m / 3 + M) * L * L + m * H * H / 12, coupling * np.cos(apart)],
+            [coupling * np.cos(apart), (m / 3 + M) * L * L + m * H * H / 12],
+        ]
+    )
+    right = [
+        -coupling * np.sin(apart) * w2**2 - (1.5 * m + M) * WEIGHT * L * np.cos(a1),
+        coupling * np.sin(apart) * w1**2 - (m / 2 + M) * WEIGHT * L * np.cos(a2),
+    ]
     return np.linalg.solve(matrix, right)
 
 
@@ -31,8 +39,14 @@ def rigid_motion(t_end):
     """(a1, a2, w1, w2) at t_end, from rest along +x; DOP853 at a relative tolerance of 1e-12."""
     from scipy.integrate import solve_ivp
 
-    run = solve_ivp(lambda t, y: np.concatenate([y[2:], accelerations(*y)]), (0.0, t_end), np.zeros(4), method="DOP853",
-                    rtol=1e-12, atol=1e-13)
+    run = solve_ivp(
+        lambda t, y: np.concatenate([y[2:], accelerations(*y)]),
+        (0.0, t_end),
+        np.zeros(4),
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-13,
+    )
     return run.y[:, -1]
 
 
@@ -40,7 +54,10 @@ def rigid_state(model, t_end):
     """{"q", "v", "lam"} of the model with both plates rigid; lam are the forces of the joints on their sides b, N."""
     motion = rigid_motion(t_end)
     (a1, a2, w1, w2), (b1, b2) = motion, accelerations(*motion)
-    along, across = (np.array([[np.cos(a), np.sin(a)] for a in (a1, a2)]), np.array([[-np.sin(a), np.cos(a)] for a in (a1, a2)]))
+    along, across = (
+        np.array([[np.cos(a), np.sin(a)] for a in (a1, a2)]),
+        np.array([[-np.sin(a), np.cos(a)] for a in (a1, a2)]),
+    )
     q, v, root, drift, pull = [], [], np.zeros(2), np.zeros(2), np.zeros(2)
     centres = []
     for k, (body, w, b) in enumerate(zip(model.bodies, (w1, w2), (b1, b2))):
@@ -60,6 +77,12 @@ def problem(modulus=1e13, cells=40, seed=1, t_end=1.0):
     """The double plate of modulus `modulus`, Pa, swinging freely from rest."""
     model = double_plate(cells, seed, Material(E=modulus, nu=RUBBER.nu, rho=RUBBER.rho)).build()
     return Problem(
-        name="rigid-limit", model=model, q0=None, v0=None, t_end=t_end, reference=rigid_state(model, t_end),
+        name="rigid-limit",
+        model=model,
+        q0=None,
+        v0=None,
+        t_end=t_end,
+        reference=rigid_state(model, t_end),
         source="two rigid bodies, integrated by DOP853; the flexible plates come near as 1 / E",
-        quantity="nodal displacements at t_end, m; velocities, m/s; joint forces, N")
+        quantity="nodal displacements at t_end, m; velocities, m/s; joint forces, N",
+    )

@@ -1,8 +1,8 @@
 """The spin-up beam of Simo and Vu-Quoc: a slender beam brought to a steady turn by an angle motor, free of gravity.
 
-L = 10 m, EA = 2.8e7 N, EI = 1.4e4 N m2, 1.2 kg/m. As a continuum of 1 m width: height sqrt(12 EI / EA) = 0.0775 m, E = EA / height,
-rho = 1.2 / height, nu = 0. The beam's own shear stiffness 1e7 N belongs to no such continuum (5/12 E height = 1.17e7 N); at a
-slenderness of 129 that hardly matters.
+L = 10 m, EA = 2.8e7 N, EI = 1.4e4 N m2, 1.2 kg/m. As a continuum of 1 m width: height sqrt(12 EI / EA) = 0.0775 m, E =
+EA / height, rho = 1.2 / height, nu = 0. The beam's own shear stiffness 1e7 N belongs to no such continuum (5/12 E
+height = 1.17e7 N); at a slenderness of 129 that hardly matters.
 """
 
 import numpy as np
@@ -30,15 +30,21 @@ def turn():
     def value(t):
         return rate * (t * t / 2 + (np.cos(w * t) - 1) / w**2) if t < DURATION else SPEED * (t - DURATION / 2)
 
-    return profile.from_function(value, lambda t: rate * (t - np.sin(w * t) / w) if t < DURATION else SPEED,
-                                 lambda t: rate * (1 - np.cos(w * t)) if t < DURATION else 0.0, kinks=(DURATION,))
+    return profile.from_function(
+        value,
+        lambda t: rate * (t - np.sin(w * t) / w) if t < DURATION else SPEED,
+        lambda t: rate * (1 - np.cos(w * t)) if t < DURATION else 0.0,
+        kinks=(DURATION,),
+    )
 
 
 def spin_up_beam(nx=130, ny=1, element="wachspress"):
     """The beam on nx by ny quadrilaterals, turned by "motor" at its left edge; "tip" is the mean of the right one."""
     from polyida.mesh import quads
 
-    beam = Plate(quads(LENGTH, HEIGHT, nx, ny), Material(EA / HEIGHT, 0.0, LINE_MASS / HEIGHT), 1.0, name="beam", element=element)
+    beam = Plate(
+        quads(LENGTH, HEIGHT, nx, ny), Material(EA / HEIGHT, 0.0, LINE_MASS / HEIGHT), 1.0, name="beam", element=element
+    )
     scene = Scene()
     scene.add(beam)
     scene.add(Revolute(ground, beam.section("left"), name="hub"))
@@ -54,7 +60,9 @@ def in_the_turning_frame(t, position):
 
 
 def steady_extension(run, since=16.0):
-    """Mean distance of the tip from the hub less L, m, over the frames from `since` on: what is left of the bending vibration averages out."""
+    """Mean distance of the tip from the hub less L, m, over the frames from `since` on: what is left of the bending
+    vibration averages out.
+    """
     place = run.position("tip")[np.asarray(run.t) >= since]
     return float(np.mean(np.hypot(*place.T)) - LENGTH)
 
@@ -62,7 +70,12 @@ def steady_extension(run, since=16.0):
 def problem(nx=130, ny=1, element="wachspress"):
     """20 s: 15 s of spin-up and 5 s of steady turning."""
     return Problem(
-        name="spin-up-beam", model=spin_up_beam(nx, ny, element).build(), q0=None, v0=None, t_end=20.0,
+        name="spin-up-beam",
+        model=spin_up_beam(nx, ny, element).build(),
+        q0=None,
+        v0=None,
+        t_end=20.0,
         reference={"extension": EXTENSION},
         source="Simo, Vu-Quoc, J. Appl. Mech. 53 (1986) 849; rho A w^2 L^3 / (3 EA) of the steadily turning bar",
-        quantity="steady extension of the tip, m (mean over t >= 16 s)")
+        quantity="steady extension of the tip, m (mean over t >= 16 s)",
+    )

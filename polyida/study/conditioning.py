@@ -1,7 +1,8 @@
 """Condition numbers of the iteration matrices of generalized-alpha and IDA, exact, and what they do to linear solves.
 
-An unscaled matrix reaches condition numbers of 1e35, far beyond what its own singular values tell in double precision. Its inverse is
-therefore taken from the scaled matrix, which is harmless, `A^-1 = D_R (D_L A D_R)^-1 D_L`, and cond(A) = |A| |A^-1| in the 2-norm.
+An unscaled matrix reaches condition numbers of 1e35, far beyond what its own singular values tell in double precision.
+Its inverse is therefore taken from the scaled matrix, which is harmless, `A^-1 = D_R (D_L A D_R)^-1 D_L`, and cond(A) =
+|A| |A^-1| in the 2-norm.
 """
 
 from functools import lru_cache
@@ -13,13 +14,12 @@ from polyida.integrate.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida_forms import System
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, mass_system
-from polyida.linear.kkt import scaling_factors
+from polyida.linear.condition import condition_number
+from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
 from polyida.model import Model, Needs
 from polyida.problems import plates
 
-ALPHA_FORMS = {  # unknowns: (power of h on the columns beside lam, slope of the raw condition number in h)
-    "(q, lam)": (0, -4), "(v, lam)": (1, -3), "(a, lam)": (2, -2),
-}
+ALPHA_UNKNOWNS = {"q": -4, "v": -3, "a": -2}  # beside lam: slope of the raw condition number in h
 ALPHA_SCALINGS = {"none": -4, "rows only": -2, "multipliers only": -2, "bottasso": 0, "physical": 0}
 IDA_SLOPES = {"index3": -3, "ggl2": -2, "index2": -2, "ggl1": -1, "index1": -1, "baumgarte": -1}
 
@@ -46,7 +46,8 @@ class Scaled(NamedTuple):
 
 
 class Springs(Model):
-    """Two point masses of 1 kg on a rod each, the second hanging from the first; every coordinate on a spring of `stiffness`, N/m.
+    """Two point masses of 1 kg on a rod each, the second hanging from the first; every coordinate on a spring of
+    `stiffness`, N/m.
 
     A model whose stiffness has one size: what the physical scaling divides by is all there is.
     """
@@ -108,7 +109,9 @@ def fastest(model, state):
     s = state
     stiffness = dense(model.tangent(s.t, s.q, s.v, s.a, s.lam, 0.0, 0.0, 1.0))
     size = model.n
-    return float(np.sqrt(eigh(stiffness, dense(model.mass(s.q)), eigvals_only=True, subset_by_index=[size - 1, size - 1])[0]))
+    return float(
+        np.sqrt(eigh(stiffness, dense(model.mass(s.q)), eigvals_only=True, subset_by_index=[size - 1, size - 1])[0])
+    )
 
 
 def alpha_blocks(model, state, h, rho_inf=0.9):
@@ -120,20 +123,20 @@ def alpha_blocks(model, state, h, rho_inf=0.9):
     return tangent, model.phi_q(s.t, s.q), c.beta * h * h
 
 
-def alpha_matrix(model, state, h, form="(q, lam)", scaling="none"):
-    """Generalized-alpha's matrix in a form and a scaling, as Scaled: its factors are those of the physical scaling.
-
-    The forms differ in what stands beside lam as unknown: dq, dv = dq/h or da = dq/h^2 (constants left out).
+def alpha_condition(model, state, h, unknown="q", scaling="none"):
+    """Condition number of generalized-alpha's matrix for the unknowns (dq, dv or da; dlam), at a scaling or one half of
+    Bottasso's.
     """
+    if scaling in SCALINGS:
+        return condition_number(model, GeneralizedAlpha(h=h), state, scaling=scaling, unknown=unknown, exact=True)
     tangent, B, step_square = alpha_blocks(model, state, h)
-    physical, (row, column) = scaling_factors("physical", step_square, tangent), alpha_factors(scaling, step_square, tangent)
-    power = h ** ALPHA_FORMS[form][0]
-    n, m = model.n, model.m
-    border = dense(B)
-    raw = np.block([[row * power * dense(tangent), row * column * border.T], [power * border, np.zeros((m, m))]])
-    rows = np.concatenate([np.full(n, physical.row / row), np.ones(m)])
-    columns = np.concatenate([np.full(n, 1.0 / power), np.full(m, physical.column / column)])
-    return Scaled(raw, rows, columns)
+    physical, given = (
+        scaling_factors("physical", step_square, tangent),
+        Scaling(*alpha_factors(scaling, step_square, tangent)),
+    )
+    rows = np.concatenate([np.full(model.n, physical.row / given.row), np.ones(model.m)])
+    columns = np.concatenate([np.ones(model.n), np.full(model.m, physical.column / given.column)])
+    return Scaled(dense(assemble(tangent, B, given)), rows, columns).condition()
 
 
 def alpha_factors(scaling, step_square, tangent):
@@ -148,8 +151,8 @@ def alpha_factors(scaling, step_square, tangent):
 def ida_matrix(model, state, h, form, rate=10.0):
     """IDA's whole matrix `J = dF/dy + cj dF/dy'` of a form, as Scaled, with cj = 1/h (BDF of order 1).
 
-    Its factors: dv by cj, dlam by s, dmu by cj; the rows of q' by 1/cj, of r by 1/s, of the k-th derivative of phi by 1/cj^k;
-    s is the mean of the diagonal of S = K + cj C + cj^2 M. Integrated multipliers by another 1/cj.
+    Its factors: dv by cj, dlam by s, dmu by cj; the rows of q' by 1/cj, of r by 1/s, of the k-th derivative of phi by
+    1/cj^k; s is the mean of the diagonal of S = K + cj C + cj^2 M. Integrated multipliers by another 1/cj.
     """
     cj, system = 1.0 / h, System(model, form, rate)
     blocks = system.blocks(state.t, *system.pack(state))
@@ -159,7 +162,9 @@ def ida_matrix(model, state, h, form, rate=10.0):
     rows = [np.full(n, 1 / cj), np.full(n, 1 / size)]
     rows += [np.full(m, cj ** -max(kinds.rows))] if kinds.combined else [np.full(m, cj**-order) for order in kinds.rows]
     unit = 1 / cj if kinds.integrated else 1.0
-    columns = [np.ones(n), np.full(n, cj), np.full(m, size * unit)] + ([np.full(m, cj * unit)] if kinds.stabilised else [])
+    columns = [np.ones(n), np.full(n, cj), np.full(m, size * unit)] + (
+        [np.full(m, cj * unit)] if kinds.stabilised else []
+    )
     return Scaled(ida_dense(blocks, S, cj), np.concatenate(rows), np.concatenate(columns))
 
 
@@ -171,17 +176,19 @@ def ida_dense(blocks, S, cj):
     unit = cj if blocks.integrated else 1.0
     multipliers = (2 if blocks.stabilised else 1) * m
     J = np.zeros((2 * n + multipliers, 2 * n + multipliers))
-    J[:n, :n], J[:n, n:2 * n] = cj * np.eye(n), -np.eye(n)
-    J[n:2 * n, :n], J[n:2 * n, n:2 * n] = dense(S) - cj * damping, damping
-    J[n:2 * n, 2 * n:2 * n + m] = unit * blocks.B.T
+    J[:n, :n], J[:n, n : 2 * n] = cj * np.eye(n), -np.eye(n)
+    J[n : 2 * n, :n], J[n : 2 * n, n : 2 * n] = dense(S) - cj * damping, damping
+    J[n : 2 * n, 2 * n : 2 * n + m] = unit * blocks.B.T
     if blocks.stabilised:
-        J[:n, 2 * n + m:] = unit * blocks.B.T
-    J[2 * n:, :n], J[2 * n:, n:2 * n] = blocks.P, blocks.Q0 + cj * blocks.Q1
+        J[:n, 2 * n + m :] = unit * blocks.B.T
+    J[2 * n :, :n], J[2 * n :, n : 2 * n] = blocks.P, blocks.Q0 + cj * blocks.Q1
     return J
 
 
 def inherent_condition(model, state, h):
-    """cond of S on the motions that the constraints leave free: what the plates have of their own, in any coordinates of index 1."""
+    """cond of S on the motions that the constraints leave free: what the plates have of their own, in any coordinates
+    of index 1.
+    """
     from scipy.linalg import null_space
 
     tangent, B, _ = alpha_blocks(model, state, h)

@@ -1,4 +1,4 @@
-"""What the figures of all studies share: logarithmic panels, slopes drawn beside the data, PNG and PDF of each figure."""
+"""What the figures of all studies share: logarithmic panels, slopes beside the data, PNG and PDF of each figure."""
 
 import numpy as np
 
@@ -19,8 +19,13 @@ def panels(count, width=6.8, height=3.0, columns=2, **layout):
 
 def look(i):
     """Colour, dash and marker of the i-th of several lines."""
-    return {"color": PALETTE[i % len(PALETTE)], "linestyle": DASHES[i // len(PALETTE) % len(DASHES)],
-            "marker": MARKERS[i % len(MARKERS)], "markersize": 3.5, "linewidth": 1.0}
+    return {
+        "color": PALETTE[i % len(PALETTE)],
+        "linestyle": DASHES[i // len(PALETTE) % len(DASHES)],
+        "marker": MARKERS[i % len(MARKERS)],
+        "markersize": 3.5,
+        "linewidth": 1.0,
+    }
 
 
 def loglog(axes, x, y, i, label=None):
@@ -34,8 +39,14 @@ def slope_line(axes, slope, x, y, label=None):
     """A thin line of the given slope through (x[0], y) over the range x, with its slope written at the end."""
     x = np.asarray(x, float)
     axes.loglog(x, y * (x / x[0]) ** slope, color=INK, linewidth=0.6, linestyle=(0, (2, 2)), zorder=0)
-    axes.annotate(label or f"{slope:+.3g}", (x[-1], y * (x[-1] / x[0]) ** slope), fontsize=7, color=INK,
-                  xytext=(2, 2), textcoords="offset points")
+    axes.annotate(
+        label or f"{slope:+.3g}",
+        (x[-1], y * (x[-1] / x[0]) ** slope),
+        fontsize=7,
+        color=INK,
+        xytext=(2, 2),
+        textcoords="offset points",
+    )
 
 
 def legend(made, axes, columns=4):
@@ -52,7 +63,7 @@ def _whole_decades(axis):
 
     low, high = np.log10(axis.get_view_interval())
     if high - low < 2.2:
-        axis.axes.set(**{f"{axis.axis_name}lim": (10 ** np.floor(low), 10 ** np.ceil(high))})
+        axis.axes.set(**{f"{axis.axis_name}lim": (10 ** np.floor(low + 0.1), 10 ** np.ceil(high - 0.1))})
     axis.set_minor_formatter(NullFormatter())
 
 
@@ -65,6 +76,7 @@ def saved(made, folder, name):
 
 def drawn(function):
     """A study's `draw(rows, folder)`, run in the settings of this package's figures."""
+
     def draw(rows, folder):
         with settings():
             return function([row for row in rows if not row.get("error")], folder)

@@ -1,4 +1,4 @@
-"""Energy and momentum over long times: the swinging double plate, and the same one thrown free of ground and gravity."""
+"""Energy and momentum over long times: the double plate swinging, and thrown free of ground and gravity."""
 
 from functools import lru_cache
 
@@ -54,12 +54,23 @@ def balance(scene, member, x, time, cells, frames=400):
     scale = float(energy.kinetic.max())
     change = (energy.total - energy.total[0]) / scale
     keep = slice(None, None, max(1, len(run.t) // frames))
-    row = {"dof": model.n, "outcome": "done" if run.success else run.message, "steps": run.counts.steps, "cpu_s": run.cpu_seconds,
-           "energy_scale": scale, "energy_drift": float(np.abs(change).max()), "energy_change": float(change[-1]) * scale,
-           "t": run.t[keep], "energy": change[keep]}
+    row = {
+        "dof": model.n,
+        "outcome": "done" if run.success else run.message,
+        "steps": run.counts.steps,
+        "cpu_s": run.cpu_seconds,
+        "energy_scale": scale,
+        "energy_drift": float(np.abs(change).max()),
+        "energy_change": float(change[-1]) * scale,
+        "t": run.t[keep],
+        "energy": change[keep],
+    }
     if scene == "swinging":
         return row
     found = momenta(model, run.q, run.v)
     drift = np.abs(found - found[0]).max(axis=0)
-    return row | {"linear_drift": float(drift[:2].max() / np.linalg.norm(found[0, :2])), "angular_drift": float(drift[2] / abs(found[0, 2])),
-                  "angular": (found[keep, 2] - found[0, 2]) / abs(found[0, 2])}
+    return row | {
+        "linear_drift": float(drift[:2].max() / np.linalg.norm(found[0, :2])),
+        "angular_drift": float(drift[2] / abs(found[0, 2])),
+        "angular": (found[keep, 2] - found[0, 2]) / abs(found[0, 2]),
+    }

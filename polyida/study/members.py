@@ -34,7 +34,8 @@ def adaptive(tolerance, h, sizes=(1e-2, 10.0), newton=NEWTON):
 def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=NEWTON):
     """The integrator called `name` with step or tolerance x; InputError for an unknown name.
 
-    sizes: of q and v, for absolute tolerances. largest: step of one that adapts it. newton: tolerance of generalized-alpha's iteration.
+    sizes: of q and v, for absolute tolerances. largest: step of one that adapts it. newton: tolerance of
+    generalized-alpha's iteration.
     """
     if name in FIXED:
         return FIXED[name](x, newton)
@@ -42,4 +43,6 @@ def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=NEWTON):
         return adaptive(x, largest, sizes, newton)
     if name.startswith("IDA ") and name[4:] in IDA_FORMS:
         return ida(name[4:], x, sizes)
-    raise InputError(f"integrator {name!r} is unknown; there are {', '.join([*FIXED, 'alpha, adaptive'])}, IDA with {', '.join(IDA_FORMS)}")
+    raise InputError(
+        f"integrator {name!r} is unknown; there are {', '.join(FIXED)}, alpha, adaptive, IDA with {', '.join(IDA_FORMS)}"
+    )

@@ -1,6 +1,7 @@
 """Cases with known answers on a plate of any mesh and element: what the discretisation in space costs.
 
-Each returns {"dof": n, "deviation": relative error, ...}; it is the largest of the components compared, relative to the reference.
+Each returns {"dof": n, "deviation": relative error, ...}; it is the largest of the components compared, relative to the
+reference.
 """
 
 import numpy as np
@@ -29,11 +30,15 @@ def mesh_of(kind, length, height, through):
 
 
 def clamped(mesh, material, element, gravity=(0.0, 0.0), thickness=1.0, load=None, at="right", clamp="left"):
-    """(model, plate): one plate on `mesh`, clamped at a section, with a dead load (fx, fy), N, on an attachment named "load"."""
+    """(model, plate): one plate on `mesh`, clamped at a section, with a dead load (fx, fy), N, on an attachment named
+    "load".
+    """
     scene = Scene(gravity=gravity)
     plate = scene.add(Plate(mesh, material, thickness, name="plate", element=element))
     scene.add(Clamp(plate.section(clamp), name="clamp"))
-    scene.add(PointLoad(plate.node(at) if isinstance(at, tuple) else plate.section(at), load or (0.0, 0.0), name="load"))
+    scene.add(
+        PointLoad(plate.node(at) if isinstance(at, tuple) else plate.section(at), load or (0.0, 0.0), name="load")
+    )
     return scene.build(), plate
 
 
@@ -47,7 +52,7 @@ def elastica(kind, element, through, load, slenderness=50):
 
 
 def csm1(kind, element, through, clamp):
-    """Turek and Hron's CSM1: a beam behind a cylinder under its own weight, clamped on its arc or on a straight line."""
+    """Turek and Hron's CSM1: a beam behind a cylinder under its own weight, clamped on its arc or straight."""
     mesh = mesh_of(kind, BEAM_END - STRAIGHT_CLAMP, 0.02, through)
     mesh = bent_to_the_cylinder(mesh) if clamp == "arc" else mesh
     model, plate = clamped(mesh, Material(1.4e6, 0.4, 1000.0, plane="strain"), element, gravity=(0.0, -2.0))
@@ -65,7 +70,7 @@ def bent_to_the_cylinder(mesh):
 
 
 def extrapolated(coarse, fine, clamp, order=2):
-    """Largest relative error of CSM1's tip displacement after Richardson extrapolation from two meshes, cells halved."""
+    """Largest relative error of CSM1's tip displacement, extrapolated from two meshes, cells halved."""
     weight = 2.0**order
     moved = (weight * np.array(fine) - np.array(coarse)) / (weight - 1)
     return float(np.abs(moved / CSM1[clamp] - 1).max())
@@ -85,9 +90,13 @@ def fine_cantilever(through=32):
 
 
 def compliance(kind, element, through, at):
-    """Displacement under a pull of a bar, clamped at its other end, over that of the exact bar F L / (E A): at a "node" or a "section"."""
+    """Displacement under a pull of a bar, clamped at its other end, over that of the exact bar F L / (E A): at a "node"
+    or a "section".
+    """
     place = (0.0, 0.0) if at == "node" else "left"
-    model, _ = clamped(mesh_of(kind, 1.0, 0.1, through), Material(1e9, 0.0, 1000.0), element, load=(-1.0, 0.0), at=place, clamp="right")
+    model, _ = clamped(
+        mesh_of(kind, 1.0, 0.1, through), Material(1e9, 0.0, 1000.0), element, load=(-1.0, 0.0), at=place, clamp="right"
+    )
     ratio = float(-model.dz(linear_response(model))[model.points_of("load")][0] * 1e9 * 0.1)
     return result(model, np.array([ratio - 1])) | {"compliance": ratio}
 
@@ -103,7 +112,8 @@ def linear_response(model):
 def frequencies(kind, element, through, slenderness=50):
     """Bending and axial frequencies of a clamped bar, nu = 0, against the slender limit and (2n - 1) c / (4 L).
 
-    The first bending and the first two axial ones are compared; shear and rotary inertia lower the next bending ones by 0.1 and 0.4 %.
+    The first bending and the first two axial ones are compared; shear and rotary inertia lower the next bending ones by
+    0.1 and 0.4 %.
     """
     modulus, density, height = 1e9, 1000.0, 1.0 / slenderness
     model, plate = clamped(mesh_of(kind, 1.0, height, through), Material(modulus, 0.0, density), element)
@@ -146,7 +156,12 @@ def spin_up(nx, ny, h, rho_inf=0.9):
     steady = spin_up_beam.steady_extension(run)
     keep = slice(None, None, max(1, len(run.t) // 800))
     return result(p.model, np.array([steady / spin_up_beam.EXTENSION - 1])) | {
-        "extension": steady, "t": run.t[keep], "u": extension[keep], "w": deflection[keep], "cpu_s": run.cpu_seconds}
+        "extension": steady,
+        "t": run.t[keep],
+        "u": extension[keep],
+        "w": deflection[keep],
+        "cpu_s": run.cpu_seconds,
+    }
 
 
 def result(model, errors):

@@ -17,6 +17,7 @@ def dense_pivoting(A, b):
 
 def equilibrated(solve):
     """The same solve after dividing rows and then columns by their largest entries (powers of two)."""
+
     def solved(A, b):
         from scipy.sparse import csr_array, diags_array
 
@@ -33,7 +34,9 @@ def _superlu(A, b, symmetric):
     from scipy.sparse.linalg import splu
 
     if symmetric:
-        return splu(csc_array(A), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve(b)
+        return splu(
+            csc_array(A), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        ).solve(b)
     return splu(csc_array(A), permc_spec="COLAMD").solve(b)
 
 
@@ -82,10 +85,15 @@ BACKENDS = {
 def solve_errors(model, state, h, backend, scaling, trials=3, seed=0):
     """(largest relative error of dq, of dlam) over random solutions: |x - x*| / |x*| in the largest entry.
 
-    dq* is a random motion of the accelerations' size h^2 |a|, dlam* of the multipliers'; the right-hand side is formed in extended precision.
+    dq* is a random motion of the accelerations' size h^2 |a|, dlam* of the multipliers'; the right-hand side is formed
+    in extended precision.
     """
     tangent, B, step_square = alpha_blocks(model, state, h)
-    factors, random, worst = Scaling(*alpha_factors(scaling, step_square, tangent)), np.random.default_rng(seed), np.zeros(2)
+    factors, random, worst = (
+        Scaling(*alpha_factors(scaling, step_square, tangent)),
+        np.random.default_rng(seed),
+        np.zeros(2),
+    )
     S, border = dense(tangent).astype(np.longdouble), dense(B).astype(np.longdouble)
     for _ in range(trials):
         dq = h * h * np.abs(state.a).max() * random.standard_normal(model.n)

@@ -217,14 +217,18 @@ def held_twice(kind, name):
 
 
 def blow(duration, name):
-    """A pulse of 1 N s on a free plate: linear and angular momentum afterwards, to what Newton and error control leave."""
+    """A pulse of 1 N s on a free plate: linear and angular momentum afterwards.
+
+    Steps are cut at its corners alone, so that a short one is one step up and one down: generalized-alpha, whose two accelerations
+    lag behind each other there, is allowed 0.5 %, as is what error control leaves; the energy-momentum method takes it exactly.
+    """
     model = scenes.struck(duration)
-    run = solve(model, 0.013, integrator(name))
+    run = solve(model, 0.013 + duration, integrator(name))
     ones, x = np.ones(model.n_nodes), model.reference + run.q[-1].reshape(-1, 2)
     v = run.v[-1].reshape(-1, 2)
     momentum = ones @ (model._nodal_mass @ v)
     spin = np.sum(x[:, 0] * (model._nodal_mass @ v[:, 1]) - x[:, 1] * (model._nodal_mass @ v[:, 0]))
-    exact = {"energy": 1e-8, "alpha": 1e-3, "stabilised": 1e-3}.get(name, 5e-3)
+    exact = 1e-8 if name == "energy" else 5e-3
     return run, [Check("linear momentum", float(np.hypot(momentum[0], momentum[1] - 1.0)), exact),
                  Check("angular momentum", abs(spin - 1.0), 0.02), held(run)]
 

@@ -76,12 +76,11 @@ def killed_runs(kills, name, seed=0):
                 continue
             part = load(path)
             told = struct.unpack("q", accepted[:8])[0]
-            lost = max(lost, told - FLUSH - STRETCH - (len(part) - 1)) if not ended else lost
+            lost = max(lost, told - FLUSH - STRETCH - (len(part) - 1))
             deviation = max(deviation, _apart(part, whole, name))
-            if ended:
+            if part.status == "done":
                 path.unlink()
-                accepted[:8] = struct.pack("q", 0)
-        last = resume(path) if path.exists() and part.status == "running" else whole
+        last = resume(path) if path.exists() and part.status != "done" else whole
     deviation = max(deviation, _apart(last, whole, name))
     same_end = float(np.abs(last.q[-1] - whole.q[-1]).max())
     allowed = ALLOWED[name]

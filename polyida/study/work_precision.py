@@ -16,31 +16,57 @@ def warm(name, member, quick):
     """Two steps, so that compiling or loading kernels counts as nobody's time."""
     given = case(name, quick)
     h = 1e-4 * given.t_end
-    solve(given.model, 2 * h, integrator(member, 1e-4 if member.startswith("IDA") or "adaptive" in member else h, given.sizes, h),
-          q0=given.q0, v0=given.v0)
+    solve(
+        given.model,
+        2 * h,
+        integrator(member, 1e-4 if member.startswith("IDA") or "adaptive" in member else h, given.sizes, h),
+        q0=given.q0,
+        v0=given.v0,
+    )
 
 
 def measure(name, member, x, quick):
-    """Errors at the end, CPU seconds and counts of one run; a run that fails has its message as outcome and no errors."""
+    """Errors at the end, CPU seconds and counts of one run; one that fails has its message as outcome, no errors."""
     given = case(name, quick)
     warm(name, member, quick)
-    run = solve(given.model, given.t_end, integrator(member, x, given.sizes, given.t_end / 20, given.newton), q0=given.q0, v0=given.v0, every=10**9)
+    run = solve(
+        given.model,
+        given.t_end,
+        integrator(member, x, given.sizes, given.t_end / 20, given.newton),
+        q0=given.q0,
+        v0=given.v0,
+        every=10**9,
+    )
     counts = {key: getattr(run.counts, key) for key in COUNTS}
-    outcome = {"outcome": "done" if run.success else run.message, "t": float(run.t[-1]), "cpu_s": run.cpu_seconds} | counts
+    outcome = {
+        "outcome": "done" if run.success else run.message,
+        "t": float(run.t[-1]),
+        "cpu_s": run.cpu_seconds,
+    } | counts
     return (given.errors(last_state(run)) if run.success else {}) | outcome
 
 
 def last_state(run):
-    """The end of a run with lam at the end: that of an integrator whose multipliers are of the middle of a step is left out."""
+    """The end of a run with lam at the end: that of an integrator whose multipliers are of the middle of a step is left
+    out.
+    """
     from types import SimpleNamespace
 
-    lam = run.lam[-1] if not getattr(run.integrator, "multipliers_at_middle", False) else np.full(run.lam.shape[1], np.nan)
+    lam = (
+        run.lam[-1]
+        if not getattr(run.integrator, "multipliers_at_middle", False)
+        else np.full(run.lam.shape[1], np.nan)
+    )
     return SimpleNamespace(q=run.q[-1], v=run.v[-1], lam=lam)
 
 
 def cheapest(rows, error, level):
-    """CPU seconds at which the lower envelope of runs reaches an error level, interpolated on logarithmic axes; NaN where none does."""
-    pairs = sorted((row["cpu_s"], row[error]) for row in rows if np.isfinite(row.get(error) or np.nan) and row[error] > 0)
+    """CPU seconds at which the lower envelope of runs reaches an error level, interpolated on logarithmic axes; NaN
+    where none does.
+    """
+    pairs = sorted(
+        (row["cpu_s"], row[error]) for row in rows if np.isfinite(row.get(error) or np.nan) and row[error] > 0
+    )
     before = None
     for cpu, found in pairs:
         if found <= level:

@@ -4,19 +4,23 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.step_control import LOWEST, RUNGS, Ladder, largest_calm_error
+from polyida.integrate.step_control import LOWEST, RUNGS, Ladder, calm_error
 
 FROM, TO, PULSE = 9.4, 10.0, 9.5
 
 
 def sudden_event(scenes, cells=20):
-    """A clamped plate with a tip mass that bends slowly for 9 s under a smooth load, and is hit by a pulse of 10 ms at 9.5 s."""
+    """A clamped plate with a tip mass that bends slowly for 9 s under a smooth load, and is hit by a pulse of 10 ms at
+    9.5 s.
+    """
     scene, plate = scenes.cantilever(cells=cells)
     tip = plate.section("right")
     scene.add(pi.PointMass(tip, 0.1, name="tip"))
     scene.add(pi.PointLoad(tip, (0.0, -5.0), pi.profile.ramp(0.0, 1.0, duration=9.0), name="bend"))
     for name, change, begin in (("hit", 1.0, PULSE), ("release", -1.0, PULSE + 5e-3)):
-        scene.add(pi.PointLoad(tip, (0.0, -40.0), pi.profile.quintic(0.0, change, duration=5e-3, begin=begin), name=name))
+        scene.add(
+            pi.PointLoad(tip, (0.0, -40.0), pi.profile.quintic(0.0, change, duration=5e-3, begin=begin), name=name)
+        )
     return scene.build()
 
 
@@ -37,27 +41,32 @@ def test_the_pulse_takes_the_short_steps(scenes):
     run = pi.solve(sudden_event(scenes), TO, pi.GeneralizedAlpha(h=0.05, atol=1e-5))
     h, at = np.diff(run.t), run.t[1:]
     assert h[at < PULSE].max() > 0.03 and h[(at > PULSE) & (at < PULSE + 0.02)].max() < 0.004
-    assert all(np.abs(run.t - kink).min() < 1e-12 for kink in (9.0, PULSE, PULSE + 5e-3, PULSE + 0.01)) and run.t[-1] == TO
+    assert (
+        all(np.abs(run.t - kink).min() < 1e-12 for kink in (9.0, PULSE, PULSE + 5e-3, PULSE + 0.01)) and run.t[-1] == TO
+    )
 
 
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
 def test_error_follows_the_tolerance_and_lam_is_clean(scenes, form):
     """Also lam, which is not in the estimate, and sees every jump of h."""
     model, start = pi.problems.get("pendulum").model, dict(q0=[-1.0, 0.0], v0=[0.0, -3.0])
-    exact = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=2.5e-4, tolerance=1e-7, extrapolate=True), every=8000, **start)
+    exact = pi.solve(model, 1.0, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-7, extrapolate=True), every=1000, **start)
     errors = []
-    for atol in (1e-4, 1e-5, 1e-6):
-        run = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=0.1, atol=atol, tolerance=1e-6, form=form), **start)
+    for atol in (1e-3, 1e-4, 1e-5):
+        run = pi.solve(model, 1.0, pi.GeneralizedAlpha(h=0.1, atol=atol, tolerance=1e-6, form=form), **start)
         tension = 9.0 - 3 * 9.81 * run.q[:, 1]
         errors.append([np.abs(run.q[-1] - exact.q[-1]).max(), np.abs(run.lam[:, 0] - tension).max()])
         assert len(set(np.round(np.log2(np.diff(run.t)) * RUNGS, 6))) < 0.1 * len(run)
-    slopes = [scenes.slope([1e-4, 1e-5, 1e-6], column) for column in np.transpose(errors)]
-    assert slopes == pytest.approx([2 / 3, 2 / 3], abs=0.15) and errors[-1][1] < 0.02
+    slopes = [scenes.slope([1e-3, 1e-4, 1e-5], column) for column in np.transpose(errors)]
+    assert slopes == pytest.approx([2 / 3, 2 / 3], abs=0.15) and errors[-1][1] < 0.05
 
 
 def test_compiled_and_plain_paths_take_the_same_steps(scenes):
     model = scenes.jointed("revolute").build()
-    runs = [pi.solve(model, 0.1, pi.GeneralizedAlpha(h=0.01, rtol=1e-4, atol=1e-6, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt")]
+    runs = [
+        pi.solve(model, 0.1, pi.GeneralizedAlpha(h=0.01, rtol=1e-4, atol=1e-6, tolerance=1e-7, linear=linear))
+        for linear in ("auto", "kkt")
+    ]
     assert runs[0].counts.rejected == runs[1].counts.rejected > 0
     assert np.allclose(runs[0].t, runs[1].t) and np.abs(runs[0].q - runs[1].q).max() < 1e-8
 
@@ -85,4 +94,5 @@ def test_ladder():
     assert ladder.rung == 2 * RUNGS + 1
     assert Ladder(0.1, ladder.h).rung == ladder.rung and Ladder(0.1, 1e-30).rung == LOWEST
     calm = Ladder(0.1, 0.05)
-    assert calm.up(0.99 * largest_calm_error()) and calm.rung == RUNGS - 2
+    assert calm.up(0.99 * calm_error(0.05, 0.1)) and calm.rung == RUNGS - 2
+    assert calm_error(0.1, 0.1) == 0

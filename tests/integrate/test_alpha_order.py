@@ -1,4 +1,6 @@
-"""Order of generalized-alpha and of its relatives: q, v and lam from the first step on, across kinks, extrapolated, stabilised."""
+"""Order of generalized-alpha and of its relatives: q, v and lam from the first step on, across kinks, extrapolated,
+stabilised.
+"""
 
 import numpy as np
 import pytest
@@ -39,7 +41,9 @@ def test_second_order_on_a_ramp_from_1e_2_to_6e_4(scenes):
 def turning(scenes):
     """A plate, turned by a motor at its hinge."""
     scene, upper = scenes.hinged((0.0, 0.0))
-    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.ramp(0.0, 0.5, duration=0.3), name="drive"))
+    scene.add(
+        pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.ramp(0.0, 0.5, duration=0.3), name="drive")
+    )
     return scene.build()
 
 
@@ -52,17 +56,22 @@ def test_second_order_of_a_motor_s_smooth_turn(scenes):
 def test_stabilised_form(scenes, linear):
     """Second order, phi and the velocity constraint to round-off at every step."""
     model, end = turning(scenes), 0.3
-    found = orders(scenes, model, end, (60, 120, 240), 960, tolerance=1e-6, form="stabilised", linear=linear)
+    found = orders(scenes, model, end, (30, 60, 120), 480, tolerance=1e-6, form="stabilised", linear=linear)
     assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.1)
-    runs = [pi.solve(model, end, pi.GeneralizedAlpha(h=5e-3, tolerance=1e-7, form=form, linear=linear)) for form in ("index3", "stabilised")]
+    runs = [
+        pi.solve(model, end, pi.GeneralizedAlpha(h=5e-3, tolerance=1e-7, form=form, linear=linear))
+        for form in ("index3", "stabilised")
+    ]
     assert runs[0].velocity_drift.max() > 1e-6
-    assert runs[1].velocity_drift.max() < 1e-13 and runs[1].drift.max() < 1e-11
+    assert runs[1].velocity_drift.max() < 1e-12 and runs[1].drift.max() < 1e-11
 
 
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
 def test_a_model_of_ones_own(scenes, form):
     model = pi.problems.get("pendulum").model
-    found = orders(scenes, model, 0.5, (100, 200, 400), 6400, {"tolerance": 1e-7}, tolerance=1e-9, form=form, begin=START)
+    found = orders(
+        scenes, model, 0.5, (50, 100, 200), 1600, {"tolerance": 1e-7}, tolerance=1e-9, form=form, begin=START
+    )
     assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.1)
 
 
@@ -77,11 +86,13 @@ MEMBERS = {
 def test_other_members(scenes, name):
     make, order = MEMBERS[name]
     model = pi.problems.get("pendulum").model
-    exact = pi.solve(model, 0.5, pi.GeneralizedAlpha(h=0.5 / 6400, tolerance=1e-7), **START)
-    steps = [0.5 / n for n in (100, 200, 400)]
+    exact = pi.solve(model, 0.5, pi.GeneralizedAlpha(h=0.5 / 1600, tolerance=1e-7, extrapolate=True), **START)
+    steps = [0.5 / n for n in (50, 100, 200)]
     runs = [pi.solve(model, 0.5, make(h, tolerance=1e-9), **START) for h in steps]
     assert scenes.slope(steps, [np.abs(run.q[-1] - exact.q[-1]).max() for run in runs]) == pytest.approx(order, abs=0.1)
-    compiled, plain = (pi.solve(bending(scenes), 0.05, make(1e-3, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt"))
+    compiled, plain = (
+        pi.solve(bending(scenes), 0.05, make(1e-3, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt")
+    )
     assert np.abs(compiled.q - plain.q).max() < 1e-9
 
 
@@ -125,7 +136,10 @@ def test_extrapolation_is_of_higher_order_and_cheaper(scenes):
     found = orders(scenes, model, end, (30, 60, 120), 960, tolerance=1e-7, extrapolate=True)
     assert min(found.values()) > 3.0
     exact = pi.solve(model, end, pi.GeneralizedAlpha(h=end / 960, tolerance=1e-7, extrapolate=True))
-    plain, better = (pi.solve(model, end, pi.GeneralizedAlpha(h=end / n, extrapolate=extrapolate)) for n, extrapolate in ((480, False), (60, True)))
+    plain, better = (
+        pi.solve(model, end, pi.GeneralizedAlpha(h=end / n, extrapolate=extrapolate))
+        for n, extrapolate in ((480, False), (60, True))
+    )
     assert better.counts.steps == 60 and better.counts.newton_iterations < plain.counts.newton_iterations
     assert np.abs(better.q[-1] - exact.q[-1]).max() < 0.3 * np.abs(plain.q[-1] - exact.q[-1]).max()
 
@@ -157,7 +171,9 @@ class Kinked(pi.Model):
 
 @pytest.mark.parametrize("over", [0.2, 0.0], ids=["a kink of a load", "a jump of a load"])
 def test_second_order_across_kinks(scenes, over):
-    """q''' and q'' jump there, and with them what the method carries; a load that jumps has two values at that time, so lam is left out."""
+    """q''' and q'' jump there, and with them what the method carries; a load that jumps has two values at that time,
+    so lam is left out.
+    """
     fields = FIELDS if over else ("q", "v")
-    found = orders(scenes, Kinked(over), 0.4, (80, 160, 320), 2560, tolerance=1e-9, begin=START, fields=fields)
+    found = orders(scenes, Kinked(over), 0.4, (40, 80, 160), 1280, tolerance=1e-9, begin=START, fields=fields)
     assert found == pytest.approx(dict.fromkeys(fields, 2.0), abs=0.15)

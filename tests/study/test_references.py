@@ -1,0 +1,68 @@
+"""References of the studies: independent runs against what is known, and the cases' own consistency."""
+
+import numpy as np
+import pytest
+
+from polyida import problems
+from polyida.errors import InputError
+from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.solve import solve
+from polyida.problems import plates
+from polyida.study import references
+from polyida.study.members import FIXED, IDA_FORMS, integrator
+from polyida.study.work_precision import cheapest, last_state, measure
+
+
+def test_explicit_runs_meet_the_closed_solution_of_the_pendulum():
+    p = problems.get("pendulum")
+    q, v, _, lam = references.explicit(p.model, p.t_end, 1e-11, q0=p.q0, v0=p.v0)[0]
+    assert np.abs(q - p.reference["q"]).max() < 1e-8 and np.abs(v - p.reference["v"]).max() < 1e-7
+    assert np.abs(lam - p.reference["lam"]).max() < 1e-6
+
+
+def test_explicit_runs_give_every_time_that_is_asked_for_and_stop_at_kinks():
+    model = references.sudden_blow(4, 0.02)
+    times = np.linspace(0.0, 0.02, 5)
+    states = references.explicit(model, 0.02, 1e-8, times=times)
+    alone = references.explicit(model, 0.02, 1e-8)[0]
+    assert len(states) == 5 and not states[0][0].any()
+    assert np.abs(states[-1][0] - alone[0]).max() < 1e-9
+    assert model.kinks(0.018, 0.02) == (pytest.approx(0.019),)
+
+
+def test_explicit_and_fine_runs_of_the_integrators_agree():
+    given = references.with_explicit("pair", plates.double_plate_motors(cells=4).build(), 0.02, (1e-2, 10.0), 1e-8)
+    run = solve(given.model, 0.02, GeneralizedAlpha(h=5e-6, extrapolate=True, tolerance=1e-9), every=10**9)
+    errors = given.errors(last_state(run))
+    assert errors["error_q"] < 1e-10 and errors["error_v"] < 1e-6 and given.known["q"] < 1e-9
+
+
+def test_published_multipliers_are_those_of_the_published_state():
+    given = references.case("andrews", True)
+    assert np.allclose(given.reference["lam"], problems.get("andrews").reference["lam"], rtol=3e-6)
+
+
+@pytest.mark.parametrize("name", [*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS)])
+def test_every_member_is_made(name):
+    assert hasattr(integrator(name, 1e-3), "steps")
+
+
+def test_unknown_members_are_named():
+    with pytest.raises(InputError, match="'Euler' is unknown"):
+        integrator("Euler", 1e-3)
+
+
+def test_a_measured_run_has_errors_and_counts():
+    row = measure("pendulum", "IDA ggl2", 1e-6, True)
+    assert row["outcome"] == "done" and row["error_q"] < 1e-2 and row["residuals"] >= row["steps"]
+
+
+def test_a_run_that_fails_is_a_row():
+    row = measure("pendulum", "IDA index3", 1e-5, True)
+    assert "error_q" not in row and "max_num_steps" in row["outcome"]
+
+
+def test_cheapest_interpolates_and_does_not_extrapolate():
+    rows = [{"cpu_s": 1.0, "error_q": 1e-2}, {"cpu_s": 4.0, "error_q": 1e-4}, {"cpu_s": 2.0, "error_q": None}]
+    assert cheapest(rows, "error_q", 1e-3) == pytest.approx(2.0)
+    assert cheapest(rows, "error_q", 1e-1) == 1.0 and np.isnan(cheapest(rows, "error_q", 1e-5))
