@@ -11,6 +11,7 @@ from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.mesh import PolygonMesh
 
 ELEMENTS = ("wachspress", "virtual")
+MOST_CORNERS = 16  # beyond, the corner modes of one polygon are 1e-3 of its stiffest and less
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +21,8 @@ class Plate:
     mesh: PolygonMesh, m. thickness: m. origin: where the mesh's (0, 0) lies, m. angle: turn about it, rad. name: how joints, tables
     and files call it (given by the scene where it is None). element: "wachspress", or "virtual" (first-order virtual element, which takes
     any simple polygon and whose accuracy in bending depends on its stabilisation `tau`, a tuning parameter).
-    Raises InputError for a thickness that is not positive, an unknown element, a cell that is not strictly convex (wachspress).
+    Raises InputError for a thickness that is not positive, an unknown element; for wachspress, a cell that is not strictly convex or of
+    more than 16 corners.
     """
 
     mesh: PolygonMesh
@@ -49,6 +51,10 @@ class Plate:
         positive(label, "tau", self.tau, "no unit")
         if self.element == "wachspress":
             self._of_mesh(self.mesh.require_convex)
+            corners = int(np.diff(self.mesh.offsets).max())
+            if corners > MOST_CORNERS:
+                raise InputError(f"{label}: a cell has {corners} corners; Wachspress elements grow too soft beyond {MOST_CORNERS}, "
+                                 'use element="virtual" or a finer mesh')
 
     @cached_property
     def placed(self):

@@ -18,9 +18,7 @@ class Coefficients:
 
     @classmethod
     def chung_hulbert(cls, rho_inf):
-        """`alpha_m = (2 rho - 1)/(rho + 1)`, `alpha_f = rho/(rho + 1)`, second order with the least low-frequency
-        damping.
-        """
+        """`alpha_m = (2 rho - 1)/(rho + 1)`, `alpha_f = rho/(rho + 1)`: the least low-frequency damping."""
         return cls.second_order((2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1))
 
     @classmethod
@@ -41,8 +39,8 @@ class Coefficients:
 
     @property
     def at_infinity(self):
-        """Spectral radius on a rigid constraint, of (h v, h^2 a) where q = 0, and of the multipliers: below 1 it is
-        stable on index 3.
+        """Spectral radius along a constraint: of (h v, h^2 a) where q = 0, and of q''. Below 1 it is stable on index
+        3.
         """
         b, g = self.beta, self.gamma
         motion = np.array([[1 - g / b, 1 - g / (2 * b)], [-1 / b, 1 - 1 / (2 * b)]])
@@ -55,5 +53,5 @@ def require_damping(name, c):
     if not (finite and c.beta > 0 and c.alpha_m < 1 and c.alpha_f < 1):
         raise InputError(f"{name}: {c} must be finite, with beta > 0, alpha_m < 1, alpha_f < 1")
     if not c.at_infinity < 1 - 1e-6:
-        raise InputError(f"{name}: {c} has the spectral radius {c.at_infinity:.3g} at infinite frequency; on index 3 it must "
-                         "be below 1, or constraint forces swing ever higher (the trapezoidal rule, beta = 1/4, gamma = 1/2, is on the limit)")
+        raise InputError(f"{name}: {c} has the spectral radius {c.at_infinity:.3g} at infinite frequency; on index 3 it "
+                         "must be below 1, or constraint forces grow (trapezoidal rule: beta 1/4, gamma 1/2)")

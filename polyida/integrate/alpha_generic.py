@@ -14,8 +14,9 @@ STALE, FRESH, FULL = range(3)
 
 
 class Steps:
-    """Steps on one model; `begin` sets state and h, `run` goes on from there. verdict: "far" or "near" where adaptive
-    steps should change.
+    """Steps on one model: `begin` sets state and h, `run` goes on from there.
+
+    verdict: "far" or "near" where adaptive steps should be shorter or longer.
     """
 
     def __init__(self, settings, model, counts):
@@ -79,9 +80,7 @@ class Steps:
         return calm
 
     def _step(self, before, t):
-        """The state at t: with the matrix at hand, with a fresh one, with one in every iteration. Raises
-        StepFailure.
-        """
+        """The state at t: with the matrix at hand, a fresh one, or one in every iteration. Raises StepFailure."""
         for effort in (STALE, FRESH, FULL):
             if effort != STALE:
                 self.kkt = None
@@ -129,9 +128,7 @@ class Steps:
         return ((1 - c.alpha_f) * a + c.alpha_f * last.a - c.alpha_m * last.memory["a_alg"]) / (1 - c.alpha_m)
 
     def _constraints(self, before, t):
-        """(phi, rate) at t as a function of the step's dd and a: carried for scenes, phi from the positions
-        otherwise.
-        """
+        """(phi, rate) at t as a function of the step's dd and a: carried, or phi from the positions."""
         if not self.carries:
             return lambda dd, a: (self.model.phi(t, self._at(dd)), self.rate)
         carried = Carried(self.model, before, t, self.h, self.last, self.phi, self.rate)
@@ -150,8 +147,8 @@ class Steps:
         return *self.kkt.solve(r, rate), self.mass.solve(np.zeros(self.model.n), phi - rate)[0]
 
     def _settled(self, moved, rate, dd, q, a, iteration, phi_at):
-        """Whether the error to be expected is below the tolerance, or dq is round-off and no longer falls; and phi
-        with it.
+        """Whether the error to be expected, and phi, are below the tolerance, or dq is round-off and no longer
+        falls.
         """
         tolerance = self.settings.tolerance * max(self.size, _rms(a)) / self.to_a
         coarse = 16 * EPS * (_rms(q) + self.extent)

@@ -14,8 +14,9 @@ NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1
 
 
 def drive_table(model, times, h):
-    """Values and two derivatives of every profile at the times, (times, profiles, 3); derivatives at a kink are those
-    of this side.
+    """Values and two derivatives of every profile at the times, (times, profiles, 3).
+
+    Derivatives at a kink at either end are those of the inner side.
     """
     table = np.empty((len(times), len(model.profiles), 3))
     if not table.size:
@@ -41,8 +42,7 @@ def beside(t, h):
 
 
 def gain_table(model, times, drives, h):
-    """What every profile gains over each step of size h between the times, (steps, profiles, 3): value, value - h
-    rate, rate.
+    """What every profile gains in each step of size h, (steps, profiles, 3): value, value - h rate, rate.
 
     Differences; of a motor, where the integrals of its second derivative are the same to round-off, those, which are
     sharper.
@@ -72,8 +72,7 @@ def _sharpen(profile, begin, h, rate, gains, rows, size):
 
 
 def start_values(model, state, t=None):
-    """(phi, rate) at the start of a run: as carried where the state has them, zero where they are nothing but
-    round-off.
+    """(phi, rate) at the start of a run: as the state carries them, or evaluated, and zero for mere round-off.
 
     t: the time for rate, to one side of a kink.
     """
@@ -113,6 +112,6 @@ class Carried:
     def __call__(self, dd, dv):
         """(phi, rate) at the end of the step, velocities changed by dv."""
         phi, rate, model = self.phi.copy(), self.rate.copy(), self.model
-        move, change = model.dz(dd), model.dz(dv)
-        joints.joint_change(model.arrays.links, self.drives, self.gain, self.h, self.dz, self.vz, move, change, phi, rate)
+        start, step = (self.drives, self.gain, self.h, self.dz, self.vz), (model.dz(dd), model.dz(dv))
+        joints.joint_change(model.arrays.links, *start, *step, phi, rate)
         return phi, rate

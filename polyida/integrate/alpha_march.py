@@ -1,6 +1,4 @@
-"""From the start of a run's piece to its end in equal steps; a step that fails is cut in two, four, ... and the grid
-taken up again.
-"""
+"""Equal steps from the start of a run's piece to its end; one that fails is cut in two, four, ... parts."""
 
 from polyida.integrate.alpha_start import started
 from polyida.integrate.grid import Grid, goes_on, grid_of
@@ -8,9 +6,7 @@ from polyida.integrate.state import State, StepFailure
 
 
 def march(engine, settings, model, state, begin, end, count, counts):
-    """Yield the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts of one fail as
-    well.
-    """
+    """Yield the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts fail."""
     grid = grid_of(state, begin, end, count)
     level, done = min(int(state.memory.get("cut", 0)), settings.max_halvings), grid.done
     while done < grid.count:
@@ -41,8 +37,9 @@ def _whole(engine, settings, model, state, grid):
 
 
 def _in_parts(engine, settings, model, state, grid, level, seen, counts):
-    """(state after the next step of the grid, level): taken in 2^level parts, or more where these fail. seen: failures
-    so far.
+    """(state after the next step, level): taken in 2^level parts, or more where these fail.
+
+    seen: failures so far.
     """
     t0, t1 = grid.time(grid.done), grid.time(grid.done + 1)
     for level in range(level, settings.max_halvings + 1):

@@ -1,5 +1,4 @@
-"""Richardson extrapolation: `x = (4 x(h/2) - x(h)) / 3` at the ends of steps of h, of order 3 and more where the
-motion is smooth.
+"""Richardson extrapolation: `x = (4 x(h/2) - x(h)) / 3` at the ends of steps of h, of order 3 to 4.
 
 Two runs side by side, with h and h/2, none of which sees the other; phi = 0 and energy hold to the order of the result
 only. A kink that is hit exactly does no harm; ringing mesh modes, which no step resolves, gain nothing.

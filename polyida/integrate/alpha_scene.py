@@ -1,6 +1,4 @@
-"""Steps of generalized-alpha on a scene in compiled code: whole stretches on one stale factor in the frame of the
-nodal rotations.
-"""
+"""Steps of generalized-alpha on a scene, compiled: whole stretches on one factor in the frame of nodal rotations."""
 
 import numpy as np
 
@@ -199,8 +197,7 @@ def record(y, q, v, a, lam):
 
 @entry
 def stretch(s, c, room, p, tie, damp, drives, gains, y, w, counts, qs, vs, accelerations, lams):
-    """Steps until the frames, the factor's use or that of h end; drives (steps + 1, ...) begin with those of the last
-    state.
+    """Steps until the frames, the factor's use or that of h end; drives begin with those of the last state.
 
     tie: of the stabilised form, or None; damp: scratch (nodes, 2) of a damped scene, or None. What is None is not
     compiled. Frames go to qs, vs, accelerations, lams. Returns (steps, end, last |dq|).

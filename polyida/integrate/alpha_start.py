@@ -1,5 +1,4 @@
-"""What generalized-alpha starts from: at the beginning of a run, behind a kink, at another step, after a step that was
-cut.
+"""What generalized-alpha starts from: a run's beginning, behind a kink, at another step, after a cut one.
 
 The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f) h, and v is off the velocity
 constraint by
@@ -35,8 +34,9 @@ def started(settings, model, state, h):
 
 
 def beginning(settings, model, state, h, right=None):
-    """A consistent state with `a_alg = q'' + (alpha_m - alpha_f) h q'''` and v moved by `B l/h`. right: the time
-    behind a kink here.
+    """A consistent state with `a_alg = q'' + (alpha_m - alpha_f) h q'''` and v moved by `B l/h`.
+
+    right: the time behind a kink here.
     """
     c, third = settings.coefficients, jerk(model, state, h, right)
     off, rate = _off_constraint(settings, model, state, h, third)
@@ -44,8 +44,7 @@ def beginning(settings, model, state, h, right=None):
 
 
 def behind_kink(settings, model, state, h):
-    """The state on the other side of a kink at its time: what jumps there is added, what the method carries besides
-    stays.
+    """The state on the other side of a kink at its time: what jumps is added, what the method carries stays.
 
     Velocities jump with the motors' rates, in the metric of M; accelerations and multipliers with loads and rates;
     a_alg and v also with the jump of q'''. All are differences of consistent values right and left, so that ringing

@@ -1,6 +1,4 @@
-"""Generalized-alpha on a scene: drives compiled stretches, makes factors where one asks for it, and turns frames into
-states.
-"""
+"""Generalized-alpha on a scene: compiled stretches, factors where they ask for one, states from frames."""
 
 import numpy as np
 
@@ -30,8 +28,9 @@ REASONS = {
 
 
 class Stretches:
-    """Steps on one model; `begin` sets state and h, `run` goes on from there. verdict: "far" or "near" where adaptive
-    steps should change.
+    """Steps on one model: `begin` sets state and h, `run` goes on from there.
+
+    verdict: "far" or "near" where adaptive steps should be shorter or longer.
     """
 
     def __init__(self, settings, model, counts):
@@ -45,14 +44,13 @@ class Stretches:
         self.kept = {}
 
     def begin(self, state, h):
-        """Go on from a state that `started` has made ready for steps of h; with `recall`, the factor and Newton's
-        memory that it holds.
-        """
+        """Go on from a state that `started` has made ready for steps of h."""
         s, c, y = self.settings, self.settings.coefficients, self.memory
         to_a, to_v = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)), c.gamma / (c.beta * h)
         self.method = Method(
-            h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, s.tolerance, extent(self.model, state.q), bool(s.incremental_phi), s.max_iterations,
-            abs(c.error) * h * h if s.adaptive else 0.0, s.rtol or 0.0, s.atol or 0.0, calm_error(h, s.h))
+            h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, s.tolerance, extent(self.model, state.q),
+            bool(s.incremental_phi), s.max_iterations, abs(c.error) * h * h if s.adaptive else 0.0, s.rtol or 0.0,
+            s.atol or 0.0, calm_error(h, s.h))
         for array, value in zip(y, (state.q, state.v, state.a, state.memory["a_alg"], state.a)):
             array[:] = np.reshape(value, array.shape)
         y.lam[:] = state.lam
@@ -173,9 +171,7 @@ class Stretches:
         self._factor(t, drives)
 
     def _factor(self, t, drives):
-        """The factor at the trial state's u, which decides it alone: damping is taken at rest, where it is
-        symmetric.
-        """
+        """The factor at the trial state's u, which decides it alone: damping is that at rest, which is symmetric."""
         model, p, w = self.model, self.method, self.trial
         self.factored_at = w.u.ravel().copy()
         kernels.equilibrium(model.arrays, drives, w.u, w.a, w.lam, w.r, w.phi, w.rotation, w.dz, w.forces)

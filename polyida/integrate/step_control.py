@@ -1,6 +1,4 @@
-"""Error-controlled steps on a ladder: h is piecewise constant, h_max 2^(-k/4), so that factors are kept and restarts
-are few.
-"""
+"""Error-controlled steps: h is piecewise constant, on a ladder, so that factors are kept and restarts are few."""
 
 import numpy as np
 
@@ -33,9 +31,7 @@ class Ladder:
         self.rung += max(1, int(np.ceil(-self._rungs(error))) if np.isfinite(error) else CUT)
 
     def up(self, error):
-        """To where the error is expected to be allowed, at most to twice the step. False where that is the same
-        rung.
-        """
+        """To where the error is expected to be allowed, at most twice the step. False where that is no change."""
         before = self.rung
         self.rung = max(0, self.rung - min(RUNGS, int(np.floor(self._rungs(error)))))
         return self.rung < before
@@ -50,9 +46,7 @@ def calm_error(h, largest, rungs=2):
 
 
 def adapt(engine, settings, model, state, begin, end, counts):
-    """Yield accepted states from begin to end, h as the local error allows. Raises StepFailure below the lowest
-    rung.
-    """
+    """Yield states from begin to end, h as the local error allows. Raises StepFailure below the lowest rung."""
     ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0))), begin, []
     while t < end:
         grid = _piece(t, end, ladder.h)

@@ -233,7 +233,8 @@ def test_a_jump_of_the_imposed_velocity_does_not_ring(scenes, begin):
     scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=turn, name="drive"))
     run = pi.solve(scene.build(), begin + 0.02, STEP)
     assert run.success, run.message
-    assert run.velocity_drift[run.t > begin].max() < 0.1
+    between = (run.t > begin) & (run.t < begin + 0.0199)  # at the far kink itself phi_t may be that of its other side
+    assert run.velocity_drift[between].max() < 0.1
 
 
 def test_every_and_progress():
