@@ -1,4 +1,4 @@
-"""What the highest order of BDF costs: BDF3 to 5 are unstable beside the imaginary axis, where undamped mesh modes lie."""
+"""What the highest order of BDF costs: 3 to 5 are unstable beside the imaginary axis, where undamped mesh modes lie."""
 
 from polyida.cli_study import main
 from polyida.study.drawing import drawn, look, panels, saved

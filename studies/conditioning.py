@@ -1,4 +1,4 @@
-"""Condition number of the iteration matrices against the step, and what it does to the solve of each linear back-end."""
+"""Condition number of the iteration matrices against the step, and what it does to the solve of each back-end."""
 
 import numpy as np
 
@@ -111,18 +111,18 @@ def figures(rows):
 def notes(rows):
     found = figures(rows)
     lines = [
-        f"scaled condition numbers exceed 1e4: {row['plates']}, up to {row['worst']:.2g} at h <= 1e-2. That is the plates' own, "
-        "of S on the motions that the constraints leave free; no scaling of the index-3 border removes it"
+        f"scaled condition numbers exceed 1e4: {row['plates']}, up to {row['worst']:.2g} at h <= 1e-2. "
+        "They are the plates' own, of S on the motions that the constraints leave free; no scaling of the border removes them"
         for row in pick(rows, of="alpha", form="(q, lam)", scaling="physical")
         if row["worst"] > 1e4
     ]
     lines.append(
-        f"what the border adds: at most a factor {found['scaled_over_free_max']:.2g} over S on the free motions, at every h and stiffness"
+        f"the border adds at most a factor {found['scaled_over_free_max']:.2g} to S on the free motions, at every h"
     )
     for row in pick(rows, of="solve"):
         if row["at_1e-9"] > 1e-3:
             lines.append(
-                f"no digits at h = 1e-9: {row['form']}, scaling {row['scaling']}, {row['plates']}: error {row['at_1e-9']:.1g}"
+                f"no digits at 1e-9: {row['form']}, scaling {row['scaling']}, {row['plates']}: {row['at_1e-9']:.1g}"
             )
     return lines
 

@@ -99,7 +99,6 @@ COLUMNS = (
     "dof",
     "steps",
     "cpu_s",
-    "energy_scale",
     "energy_change",
     "energy_drift",
     "linear_drift",

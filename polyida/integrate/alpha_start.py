@@ -13,6 +13,8 @@ from polyida.integrate.alpha_increment import at_kink, beside, start_values
 from polyida.integrate.start import consistent_acceleration, jerk, mass_system
 from polyida.integrate.state import State
 
+FAR_SHORTER = 2.5  # a step control's ladder stays below
+
 
 def started(settings, model, state, h):
     """The state as the method starts from it with step h: `memory` holds a_alg and h.
@@ -69,9 +71,11 @@ def behind_kink(settings, model, state, h):
 def rescaled(settings, model, state, h):
     """The state at another step: a_alg - q'' scales with h, the part of v off the velocity constraint with h^2.
 
-    A step that grows scales nothing up: noise in the mesh modes would grow with it.
+    Behind a step that was far shorter (a pulse between two kinks) both shrink instead: scaled up so far, the noise of mesh modes
+    in a_alg would be momentum out of nothing.
     """
-    scale, memory, v = h / float(state.memory["h"]), state.memory, state.v
+    grown, memory, v = h / float(state.memory["h"]), state.memory, state.v
+    scale = grown if grown <= FAR_SHORTER else 1.0 / grown
     phi, rate = start_values(model, state)
     if model.m and settings.form == "index3":
         v = v + (1 - scale**2) * mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]

@@ -10,6 +10,9 @@ from polyida.problems import plates
 from polyida.scene import Scene
 from polyida.study.members import integrator
 
+WEIGHTS_FALL = 9.81 * (
+    2 * plates.RUBBER.rho * plates.LENGTH**2 * plates.HEIGHT * plates.THICKNESS + 2 * plates.LENGTH * plates.TIP_MASS
+)  # J, to hang straight down
 SPINS, DRIFT = (4.0, -2.0), (1.0, 0.5)  # rad/s of the two plates, m/s of the first one's left edge
 
 
@@ -48,29 +51,28 @@ def momenta(model, q, v):
 def balance(scene, member, x, time, cells, frames=400):
     """One run: how far energy (of its scale) and, thrown, momenta (of their size) go from where they began."""
     model, v0 = {"swinging": swinging, "thrown": thrown}[scene](cells)
-    steps = time / x if x > 1e-4 and "IDA" not in member else 2000
+    steps = 2000 if member.startswith("IDA") else time / x
     run = solve(model, time, integrator(member, x), v0=v0, every=max(1, int(steps / frames)))
-    energy = run.energy
-    scale = float(energy.kinetic.max())
+    energy, keep = run.energy, slice(None, None, max(1, len(run.t) // frames))
+    scale = WEIGHTS_FALL if scene == "swinging" else float(energy.kinetic[0])
     change = (energy.total - energy.total[0]) / scale
-    keep = slice(None, None, max(1, len(run.t) // frames))
-    row = {
+    outcome = {
         "dof": model.n,
         "outcome": "done" if run.success else run.message,
         "steps": run.counts.steps,
         "cpu_s": run.cpu_seconds,
-        "energy_scale": scale,
-        "energy_drift": float(np.abs(change).max()),
-        "energy_change": float(change[-1]) * scale,
-        "t": run.t[keep],
-        "energy": change[keep],
     }
-    if scene == "swinging":
-        return row
-    found = momenta(model, run.q, run.v)
-    drift = np.abs(found - found[0]).max(axis=0)
-    return row | {
-        "linear_drift": float(drift[:2].max() / np.linalg.norm(found[0, :2])),
-        "angular_drift": float(drift[2] / abs(found[0, 2])),
-        "angular": (found[keep, 2] - found[0, 2]) / abs(found[0, 2]),
+    drift = {"energy_drift": float(np.abs(change).max()), "energy_change": float(change[-1]) * scale}
+    row = outcome | drift | {"t": run.t[keep], "energy": change[keep]}
+    return row if scene == "swinging" else row | momentum_drift(momenta(model, run.q, run.v), keep)
+
+
+def momentum_drift(found, keep):
+    """How far momenta (frames, 3) go from the first, of its size; the angular one over time as well."""
+    drift, angular = np.abs(found - found[0]).max(axis=0), abs(found[0, 2])
+    linear = float(drift[:2].max() / np.linalg.norm(found[0, :2]))
+    return {
+        "linear_drift": linear,
+        "angular_drift": float(drift[2] / angular),
+        "angular": (found[keep, 2] - found[0, 2]) / angular,
     }

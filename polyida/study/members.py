@@ -20,7 +20,7 @@ IDA_FORMS = ("ggl2", "ggl1", "index2", "index1", "baumgarte", "index3")
 MAX_STEPS = {"index3": 2000}  # raw index 3 takes tens of thousands of tiny steps and fails
 
 
-def ida(form, rtol, sizes=(1e-2, 10.0), max_num_steps=40_000):
+def ida(form, rtol, sizes=(1e-2, 10.0), max_num_steps=200_000):
     """IDA in a form, atol = rtol times the sizes of q and v; no more steps than `max_num_steps`."""
     atol = tuple(rtol * size for size in sizes)
     return IDA(rtol=rtol, atol=atol, form=form, max_num_steps=MAX_STEPS.get(form, max_num_steps))
@@ -43,6 +43,5 @@ def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=NEWTON):
         return adaptive(x, largest, sizes, newton)
     if name.startswith("IDA ") and name[4:] in IDA_FORMS:
         return ida(name[4:], x, sizes)
-    raise InputError(
-        f"integrator {name!r} is unknown; there are {', '.join(FIXED)}, alpha, adaptive, IDA with {', '.join(IDA_FORMS)}"
-    )
+    known = [*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS)]
+    raise InputError(f"integrator {name!r} is unknown; there are {'; '.join(known)}")

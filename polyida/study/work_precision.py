@@ -43,6 +43,7 @@ def measure(name, member, x, quick):
         "t": float(run.t[-1]),
         "cpu_s": run.cpu_seconds,
     } | counts
+    outcome |= {"reference": given.how, "known": given.known}
     return (given.errors(last_state(run)) if run.success else {}) | outcome
 
 
