@@ -13,6 +13,7 @@ from polyida.integrate.segments import segments
 from polyida.integrate.state import State, StepFailure
 
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where only the latter is given
+HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
 STATUS = {
     -2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve", -8: "residual",
@@ -136,13 +137,19 @@ def _far_side(model, state, t):
 
 def _callbacks(settings, model, counts):
     """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form."""
-    if getattr(model, "fused", False) and FORMS[settings.form].stabilised and settings.linear == "auto":
+    if getattr(model, "fused", False) and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
         from polyida.integrate.ida_scene import SceneSolve, SceneSystem
 
         system = SceneSystem(model, settings.form, settings.rate)
         return system, SceneSolve(system, counts)
     system = System(model, settings.form, settings.rate)
     return system, ReducedSolve(system, counts)
+
+
+def _top_heavy(model):
+    """Whether a mass at a point is so far above its plates' that the border drowns in the single precision of their factor."""
+    lightest = min(body.plate.material.rho * body.plate.thickness * body.mesh.area for body in model.bodies)
+    return model.arrays.links.point_mass.max(initial=0.0) > HEAVY * lightest
 
 
 class _Run:
