@@ -112,7 +112,7 @@ def notes(rows):
     found = figures(rows)
     lines = [
         f"scaled condition numbers exceed 1e4: {row['plates']}, up to {row['worst']:.2g} at h <= 1e-2. "
-        "They are the plates' own, of S on the motions that the constraints leave free; no scaling of the border removes them"
+        "They are the plates' own, of S on the motions that the constraints leave free; no scaling of the border helps"
         for row in pick(rows, of="alpha", form="(q, lam)", scaling="physical")
         if row["worst"] > 1e4
     ]

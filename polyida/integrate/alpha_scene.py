@@ -109,43 +109,41 @@ def carry(s, p, drives, gains, y, w):
 
 
 @part
-def largest(phi):
-    """The largest |phi|."""
-    worst = 0.0
-    for k in range(phi.shape[0]):
-        worst = max(worst, abs(phi[k]))
-    return worst
-
-
-@part
-def constrain(s, p, before, drives, gains, y, w):
-    """phi at the trial state: carried, or from the positions."""
+def closed(s, p, before, drives, gains, y, w):
+    """The largest |phi| at the trial state, carried or from the positions."""
     if p.incremental:
         carry(s, p, before, gains, y, w)
     else:
         joints.point_values(s, w.u, w.dz)
         joints.joint_forces(s, drives, w.dz, w.lam, w.phi, w.forces)
+    worst = 0.0
+    for k in range(w.phi.shape[0]):
+        worst = max(worst, abs(w.phi[k]))
+    return worst
 
 
 @part
-def solve(s, c, room, p, tie, drives, y, w):
-    """dq and dlam from r and phi, added to the trial state. (Not singular, root mean squares as from `correct`)."""
-    if tie is not None:
-        alpha_tie.part_constraints(s, drives, w, tie, p.to_v)
-    good = corotated.solve(s, c, room, drives, w.rotation, w.dz, w.lam, w.r, w.phi, p.to_a, w.dq, w.dlam)
-    moved, length, size, pull = correct(p, w)
-    if tie is not None:
-        good = alpha_tie.slip(p, y, w, tie) and good
-    return good, moved, length, size, pull
+def judge(p, marks, first, last, moved, length, size, pull):
+    """What an iteration that moved by dq after one by `last` tells: settled or not, hopeless or not, |phi| allowed.
+
+    Settled: the error to be expected is below the tolerance, or dq is round-off and no longer falls.
+    """
+    measured, rate = last > 0.0, marks[RATE]
+    if measured:
+        rate = moved / last
+        marks[RATE], marks[AGE] = max(rate, (0.5 if first else 1.0) * marks[RATE]), 0.0
+    tolerance, coarse = p.tolerance * max(marks[SIZE], pull) / p.to_a, 16.0 * EPS * (size + p.extent)
+    fine = 16.0 * EPS * (length if p.incremental else size)
+    small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance
+    stalled = measured and rate > SLOW and moved <= coarse
+    allowed = max(1e-2 * tolerance, 16.0 * fine if p.incremental and not stalled else coarse)
+    return small or stalled or moved <= fine, measured and rate > SLOW and moved > coarse, allowed
 
 
 @part
 def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
-    """Newton's iteration from the predicted state, or on from where it was. Returns how it ended and the last |dq|.
-
-    It ends where the error to be expected is below the tolerance, or where dq is round-off and no longer falls.
-    """
-    last, rate = y.marks[MOVED], y.marks[RATE]
+    """Newton's iteration from the predicted state, or on from where it was. Returns how it ended and the last |dq|."""
+    last = y.marks[MOVED]
     if last == 0.0:
         predict(p, y, w)
         y.marks[SIZE] *= 0.9
@@ -159,27 +157,23 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
             add_damping(s.plates, w.u, w.v, damp, w.r)
         if p.incremental:
             carry(s.links, p, before, gains, y, w)
-        good, moved, length, size, pull = solve(s.links, c, room, p, tie, drives, y, w)
+        if tie is not None:
+            alpha_tie.part_constraints(s.links, drives, w, tie, p.to_v)
+        good = corotated.solve(s.links, c, room, drives, w.rotation, w.dz, w.lam, w.r, w.phi, p.to_a, w.dq, w.dlam)
         counts[1] += 1
+        moved, length, size, pull = correct(p, w)
+        if tie is not None:
+            good = alpha_tie.slip(p, y, w, tie) and good
         if not good:
             return SINGULAR, last
-        measured = last > 0.0
-        if measured:
-            rate = moved / last
-            y.marks[RATE], y.marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * y.marks[RATE]), 0.0
-        tolerance, coarse = p.tolerance * max(y.marks[SIZE], pull) / p.to_a, 16.0 * EPS * (size + p.extent)
-        fine = 16.0 * EPS * (length if p.incremental else size)
-        small = (measured or y.marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance
-        stalled = measured and rate > SLOW and moved <= coarse
-        if small or stalled or moved <= fine:
-            constrain(s.links, p, before, drives, gains, y, w)
-            if largest(w.phi) <= max(1e-2 * tolerance, (16.0 * fine if p.incremental and not stalled else coarse)):
-                y.marks[AGE] += 1.0
-                y.marks[SIZE] = max(y.marks[SIZE], pull)
-                if tie is not None:
-                    alpha_tie.settle(s.links, drives, w, tie)
-                return (DONE if cosine > 0.0 else HALF_TURN), moved
-        if measured and rate > SLOW and moved > coarse:
+        settled, hopeless, allowed = judge(p, y.marks, iteration == 1, last, moved, length, size, pull)
+        if settled and closed(s.links, p, before, drives, gains, y, w) <= allowed:
+            y.marks[AGE] += 1.0
+            y.marks[SIZE] = max(y.marks[SIZE], pull)
+            if tie is not None:
+                alpha_tie.settle(s.links, drives, w, tie)
+            return (DONE if cosine > 0.0 else HALF_TURN), moved
+        if hopeless:
             return REFACTOR, moved
         last = moved
     return REFACTOR, last

@@ -30,7 +30,7 @@ def smooth(kind, cells):
         scene = plates.double_plate(cells)
         scene.add(PointLoad(scene.parts["tip"].at, (0.0, 2.0), profile.ramp(0.0, 1.0, duration=0.5), name="load"))
     else:
-        scene = plates.double_plate_motors(cells, angle=profile.ramp(0.0, 0.4, duration=0.5))
+        scene = plates.double_plate_motors(cells, angle=profile.ramp(0.0, 0.4, duration=1.0))
     scene.gravity = (0.0, 0.0)
     return scene.build()
 
