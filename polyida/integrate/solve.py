@@ -15,24 +15,8 @@ from polyida.model import Model
 from polyida.threads import one_blas_thread
 
 
-def solve(
-    model,
-    t_end,
-    integrator,
-    *,
-    q0=None,
-    v0=None,
-    t0=0.0,
-    state=None,
-    every=1,
-    output=None,
-    until=None,
-    progress=None,
-    out=None,
-    overwrite=False,
-    flush_every=100,
-    memory_limit=MEMORY_LIMIT,
-):
+def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
+          out=None, overwrite=False, flush_every=100, memory_limit=MEMORY_LIMIT):
     """Run `integrator` on `model` from t0 (or from `state`, an earlier one) to t_end.
 
     q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.
