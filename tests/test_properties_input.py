@@ -1,13 +1,9 @@
 """Whatever is wrong in what a user gives, the answer is an InputError of one line, and nothing from inside numpy or numba."""
 
-import random
 from fractions import Fraction
-from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import polyida as pi
 from polyida.integrate.state import State

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import polyida as pi
 from polyida.study.energy import unbalanced
 
-PROFILE = settings(derandomize=True, deadline=None, max_examples=12, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
-THOROUGH = settings(PROFILE, max_examples=30)
+PROFILE = settings(derandomize=True, deadline=None, max_examples=25, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
+THOROUGH = settings(PROFILE, max_examples=60)
 
 
 @st.composite
@@ -85,8 +85,11 @@ def _derivatives(model, seed):
     def along(function):
         return (8 * (function(s) - function(-s)) - function(2 * s) + function(-2 * s)) / (12 * s)
 
+    noise = 1e-14 * np.abs(model.residual(t, q, v, a, lam)).max() / s
+
     def near(exact, difference, tolerance=1e-6):
-        assert np.abs(exact - difference).max(initial=0) <= tolerance * max(np.abs(exact).max(initial=0), np.abs(difference).max(initial=0), 1e-9)
+        size = max(np.abs(exact).max(initial=0), np.abs(difference).max(initial=0), 1e-9)
+        assert np.abs(exact - difference).max(initial=0) <= tolerance * size + noise
 
     near(model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0) @ d, along(lambda e: model.residual(t, q + e * d, v, a, lam)))
     near(model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0) @ d, along(lambda e: model.residual(t, q, v + e * d, a, lam)))
@@ -118,7 +121,7 @@ def test_rigid_motions_cost_nothing(plate, angle, shift):
     q = (model.reference @ np.array([[c, s], [-s, c]]) + shift - model.reference).ravel()
     stiffness = plate.material.in_plane[0] * plate.thickness
     force = model.force(0.0, q, np.zeros(model.n))
-    assert np.abs(force).max() <= 1e-11 * stiffness and model.strain_energy(q) <= 1e-22 * stiffness
+    assert np.abs(force).max() <= 1e-11 * stiffness and model.strain_energy(q) <= 1e-14 * stiffness
     assert np.abs(model.stress(q)).max() <= 1e-11 * plate.material.in_plane[0]
 
 

@@ -1,0 +1,190 @@
+"""Sweeps: one file a task, whole or not at all; what is there is not run again; a failing run is a row."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polyida import cli_study
+from polyida.study import harness
+from polyida.study.harness import Study, key_of, results, write_whole
+from polyida.study.isolation import Worker, run_isolated
+from polyida.study.stress_kills import killed_sweeps
+
+CALLS = []
+
+
+def task(number, **more):
+    """A row; some numbers make trouble."""
+    CALLS.append(number)
+    if number == 3:
+        raise RuntimeError("three is no good")
+    if number == 5:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if number == 6:
+        os._exit(7)
+    if number == 7:
+        time.sleep(60)
+    return {"square": np.float64(number**2), "where": os.getpid(), "path": Path("a"), "list": np.arange(2)}
+
+
+def study(numbers=range(3), **options):
+    return Study("sweep", "A sweep", lambda quick: [{"number": k} for k in numbers], task,
+                 lambda rows: {"total": sum(row.get("square", 0.0) for row in rows)}, **options)
+
+
+def test_rows_are_in_order_and_plain(tmp_path):
+    rows = results(study(), True, tmp_path / "tasks")
+    assert [row["square"] for row in rows] == [0, 1, 4] and rows[0]["list"] == [0, 1] and rows[0]["path"] == "a" and rows[0]["error"] == ""
+    assert {path.name for path in (tmp_path / "tasks").iterdir()} == {f"{key_of(study(), {'number': k})}.json" for k in range(3)}
+
+
+def test_what_is_there_is_not_run_again(tmp_path):
+    results(study(range(2)), True, tmp_path)
+    CALLS.clear()
+    assert len(results(study(range(4)), True, tmp_path)) == 4 and CALLS == [2, 3]
+
+
+@pytest.mark.parametrize("content", ["", "{", "[1]", "null", '{"row": 3, "code": ""}', '{"number": 1}', "\0" * 100])
+def test_a_file_that_is_not_whole_is_run_again(tmp_path, content):
+    rows = results(study(), True, tmp_path)
+    (tmp_path / f"{key_of(study(), {'number': 1})}.json").write_text(content)
+    CALLS.clear()
+    assert results(study(), True, tmp_path) == rows and CALLS == [1]
+
+
+def test_a_failing_task_is_a_row(tmp_path):
+    rows = results(study(range(5)), True, tmp_path)
+    assert rows[3]["error"] == "RuntimeError: three is no good" and "task" in rows[3]["traceback"] and rows[4]["square"] == 16
+
+
+def test_ctrl_c_ends_a_sweep_and_keeps_what_is_done(tmp_path):
+    def stop(done, total, task):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        results(study(), True, tmp_path, stop)
+    CALLS.clear()
+    assert len(results(study(), True, tmp_path)) == 3 and CALLS == [2]
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+def test_isolated_tasks_that_crash_or_hang_are_rows(tmp_path, fresh):
+    rows = results(study(range(2, 9), isolated=True, limit=2.0, fresh=fresh), True, tmp_path)
+    assert [row.get("square") for row in rows] == [4, None, 16, None, None, None, 64]
+    assert rows[1]["error"] == "RuntimeError: three is no good"
+    assert [(row["outcome"], row["error"]) for row in rows[3:6]] == [
+        ("crash", "crash: signal SIGSEGV"), ("crash", "crash: exit code 7"), ("hang", "hang: no end within 2 s")]
+    assert os.getpid() not in {rows[0]["where"], rows[2]["where"], rows[6]["where"]}
+    assert (rows[0]["where"] == rows[2]["where"]) is not fresh and rows[2]["where"] != rows[6]["where"]
+
+
+def test_a_worker_takes_call_after_call():
+    with Worker() as worker:
+        rows = [worker.call(task, {"number": k}, 30.0) for k in (1, 2, 3, 4)]
+        process = worker.process
+    assert len({row["where"] for row in (rows[0], rows[1], rows[3])}) == 1 and "three" in rows[2]["error"] and not process.is_alive()
+    assert run_isolated(task, {"number": 9}, 30.0)["square"] == 81
+
+
+ORPHAN = """
+import os, sys, time
+from polyida.study.isolation import Worker, GRACE
+def long(place):
+    open(place, "w").write(str(os.getpid()))
+    time.sleep(60)
+if __name__ == "__main__":
+    Worker().call(long, {"place": sys.argv[1]}, 1.0 if sys.argv[2] == "limit" else 30.0)
+"""
+
+
+def test_a_worker_left_alone_ends_itself(tmp_path):
+    """The process that asked is killed while a task goes on: the task ends at its limit and does not stay for ever."""
+    (tmp_path / "orphan.py").write_text(ORPHAN.replace("import Worker, GRACE", "import Worker\nimport polyida.study.isolation as i\ni.GRACE = 0.5"))
+    parent = subprocess.Popen([sys.executable, tmp_path / "orphan.py", tmp_path / "pid", "limit"], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+    number = _wait_for(lambda: int((tmp_path / "pid").read_text()))
+    parent.kill()
+    parent.wait()
+    _wait_for(lambda: not harness._lives(number) or _is_zombie(number) or None)
+
+
+def _wait_for(question, seconds=20):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            answer = question()
+            if answer:
+                return answer
+        except (OSError, ValueError):
+            pass
+        time.sleep(0.05)
+    raise AssertionError("it did not happen in time")
+
+
+def _is_zombie(number):
+    return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+
+
+def test_a_file_is_whole_or_not_there(tmp_path, monkeypatch):
+    write_whole(tmp_path / "a.json", "first")
+    monkeypatch.setattr(os, "fsync", lambda descriptor: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    with pytest.raises(OSError, match="No space"):
+        write_whole(tmp_path / "a.json", "second")
+    assert (tmp_path / "a.json").read_text() == "first" and os.listdir(tmp_path) == ["a.json"]
+
+
+def test_the_litter_of_killed_processes_is_removed(tmp_path):
+    done = subprocess.Popen([sys.executable, "-c", ""])
+    done.wait()
+    (tmp_path / f".x.json.{done.pid}.part").write_text("half")
+    (tmp_path / f".y.json.{os.getpid()}.part").write_text("half")
+    results(study(), True, tmp_path)
+    assert [path.name for path in tmp_path.glob(".*")] == [f".y.json.{os.getpid()}.part"]
+
+
+def test_five_kills_of_a_sweep():
+    assert all(check.share <= 1 for check in killed_sweeps(5)[1])
+
+
+def command(folder, *more):
+    return cli_study.main(study(range(4), columns=("number", "square")), ["--quick", "--out", str(folder), *more])
+
+
+def test_the_command_writes_figures_and_tells_what_failed(tmp_path, capsys):
+    data = command(tmp_path / "out")
+    assert json.loads((tmp_path / "out" / "figures.json").read_text()) == data and data["figures"] == {"total": 5.0}
+    assert data["command"] == "python studies/sweep.py --quick" and {"machine", "rows"} <= set(data) and "traceback" not in data["rows"][3]
+    shown = capsys.readouterr().out
+    assert "failed: number 3: RuntimeError: three is no good" in shown and "total: 5" in shown and "figures.json" in shown
+
+
+def test_figures_are_strict_json(tmp_path, capsys):
+    wild = Study("sweep", "", lambda quick: [{"number": 1}], lambda number: {"x": float("nan"), "y": [np.inf, 1.0]}, lambda rows: {"z": float("inf")})
+    cli_study.main(wild, ["--out", str(tmp_path / "out")])
+    data = json.loads((tmp_path / "out" / "figures.json").read_text(), parse_constant=lambda name: pytest.fail(name))
+    assert data["figures"] == {"z": None} and data["rows"][0]["x"] is None and data["rows"][0]["y"] == [None, 1.0]
+
+
+def test_the_command_says_which_results_are_of_other_code(tmp_path, capsys, monkeypatch):
+    command(tmp_path / "out")
+    assert "earlier state of the code" not in capsys.readouterr().out
+    monkeypatch.setattr(harness, "code_mark", lambda: "another")
+    command(tmp_path / "out")
+    assert "4 of 4 results are of an earlier state of the code; --fresh" in capsys.readouterr().out
+    CALLS.clear()
+    command(tmp_path / "out", "--fresh")
+    assert CALLS == [0, 1, 2, 3] and "earlier" not in capsys.readouterr().out
+
+
+def test_the_commands_exit_codes(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SystemExit) as caught:
+        command(tmp_path / "file")
+    assert caught.value.code == 2 and "is a file" in capsys.readouterr().err
