@@ -2,4 +2,11 @@
 
 
 class InputError(ValueError):
-    """A wrong input, found before the run: the message names the part, the value and what would be right."""
+    """A wrong input, found before the run: the message names the part, the value and what would be right.
+
+    It is one line: line breaks go, and the middle of what is longer than 600 characters.
+    """
+
+    def __init__(self, message):
+        line = " ".join(str(message).split())
+        super().__init__(line if len(line) <= 600 else f"{line[:300]} ... {line[-295:]}")

@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida import differences
 from polyida.errors import InputError
+from polyida.given import floats, is_number, is_whole
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,20 @@ class Model:
         return result
 
 
+def require_model(part, model):
+    """Raise InputError unless it is a Model."""
+    if not isinstance(model, Model):
+        hint = "; call its build()" if hasattr(model, "build") else ""
+        raise InputError(f"{part}: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
+
+
+def _vector(name, value, size):
+    array = floats(value)
+    if array is None or array.shape != (size,):
+        raise InputError(f"check_derivatives: {name} = {value!r} must be {size} finite numbers")
+    return array
+
+
 def require_shapes(model, t, q, v):
     """Raise InputError naming the function of the model whose result has the wrong shape or is no array of numbers."""
     n, m = getattr(model, "n", None), getattr(model, "m", None)
@@ -129,9 +144,12 @@ def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
     States that are not given are drawn at random (q of size 1, v of size 1). Returns {name: relative error}, the largest
     deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong.
     """
+    require_model("check_derivatives", model)
+    if not (is_number(t) and is_whole(seed, 0)):
+        raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
     random = np.random.default_rng(seed)
-    q, v, a = (random.standard_normal(model.n) if x is None else np.asarray(x, float) for x in (q, v, a))
-    lam = random.standard_normal(model.m) if lam is None else np.asarray(lam, float)
+    q, v, a = (random.standard_normal(model.n) if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a)))
+    lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
     n, m = model.n, model.m
     pairs = {
         "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),

@@ -7,6 +7,7 @@ import numpy as np
 
 from polyida.differences import along
 from polyida.errors import InputError
+from polyida.given import floats, is_number
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,17 @@ class Profile:
 
 
 def constant(value):
-    """The same value at all times."""
+    """The same value at all times. Raises InputError where it is no finite number."""
+    _require_numbers("constant", value=value)
     return polynomial([value])
 
 
 def polynomial(coefficients):
-    """`c0 + c1 t + c2 t^2 + ...`."""
-    c = np.polynomial.Polynomial(np.asarray(coefficients, float))
+    """`c0 + c1 t + c2 t^2 + ...`. Raises InputError where the coefficients are no finite numbers."""
+    given = floats(coefficients)
+    if given is None or given.ndim != 1 or not given.size:
+        raise InputError(f"profile.polynomial: coefficients = {coefficients!r} must be finite numbers, at least one")
+    c = np.polynomial.Polynomial(given)
     first, second = c.deriv(1), c.deriv(2)
     return Profile(c, first, second, formula=("polynomial", *map(float, coefficients)))
 
@@ -60,8 +65,15 @@ def linear(start, end, duration, begin=0.0):
     return _move(start, end, duration, begin, "linear", [0, 1])
 
 
+def _require_numbers(kind, **values):
+    for name, value in values.items():
+        if not is_number(value):
+            raise InputError(f"profile.{kind}: {name} = {value!r} must be a finite number")
+
+
 def _move(start, end, duration, begin, kind, coefficients):
-    if not (duration > 0 and np.isfinite([start, end, duration, begin]).all()):
+    _require_numbers(kind, start=start, end=end, duration=duration, begin=begin)
+    if not duration > 0:
         raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
     shape = np.polynomial.Polynomial(coefficients)
     span = float(end) - float(start)
@@ -83,7 +95,8 @@ def _move(start, end, duration, begin, kind, coefficients):
 
 
 def sine(amplitude, frequency, phase=0.0):
-    """`amplitude sin(2 pi frequency t + phase)`; frequency in Hz, phase in rad."""
+    """`amplitude sin(2 pi frequency t + phase)`; frequency in Hz, phase in rad. Raises InputError for what is no finite number."""
+    _require_numbers("sine", amplitude=amplitude, frequency=frequency, phase=phase)
     w = 2 * np.pi * frequency
     return Profile(lambda t: amplitude * np.sin(w * t + phase), lambda t: amplitude * w * np.cos(w * t + phase),
                    lambda t: -amplitude * w * w * np.sin(w * t + phase),
@@ -91,10 +104,19 @@ def sine(amplitude, frequency, phase=0.0):
 
 
 def from_function(value, d1=None, d2=None, kinks=()):
-    """A profile from functions of time; derivatives that are not given are central differences of the one before."""
+    """A profile from functions of time; derivatives that are not given are central differences of the one before.
+
+    Raises InputError where these are no functions, or kinks no finite times.
+    """
+    for name, function in (("value", value), ("d1", d1), ("d2", d2)):
+        if not (callable(function) or (function is None and name != "value")):
+            raise InputError(f"profile.from_function: {name} = {function!r} must be a function of t")
+    times = floats(kinks)
+    if times is None or times.ndim != 1:
+        raise InputError(f"profile.from_function: kinks = {kinks!r} must be finite times in s")
     d1 = d1 or (lambda t: float(along(lambda s: value(t + s), 1e-2)))
     d2 = d2 or (lambda t: float(along(lambda s: d1(t + s), 1e-2)))
-    return Profile(value, d1, d2, tuple(kinks))
+    return Profile(value, d1, d2, tuple(times.tolist()))
 
 
 def as_profile(given, part):
@@ -108,7 +130,7 @@ def as_profile(given, part):
         if np.ndim(value) or not np.issubdtype(np.asarray(value).dtype, np.number) or not np.isfinite(value):
             raise InputError(f"{part}: its profile gives {value!r} at t = 0, a finite number is needed")
         return made
-    if isinstance(given, (int, float, np.number)) and np.isfinite(given):
+    if is_number(given):
         return constant(float(given))
     raise InputError(f"{part}: {given!r} is no time profile: give a number, a function of t, or polyida.profile.*")
 

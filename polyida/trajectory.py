@@ -8,6 +8,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.frames import blocks
+from polyida.given import floats
 from polyida.integrate.state import Counts, State
 
 
@@ -174,5 +175,8 @@ def _largest(values):
 
 def von_mises(stress):
     """Von Mises stress of plane stress components (..., 3): `sqrt(xx^2 - xx yy + yy^2 + 3 xy^2)`, same unit."""
-    xx, yy, xy = np.moveaxis(np.asarray(stress), -1, 0)
+    given = floats(stress)
+    if given is None or not given.ndim or given.shape[-1] != 3:
+        raise InputError(f"von_mises: stress = {stress!r} must be finite numbers (..., 3): xx, yy, xy")
+    xx, yy, xy = np.moveaxis(given, -1, 0)
     return np.sqrt(xx * xx - xx * yy + yy * yy + 3 * xy * xy)

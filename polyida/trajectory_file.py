@@ -179,9 +179,13 @@ def _trajectory(stored, memory_limit):
 @contextmanager
 def naming(path):
     """Turn whatever goes wrong with a file into one InputError that names it."""
+    try:
+        found = Path(path).is_file()
+    except (TypeError, ValueError, OSError):
+        found = False
+    if not found:
+        raise InputError(f"{path!r}: no such file" if not isinstance(path, (str, Path)) else f"{path}: no such file")
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
     try:
         yield
     except InputError as error:

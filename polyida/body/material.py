@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from polyida.errors import InputError
+from polyida.given import floats, is_number, is_one_of
 
 
 @dataclass(frozen=True)
@@ -25,12 +24,12 @@ class Material:
 
     def __post_init__(self):
         for name, value, good, want in (
-            ("E", self.E, _finite(self.E) and self.E > 0, "a positive modulus in Pa"),
-            ("nu", self.nu, _finite(self.nu) and -1 < self.nu < 0.5, "inside (-1, 0.5)"),
-            ("rho", self.rho, _finite(self.rho) and self.rho > 0, "a positive density in kg/m3"),
-            ("viscosity", self.viscosity, _finite(self.viscosity) and self.viscosity >= 0, "a time in s, not negative"),
-            ("mass_damping", self.mass_damping, _finite(self.mass_damping) and self.mass_damping >= 0, "a rate in 1/s, not negative"),
-            ("plane", self.plane, self.plane in ("stress", "strain"), '"stress" or "strain"'),
+            ("E", self.E, is_number(self.E) and self.E > 0, "a positive modulus in Pa"),
+            ("nu", self.nu, is_number(self.nu) and -1 < self.nu < 0.5, "inside (-1, 0.5)"),
+            ("rho", self.rho, is_number(self.rho) and self.rho > 0, "a positive density in kg/m3"),
+            ("viscosity", self.viscosity, is_number(self.viscosity) and self.viscosity >= 0, "a time in s, not negative"),
+            ("mass_damping", self.mass_damping, is_number(self.mass_damping) and self.mass_damping >= 0, "a rate in 1/s, not negative"),
+            ("plane", self.plane, is_one_of(self.plane, ("stress", "strain")), '"stress" or "strain"'),
         ):
             if not good:
                 raise InputError(f"Material: {name} = {value!r} must be {want}")
@@ -48,23 +47,16 @@ class Material:
         return self.E / (1 - self.nu**2), self.nu / (1 - self.nu)
 
 
-def _finite(value):
-    return isinstance(value, (int, float, np.floating, np.integer)) and not isinstance(value, bool) and np.isfinite(value)
-
-
 def positive(part, name, value, unit):
     """The value as a float; raises InputError naming part and value where it is not a finite number above zero."""
-    if not _finite(value) or value <= 0:
+    if not is_number(value) or value <= 0:
         raise InputError(f"{part}: {name} = {value!r} must be a positive number of {unit}")
     return float(value)
 
 
 def vector2(part, name, value):
     """The value as two floats; raises InputError naming part and value otherwise."""
-    try:
-        pair = np.asarray(value, float)
-    except (TypeError, ValueError):
-        pair = np.empty(0)
-    if pair.shape != (2,) or not np.isfinite(pair).all():
+    pair = floats(value)
+    if pair is None or pair.shape != (2,):
         raise InputError(f"{part}: {name} = {value!r} must be two finite numbers")
     return pair

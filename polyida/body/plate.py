@@ -5,8 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.body.material import Material, _finite, positive, vector2
+from polyida.body.material import Material, positive, vector2
 from polyida.errors import InputError
+from polyida.given import is_number, is_one_of
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.mesh import PolygonMesh
 
@@ -44,9 +45,9 @@ class Plate:
             raise InputError(f"{label}: material is {self.material!r}, a polyida.Material is needed")
         positive(label, "thickness", self.thickness, "metres")
         vector2(label, "origin", self.origin)
-        if not _finite(self.angle):
+        if not is_number(self.angle):
             raise InputError(f"{label}: angle = {self.angle!r} must be a finite number of rad")
-        if self.element not in ELEMENTS:
+        if not is_one_of(self.element, ELEMENTS):
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
         positive(label, "tau", self.tau, "no unit")
         if self.element == "wachspress":

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_number, is_whole
 from polyida.integrate.midpoint import Midpoint
 from polyida.integrate.segments import segments
 
@@ -29,11 +30,10 @@ class EnergyMomentum:
     multipliers_at_middle = True
 
     def __post_init__(self):
-        number = (int, float, np.floating, np.integer)
         for name, good, want in (
-            ("h", isinstance(self.h, number) and np.isfinite(self.h) and self.h > 0, "a positive step in s"),
-            ("tolerance", isinstance(self.tolerance, number) and 0 < self.tolerance < 1, "between 0 and 1"),
-            ("max_iterations", isinstance(self.max_iterations, int) and self.max_iterations > 0, "a positive whole number"),
+            ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
+            ("tolerance", is_number(self.tolerance) and 0 < self.tolerance < 1, "between 0 and 1"),
+            ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
         ):
             if not good or isinstance(getattr(self, name), bool):
                 raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_number, is_one_of, is_whole
 from polyida.integrate.alpha_family import Coefficients, require_damping
 from polyida.integrate.alpha_march import march
 from polyida.integrate.segments import segments
@@ -55,14 +56,14 @@ class GeneralizedAlpha:
     @classmethod
     def hht(cls, h, alpha=-0.05, **settings):
         """Hilber, Hughes, Taylor 1977: alpha_m = 0, alpha_f = -alpha, alpha in [-1/3, 0); second order."""
-        if not (_number(alpha) and -1 / 3 <= alpha < 0):
+        if not (is_number(alpha) and -1 / 3 <= alpha < 0):
             raise InputError(f"GeneralizedAlpha.hht: alpha = {alpha!r} must be in [-1/3, 0); index 3 is unstable at 0")
         return cls(h, member=_tuple(Coefficients.second_order(0.0, -alpha)), **settings)
 
     @classmethod
     def wbz(cls, h, alpha=-0.05, **settings):
         """Wood, Bossak, Zienkiewicz 1980: alpha_m = alpha, alpha_f = 0, alpha in (-1, 0); second order."""
-        if not (_number(alpha) and -1 < alpha < 0):
+        if not (is_number(alpha) and -1 < alpha < 0):
             raise InputError(f"GeneralizedAlpha.wbz: alpha = {alpha!r} must be in (-1, 0); index 3 is unstable at 0")
         return cls(h, member=_tuple(Coefficients.second_order(alpha, 0.0)), **settings)
 
@@ -84,18 +85,17 @@ class GeneralizedAlpha:
             object.__setattr__(self, "atol", float(self.atol or 0.0))
 
     def _checks(self):
-        allowed = lambda x: x is None or (_number(x) and 0 <= x < 1)  # noqa: E731
-        whole = lambda x: isinstance(x, (int, np.integer)) and not isinstance(x, bool)  # noqa: E731
+        allowed = lambda x: x is None or (is_number(x) and 0 <= x < 1)  # noqa: E731
         return (
-            ("h", _number(self.h) and self.h > 0, "a positive step in s"),
-            ("rho_inf", _number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
-            ("tolerance", _number(self.tolerance) and 0 < self.tolerance < 1, "between 0 and 1"),
-            ("scaling", self.scaling in SCALINGS, f"one of {', '.join(SCALINGS)}"),
-            ("max_iterations", whole(self.max_iterations) and self.max_iterations > 0, "a positive whole number"),
-            ("linear", self.linear in LINEAR, f"one of {', '.join(LINEAR)}"),
-            ("start", self.start in ("consistent", "plain"), '"consistent" or "plain"'),
-            ("form", self.form in FORMS, f"one of {', '.join(FORMS)}"),
-            ("member", self.member is None or (np.shape(self.member) == (4,) and all(map(_number, self.member))),
+            ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
+            ("rho_inf", is_number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
+            ("tolerance", is_number(self.tolerance) and 0 < self.tolerance < 1, "between 0 and 1"),
+            ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
+            ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
+            ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
+            ("start", is_one_of(self.start, ("consistent", "plain")), '"consistent" or "plain"'),
+            ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
+            ("member", self.member is None or (np.shape(self.member) == (4,) and all(map(is_number, self.member))),
              "four numbers, alpha_m, alpha_f, beta, gamma, or None"),
             ("rtol", allowed(self.rtol), "a number in [0, 1) or None"),
             ("atol", allowed(self.atol) and (not self.adaptive or self.rtol or self.atol),
@@ -103,7 +103,7 @@ class GeneralizedAlpha:
             ("extrapolate", self.extrapolate in (False, True) and not (self.extrapolate and self.adaptive),
              "True or False, and False where the step adapts"),
             ("incremental_phi", self.incremental_phi in (False, True), "True or False"),
-            ("max_halvings", whole(self.max_halvings) and 0 <= self.max_halvings <= 20, "a whole number from 0 to 20"),
+            ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
         )
 
     @property
@@ -147,10 +147,6 @@ class GeneralizedAlpha:
         from polyida.integrate.alpha_stretches import Stretches
 
         return Stretches(self, model, counts)
-
-
-def _number(x):
-    return isinstance(x, (int, float, np.floating, np.integer)) and not isinstance(x, bool) and bool(np.isfinite(x))
 
 
 def _tuple(c):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.ida_forms import FORMS, System
 from polyida.integrate.ida_linear import ReducedSolve
 from polyida.integrate.ida_quiet import error_lines_kept
@@ -50,20 +51,22 @@ class IDA:
     linear: str = "auto"
 
     def __post_init__(self):
-        if self.form not in FORMS:
+        if not is_one_of(self.form, FORMS):
             raise InputError(f"IDA: form {self.form!r} is unknown; there are {', '.join(FORMS)}")
-        if self.atol is not None and np.ndim(self.atol):
-            object.__setattr__(self, "atol", tuple(np.ravel(self.atol).tolist()))
-        _check("linear", self.linear, self.linear in ("auto", "kkt"), 'must be "auto" or "kkt"')
-        _check("rtol", self.rtol, _is_number(self.rtol) and 0 < self.rtol < 1, "must lie between 0 and 1")
-        in_range = self.max_order is None or (_is_count(self.max_order) and self.max_order <= 5)
+        if self.atol is not None and not is_number(self.atol):
+            given = floats(self.atol)
+            _check("atol", self.atol, given is not None and given.ndim == 1, "must be a number, a pair or a list of numbers")
+            object.__setattr__(self, "atol", tuple(given.tolist()))
+        _check("linear", self.linear, is_one_of(self.linear, ("auto", "kkt")), 'must be "auto" or "kkt"')
+        _check("rtol", self.rtol, is_number(self.rtol) and 0 < self.rtol < 1, "must lie between 0 and 1")
+        in_range = self.max_order is None or is_whole(self.max_order, 1, 5)
         _check("max_order", self.max_order, in_range, "must be 1, 2, 3, 4 or 5")
-        _check("max_num_steps", self.max_num_steps, _is_count(self.max_num_steps), "must be a positive whole number")
+        _check("max_num_steps", self.max_num_steps, is_whole(self.max_num_steps), "must be a positive whole number")
         for name in ("max_step", "first_step", "rate"):
             value = getattr(self, name)
-            _check(name, value, _is_number(value) and value >= 0, "must be a finite number, not negative")
+            _check(name, value, is_number(value) and value >= 0, "must be a finite number, not negative")
         entries = self.atol if isinstance(self.atol, tuple) else (self._scalar_atol(),)
-        positive = len(entries) >= 1 and all(_is_number(x) and x > 0 for x in entries)
+        positive = len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries)
         _check("atol", self.atol, positive, "must be positive")
 
     def _scalar_atol(self):
@@ -99,15 +102,6 @@ class IDA:
                 limits = (limits[0], _beside(end, -1))
             for state in run.piece(state, begin, end, limits):
                 yield state
-
-
-def _is_number(value):
-    numeric = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    return numeric and math.isfinite(value)
-
-
-def _is_count(value):
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 1
 
 
 def _check(name, value, right, wanted):

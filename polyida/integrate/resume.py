@@ -23,8 +23,8 @@ def resume(path, t_end=None, *, model=None, integrator=None, until=None, progres
     the file otherwise. until: as in `solve`, needed where the run had one (False: go on without). Raises InputError
     for a file that cannot be read or is being written, has nothing to go on from, or has reached t_end.
     """
-    path = Path(path)
     with files.naming(path):
+        path = Path(path)
         stored = files.read(path)
         try:
             if being_written(path):

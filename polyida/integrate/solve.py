@@ -7,6 +7,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.frames import MEMORY_LIMIT, FrameStore
+from polyida.given import floats, is_number, is_whole
 from polyida.integrate.run import Run
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
@@ -37,6 +38,8 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
     run so far. Raises InputError for a wrong input, before the run starts.
     """
     _require_start(model, t0, state, q0, v0)
+    if progress is not None and not callable(progress):
+        raise InputError(f"solve: progress = {progress!r} must be a function of t")
     begin = t0 if state is None else state.t
     require_run(model, t_end, begin, integrator)
     plan = _plan(begin, t_end, every, output, until, flush_every)
@@ -60,18 +63,21 @@ def require_run(model, t_end, begin, integrator):
         raise InputError(
             f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)"
         )
-    if not (_is_number(t_end) and t_end > begin):
+    if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
 
 
 def _require_start(model, t0, state, q0, v0):
     if state is None:
-        if not _is_number(t0):
+        if not is_number(t0):
             raise InputError(f"solve: t0 = {t0!r} must be a finite time in s")
         return
     if q0 is not None or v0 is not None:
         raise InputError("solve: give either a state or q0 and v0; the state holds both")
-    sizes = {name: np.shape(getattr(state, name, None)) for name in ("q", "v", "a", "lam")}
+    if not is_number(getattr(state, "t", None)):
+        raise InputError(f"solve: state = {state!r} must be a State, the `state` of an earlier run")
+    arrays = {name: floats(getattr(state, name, None)) for name in ("q", "v", "a", "lam")}
+    sizes = {name: None if array is None else array.shape for name, array in arrays.items()}
     n, m = getattr(model, "n", 0), getattr(model, "m", 0)
     if isinstance(model, Model) and sizes != {"q": (n,), "v": (n,), "a": (n,), "lam": (m,)}:
         raise InputError(
@@ -82,7 +88,7 @@ def _require_start(model, t0, state, q0, v0):
 def _plan(begin, t_end, every, output, until, flush_every):
     """What was asked for, as plain data that a file can hold."""
     for name, value in (("every", every), ("flush_every", flush_every)):
-        if not (isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= 1):
+        if not is_whole(value):
             raise InputError(f"solve: {name} = {value!r} must be a whole number of at least 1")
     if until is not None and not callable(until):
         raise InputError(f"solve: until = {until!r} must be a function of t, q and v")
@@ -97,11 +103,8 @@ def _plan(begin, t_end, every, output, until, flush_every):
 
 
 def _times(output, begin, t_end):
-    try:
-        times = np.asarray(output, float)
-    except (TypeError, ValueError):
-        times = np.empty(0)
-    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or not (np.diff(times) > 0).all():
+    times = floats(output)
+    if times is None or times.ndim != 1 or not times.size or not (np.diff(times) > 0).all():
         raise InputError("solve: output must be increasing finite times in s, at least one")
     if times[0] < begin or times[-1] > t_end:
         raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
@@ -109,7 +112,7 @@ def _times(output, begin, t_end):
 
 
 def _limit(value):
-    if not (_is_number(value) and value >= 0):
+    if not (is_number(value) and value >= 0):
         raise InputError(f"solve: memory_limit = {value!r} must be a number of bytes")
     return value
 
@@ -117,7 +120,12 @@ def _limit(value):
 def _free(out, overwrite):
     from polyida.trajectory_file import require_free
 
-    path = Path(out)
+    try:
+        path = Path(out)
+        if "\0" in str(path):
+            raise ValueError("it holds a null character")
+    except (TypeError, ValueError) as error:
+        raise InputError(f"solve: out = {out!r} must be the path of a file ({error})") from None
     require_free(path, overwrite)
     return path
 
@@ -126,11 +134,3 @@ def _file(path, model, integrator, plan):
     from polyida.trajectory_file import create
 
     return create(path, model, integrator, model.n, model.m, plan, machine_info())
-
-
-def _is_number(value):
-    return (
-        isinstance(value, (int, float, np.floating, np.integer))
-        and not isinstance(value, bool)
-        and bool(np.isfinite(value))
-    )

@@ -3,9 +3,10 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import floats, is_number
 from polyida.integrate.state import State
 from polyida.linear.kkt import KKT, Bordered, SingularSystem, require_independent
-from polyida.model import require_shapes
+from polyida.model import require_model, require_shapes
 
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
 
@@ -18,8 +19,9 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
     Raises InputError for wrong shapes or values, of q0 and v0 or of what the model's functions return, for a start (or a given v0)
     that violates its constraint by more than 1e-6 of its size, and for redundant or inconsistent constraints.
     """
+    require_model("consistent_state", model)
     q, v = given(model, "q0", q0), given(model, "v0", v0)
-    if not (isinstance(t0, (int, float, np.number)) and np.isfinite(t0)):
+    if not is_number(t0):
         raise InputError(f"t0 = {t0!r} must be a finite time in s")
     require_shapes(model, float(t0), q, v)
     if model.m:
@@ -62,13 +64,11 @@ def given(model, name, value):
     """The value as n floats, zeros where it is None; raises InputError naming it otherwise."""
     if value is None:
         return np.zeros(model.n)
-    try:
-        array = np.array(value, float)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != (model.n,) or not np.isfinite(array).all():
-        raise InputError(f"{name}: shape {array.shape}, it must be {model.n} finite numbers")
-    return array
+    array = floats(value)
+    if array is None or array.shape != (model.n,):
+        shape = np.shape(value) if array is None and isinstance(value, np.ndarray) else getattr(array, "shape", "none")
+        raise InputError(f"{name}: shape {shape}, it must be {model.n} finite numbers")
+    return array.copy()
 
 
 def _require_near(model, name, required, violation, size):

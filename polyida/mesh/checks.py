@@ -16,7 +16,7 @@ def point_array(points):
     """Read-only (n, 2) float64 copy; InputError unless finite and of that shape."""
     try:
         points = _frozen(points, np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"mesh points must be an (n, 2) array of numbers: {error}") from None
     if points.ndim != 2 or points.shape[1] != 2:
         raise InputError(f"mesh points have shape {points.shape}, they must be (n, 2)")

@@ -7,6 +7,7 @@ Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012).
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import floats
 from polyida.mesh import walls as w
 
 
@@ -24,6 +25,8 @@ def finite(value, what):
         number = float(value)
     except (TypeError, ValueError):
         raise InputError(f"{what} is {value!r}; it must be a number") from None
+    except OverflowError:
+        number = np.inf
     if not np.isfinite(number):
         raise InputError(f"{what} is {value!r}; it must be finite")
     return number
@@ -31,9 +34,16 @@ def finite(value, what):
 
 def place(value, what):
     """value as two finite floats, else InputError."""
-    if np.shape(value) != (2,):
-        raise InputError(f"{what} is {value!r}; it must be two numbers (x, y)")
-    return np.array([finite(value[0], what), finite(value[1], what)])
+    pair = floats(value)
+    if pair is None or pair.shape != (2,):
+        raise InputError(f"{what} is {value!r}; it must be two finite numbers (x, y)")
+    return pair
+
+
+def _require_domains(name, *parts):
+    for part in parts:
+        if not isinstance(part, Domain):
+            raise InputError(f"{name} of {part!r}; both parts must be domains such as Rectangle or Circle")
 
 
 class Domain:
@@ -93,6 +103,7 @@ class Union(Domain):
     """Points in either domain."""
 
     def __init__(self, first, second):
+        _require_domains("union", first, second)
         self.first, self.second = first, second
         self.lower, self.upper = np.minimum(first.lower, second.lower), np.maximum(first.upper, second.upper)
         self.walls = first.walls + second.walls
@@ -105,6 +116,7 @@ class Intersection(Domain):
     """Points in both domains."""
 
     def __init__(self, first, second):
+        _require_domains("intersection", first, second)
         self.first, self.second = first, second
         self.lower, self.upper = np.maximum(first.lower, second.lower), np.minimum(first.upper, second.upper)
         if not (self.upper > self.lower).all():
@@ -120,6 +132,7 @@ class Difference(Domain):
     """Points of the first domain that are not in the second."""
 
     def __init__(self, first, second):
+        _require_domains("difference", first, second)
         self.first, self.second = first, second
         self.lower, self.upper = first.lower, first.upper
         self.walls = first.walls + [wall.flipped() for wall in second.walls]

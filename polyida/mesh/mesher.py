@@ -8,6 +8,7 @@ import operator
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_whole
 from polyida.mesh import cleanup, concave, topology, voronoi
 from polyida.mesh.domains import Domain
 from polyida.mesh.numbering import renumber
@@ -16,15 +17,11 @@ from polyida.mesh.sections import automatic
 from polyida.mesh.walls import meet, project
 
 
-def whole(value, what, least):
-    """value as an int >= least, else InputError."""
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = None
-    if number is None or isinstance(value, bool) or number < least:
-        raise InputError(f"{what} is {value!r}; it must be a whole number, at least {least}")
-    return number
+def whole(value, what, least, most=10**9):
+    """value as an int from least to most, else InputError."""
+    if not is_whole(value, least, most):
+        raise InputError(f"{what} is {value!r}; it must be a whole number, at least {least} (and at most {most})")
+    return operator.index(value)
 
 
 def polygonize(domain, cells, seed=0, iterations=40):

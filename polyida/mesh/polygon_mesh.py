@@ -1,5 +1,6 @@
 """PolygonMesh: points, polygons in offset form and named boundary sections."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -30,6 +31,8 @@ class PolygonMesh:
     def __post_init__(self):
         points = checks.point_array(self.points)
         nodes, offsets = checks.cell_arrays(self.nodes, self.offsets, len(points))
+        if not isinstance(self.sections, Mapping):
+            raise InputError(f"mesh sections are {self.sections!r}; they must be a dictionary, name -> node indices")
         named = {str(name): checks.section_nodes(name, value, len(points)) for name, value in self.sections.items()}
         for name, array in (("points", points), ("nodes", nodes), ("offsets", offsets)):
             object.__setattr__(self, name, array)

@@ -6,6 +6,7 @@ from importlib import import_module
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_one_of
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def names():
 
 def get(name, **options):
     """The Problem of this name, made with `options`; InputError where there is none of that name."""
-    if name not in MAKERS:
+    if not is_one_of(name, MAKERS):
         raise InputError(f"problem {name!r} is unknown; there are {', '.join(MAKERS)}")
     module, function = MAKERS[name].split(":")
     return getattr(import_module(module), function)(**options)

@@ -12,6 +12,7 @@ from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
+from polyida.given import is_whole
 from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.attachment import ground
 from polyida.joint.revolute import Revolute
@@ -46,7 +47,7 @@ def double_plate_motors(cells=160, seed=1, material=RUBBER, tip_mass=TIP_MASS, a
 
 def plate_chain(links=3, cells=80, seed=1, material=RUBBER, tip_mass=TIP_MASS):
     """A chain of `links` plates "plate 1", "plate 2", ... with joints "joint 1", ..., swinging freely from rest."""
-    if not isinstance(links, int) or links < 1:
+    if not is_whole(links, 1, 10**6):
         raise InputError(f"plate_chain: links = {links!r} must be a whole number of at least 1")
     numbers = range(1, links + 1)
     return _row([f"plate {k}" for k in numbers], [f"joint {k}" for k in numbers], cells, seed, material, tip_mass)

@@ -61,6 +61,7 @@ AXES = {
     "short edge, m": Axis(_refined(scenes.short_edge, 0.3, benign=1e-2), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12),
                           (1e-2, 1e-6, 1e-12)),
     "corners of one element": Axis(cases.one_element, (3, 4, 5, 6, 8, 12, 20, 30), (3, 8, 30)),
+    "corners of one virtual element": Axis(cases.one_virtual_element, (3, 4, 5, 6, 8, 12, 20, 30), (3, 8, 30)),
     "plates of one element": Axis(_refined(scenes.blocks, 0.3), (1, 2, 3, 5, 10, 20), (1, 2, 5)),
     "four-bar from, rad": Axis(cases.through_flat, (1.5, 1.0, 0.5, 0.1, 0.0), (1.0, 0.0)),
     "held twice": Axis(cases.held_twice, cases.REDUNDANT, cases.REDUNDANT, ("alpha", "energy", "ggl2")),

@@ -97,11 +97,16 @@ def rigid_tip(model, t_end):
     return np.array([np.cos(p1) + np.cos(p2), np.sin(p1) + np.sin(p2)])
 
 
-def one_element(corners, name):
+def one_virtual_element(corners, name):
+    """`one_element` with a virtual element."""
+    return one_element(corners, name, "virtual")
+
+
+def one_element(corners, name, element="wachspress"):
     """A single polygon that swings about a corner as a rigid body: against the compound pendulum of its own mass matrix."""
     from scipy.integrate import solve_ivp
 
-    model = scenes.one_polygon(corners)
+    model = scenes.one_polygon(corners, element)
     run = solve(model, 0.5, integrator(name))
     arm = model.reference - model.reference[np.argmin(model.reference[:, 0])]
     mass = model._nodal_mass

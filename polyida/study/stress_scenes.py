@@ -86,13 +86,13 @@ def _of_polygons(points, nodes, offsets):
     return _hinged(mesh.PolygonMesh(points, nodes, offsets, sides), STIFF, DOWN)[0].build()
 
 
-def one_polygon(corners):
+def one_polygon(corners, element="wachspress"):
     """A regular polygon of 1 m diameter, one element, that swings about its left corner; E = 5 GPa."""
     angle = np.pi + 2 * np.pi * np.arange(corners) / corners
     points = 0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     scene = Scene(DOWN)
     cell = mesh.PolygonMesh(points, np.arange(corners), [0, corners], {"tip": [corners // 2]})
-    board = scene.add(Plate(cell, STIFF, thickness=0.01, name="board"))
+    board = scene.add(Plate(cell, STIFF, thickness=0.01, name="board", element=element))
     scene.add(Revolute(ground, board.node(0), name="hinge"))
     scene.add(PointMass(board.section("tip"), 1e-3, name="tip"))
     return scene.build()

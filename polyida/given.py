@@ -1,0 +1,43 @@
+"""What a user gives, looked at before it is used: numbers that are numbers, texts that are texts, lists that are lists of numbers."""
+
+import math
+import operator
+from numbers import Real
+
+import numpy as np
+
+
+def is_number(value):
+    """Whether it is a finite number (int, float, of numpy too), no bool."""
+    return isinstance(value, Real) and not isinstance(value, (bool, np.bool_)) and abs(_as_float(value)) < math.inf
+
+
+def _as_float(value):
+    try:
+        return float(value)
+    except (OverflowError, ValueError, TypeError):
+        return math.inf
+
+
+def is_whole(value, least=1, most=2**62):
+    """Whether it is a whole number from `least` to `most`, no bool."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        return False
+    return not isinstance(value, (bool, np.bool_)) and least <= number <= most
+
+
+def is_one_of(value, known):
+    """Whether it is one of the texts `known`."""
+    return isinstance(value, str) and value in known
+
+
+def floats(value):
+    """The value as an array of finite floats, or None where it is anything else: text, ragged lists, complex numbers, nan."""
+    try:
+        array = np.asarray(value)
+        array = array.astype(float) if array.dtype.kind in "iufO" else None
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return array if array is not None and np.isfinite(array).all() else None

@@ -1,0 +1,141 @@
+"""The stress study tells right from wrong: what is broken on purpose is found, what is sound passes."""
+
+import importlib.util
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.study import stress
+from polyida.study import stress_cases as cases
+from polyida.study import stress_scenes as scenes
+from polyida.study.stress import Check, judged, outcome_of
+from polyida.study.stress_axes import AXES, run, tasks
+from polyida.study.stress_kills import killed_runs
+from polyida.study.stress_long import many_steps
+
+
+@pytest.fixture(scope="module")
+def swing():
+    return pi.solve(scenes.swing(), 0.1, pi.GeneralizedAlpha(h=1e-3))
+
+
+GOOD = [Check("good", 0.5, 1.0)]
+
+
+def test_right_is_what_meets_its_checks(swing):
+    assert judged(swing, GOOD)["outcome"] == "right"
+    row = judged(swing, [*GOOD, Check("bad", 2.0, 1.0)])
+    assert (row["outcome"], row["checked"], row["reason"]) == ("wrong", "bad", "bad 2 > 1")
+
+
+@pytest.mark.parametrize("deviation, bound", [(np.nan, 1.0), (np.inf, 1.0), (0.0, 0.0), (1.0, np.nan)])
+def test_what_cannot_be_told_is_wrong(swing, deviation, bound):
+    assert judged(swing, [Check("odd", deviation, bound)])["outcome"] == "wrong"
+
+
+def test_a_stop_needs_a_message_and_sound_frames(swing):
+    stopped = replace(swing, status="newton", message="Newton does not converge at t = 0.1 s")
+    assert judged(stopped, [])["outcome"] == "stated_stop"
+    assert judged(replace(stopped, message=""), [])["outcome"] == "wrong"
+    assert judged(replace(stopped, q=swing.q + 0.1), [])["checked"] == "drift at the stop"
+    assert judged(replace(stopped, lam=swing.lam * np.nan), [])["outcome"] == "wrong"
+
+
+def test_refused_input_is_a_stated_stop_and_a_traceback_is_not():
+    row = run("held twice", "hinge twice", "alpha")
+    assert row["outcome"] == "stated_stop" and row["status"] == "refused" and "redundant" in row["reason"]
+    with pytest.raises(ZeroDivisionError):
+        outcome_of(lambda: 1 / 0)
+    assert stress.outcome_in({"error": "ZeroDivisionError: division by zero"}) == "crash"
+
+
+class Wrong:
+    """An integrator that is a little wrong: gravity, or the constraints, are not quite what the model says."""
+
+    def __init__(self, change):
+        self.change = change
+
+    def steps(self, model, state, t_end, counts):
+        for after in pi.GeneralizedAlpha(h=1e-3).steps(model, state, t_end, counts):
+            yield self.change(after)
+
+
+def shifted(state):
+    return replace(state, q=state.q + 1e-6)
+
+
+def faster(state):
+    return replace(state, v=1.05 * state.v)
+
+
+@pytest.mark.parametrize("change, found", [(shifted, "drift"), (faster, "energy gained")])
+@pytest.mark.parametrize("axis", ["modulus, Pa", "four-bar from, rad"])
+def test_a_wrong_integrator_is_found(monkeypatch, change, found, axis):
+    monkeypatch.setattr(cases, "integrator", lambda name, *_, **__: Wrong(change) if name == "ggl1" else stress.integrator("alpha"))
+    row = outcome_of(AXES[axis].case, AXES[axis].quick[0], "ggl1")
+    assert row["outcome"] == "wrong" and found in row["reason"]
+
+
+@pytest.mark.parametrize("axis", [title for title in AXES if title.split()[0] not in ("steps", "kills")])
+def test_the_benign_end_of_every_axis_is_right(axis):
+    row = run(axis, AXES[axis].values[0], "alpha")
+    assert row["outcome"] == ("stated_stop" if axis == "held twice" else "right"), row
+
+
+@pytest.mark.parametrize("name", ["alpha", "energy", "ggl2"])
+def test_the_materials_limit_is_found_and_named(name):
+    assert outcome_of(cases.pressing, 0.18, name)["outcome"] == "right"
+    beyond = outcome_of(cases.pressing, 0.25, name)
+    assert beyond["outcome"] == "stated_stop" and "St. Venant-Kirchhoff has collapsed" in beyond["reason"]
+
+
+def test_rigid_bodies_fall_as_in_the_textbook():
+    """Uniform thin rods of 1 m: at first the upper one turns with 9 g/7 / m, the lower one with -3 g/7 / m."""
+    t = 1e-2
+    scene = pi.problems.get("double-plate", cells=40).model
+    place = cases.rigid_tip(scene, t)
+    mass = {"plates": [1.1, 1.1], "tip": 0.5}
+    one, two = mass["plates"]
+    inertia = np.array([[one * (1 / 3 + 0.01 / 12) + two + 0.5, two / 2 + 0.5], [two / 2 + 0.5, two * (1 / 3 + 0.01 / 12) + 0.5]])
+    turn = np.linalg.solve(inertia, -9.81 * np.array([one / 2 + two + 0.5, two / 2 + 0.5])) * t**2 / 2
+    assert place[1] == pytest.approx(turn.sum(), rel=1e-3) and place[0] == pytest.approx(2.0, abs=1e-5)
+
+
+def test_five_kills_of_a_run():
+    last, checks = killed_runs(5, "alpha", seed=3)
+    assert judged(last, checks)["outcome"] == "right"
+
+
+@pytest.mark.parametrize("name", ["alpha", "energy"])
+def test_many_steps_cost_the_same_to_the_end(name, monkeypatch):
+    """Drift and memory; the time of a step is not asked for here, where other things run beside."""
+    last, checks = many_steps(5_000, name)
+    assert last.success and all(check.share <= 1 for check in checks if not check.name.startswith("time")), checks
+
+
+def test_the_table_and_its_figures():
+    quick, full = tasks(True), tasks(False)
+    keys = [tuple(task.values()) for task in full]
+    assert len(set(keys)) == len(keys) and len(quick) < len(full)
+    rows = [task | {"outcome": "right"} for task in quick]
+    rows[3] |= {"outcome": "stated_stop", "reason": "it stops"}
+    rows[4].pop("outcome")
+    rows[4] |= {"error": "ValueError: odd"}
+    counts = stress.figures(rows)
+    assert counts["right"] == len(rows) - 2 and counts["stated_stop"] == counts["crash"] == 1 and counts["wrong"] == counts["hang"] == 0
+    assert sum(value for name, value in counts.items() if name.count("_") == (name.startswith("stated_"))) == len(rows)
+    lines = stress.limits(rows)
+    assert any("it stops" in line for line in lines) and any("odd" in line for line in lines)
+
+
+def test_the_script_draws(tmp_path):
+    place = Path(__file__).parents[2] / "studies" / "stress.py"
+    spec = importlib.util.spec_from_file_location("stress_script", place)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    rows = [task | {"outcome": "right"} for task in tasks(True)]
+    assert [path.name for path in script.draw(rows, tmp_path)] == ["stress.png", "stress.pdf"] and len(os.listdir(tmp_path)) == 2
