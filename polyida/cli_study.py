@@ -89,7 +89,7 @@ def _print(study, rows, figures, pictures, out):
     named = {name for task in study.tasks(False) + study.tasks(True) for name in task}
     failed = [(", ".join(f"{name} {row[name]}" for name in row if name in named), row["error"]) for row in rows if row.get("error")]
     lines = study.notes(rows) + [f"failed: {name[:100]}: {error}" for name, error in failed]
-    console.print("What failed:" if lines else "Nothing failed.")
+    console.print("What failed, and what the numbers mean:" if lines else "Nothing failed.")
     for line in lines:
         console.print(f"  {line}", highlight=False, markup=False)
     for path in [out / "figures.json", *pictures]:

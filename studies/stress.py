@@ -6,7 +6,7 @@ from polyida.cli_study import main
 from polyida.show.style import figure, save, settings
 from polyida.study.harness import Study
 from polyida.study.stress import OUTCOMES, figures, limits, outcome_in
-from polyida.study.stress_axes import run, tasks
+from polyida.study.stress_axes import meanings, run, tasks
 
 COLUMNS = ("axis", "value", "integrator", "outcome", "checked", "deviation", "bound", "steps", "cpu_s", "status", "reason")
 COLOURS = {"right": "#0072B2", "stated_stop": "#E69F00", "wrong": "#D55E00", "crash": "#000000", "hang": "#CC79A7"}
@@ -34,8 +34,9 @@ def draw(rows, folder):
 
 
 def notes(rows):
-    """Up to where each integrator is right on each axis."""
-    return [f"breaks: {line}" for line in limits(rows)]
+    """What right means, and up to where each integrator is right."""
+    axes = dict.fromkeys(row["axis"] for row in rows)
+    return [f"right: {line}" for line in meanings(axes)] + [f"breaks: {line}" for line in limits(rows)]
 
 
 STUDY = Study("stress", "Scenes driven to where something breaks", tasks, run, figures, draw, COLUMNS, isolated=True, limit=300.0,

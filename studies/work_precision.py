@@ -17,6 +17,7 @@ SCENES = {
     "rigid-limit": 4e-3,
     "spin-up-beam": 4e-2,
 }
+STIFF = ("rigid-limit", "spin-up-beam")  # IDA takes 1e4 to 1e6 steps there
 EVENT = "sudden-blow"
 SECTIONS = {
     "quick": {
@@ -50,7 +51,8 @@ def tasks(quick):
             for tolerance in ladder(quick, 1e-3, tightest(problem, quick))
             if form not in leave_out(problem, quick)
         ]
-        made += [task(problem, "IDA index3", tolerance, quick) for tolerance in (1e-3, 1e-5)]
+        if problem not in STIFF:
+            made += [task(problem, "IDA index3", tolerance, quick) for tolerance in (1e-3, 1e-5)]
     made += [task(EVENT, "alpha", 8e-3 / 2**k, quick) for k in range(9)]
     return made + [task(EVENT, "alpha, adaptive", 10.0**-k, quick) for k in range(3, 9)]
 
@@ -59,12 +61,13 @@ def tightest(problem, quick):
     """The last of IDA's ladder: stiff scenes without damping take a million steps beyond it."""
     if problem in CLASSICAL:
         return 1e-12
-    return 1e-7 if quick else {"rigid-limit": 1e-7, "spin-up-beam": 1e-4}.get(problem, 1e-9)
+    return 1e-7 if quick else {"rigid-limit": 1e-5, "spin-up-beam": 1e-4}.get(problem, 1e-9)
 
 
 def leave_out(problem, quick):
     """What a problem cannot have, or needs not in a short selection."""
     left = ["index3"] + ([] if problem in SCENES else ["energy-momentum", "alpha, rho 0.5", "alpha, rho 0.99"])
+    left += ["index2", "index1", "baumgarte", "alpha, rho 0.99"] if problem in STIFF else []
     spared = ["alpha, stabilised", "index1", "baumgarte"] + (["alpha, Richardson"] if problem in CLASSICAL else [])
     return left + (spared if quick and problem != "andrews" else [])
 
@@ -121,14 +124,13 @@ def ratio(rows, problem, level=1e-5):
 
 
 def adaptivity(rows):
-    """CPU of the best fixed step over that of error control at equal errors of q, m."""
+    """CPU of the best fixed step over that of error control at equal errors of q, m, where both come so far."""
     fixed, adaptive = pick(rows, EVENT, "alpha"), pick(rows, EVENT, "alpha, adaptive")
-    found = {}
-    for level in (1e-4, 1e-5, 1e-6):  # m
-        found[f"fixed_over_adaptive_cpu_at_{level:.0e}"] = cheapest(fixed, "error_q", level) / cheapest(
-            adaptive, "error_q", level
-        )
-    return found
+    levels = (1e-4, 1e-5, 1e-6)
+    ratios = [cheapest(fixed, "error_q", level) / cheapest(adaptive, "error_q", level) for level in levels]
+    return {
+        f"fixed_over_adaptive_cpu_at_{level:.0e}": ratio for level, ratio in zip(levels, ratios) if np.isfinite(ratio)
+    }
 
 
 def notes(rows):
@@ -139,7 +141,7 @@ def notes(rows):
     ]
     for row in {row["problem"]: row for row in pick(rows)}.values():
         known = ", ".join(f"{part} {value:.1e}" for part, value in row["known"].items())
-        moves = f"; with a tenfold tolerance it moves by {known}" if known else ""
+        moves = f"; known to {known}" if known else ""
         lines.append(f"reference of {row['problem']}: {row['reference']}{moves}")
     for member in ("alpha", "alpha, Richardson"):
         row = min(

@@ -4,6 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
 
 import polyida as pi
 from polyida.integrate.state import State
@@ -157,3 +159,17 @@ def test_every_wrong_value_is_answered_by_a_clear_message(name, tmp_path, monkey
     wrong = CALLS[name][1]
     answers = {(key, repr(value)[:40]): complaint(name, key, value, tmp_path) for key, values in wrong.items() for value in values}
     assert not {case: answer for case, answer in answers.items() if answer}
+
+
+WORDS = st.text(min_size=3, max_size=40)
+RUBBISH = st.one_of(
+    WORDS, st.binary(max_size=9), st.complex_numbers(), st.dictionaries(WORDS, st.floats(), max_size=2), st.sets(st.integers(), max_size=3),
+    st.lists(WORDS, min_size=1, max_size=3), st.lists(st.dictionaries(WORDS, st.none(), min_size=1), min_size=1, max_size=2), st.tuples(st.complex_numbers(), st.none()))
+NOT_FOR_RUBBISH = [(name, key) for name, (_, wrong) in CALLS.items() for key, values in wrong.items()
+                   if all(any(value is known for value in values) for known in ("text", NOTHING[4]))]
+
+
+@settings(derandomize=True, deadline=None, max_examples=500, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
+@given(place=st.sampled_from(NOT_FOR_RUBBISH), value=RUBBISH)
+def test_five_hundred_random_wrong_values_get_five_hundred_clear_messages(place, value):
+    assert complaint(*place, value, None) is None

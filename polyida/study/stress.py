@@ -132,21 +132,25 @@ def outcome_in(row):
 
 
 def limits(rows):
-    """Lines: for each axis, up to where each integrator is right, and what happens at the first value where it is not."""
+    """Lines: for each axis, up to where the integrators are right, and what happens at the first value where one is not."""
     lines = []
     for axis in dict.fromkeys(row["axis"] for row in rows):
-        of_axis = [row for row in rows if row["axis"] == axis]
+        of_axis, said = [row for row in rows if row["axis"] == axis], {}
         for name in dict.fromkeys(row["integrator"] for row in of_axis):
-            lines.append(f"{axis}, {name}: {_limit([row for row in of_axis if row['integrator'] == name])}")
+            said.setdefault(_limit([row for row in of_axis if row["integrator"] == name]), []).append(name)
+        lines += [f"{axis}: {', '.join(names)}: {text}" for text, names in said.items()]
     return lines
 
 
 def _limit(rows):
-    good = [row["value"] for row in rows if outcome_in(row) == "right"]
+    good = [_short(row["value"]) for row in rows if outcome_in(row) == "right"]
     bad = [row for row in rows if outcome_in(row) != "right"]
+    held_at = f"right at {', '.join(good)}" if good else ""
     if not bad:
-        return f"right at all {len(rows)} values, {rows[0]['value']} to {rows[-1]['value']}"
-    first = bad[0]
-    reason = (first.get("reason") or first.get("error") or "").split(";")[0][:160]
-    held_at = f"right at {', '.join(map(str, good))}; " if good else ""
-    return f"{held_at}{outcome_in(first)} at {first['value']}: {reason}"
+        return held_at
+    reason = (bad[0].get("reason") or bad[0].get("error") or "").split(";")[0].split("(least")[0][:120]
+    return f"{held_at}{'; ' if good else ''}{outcome_in(bad[0])} at {_short(bad[0]['value'])}: {reason}"
+
+
+def _short(value):
+    return f"{value:g}" if isinstance(value, float) else str(value)

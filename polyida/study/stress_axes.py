@@ -54,7 +54,7 @@ AXES = {
     "Newton tolerance": Axis(cases.newton_tolerance, (1e-4, 1e-3, 1e-2, 1e-6, 1e-8, 1e-10, 1e-12), (1e-4, 1e-2, 1e-12), cases.FIXED),
     "error tolerance": Axis(cases.error_tolerance, (1e-5, 1e-4, 1e-3, 1e-2, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12), (1e-5, 1e-2, 1e-8), CHOOSING),
     "turns": Axis(cases.many_turns, (1, 3, 10, 30, 100), (1, 10, 100), slow=("ggl1",)),
-    "reversal, rad/s": Axis(cases.reversal, (1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0), slow=("ggl1",)),
+    "reversal, rad/s": Axis(cases.reversal, (1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 100.0), slow=("ggl1",)),
     "jump in a step, rad": Axis(cases.half_turn, (0.5, 1.0, 1.5, 2.0, 2.5, 3.1, 3.2, 4.7, 6.28), (0.5, 1.5, 3.1), slow=("ggl1",)),
     "width of a sliver, m": Axis(_refined(scenes.sliver, 0.3, benign=1e-2), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12),
                                  (1e-2, 1e-4, 1e-8)),
@@ -68,11 +68,12 @@ AXES = {
     "pulse, s": Axis(cases.blow, (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8), (1e-2, 1e-4, 1e-8)),
     "driven collapse, Pa": Axis(_refined(scenes.collapsing, 1.1), (50e6, 20e6, 10e6, 5e6, 2e6, 1e6), (50e6, 10e6, 1e6)),
     "pressure over modulus": Axis(cases.pressing, (0.05, 0.1, 0.15, 0.18, 0.2, 0.25, 0.5, 1.0), (0.1, 0.18, 0.25)),
-    "viscosity, s": Axis(_refined(scenes.damped, 0.3), (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1), (1e-6, 1e-3, 1e-1)),
+    "viscosity, s": Axis(_refined(scenes.damped, 0.3), (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1), (1e-6, 1e-3, 1e-1),
+                        slow=("ggl1",)),
     "steps": Axis(many_steps, (20_000, 100_000, 1_000_000), (20_000,), ("alpha", "energy")),
     "steps of IDA": Axis(many_steps, (2_000, 100_000), (2_000,), ("ggl2",)),
     "kills of a run": Axis(killed_runs, (50,), (5,), ("alpha", "energy", "ggl2")),
-    "kills of a sweep": Axis(killed_sweeps, (50,), (5,), ("-",)),
+    "kills of a sweep": Axis(killed_sweeps, (50,), (5,), ("any",)),
 }
 
 
@@ -84,3 +85,8 @@ def tasks(quick):
 def run(axis, value, integrator):
     """The row of a task."""
     return outcome_of(AXES[axis].case, value, integrator)
+
+
+def meanings(titles):
+    """Lines: what "right" means on each axis."""
+    return [f"{title}: {' '.join(AXES[title].case.__doc__.split())}" for title in titles]

@@ -36,6 +36,8 @@ def against_refined(make, t_end, h=1e-3, within=2e-3, loss=0.05, benign=None):
         kept = bound + 3 * own if 3 * own < bound else float("nan")
         return run, [off_by(run, place, kept, "tip against a refined run"), held(run, SETTLED), *_energies(run, name, loss)]
 
+    case.__doc__ = (f"The tip within {within:g} of the scene's size, {500 * 1e-5:g} for the integrators that choose their step, of a run with "
+                    f"an eighth of the step; phi holds, energy does not grow.")
     return case
 
 
@@ -98,7 +100,7 @@ def rigid_tip(model, t_end):
 
 
 def one_virtual_element(corners, name):
-    """`one_element` with a virtual element."""
+    """A single virtual element that swings about a corner as a rigid body: against the compound pendulum of its own mass matrix."""
     return one_element(corners, name, "virtual")
 
 
@@ -193,11 +195,11 @@ def reversal(rate, name):
     than an elastic rebound at twice the speed would leave in it."""
     angle = scenes.zigzag(rate, 1e-3)
     model = scenes.driven(angle)
-    run = solve(model, 0.07, integrator(name))
+    run = solve(model, 0.06, integrator(name))
     arm = model.reference[:, 0]
     most = 0.5 * rate**2 * (arm @ (model._nodal_mass @ arm))
     inner = (run.energy.kinetic + run.energy.strain).max()
-    away = model.phi(0.07, run.q[-1])
+    away = model.phi(0.06, run.q[-1])
     return run, [Check("energy over that of a rebound", inner / most, 9.0), Check("angle", np.abs(away).max(), 1e-9), held(run, SETTLED)]
 
 

@@ -120,7 +120,7 @@ def short_run(number, folder):
     return {"end": [value.hex() for value in run.position("tip")[-1].tolist()]}
 
 
-def killed_sweeps(kills, name="-", seed=0, tasks=12):
+def killed_sweeps(kills, name="any", seed=0, tasks=12):
     """`kills` kills of sweeps of short runs, started again until they are whole: nothing is done twice that was written,
     and the rows are those of a sweep that was never killed."""
     chance, count, repeated, wrong = random.Random(seed), 0, 0, 0

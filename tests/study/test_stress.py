@@ -13,7 +13,7 @@ from polyida.study import stress
 from polyida.study import stress_cases as cases
 from polyida.study import stress_scenes as scenes
 from polyida.study.stress import Check, judged, outcome_of
-from polyida.study.stress_axes import AXES, run, tasks
+from polyida.study.stress_axes import AXES, meanings, run, tasks
 from polyida.study.stress_kills import killed_runs
 from polyida.study.stress_long import many_steps
 
@@ -130,6 +130,7 @@ def test_the_table_and_its_figures():
     assert sum(value for name, value in counts.items() if name.count("_") == (name.startswith("stated_"))) == len(rows)
     lines = stress.limits(rows)
     assert any("it stops" in line for line in lines) and any("odd" in line for line in lines)
+    assert all(len(line) > len(axis) + 40 for axis, line in zip(AXES, meanings(AXES)))
 
 
 def test_the_script_draws(tmp_path):
