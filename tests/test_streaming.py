@@ -230,7 +230,15 @@ def test_ctrl_c_returns_the_run_so_far(model, whole, tmp_path, out):
     assert not out or (pi.load(path).status == "interrupted" and equal(pi.load(path), run))
 
 
-def test_a_real_ctrl_c_is_heeded_between_steps(model, whole, tmp_path):
+@pytest.fixture
+def heeds_ctrl_c():
+    """Python's own handler in place, also where the shell that started the tests in the background had SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_a_real_ctrl_c_is_heeded_between_steps(model, whole, tmp_path, heeds_ctrl_c):
     def progress(t):
         if 0.2 < t < 0.2015:
             signal.raise_signal(signal.SIGINT)
