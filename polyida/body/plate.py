@@ -12,6 +12,7 @@ from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.mesh import PolygonMesh
 
 ELEMENTS = ("wachspress", "virtual")
+THINNEST = 1e-8  # of the mesh's extent: below, displacements have no digits left for a cell's strain
 MOST_CORNERS = 16  # beyond, the corner modes of one polygon are 1e-3 of its stiffest and less
 
 
@@ -22,7 +23,7 @@ class Plate:
     mesh: PolygonMesh, m. thickness: m. origin: where the mesh's (0, 0) lies, m. angle: turn about it, rad. name: how joints, tables
     and files call it (given by the scene where it is None). element: "wachspress", or "virtual" (first-order virtual element, which takes
     any simple polygon and whose accuracy in bending depends on its stabilisation `tau`, a tuning parameter).
-    Raises InputError for a thickness that is not positive, an unknown element; for wachspress, a cell that is not strictly convex or of
+    Raises InputError for a thickness that is not positive, an unknown element, a cell that is a sliver; for wachspress, a cell that is not strictly convex or of
     more than 16 corners.
     """
 
@@ -50,6 +51,7 @@ class Plate:
         if not is_one_of(self.element, ELEMENTS):
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
         positive(label, "tau", self.tau, "no unit")
+        self._require_thick_cells()
         if self.element == "wachspress":
             self._of_mesh(self.mesh.require_convex)
             corners = int(np.diff(self.mesh.offsets).max())
@@ -93,6 +95,17 @@ class Plate:
             return of_node(self, int(where))
         point = vector2(self.label, "node", where)
         return of_node(self, int(np.argmin(((self.mesh.points - point) ** 2).sum(axis=1))))
+
+    def _require_thick_cells(self):
+        """A cell far thinner than the mesh is long takes its stresses from the round-off of its corners."""
+        mesh, first = self.mesh, self.mesh.offsets[:-1]
+        corners = mesh.points[mesh.nodes]
+        reach = np.hypot(*(np.maximum.reduceat(corners, first) - np.minimum.reduceat(corners, first)).T)
+        heights, extent = mesh.cell_areas / reach, np.ptp(mesh.points, axis=0).max()
+        thinnest = int(np.argmin(heights))
+        if heights[thinnest] < THINNEST * extent:
+            raise InputError(f"{self.label}: cell {thinnest} is a sliver, {heights[thinnest]:.2g} m thick in a mesh of {extent:.3g} m; "
+                             f"cells must be thicker than {THINNEST:g} of the mesh's extent")
 
     def _of_mesh(self, function, *arguments):
         """A function of the mesh, its complaints under the plate's name."""
