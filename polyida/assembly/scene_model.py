@@ -17,7 +17,7 @@ class SceneModel(Model):
     """Plates, joints and masses as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
 
     bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read. `rows` names the slice
-    of phi and lam that belongs to each joint. fused: integrators may take compiled steps (scenes without damping). Matrices are scipy.sparse.
+    of phi and lam that belongs to each joint. fused: IDA may take its compiled callbacks (scenes without damping). Matrices are scipy.sparse.
     """
 
     def __init__(self, parts, gravity):

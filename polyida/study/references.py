@@ -133,6 +133,7 @@ def with_refined(name, model, t_end, sizes, h):
 
 
 def rigid_limit():
+    """The Case of the stiff double pendulum against its rigid bodies' equation."""
     p = problems.get("rigid-limit")
     return Case(p.name, p.model, p.t_end, None, None, p.reference, {}, (1e-2, 10.0), p.source)
 
@@ -155,6 +156,7 @@ def sudden_blow(cells, t_end, duration=0.005, force=40.0):
 
 
 def blown(name, cells, t_end, sizes):
+    """The Case of `sudden_blow` against an explicit reference."""
     return with_explicit(name, sudden_blow(cells, t_end), t_end, sizes, 1e-8)
 
 
