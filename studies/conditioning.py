@@ -3,11 +3,11 @@
 import numpy as np
 
 from polyida.cli_study import main
+from polyida.integrate.ida_whole import SCALINGS as IDA_SCALINGS
+from polyida.linear.kkt import SCALINGS
 from polyida.study import conditioning, solve_error
 from polyida.study.drawing import drawn, fitted, legend, loglog, panels, saved, slope_line
 from polyida.study.harness import Study
-
-SCALINGS = ("none", "bottasso", "physical")
 
 
 def steps(quick):
@@ -27,7 +27,7 @@ def tasks(quick):
         made += [
             {"plates": plates, "of": "IDA", "form": form, "scaling": scaling} | given
             for form in conditioning.IDA_SLOPES
-            for scaling in ("none", "characteristic")
+            for scaling in IDA_SCALINGS
         ]
         made.append({"plates": plates, "of": "alpha", "form": "S on free motions", "scaling": "-"} | given)
     for plates in ("soft", "steel"):
@@ -36,13 +36,19 @@ def tasks(quick):
             for backend in solve_error.BACKENDS
             for scaling in SCALINGS
         ]
+        made += [
+            {"plates": plates, "of": f"IDA solve, {form}", "form": backend, "scaling": scaling} | given
+            for form in ("ggl2", "index1")
+            for backend in solve_error.WHOLE
+            for scaling in IDA_SCALINGS
+        ]
     return made
 
 
 def run(plates, cells, of, form, scaling, h):
     model, state = conditioning.state_of(plates, cells)
-    if of == "solve":
-        errors = np.array([solve_error.solve_errors(model, state, step, form, scaling) for step in h])
+    if "solve" in of:
+        errors = np.array([solve_error_of(model, state, of, form, scaling, step) for step in h])
         return {
             "values": errors.max(axis=1),
             "worst": errors.max(),
@@ -71,8 +77,14 @@ def measured(model, state, of, form, scaling):
         return lambda h: conditioning.inherent_condition(model, state, h)
     if of == "alpha":
         return lambda h: conditioning.alpha_condition(model, state, h, form[1], scaling)
-    made = lambda h: conditioning.ida_matrix(model, state, h, form)  # noqa: E731
-    return (lambda h: made(h).condition()) if scaling == "none" else (lambda h: float(np.linalg.cond(made(h).matrix)))
+    return lambda h: conditioning.ida_condition(model, state, h, form, scaling)
+
+
+def solve_error_of(model, state, of, backend, scaling, h):
+    """Errors of the kinds of unknowns in one solve."""
+    if of == "solve":
+        return solve_error.alpha_errors(model, state, h, backend, scaling)
+    return solve_error.ida_errors(model, state, h, of.removeprefix("IDA solve, "), backend, scaling)
 
 
 def theory(of, form, scaling):
@@ -119,17 +131,29 @@ def notes(rows):
     lines.append(
         f"the border adds at most a factor {found['scaled_over_free_max']:.2g} to S on the free motions, at every h"
     )
-    for row in pick(rows, of="solve"):
-        if row["at_1e-9"] > 1e-3:
+    for row in rows:
+        if "solve" in row["of"] and not row.get("error") and row["at_1e-9"] > 1e-3:
             lines.append(
-                f"no digits at 1e-9: {row['form']}, scaling {row['scaling']}, {row['plates']}: {row['at_1e-9']:.1g}"
+                f"no digits at 1e-9: {row['of']}, {row['form']}, scaling {row['scaling']}, {row['plates']}: "
+                f"{row['at_1e-9']:.1g}"
             )
     return lines
 
 
 @drawn
 def draw(rows, folder):
-    return alpha_figure(rows, folder) + ida_figure(rows, folder) + solve_figure(rows, folder)
+    return (
+        alpha_figure(rows, folder)
+        + ida_figure(rows, folder)
+        + solve_figure(rows, folder, "solve-error", "step h, s", [("solve", scaling) for scaling in SCALINGS])
+        + solve_figure(
+            rows,
+            folder,
+            "solve-error-ida",
+            "1 / cj, s",
+            [(f"IDA solve, {form}", scaling) for form in ("ggl2", "index1") for scaling in IDA_SCALINGS[::-1]],
+        )
+    )
 
 
 def alpha_figure(rows, folder):
@@ -163,15 +187,18 @@ def ida_figure(rows, folder):
     return saved(made, folder, "condition-ida")
 
 
-def solve_figure(rows, folder):
-    made, axes = panels(3, width=7.4, height=3.3, columns=3, sharey=True)
-    for axis, scaling in zip(axes, SCALINGS):
-        for i, row in enumerate(pick(rows, of="solve", plates="steel", scaling=scaling)):
+def solve_figure(rows, folder, name, step, shown):
+    """Errors on steel plates, a panel for each (of, scaling)."""
+    made, axes = panels(len(shown), width=7.4, height=3.3, columns=len(shown), sharey=True)
+    for axis, (of, scaling) in zip(axes, shown):
+        for i, row in enumerate(pick(rows, of=of, plates="steel", scaling=scaling)):
             loglog(axis, row["h"], row["values"], i, row["form"])
-        axis.set(xlabel="step h, s", title=f"scaling: {scaling}", ylim=(1e-16, 1e3))
+        form = of.removeprefix("IDA solve, ")
+        title = f"scaling: {scaling}" if of == form else f"{form}, {'raw' if scaling == 'none' else 'scaled'}"
+        axis.set(xlabel=step, title=title, ylim=(1e-16, 1e3))
     axes[0].set_ylabel("relative error of the solve")
     legend(made, axes, 2)
-    return saved(made, folder, "solve-error")
+    return saved(made, folder, name)
 
 
 COLUMNS = ("of", "plates", "form", "scaling", "theory", "slope", "slope_limit", "at_1e-2", "at_1e-9", "worst", "error")

@@ -10,9 +10,11 @@ from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.ida_forms import FORMS, System
 from polyida.integrate.ida_linear import ReducedSolve
 from polyida.integrate.ida_quiet import error_lines_kept
+from polyida.integrate.ida_whole import SCALINGS, WholeSolve
 from polyida.integrate.segments import segments
 from polyida.integrate.state import State, StepFailure
 
+LINEAR = ("auto", "kkt", "whole")
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where only the latter is given
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
@@ -33,7 +35,9 @@ class IDA:
     the imaginary axis, where their mesh modes lie) and 5 elsewhere.
     form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
     are in integrate/ida_forms.py. index3 is there to be studied: it is slow, and fails on many models.
-    linear: "auto" takes a scene's compiled callbacks, "kkt" the general ones that any model has.
+    linear: "auto" takes a scene's compiled callbacks, "kkt" the general ones that any model has, both through S = K + cj C
+    + cj^2 M and a border; "whole" factors the whole matrix of (q, v, multipliers). scaling: rows and columns of the whole
+    matrix divided by "characteristic" sizes (integrate/ida_whole.py) or "none"; the other two do not depend on it.
     max_step, first_step: s, 0 where IDA decides. max_num_steps: the run fails beyond so many.
 
     The global error is commonly 10 to 500 times rtol. Raises InputError where a setting makes no sense.
@@ -49,6 +53,7 @@ class IDA:
     first_step: float = 0.0
     rate: float = 10.0
     linear: str = "auto"
+    scaling: str = "characteristic"
 
     def __post_init__(self):
         if not is_one_of(self.form, FORMS):
@@ -57,7 +62,8 @@ class IDA:
             given = floats(self.atol)
             _check("atol", self.atol, given is not None and given.ndim == 1, "must be a number, a pair or a list of numbers")
             object.__setattr__(self, "atol", tuple(given.tolist()))
-        _check("linear", self.linear, is_one_of(self.linear, ("auto", "kkt")), 'must be "auto" or "kkt"')
+        _check("linear", self.linear, is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}")
+        _check("scaling", self.scaling, is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}")
         _check("rtol", self.rtol, is_number(self.rtol) and 0 < self.rtol < 1, "must lie between 0 and 1")
         in_range = self.max_order is None or is_whole(self.max_order, 1, 5)
         _check("max_order", self.max_order, in_range, "must be 1, 2, 3, 4 or 5")
@@ -137,7 +143,8 @@ def _callbacks(settings, model, counts):
         system = SceneSystem(model, settings.form, settings.rate)
         return system, SceneSolve(system, counts)
     system = System(model, settings.form, settings.rate)
-    return system, ReducedSolve(system, counts)
+    whole = settings.linear == "whole"
+    return system, WholeSolve(system, counts, settings.scaling) if whole else ReducedSolve(system, counts)
 
 
 def _top_heavy(model):

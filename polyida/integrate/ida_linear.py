@@ -30,12 +30,12 @@ def _sparse_factor(matrix):
     from scipy.sparse.linalg import splu
 
     if not np.isfinite(matrix.data).all():
-        return _not_a_number
+        return not_a_number
     options = {"SymmetricMode": True}
     try:
         return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
     except RuntimeError:  # what SuperLU raises where the matrix is singular
-        return _not_a_number
+        return not_a_number
 
 
 def dense_factor(matrix):
@@ -45,10 +45,11 @@ def dense_factor(matrix):
     if not matrix.size:
         return np.copy
     lu, pivots, info = dgetrf(matrix)
-    return _not_a_number if info else lambda b: dgetrs(lu, pivots, b)[0]
+    return not_a_number if info else lambda b: dgetrs(lu, pivots, b)[0]
 
 
-def _not_a_number(b):
+def not_a_number(b):
+    """The answer of a factor that there is not: IDA takes it for a failure and tries a smaller step."""
     return np.full(np.shape(b), np.nan)
 
 

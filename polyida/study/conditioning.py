@@ -1,20 +1,15 @@
-"""Condition numbers of the iteration matrices of generalized-alpha and IDA, exact, and what they do to linear solves.
-
-An unscaled matrix reaches condition numbers of 1e35, far beyond what its own singular values tell in double precision.
-Its inverse is therefore taken from the scaled matrix, which is harmless, `A^-1 = D_R (D_L A D_R)^-1 D_L`, and cond(A) =
-|A| |A^-1| in the 2-norm.
-"""
+"""Condition numbers of the iteration matrices of generalized-alpha and IDA on soft and stiff plates, and their theory."""
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida_forms import System
+from polyida.integrate.ida import IDA
+from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, mass_system
-from polyida.linear.condition import condition_number
+from polyida.linear.condition import condition
 from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
 from polyida.model import Model, Needs
 from polyida.problems import plates
@@ -25,24 +20,6 @@ IDA_SLOPES = {"index3": -3, "ggl2": -2, "index2": -2, "ggl1": -1, "index1": -1, 
 
 
 MODULI = {"soft": 5e7, "steel": 2e11, "stiffest": 1e12}  # Pa; 10 mm thick: up to 1e10 N/m
-
-
-class Scaled(NamedTuple):
-    """A raw matrix, (N, N), with the row and column factors, (N,), that make it harmless."""
-
-    raw: np.ndarray
-    rows: np.ndarray
-    columns: np.ndarray
-
-    @property
-    def matrix(self):
-        """The scaled matrix."""
-        return self.rows[:, None] * self.raw * self.columns
-
-    def condition(self):
-        """cond(raw) in the 2-norm, right also far beyond 1e16."""
-        inverse = self.columns[:, None] * np.linalg.inv(self.matrix) * self.rows
-        return float(np.linalg.norm(self.raw, 2) * np.linalg.norm(inverse, 2))
 
 
 class Springs(Model):
@@ -128,61 +105,20 @@ def alpha_condition(model, state, h, unknown="q", scaling="none"):
     Bottasso's.
     """
     if scaling in SCALINGS:
-        return condition_number(model, GeneralizedAlpha(h=h), state, scaling=scaling, unknown=unknown, exact=True)
+        return condition_number(model, GeneralizedAlpha(h=h), state, scaling, unknown, exact=True)
     tangent, B, step_square = alpha_blocks(model, state, h)
-    physical, given = (
-        scaling_factors("physical", step_square, tangent),
-        Scaling(*alpha_factors(scaling, step_square, tangent)),
-    )
-    rows = np.concatenate([np.full(model.n, physical.row / given.row), np.ones(model.m)])
-    columns = np.concatenate([np.ones(model.n), np.full(model.m, physical.column / given.column)])
-    return Scaled(dense(assemble(tangent, B, given)), rows, columns).condition()
+    return condition(assemble(tangent, B, alpha_scaling(scaling, step_square, tangent)), exact=True)
 
 
-def alpha_factors(scaling, step_square, tangent):
-    """(row, column) factors of a scaling, the two halves of Bottasso's included."""
-    halves = {"rows only": (step_square, 1.0), "multipliers only": (1.0, 1.0 / step_square)}
-    if scaling in halves:
-        return halves[scaling]
-    factors = scaling_factors(scaling, step_square, tangent)
-    return factors.row, factors.column
+def alpha_scaling(scaling, step_square, tangent):
+    """Scaling of a kind, the two halves of Bottasso's included."""
+    halves = {"rows only": Scaling(row=step_square), "multipliers only": Scaling(column=1.0 / step_square)}
+    return halves.get(scaling) or scaling_factors(scaling, step_square, tangent)
 
 
-def ida_matrix(model, state, h, form, rate=10.0):
-    """IDA's whole matrix `J = dF/dy + cj dF/dy'` of a form, as Scaled, with cj = 1/h (BDF of order 1).
-
-    Its factors: dv by cj, dlam by s, dmu by cj; the rows of q' by 1/cj, of r by 1/s, of the k-th derivative of phi by
-    1/cj^k; s is the mean of the diagonal of S = K + cj C + cj^2 M. Integrated multipliers by another 1/cj.
-    """
-    cj, system = 1.0 / h, System(model, form, rate)
-    blocks = system.blocks(state.t, *system.pack(state))
-    S = system.iteration_matrix(state.t, *system.pack(state), cj)
-    n, m, kinds = model.n, model.m, system.form
-    size = float(np.mean(np.abs(S.diagonal())))
-    rows = [np.full(n, 1 / cj), np.full(n, 1 / size)]
-    rows += [np.full(m, cj ** -max(kinds.rows))] if kinds.combined else [np.full(m, cj**-order) for order in kinds.rows]
-    unit = 1 / cj if kinds.integrated else 1.0
-    columns = [np.ones(n), np.full(n, cj), np.full(m, size * unit)] + (
-        [np.full(m, cj * unit)] if kinds.stabilised else []
-    )
-    return Scaled(ida_dense(blocks, S, cj), np.concatenate(rows), np.concatenate(columns))
-
-
-def ida_dense(blocks, S, cj):
-    """J of the Blocks as a dense matrix; K is what S = K + cj C + cj^2 M leaves."""
-    n, m = blocks.n, blocks.m
-    M, C = dense(blocks.M), 0.0 if blocks.C is None else dense(blocks.C)
-    damping = cj * M + C
-    unit = cj if blocks.integrated else 1.0
-    multipliers = (2 if blocks.stabilised else 1) * m
-    J = np.zeros((2 * n + multipliers, 2 * n + multipliers))
-    J[:n, :n], J[:n, n : 2 * n] = cj * np.eye(n), -np.eye(n)
-    J[n : 2 * n, :n], J[n : 2 * n, n : 2 * n] = dense(S) - cj * damping, damping
-    J[n : 2 * n, 2 * n : 2 * n + m] = unit * blocks.B.T
-    if blocks.stabilised:
-        J[:n, 2 * n + m :] = unit * blocks.B.T
-    J[2 * n :, :n], J[2 * n :, n : 2 * n] = blocks.P, blocks.Q0 + cj * blocks.Q1
-    return J
+def ida_condition(model, state, h, form, scaling="none"):
+    """Condition number of IDA's whole matrix of a form, with cj = 1/h (BDF of order 1)."""
+    return condition_number(model, IDA(form=form), state, scaling, h=h, exact=True)
 
 
 def inherent_condition(model, state, h):

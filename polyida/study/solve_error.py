@@ -1,9 +1,13 @@
-"""How well linear back-ends solve generalized-alpha's saddle-point system, unscaled and scaled."""
+"""How well linear back-ends solve generalized-alpha's saddle-point system and IDA's whole one, unscaled and scaled."""
 
 import numpy as np
 
-from polyida.linear.kkt import Scaling, assemble
-from polyida.study.conditioning import alpha_blocks, alpha_factors, dense
+from polyida.integrate.ida import IDA
+from polyida.integrate.ida_forms import System
+from polyida.integrate.ida_whole import sizes, whole_matrix
+from polyida.linear.condition import scaled
+from polyida.linear.kkt import assemble
+from polyida.study.conditioning import alpha_blocks, alpha_scaling, dense
 
 REGULARISATION = 1e-8  # of the LDL^T without pivoting, on the multipliers' diagonal
 
@@ -80,34 +84,46 @@ BACKENDS = {
     "LDL^T, regularised": regularised,
     "factor of S, Schur complement": schur,
 }
+WHOLE = tuple(name for name, solve in BACKENDS.items() if solve not in (regularised, schur))  # those that IDA's matrix suits
 
 
-def solve_errors(model, state, h, backend, scaling, trials=3, seed=0):
-    """(largest relative error of dq, of dlam) over random solutions: |x - x*| / |x*| in the largest entry.
-
-    dq* is a random motion of the accelerations' size h^2 |a|, dlam* of the multipliers'; the right-hand side is formed
-    in extended precision.
-    """
+def alpha_errors(model, state, h, backend, scaling):
+    """(largest relative error of dq, of dlam) of generalized-alpha's system."""
     tangent, B, step_square = alpha_blocks(model, state, h)
-    factors, random, worst = (
-        Scaling(*alpha_factors(scaling, step_square, tangent)),
-        np.random.default_rng(seed),
-        np.zeros(2),
-    )
-    S, border = dense(tangent).astype(np.longdouble), dense(B).astype(np.longdouble)
-    for _ in range(trials):
-        dq = h * h * np.abs(state.a).max() * random.standard_normal(model.n)
-        dlam = np.abs(state.lam).max() * random.standard_normal(model.m)
-        r, phi = np.asarray(S @ dq + border.T @ dlam, float), np.asarray(border @ dq, float)
-        found = _solve(backend, tangent, B, factors, r, phi)
-        errors = [np.abs(x - known).max() / np.abs(known).max() for x, known in zip(found, (dq, dlam))]
-        worst = np.maximum(worst, errors)
-    return float(worst[0]), float(worst[1])
+    n, m, factors = model.n, model.m, alpha_scaling(scaling, step_square, tangent)
+    rows, columns = np.repeat([factors.row, 1.0], (n, m)), np.repeat([1.0, factors.column], (n, m))
+    return solve_errors(dense(assemble(tangent, B)), rows, columns, _unknowns(model, state, h)[::2], backend)
 
 
-def _solve(backend, tangent, B, factors, r, phi):
+def ida_errors(model, state, h, form, backend, scaling):
+    """(largest relative error of dq, dv, dlam and, where the form has it, dmu) of IDA's whole system, cj = 1/h."""
+    system, cj = System(model, form, IDA().rate), 1 / h
+    matrix, s = whole_matrix(system, state.t, *system.pack(state), cj)
+    rows, columns = sizes(scaling, system.form, model.n, model.m, cj, s)
+    dq, dv, dlam = _unknowns(model, state, h)
+    unit = h if system.form.integrated else 1.0
+    dmu = ((model.m, unit * dv[1]),) if system.form.stabilised else ()
+    return solve_errors(dense(matrix), rows, columns, (dq, dv, (model.m, unit * dlam[1]), *dmu), backend)
+
+
+def _unknowns(model, state, h):
+    """(number, size) of dq, dv and dlam in one step: motions of the accelerations' size, multipliers of their own."""
+    a = np.abs(state.a).max()
+    return (model.n, h * h * a), (model.n, h * a), (model.m, np.abs(state.lam).max())
+
+
+def solve_errors(matrix, rows, columns, unknowns, backend, trials=3, seed=0):
+    """|x - x*| / |x*|, in the largest entry, of each kind of unknown: the largest over random x* of the sizes in `unknowns`,
+    (number, size) a kind. A back-end solves diag(rows) A diag(columns); the right-hand side is formed in extended precision.
+    """
     from scipy.sparse import csc_array
 
-    matrix = csc_array(assemble(tangent, B, factors))
-    n, x = len(r), BACKENDS[backend](matrix, np.concatenate([factors.row * r, phi]))
-    return x[:n], factors.column * x[n:]
+    kinds = np.repeat(np.arange(len(unknowns)), [number for number, _ in unknowns])
+    exact, given = matrix.astype(np.longdouble), csc_array(scaled(matrix, rows, columns))
+    random, worst = np.random.default_rng(seed), np.zeros(len(unknowns))
+    for _ in range(trials):
+        x = np.array([size for _, size in unknowns])[kinds] * random.standard_normal(len(kinds))
+        found = columns * BACKENDS[backend](given, rows * np.asarray(exact @ x, float))
+        errors = [np.abs(found - x)[kinds == k].max() / np.abs(x[kinds == k]).max() for k in range(len(unknowns))]
+        worst = np.maximum(worst, errors)
+    return tuple(worst.tolist())

@@ -12,6 +12,7 @@ INTEGRATORS = {
     "alpha, whole matrix": pi.GeneralizedAlpha(h=5e-4, linear="kkt"),
     "ida ggl2": pi.IDA(rtol=1e-6, atol=1e-8),
     "ida ggl1": pi.IDA(rtol=1e-6, atol=1e-8, form="ggl1"),
+    "ida, whole matrix": pi.IDA(rtol=2e-7, atol=2e-9, linear="whole"),
 }
 
 
