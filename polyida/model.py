@@ -33,7 +33,7 @@ class Model:
     n: int
     m: int
     needs: Needs = Needs()
-    undamped_flexible = False  # True where undamped mesh modes make high BDF orders unstable
+    flexible = False  # True where bodies deform: BDF of order 3 to 5 is unstable, or slow, on mesh modes with little damping
 
     def mass(self, q):
         """Mass matrix M, (n, n), symmetric."""
@@ -71,14 +71,18 @@ class Model:
         """Partial derivative of phi in time, (m,)."""
         if not self.needs.driven:
             return np.zeros(self.m)
-        return differences.along(lambda s: self.phi(t + s, q))
+        return differences.along(lambda s: self.phi(t + s, q), room=self._smooth(t))
 
     def phi_bias(self, t, q, v):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,), so that d2 phi/dt2 = phi_q a + phi_bias."""
         if not (self.needs.driven or self.needs.phi_q_varies):
             return np.zeros(self.m)
         reach = min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(v).max(initial=0)))
-        return differences.along(lambda s: self.phi_q(t + s, q + s * v) @ v + self.phi_t(t + s, q + s * v), reach)
+        return differences.along(lambda s: self.phi_q(t + s, q + s * v) @ v + self.phi_t(t + s, q + s * v), reach, self._smooth(t))
+
+    def _smooth(self, t):
+        """The range of s around 0 in which t + s meets no kink."""
+        return differences.around(self.kinks(t - 1.0, t + 1.0), t)
 
     def potential(self, q):
         """Potential energy of all conservative forces at q, J, or None where the model does not say."""
@@ -164,7 +168,7 @@ def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
         pairs |= {
             "phi_q": (model.phi_q(t, q), differences.jacobian(lambda x: model.phi(t, x), q, m)),
             "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
-            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q))),
+            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), room=model._smooth(t))),
             "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
         }
     return {name: _deviation(*pair) for name, pair in pairs.items()}

@@ -49,6 +49,14 @@ def test_plain_data_and_back(name):
     assert all(again.at(t) == given.at(t) for t in np.linspace(-0.5, 1.5, 9))
 
 
+@pytest.mark.parametrize("apart", [1e-9, 1e-5, 3e-3, 0.0])
+def test_differences_stay_on_their_side_of_a_kink(apart):
+    """t^2 and, from 1 on, another parabola; between kinks that lie close too."""
+    given = profile.from_function(lambda t: t * t if t < 1 else 3 * (t - 1) ** 2 + 7 * t, kinks=(1.5, 1.0, 0.999))
+    for t, value in ((1 - apart - 1e-12, (2.0, 2.0)), (1 + apart, (7.0 + 6 * apart, 6.0))):
+        assert (given.d1(t), given.d2(t)) == pytest.approx(value, abs=2e-6 + 2 * apart)
+
+
 def test_a_function_has_no_formula():
     assert profile.from_formula(PROFILES["function"].formula) is None
 

@@ -216,9 +216,11 @@ def test_until_does_not_stop_at_a_zero_at_the_start(pendulum):
     assert abs(run.t[-1] - QUARTER) < 1e-5  # y' is zero at the start and at the bottom
 
 
-def test_until_that_gives_no_number(pendulum):
-    with pytest.raises(pi.InputError, match="until: the function gave nan at t = 0 s"):
-        pi.solve(pendulum, 1.0, ALPHA, q0=[-1.0, 0.0], until=lambda t, q, v: np.nan)
+@pytest.mark.parametrize("value, told", [(np.nan, "nan"), (False, "False.*changes sign"), (np.bool_(1), "True"),
+                                         (np.zeros(3), r"an array of shape \(3,\)"), ("soon", "'soon'")])
+def test_until_that_gives_no_number(pendulum, value, told):
+    with pytest.raises(pi.InputError, match=f"until: the function gave .*{told}"):
+        pi.solve(pendulum, 1.0, ALPHA, q0=[-1.0, 0.0], until=lambda t, q, v: value)
 
 
 @pytest.mark.parametrize("out", [None, "run.h5"])

@@ -32,7 +32,7 @@ class SceneModel(Model):
         motors = links.joint_kind == rows.MOTOR
         both = motors & (links.joint_a >= 0) & (links.joint_b >= 0)
         damped = any(body.plate.material.damped for body in self.bodies)
-        self.undamped_flexible, self.fused = not damped, not damped
+        self.flexible, self.fused = True, not damped
         self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool(motors.any()), phi_q_varies=bool(both.any()))
         self.reference = np.concatenate([body.points for body in self.bodies])
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.integrate.alpha_increment import Carried, extent, start_values
+from polyida.integrate.alpha_increment import Carried, extent, inner_side, start_values
 from polyida.integrate.start import mass_system
 from polyida.integrate.state import State, StepFailure
 from polyida.integrate.step_control import PATIENCE, calm_error
@@ -67,7 +67,7 @@ class Steps:
     def _error(self, state):
         """Local error of q over what is allowed, both root mean squares."""
         s = self.settings
-        error = abs(self.c.error) * self.h**2 * _rms(state.a - self.last.a) / (s.atol + s.rtol * _rms(state.q))
+        error = abs(self.c.error) * self.h**2 * _rms(state.a - self.last.a) / max(s.atol + s.rtol * _rms(state.q), 1e-300)
         self.error = max(self.error, error) if np.isfinite(error) else np.inf
         return error if np.isfinite(error) else np.inf
 
@@ -98,18 +98,18 @@ class Steps:
 
     def _solve(self, before, t, effort):
         dd, v, a, lam = self._predict()
-        model, last = self.model, 0.0
+        model, last, inner = self.model, 0.0, inner_side(self.model, t, self.h)
         phi_at = self._constraints(before, t)
         self.size, self.mass = max(0.9 * self.size, _rms(a)), None
         for iteration in range(self.settings.max_iterations):
             q = self._at(dd)
-            r, phi = model.residual(t, q, v, a, lam), phi_at(dd, a)[0]
+            r, phi = model.residual(inner, q, v, a, lam), phi_at(dd, a)[0]
             self.counts.residuals += 1
             if not (np.isfinite(r).all() and np.isfinite(phi).all()):
                 raise Divergence("r or phi is not finite", iteration, last, phi)
             if self.kkt is None or effort == FULL:
-                self._factor(t, q, v, a, lam)
-            x, dlam, slip = self._correction(t, q, v, r, phi)
+                self._factor(inner, q, v, a, lam)
+            x, dlam, slip = self._correction(inner, q, v, r, phi)
             dd, v, a, lam = dd + x + slip, v + self.to_v * x, a + self.to_a * x, lam + dlam
             moved = _rms(x)
             rate = moved / last if last > 0 else 1.0
@@ -166,7 +166,7 @@ class Steps:
         if objection:
             raise StepFailure("objection", objection, t)
         if self.settings.form == "stabilised" and model.m:
-            v = v + mass_system(model, t, q).solve(np.zeros(model.n), model.phi_q(t, q) @ v + model.phi_t(t, q))[0]
+            v = v + mass_system(model, t, q).solve(np.zeros(model.n), model.phi_q(t, q) @ v + model.phi_t(inner_side(model, t, self.h), q))[0]
             rate = np.zeros(model.m)
         self.size = max(self.size, _rms(a))
         made = np.zeros(0) if self.kkt is None else self.factored_at

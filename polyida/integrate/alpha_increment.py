@@ -16,16 +16,18 @@ NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1
 def drive_table(model, times, h):
     """Values and two derivatives of every profile at the times, (times, profiles, 3).
 
-    Derivatives at a kink at either end are those of the inner side.
+    At a kink at either end loads and all derivatives are those of the inner side. A motor's angle is continuous.
     """
+    links = model.arrays.links
+    motors = links.joint_drive[links.joint_kind == joints.MOTOR]
     table = np.empty((len(times), len(model.profiles), 3))
     if not table.size:
         return table
     inner = np.array(times)
-    inner[0] = beside(times[0], h) if at_kink(model, times[0]) else times[0]
-    inner[-1] = beside(times[-1], -h) if at_kink(model, times[-1]) else times[-1]
+    inner[0], inner[-1] = inner_side(model, times[0], -h), inner_side(model, times[-1], h)
     for k, profile in enumerate(model.profiles):
-        for column, (function, at) in enumerate(((profile.value, times), (profile.d1, inner), (profile.d2, inner))):
+        value = (profile.value, times if k in motors else inner)
+        for column, (function, at) in enumerate((value, (profile.d1, inner), (profile.d2, inner))):
             table[:, k, column] = function(at) if profile.formula else [function(t) for t in at]
     return table
 
@@ -34,6 +36,11 @@ def at_kink(model, t):
     """Whether a load or motor has a kink at t."""
     near = 1e-12 * max(abs(t), 1e-300)
     return bool(model.kinks(t - near, t + near))
+
+
+def inner_side(model, t, h):
+    """t, or next to it where there is a kink: before it where a step of h > 0 ends there."""
+    return beside(t, -h) if at_kink(model, t) else t
 
 
 def beside(t, h):

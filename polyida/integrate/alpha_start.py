@@ -50,14 +50,14 @@ def behind_kink(settings, model, state, h):
 
     Velocities jump with the motors' rates, in the metric of M; accelerations and multipliers with loads and rates;
     a_alg and v also with the jump of q'''. All are differences of consistent values right and left, so that ringing
-    mesh modes drop out. The last step's equilibrium took the loads at the time itself, which may be either side.
+    mesh modes drop out.
     """
     t, right, left = state.t, beside(state.t, h), beside(state.t, -h)
     v, system = state.v, mass_system(model, t, state.q)
     if model.m:
         v = v + system.solve(np.zeros(model.n), model.phi_t(right, state.q) - model.phi_t(left, state.q))[0]
     bias = model.phi_bias(left, state.q, state.v) if model.m else np.zeros(0)
-    before = system.solve(model.force(t, state.q, state.v), bias)
+    before = system.solve(model.force(left, state.q, state.v), bias)
     after = consistent_acceleration(model, right, state.q, v)
     a, lam = state.a + after[0] - before[0], state.lam + after[1] - before[1]
     behind = _with(state, v=v, a=a, lam=lam)

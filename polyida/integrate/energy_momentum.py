@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.midpoint import Midpoint
-from polyida.integrate.segments import segments
+from polyida.integrate.segments import enough_steps, segments
 
 
 @dataclass(frozen=True)
@@ -19,7 +17,8 @@ class EnergyMomentum:
     energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Second order in q and v;
     lam and a are those of the middle of the step. Damping enters at the middle of the step and only takes energy.
 
-    h: step, s; a run takes the largest not above h that divides its time evenly. tolerance: Newton's, of h^2 times the size of the
+    h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps between kinks of loads
+    that are no straight lines. tolerance: Newton's, of h^2 times the size of the
     acceleration. max_iterations: of one Newton solve. Raises InputError for a setting out of range and for a model that is no scene.
     Source: Simo, Tarnow, ZAMP 43 (1992) 757-792; Gonzalez, CMAME 190 (2000) 1763-1783 for the stress.
     """
@@ -38,12 +37,15 @@ class EnergyMomentum:
             if not good or isinstance(getattr(self, name), bool):
                 raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")
 
-    def steps(self, model, state, t_end, counts):
-        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+    def require(self, model):
+        """Raise InputError unless the model is a scene."""
         if not hasattr(model, "arrays"):
             raise InputError(f"EnergyMomentum: {type(model).__name__} is no scene of plates; use GeneralizedAlpha or IDA")
+
+    def steps(self, model, state, t_end, counts):
+        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         for begin, end in segments(model, state.t, t_end):
-            count = max(1, int(np.ceil((end - begin) / self.h * (1 - 1e-12))))
+            count = enough_steps(model, state, begin, end, self.h)
             stepper = Midpoint(self, model, (end - begin) / count, counts)
             for k in range(1, count + 1):
                 state = stepper.step(state, begin + k * stepper.h if k < count else end)

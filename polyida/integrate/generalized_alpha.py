@@ -8,11 +8,12 @@ from polyida.errors import InputError
 from polyida.given import is_number, is_one_of, is_whole
 from polyida.integrate.alpha_family import Coefficients, require_damping
 from polyida.integrate.alpha_march import march
-from polyida.integrate.segments import segments
+from polyida.integrate.segments import enough_steps, segments
 from polyida.integrate.step_control import adapt
 from polyida.linear.kkt import SCALINGS
 
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
+ABSOLUTE = 1e-3  # m: atol over rtol where only rtol is given, for a start at q = 0
 FORMS = ("index3", "stabilised")
 
 
@@ -21,21 +22,23 @@ class GeneralizedAlpha:
     """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
-    h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly.
+    h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly,
+    and four at least where its loads are no straight lines.
     rho_inf: spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f,
     beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
     form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
     have both. rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
-    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, m); lam
-    is not in it. h is then the largest step. extrapolate: give (4 x(h/2) - x(h))/3 at the ends of steps of h
-    (Richardson), fixed steps only.
+    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, m; atol
+    is 1e-3 rtol where only rtol is given); lam is not in it. h is then the largest step. extrapolate: give
+    (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
 
     tolerance: Newton's, of beta h^2 times the size of q''. max_iterations: of one Newton solve. max_halvings: a step
     whose Newton fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4,
     ... 2^max_halvings parts. scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from
     the first step) or "plain" (a_0 = q''). incremental_phi: carry phi of a scene by its increments, clean down to h =
     1e-9, or take it from positions with their round-off. linear: "auto", "fronts", "band" or "superlu" for scenes,
-    "kkt": the whole matrix in plain code, as for a model of one's own. Raises InputError for a setting out of range.
+    "kkt": the whole matrix in plain code, as for a model of one's own; `scaling` acts there only. Raises InputError for
+    a setting out of range.
     """
 
     h: float
@@ -71,7 +74,7 @@ class GeneralizedAlpha:
     def newmark(cls, h, beta=0.3025, gamma=0.6, **settings):
         """Newmark 1959: alpha_m = alpha_f = 0. Index 3 needs gamma > 1/2, which makes it first order; the trapezoidal
         rule (1/4, 1/2) is refused: its constraint forces grow without bound."""
-        return cls(h, member=(0.0, 0.0, float(beta), float(gamma)), **settings)
+        return cls(h, member=(0.0, 0.0, beta, gamma), **settings)
 
     def __post_init__(self):
         for name, good, want in self._checks():
@@ -82,7 +85,7 @@ class GeneralizedAlpha:
             require_damping("GeneralizedAlpha", self.coefficients)
         if self.adaptive:
             object.__setattr__(self, "rtol", float(self.rtol or 0.0))
-            object.__setattr__(self, "atol", float(self.atol or 0.0))
+            object.__setattr__(self, "atol", ABSOLUTE * self.rtol if self.atol is None else float(self.atol))
 
     def _checks(self):
         allowed = lambda x: x is None or (is_number(x) and 0 <= x < 1)  # noqa: E731
@@ -95,8 +98,7 @@ class GeneralizedAlpha:
             ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
             ("start", is_one_of(self.start, ("consistent", "plain")), '"consistent" or "plain"'),
             ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
-            ("member", self.member is None or (np.shape(self.member) == (4,) and all(map(is_number, self.member))),
-             "four numbers, alpha_m, alpha_f, beta, gamma, or None"),
+            ("member", self.member is None or _four(self.member), "four numbers, alpha_m, alpha_f, beta, gamma, or None"),
             ("rtol", allowed(self.rtol), "a number in [0, 1) or None"),
             ("atol", allowed(self.atol) and (not self.adaptive or self.rtol or self.atol),
              "a length below 1 m or None, and not zero beside rtol = 0"),
@@ -131,13 +133,10 @@ class GeneralizedAlpha:
             if self.adaptive:
                 piece = adapt(engine, self, model, state, begin, end, counts)
             else:
-                piece = march(engine, self, model, state, begin, end, split * self.number_of_steps(end - begin), counts)
+                count = split * enough_steps(model, state, begin, end, self.h)
+                piece = march(engine, self, model, state, begin, end, count, counts)
             for state in piece:
                 yield state
-
-    def number_of_steps(self, length):
-        """Equal steps in a length of time, none above h."""
-        return max(1, int(np.ceil(length / self.h * (1 - 1e-12))))
 
     def _engine(self, model, counts):
         if self.linear == "kkt" or not hasattr(model, "arrays"):
@@ -147,6 +146,10 @@ class GeneralizedAlpha:
         from polyida.integrate.alpha_stretches import Stretches
 
         return Stretches(self, model, counts)
+
+
+def _four(given):
+    return isinstance(given, (tuple, list, np.ndarray)) and len(given) == 4 and all(map(is_number, given))
 
 
 def _tuple(c):

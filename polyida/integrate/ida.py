@@ -31,8 +31,8 @@ class IDA:
     rtol: relative tolerance. atol: absolute tolerances; a number is that of q (m), with 1e3 1/s times it for v (m/s);
     a pair is (of q, of v); 2n numbers are those of every entry of (q, v). Default (1e-7, 1e-4).
     Multipliers are not in the error estimate.
-    max_order: 1 to 5; by default 2 where the model has undamped flexible bodies (BDF of order 3 to 5 is unstable beside
-    the imaginary axis, where their mesh modes lie) and 5 elsewhere.
+    max_order: 1 to 5; by default 2 where the model has flexible bodies (BDF of order 3 to 5 is unstable beside the
+    imaginary axis, where their mesh modes lie; only with all of them well damped is 5 the faster) and 5 elsewhere.
     form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
     are in integrate/ida_forms.py. index3 is there to be studied: it is slow, and fails on many models.
     linear: "auto" takes a scene's compiled callbacks, "kkt" the general ones that any model has, both through S = K + cj C
@@ -90,7 +90,7 @@ class IDA:
 
     def order(self, model):
         """The largest BDF order used on this model."""
-        return self.max_order or (2 if model.undamped_flexible else 5)
+        return self.max_order or (2 if model.flexible else 5)
 
     def steps(self, model, state, t_end, counts):
         """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.

@@ -3,6 +3,7 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_number
 from polyida.integrate.state import State
 
 
@@ -87,10 +88,9 @@ class Until:
 
     def _value(self, state):
         value = self.function(state.t, state.q, state.v)
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            number = np.nan
-        if not np.isfinite(number):
-            raise InputError(f"until: the function gave {value!r} at t = {state.t:.9g} s; it must give a finite number")
-        return number
+        value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
+        if is_number(value):
+            return float(value)
+        given = f"an array of shape {np.shape(value)}" if np.ndim(value) else repr(value)
+        wanted = "a finite number that changes sign where the run is to stop, like t - 0.02"
+        raise InputError(f"until: the function gave {given} at t = {state.t:.9g} s; it must give {wanted}")

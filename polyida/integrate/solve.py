@@ -63,6 +63,7 @@ def require_run(model, t_end, begin, integrator):
         raise InputError(
             f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)"
         )
+    getattr(integrator, "require", lambda model: None)(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
 

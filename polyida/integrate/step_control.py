@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.integrate.alpha_start import started
 from polyida.integrate.grid import Grid
+from polyida.integrate.segments import enough_steps
 from polyida.integrate.state import State, StepFailure
 
 RUNGS = 4  # a factor of two
@@ -15,11 +16,11 @@ LOWEST = 30 * RUNGS
 
 
 class Ladder:
-    """The rung of the step: 0 is the largest, each one down a factor 2^(1/4)."""
+    """The rung of the step: 0 is the largest, each one down a factor 2^(1/4). It begins at h, or near `most` below it."""
 
-    def __init__(self, largest, h=None):
-        self.largest = largest
-        self.rung = 0 if not h else int(np.clip(round(RUNGS * np.log2(largest / h)), 0, LOWEST))
+    def __init__(self, largest, h=None, most=np.inf):
+        self.largest, first = largest, min(h or np.inf, most, largest)
+        self.rung = int(np.clip(round(RUNGS * np.log2(largest / first)), 0, LOWEST))
 
     @property
     def h(self):
@@ -47,13 +48,14 @@ def calm_error(h, largest, rungs=2):
 
 def adapt(engine, settings, model, state, begin, end, counts):
     """Yield states from begin to end, h as the local error allows. Raises StepFailure below the lowest rung."""
-    ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0))), begin, []
+    most = (end - begin) / enough_steps(model, state, begin, end, settings.h)
+    ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0)), most), begin, []
     while t < end:
-        grid = _piece(t, end, ladder.h)
+        grid, moved = _piece(t, end, ladder.h), False
         engine.begin(started(settings, model, state, grid.h), grid.h)
         try:
             for state in engine.run(grid):
-                t = state.t
+                t, moved = state.t, True
                 counts.steps += 1
                 yield State(state.t, state.q, state.v, state.a, state.lam, state.memory, restart=bool(state.memory))
             failures = []
@@ -68,7 +70,7 @@ def adapt(engine, settings, model, state, begin, end, counts):
             _require_room(ladder, 0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
         elif engine.verdict == "near":
             ladder.up(engine.error)
-        state = engine.state(t)
+        state = engine.state(t) if moved else state  # not what the method started from: that is behind a kink already
 
 
 def _piece(t, end, h):

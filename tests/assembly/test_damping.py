@@ -15,7 +15,7 @@ def test_derivatives(scenes, element, damping):
     model, random = scene.build(), np.random.default_rng(3)
     q, v = 1e-3 * random.standard_normal(model.n), random.standard_normal(model.n)
     assert max(pi.check_derivatives(model, q=q, v=v).values()) < 1e-8
-    assert model.needs.velocity_forces == bool(damping) != model.undamped_flexible
+    assert model.needs.velocity_forces == bool(damping) and model.flexible
 
 
 def test_viscosity_does_not_brake_a_rigid_spin(scenes):

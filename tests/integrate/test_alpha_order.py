@@ -108,6 +108,9 @@ def test_spectral_radius_at_infinity(rho_inf):
     [
         (lambda: pi.GeneralizedAlpha.newmark(1e-3, 0.25, 0.5), "trapezoidal"),
         (lambda: pi.GeneralizedAlpha.newmark(1e-3, -0.1, 0.6), "beta > 0"),
+        (lambda: pi.GeneralizedAlpha.newmark(1e-3, "x", 0.6), "member = .*four numbers"),
+        (lambda: pi.GeneralizedAlpha.newmark(1e-3, None, 0.6), "member = .*four numbers"),
+        (lambda: pi.GeneralizedAlpha(1e-3, member=[[1, 2], 3, 4, 5]), "member = .*four numbers"),
         (lambda: pi.GeneralizedAlpha.hht(1e-3, 0.0), "alpha = 0.0"),
         (lambda: pi.GeneralizedAlpha.wbz(1e-3, "soft"), "alpha = 'soft'"),
         (lambda: pi.GeneralizedAlpha(1e-3, member=(0.1, 0.2)), "member"),
@@ -121,6 +124,15 @@ def test_spectral_radius_at_infinity(rho_inf):
 def test_settings_out_of_range(make, told):
     with pytest.raises(pi.InputError, match=told):
         make()
+
+
+def test_extrapolation_stops_where_its_runs_have_parted(scenes):
+    """Plates that swing for seconds on steps of 20 ms are sensitive to everything."""
+    scene = scenes.jointed("revolute")
+    run = pi.solve(scene.build(), 20.0, pi.GeneralizedAlpha(h=2e-2, extrapolate=True))
+    assert run.status == "extrapolation" and "apart in q" in run.message and len(run) > 10
+    strain = run.energy.strain
+    assert strain.max() < 10 * pi.solve(scene.build(), run.t[-1], pi.GeneralizedAlpha(h=1e-2)).energy.strain.max()
 
 
 def test_settings_survive_a_file(tmp_path):

@@ -96,7 +96,7 @@ def test_absolute_tolerances():
 
 def test_order_follows_the_model():
     flexible = Oscillator()
-    flexible.undamped_flexible = True
+    flexible.flexible = True
     assert (IDA().order(Oscillator()), IDA().order(flexible), IDA(max_order=4).order(flexible)) == (5, 2, 4)
 
 
