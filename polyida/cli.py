@@ -138,11 +138,16 @@ def _saved(result, path):
 
 @app.command("list")
 def list_scenes():
-    """List the scenes and problems that have a name."""
+    """List the scenes and problems that have a name: what is compared with which reference."""
     from polyida import problems
+    from polyida.problems.about import ABOUT
     from polyida.study.job import maker
 
-    _table(None, ["name", "what it is"], [[name, _description(maker(name))] for name in problems.names()])
+    def brief(name):
+        quantity, source = (ABOUT[name][key].split(";")[0] for key in ("quantity", "source"))
+        return f"{_description(maker(name))}\ncompared: {quantity}\nsource: {source}\n"
+
+    _table(None, ["name", "what it is"], [[name, brief(name)] for name in problems.names()])
 
 
 @app.command()

@@ -33,6 +33,12 @@ def is_one_of(value, known):
     return isinstance(value, str) and value in known
 
 
+def settle(part, **values):
+    """Give fields of a frozen part their checked values, in its __post_init__: kernels take floats alone."""
+    for name, value in values.items():
+        object.__setattr__(part, name, value)
+
+
 def floats(value):
     """The value as an array of finite floats, or None where it is anything else: text, ragged lists, complex numbers, nan."""
     try:

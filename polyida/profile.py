@@ -78,7 +78,8 @@ def _move(start, end, duration, begin, kind, coefficients):
     if not duration > 0:
         raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
     shape = np.polynomial.Polynomial(coefficients)
-    span = float(end) - float(start)
+    start, end, duration, begin = map(float, (start, end, duration, begin))
+    span = end - start
 
     def derivative(order):
         function, factor = shape.deriv(order) if order else shape, span / duration**order
@@ -92,17 +93,18 @@ def _move(start, end, duration, begin, kind, coefficients):
 
         return evaluate
 
-    formula = (kind, float(start), float(end), float(duration), float(begin))
+    formula = (kind, start, end, duration, begin)
     return Profile(derivative(0), derivative(1), derivative(2), (begin, begin + duration), formula)
 
 
 def sine(amplitude, frequency, phase=0.0):
     """`amplitude sin(2 pi frequency t + phase)`; frequency in Hz, phase in rad. Raises InputError for what is no finite number."""
     _require_numbers("sine", amplitude=amplitude, frequency=frequency, phase=phase)
+    amplitude, frequency, phase = map(float, (amplitude, frequency, phase))
     w = 2 * np.pi * frequency
     return Profile(lambda t: amplitude * np.sin(w * t + phase), lambda t: amplitude * w * np.cos(w * t + phase),
                    lambda t: -amplitude * w * w * np.sin(w * t + phase),
-                   formula=("sine", float(amplitude), float(frequency), float(phase)))
+                   formula=("sine", amplitude, frequency, phase))
 
 
 def from_function(value, d1=None, d2=None, kinks=()):

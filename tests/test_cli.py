@@ -180,12 +180,16 @@ def test_nothing_is_left_behind_when_the_users_code_fails(folder):
     assert not list(folder.glob("*-compare"))
 
 
-def test_list_names_every_scene(capsys):
+def test_list_names_every_scene_with_what_is_compared_and_its_source(capsys, monkeypatch):
     from polyida import problems
 
+    monkeypatch.setenv("COLUMNS", "100")
     assert main(["list"]) == 0
-    out = capsys.readouterr().out
-    assert all(name in out for name in problems.names())
+    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert [line.split()[0] for line in lines if line.split() and line.split()[0] in problems.names()] == [*problems.names()]
+    for start in ("compared: ", "source: "):
+        assert sum(line.startswith(start) for line in lines) == len(problems.names())
+    assert "compared: q in m, v in m/s, lam in N/m, at t = 3 s" in lines
 
 
 def test_show_animate_and_export_read_a_saved_run(saved, folder, capsys):

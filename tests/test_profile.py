@@ -79,3 +79,10 @@ def test_what_does_not(given):
 def test_bad_moves(name, values):
     with pytest.raises(InputError, match=name):
         MOVES[name](*values)
+
+
+@pytest.mark.parametrize("kind", [np.int32, np.uint32, np.float32])
+def test_numbers_of_any_type_are_floats(kind):
+    for make, given in ((profile.sine, (2, 3, 1)), (profile.quintic, (0, 1, 100000)), (profile.linear, (1, 2, 4, 3))):
+        one, other = make(*map(kind, given)), make(*map(float, given))
+        assert [one.at(t) for t in (0.5, 3.5)] == [other.at(t) for t in (0.5, 3.5)] and one.formula == other.formula

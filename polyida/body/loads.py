@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida.body.material import vector2
 from polyida.errors import InputError
+from polyida.given import settle
 from polyida.joint.attachment import Attachment, labelled, require_attachment
 from polyida.profile import Profile, as_profile, constant
 
@@ -22,8 +23,7 @@ class PointLoad:
     def __post_init__(self):
         label = labelled("PointLoad", self.name)
         require_attachment(label, self.at)
-        vector2(label, "force", self.force)
-        object.__setattr__(self, "profile", as_profile(self.profile, label))
+        settle(self, force=tuple(vector2(label, "force", self.force).tolist()), profile=as_profile(self.profile, label))
 
     def nodal(self):
         """Nodal forces on the attachment's nodes at profile value 1, (k, 2), N."""
@@ -44,8 +44,8 @@ class EdgeTraction:
         require_attachment(label, self.at)
         if not self.at.length > 0:
             raise InputError(f"{label}: {self.at!r} has no length to act on; use a section of two neighbouring nodes or more")
-        vector2(label, "traction", self.traction)
-        object.__setattr__(self, "profile", as_profile(self.profile, label))
+        traction = tuple(vector2(label, "traction", self.traction).tolist())
+        settle(self, traction=traction, profile=as_profile(self.profile, label))
 
     def nodal(self):
         """Nodal forces on the section's nodes at profile value 1, (k, 2), N: exact for the elements' linear edges."""

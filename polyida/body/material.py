@@ -3,16 +3,28 @@
 from dataclasses import dataclass
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_one_of
+from polyida.given import floats, is_number, is_one_of, settle
+
+NUMBERS = ("E", "nu", "rho", "viscosity", "mass_damping")
 
 
 @dataclass(frozen=True)
 class Material:
     """St. Venant-Kirchhoff, `S = E/(1 - nu^2) [(1 - nu) E_GL + nu tr(E_GL) I]` in plane stress.
 
-    E: Young's modulus, Pa, > 0. nu: Poisson's ratio in (-1, 0.5). rho: density, kg/m3, > 0. plane: "stress" or "strain"; plane
-    strain is the same formula with E/(1 - nu^2) and nu/(1 - nu). viscosity: Kelvin-Voigt time, s, >= 0: `S = D : (E_GL + viscosity E_GL')`,
-    objective. mass_damping: Rayleigh's mass-proportional part, 1/s, >= 0: a force `mass_damping M v`. Raises InputError naming the value that is out of range.
+    E: Young's modulus, Pa, > 0. nu: Poisson's ratio in (-1, 0.5). rho: density, kg/m3, > 0. plane: "stress" or
+    "strain"; plane strain is the same formula with E/(1 - nu^2) and nu/(1 - nu).
+
+    viscosity: Kelvin-Voigt time, s, >= 0: `S = D : (E_GL + viscosity E_GL')`. It is Rayleigh's stiffness-proportional
+    part about the state at rest, where a mode of frequency w rad/s has the damping ratio `viscosity w / 2`; it is
+    objective, so rigid motion, however fast, dissipates nothing. The stabilisation of virtual elements is not damped
+    by it: what their cells' constant F does not see swings on freely.
+    mass_damping: Rayleigh's mass-proportional part, 1/s, >= 0: a force `mass_damping M v` with the plate's M (point
+    masses are not damped), the damping ratio `mass_damping / (2 w)`. It acts on the velocity itself, as a medium at
+    rest would: rigid motion is braked too, a free plate slows down as `exp(-mass_damping t)` and falls at `g /
+    mass_damping` at most.
+
+    All numbers are kept as floats. Raises InputError naming the value that is out of range.
     """
 
     E: float
@@ -33,6 +45,7 @@ class Material:
         ):
             if not good:
                 raise InputError(f"Material: {name} = {value!r} must be {want}")
+        settle(self, **{name: float(getattr(self, name)) for name in NUMBERS})
 
     @property
     def damped(self):

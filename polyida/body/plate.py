@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.body.material import Material, positive, vector2
 from polyida.errors import InputError
-from polyida.given import is_number, is_one_of
+from polyida.given import is_number, is_one_of, settle
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.mesh import PolygonMesh
 
@@ -20,11 +20,15 @@ MOST_CORNERS = 16  # beyond, the corner modes of one polygon are 1e-3 of its sti
 class Plate:
     """A flexible plate in plane stress or plane strain, meshed by convex polygons.
 
-    mesh: PolygonMesh, m. thickness: m. origin: where the mesh's (0, 0) lies, m. angle: turn about it, rad. name: how joints, tables
-    and files call it (given by the scene where it is None). element: "wachspress", or "virtual" (first-order virtual element, which takes
-    any simple polygon and whose accuracy in bending depends on its stabilisation `tau`, a tuning parameter).
-    Raises InputError for a thickness that is not positive, an unknown element, a cell that is a sliver; for wachspress, a cell that is not strictly convex or of
-    more than 16 corners.
+    mesh: PolygonMesh, m. thickness: m. origin: where the mesh's (0, 0) lies, m. angle: turn about it, rad. name: how
+    joints, tables and files call it (given by the scene where it is None). element: "wachspress", or "virtual" (virtual
+    element of first order, which takes any simple polygon).
+    tau: of virtual elements alone, no unit, > 0, usually 0.1: the stiffness, as a part of t tr(C), of the deformations
+    that a cell's constant F does not see. Larger is stiffer and smaller softer in bending, most on coarse meshes (a
+    cantilever of 2 cells through the thickness: its tip moves 3.5 % too far with 0.1 and 43 % too little with 0.5).
+    The limit under mesh refinement is the same for every tau.
+    Numbers are kept as floats. Raises InputError for a thickness or tau that is not positive, an unknown element, a
+    cell that is a sliver; for wachspress, a cell that is not strictly convex or of more than 16 corners.
     """
 
     mesh: PolygonMesh
@@ -39,18 +43,18 @@ class Plate:
 
     def __post_init__(self):
         label = labelled("Plate", self.name)
-        object.__setattr__(self, "label", label)
+        settle(self, label=label)
         if not isinstance(self.mesh, PolygonMesh):
             raise InputError(f"{label}: mesh is {type(self.mesh).__name__}, a polyida mesh is needed (polyida.mesh.rectangle, read, ...)")
         if not isinstance(self.material, Material):
             raise InputError(f"{label}: material is {self.material!r}, a polyida.Material is needed")
-        positive(label, "thickness", self.thickness, "metres")
-        vector2(label, "origin", self.origin)
+        settle(self, thickness=positive(label, "thickness", self.thickness, "metres"),
+               origin=tuple(vector2(label, "origin", self.origin).tolist()))
         if not is_number(self.angle):
             raise InputError(f"{label}: angle = {self.angle!r} must be a finite number of rad")
         if not is_one_of(self.element, ELEMENTS):
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
-        positive(label, "tau", self.tau, "no unit")
+        settle(self, angle=float(self.angle), tau=positive(label, "tau", self.tau, "no unit"))
         self._require_thick_cells()
         if self.element == "wachspress":
             self._of_mesh(self.mesh.require_convex)

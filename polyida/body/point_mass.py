@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from polyida.body.material import positive
+from polyida.given import settle
 from polyida.joint.attachment import Attachment, labelled, require_attachment
 
 
@@ -17,4 +18,4 @@ class PointMass:
     def __post_init__(self):
         label = labelled("PointMass", self.name)
         require_attachment(label, self.at)
-        positive(label, "mass", self.mass, "kilograms")
+        settle(self, mass=positive(label, "mass", self.mass, "kilograms"))

@@ -152,7 +152,7 @@ class Steps:
         """
         tolerance = self.settings.tolerance * max(self.size, _rms(a)) / self.to_a
         coarse = 16 * EPS * (_rms(q) + self.extent)
-        fine = 16 * EPS * (_rms(dd) if self.carries else _rms(q))
+        fine = 16 * EPS * _rms(dd) if self.carries else 0.25 * EPS * _rms(q)
         stalled = iteration and rate > SLOW and moved <= coarse
         small = moved <= 1e-3 * tolerance or (iteration and rate < 1 and moved * rate / (1 - rate) <= tolerance)
         if not (small or stalled or moved <= fine):

@@ -1,5 +1,6 @@
-"""Ready problems with published references: `get(name)` gives a Problem, `names()` what there is."""
+"""Ready problems with references: `get(name)` gives a Problem, `names()` what there is."""
 
+import inspect
 from dataclasses import dataclass, field
 from importlib import import_module
 
@@ -15,7 +16,9 @@ class Problem:
 
     model: a Model. q0, v0 (n,): initial state at t = 0, or None where the model's own is meant. t_end: s.
     reference: {"q": (n,), "v": (n,), "lam": (m,), ...} at t_end, as far as known, in the model's signs and units.
-    source: where the reference comes from. quantity: what is compared, and in which measure.
+    source: where the reference comes from. quantity: what is compared, in which measure and units.
+    known_to: {part: how far the reference may be off}, in the reference's units; of computed ones, how far two
+    independent methods are apart. measures: {part: function(run)} for parts that are no array of a run's frames.
     """
 
     name: str
@@ -26,11 +29,38 @@ class Problem:
     reference: dict = field(default_factory=dict)
     source: str = ""
     quantity: str = ""
+    known_to: dict = field(default_factory=dict)
+    measures: dict = field(default_factory=dict)
 
     def errors(self, **found):
-        """{name: largest absolute deviation from the reference}, for every given array that the reference knows."""
-        return {name: float(np.abs(np.asarray(value) - self.reference[name]).max())
-                for name, value in found.items() if name in self.reference}
+        """{name: largest absolute deviation from the reference} of every given value, of the reference's shape.
+
+        Raises InputError for a name that the reference does not know, and for another shape.
+        """
+        return {name: self._error(name, value) for name, value in found.items()}
+
+    def compare(self, run):
+        """`errors` of a run at its end, for all that the reference knows. Raises InputError where it ends elsewhere."""
+        if abs(run.t[-1] - self.t_end) > 1e-9 * self.t_end:
+            raise InputError(f"problem {self.name!r}: the run ends at t = {run.t[-1]:g} s, "
+                             f"the reference is known at t = {self.t_end:g} s")
+        return self.errors(**{name: self._measured(name, run) for name in self.reference})
+
+    def _measured(self, name, run):
+        return self.measures[name](run) if name in self.measures else getattr(run, name)[-1]
+
+    def _error(self, name, value):
+        if name not in self.reference:
+            known = ", ".join(self.reference) or "nothing for these options"
+            raise InputError(f"problem {self.name!r}: {name!r} is not in the reference, which knows {known}")
+        shape = np.shape(self.reference[name])
+        try:
+            value = np.asarray(value, float)
+        except (TypeError, ValueError):
+            raise InputError(f"problem {self.name!r}: {name} must be numbers of shape {shape}") from None
+        if value.shape != shape:
+            raise InputError(f"problem {self.name!r}: {name} has shape {value.shape}, the reference has {shape}")
+        return float(np.abs(value - self.reference[name]).max())
 
 
 # name -> "module:function"; the function returns a Problem and may take options
@@ -52,8 +82,21 @@ def names():
 
 
 def get(name, **options):
-    """The Problem of this name, made with `options`; InputError where there is none of that name."""
+    """The Problem of this name, made with `options`.
+
+    Raises InputError where there is none of that name, and for an option it does not take or cannot be made with,
+    naming the options there are.
+    """
     if not is_one_of(name, MAKERS):
         raise InputError(f"problem {name!r} is unknown; there are {', '.join(MAKERS)}")
     module, function = MAKERS[name].split(":")
-    return getattr(import_module(module), function)(**options)
+    make = getattr(import_module(module), function)
+    known = tuple(inspect.signature(make).parameters)
+    takes = f"its options are {', '.join(known)}" if known else "it has no options"
+    for option in options:
+        if option not in known:
+            raise InputError(f"problem {name!r} has no option {option!r}; {takes}")
+    try:
+        return make(**options)
+    except InputError as error:
+        raise InputError(f"problem {name!r}: {error}; {takes}") from None

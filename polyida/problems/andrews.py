@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.model import Model, Needs
 from polyida.problems import Problem
+from polyida.problems.about import ABOUT
 
 BETA, THETA, GAMMA, PHI, DELTA, OMEGA, EPSILON = range(7)
 m1, m2, m3, m4, m5, m6, m7 = 0.04325, 0.00365, 0.02373, 0.00706, 0.0705, 0.00706, 0.05498
@@ -132,5 +133,6 @@ def problem():
                            16743.62929479361, -566749.3645176222, 9826.520791458423]),
             "lam": np.array([199.175333373191, -29.75531228015052, 23.06654119098399, 31.45271365475927,
                              22.64249232082739, 11.61740700019673])},
-        source="IVP test set, Andrews' squeezing mechanism (PSIDE)",
-        quantity="q at t = 0.03 s, largest absolute error in rad")
+        # DOP853 at relative tolerances of 1e-12 and 2.3e-14 agrees with itself to 1e-11 rad, with these to:
+        known_to={"q": 1.5e-9, "v": 5.5e-7, "a": 0.06, "lam": 1.5e-5},
+        **ABOUT["andrews"])

@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.model import Model, Needs
 from polyida.problems import Problem
+from polyida.problems.about import ABOUT
 
 L, L0, RADIUS, OMEGA = 1.0, 0.5, 0.1, 10.0
 MASS = 10 * 0.01**2 / 2
@@ -71,4 +72,5 @@ def problem():
             "q": np.array([0.04934557842754028, 0.49698946023017115, 1.0417425248854215, 0.37391102726536124]),
             "v": np.array([-0.07705836840409723, 0.007446866587237785, 0.017556815753723223, 0.7703410437792519]),
             "lam": np.array([0.004736886590848933, 0.0011046803312573436])},
-        source="IVP test set, car axis problem (PSIDE)", quantity="q at t = 3 s, largest absolute error")
+        known_to={"q": 2e-13, "v": 5e-12, "lam": 4e-15},  # how near DOP853 comes at a relative tolerance of 2.3e-14
+        **ABOUT["car-axis"])

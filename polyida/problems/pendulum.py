@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.model import Model, Needs
 from polyida.problems import Problem
+from polyida.problems.about import ABOUT
 
 TABLE = (  # t, x, y
     (1.0, 0.9862917511318754, -0.165010853125541),
@@ -56,5 +57,5 @@ def problem():
     return Problem(
         name="pendulum", model=Pendulum(), q0=np.array([-1.0, 0.0]), v0=np.zeros(2), t_end=10.0,
         reference={"q": np.array([x, y]), "v": speed * np.array([-y, x]), "lam": np.array([tension])},
-        source="IFToMM library of computational benchmark problems, A01 planar simple pendulum; elliptic closed form",
-        quantity="position at t = 10 s, largest absolute error in m")
+        known_to={"q": 2e-12, "v": 8e-12, "lam": 6e-11},  # how near DOP853 comes at a relative tolerance of 2.3e-14
+        **ABOUT["pendulum"])

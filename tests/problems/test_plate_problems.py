@@ -1,0 +1,43 @@
+"""The plates against their digits at 1 s: a run of moderate accuracy, the default meshes, other meshes."""
+
+import numpy as np
+import pytest
+
+from polyida import problems
+from polyida.errors import InputError
+from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.solve import solve
+
+PLATES = ("double-plate", "double-plate-motors", "plate-chain")
+
+
+@pytest.mark.parametrize("name", PLATES)
+def test_a_run_of_moderate_accuracy_meets_the_digits(name):
+    p = problems.get(name)
+    run = solve(p.model, p.t_end, GeneralizedAlpha(h=1e-4), every=10**9)
+    errors = p.compare(run)
+    assert errors["tip"] < 1e-6 and errors["tip_velocity"] < 1e-3 and errors["lam"] < 0.3, errors
+
+
+@pytest.mark.parametrize("name", PLATES)
+def test_the_digits_are_of_one_state(name):
+    """How well each is known is said, and better than what is compared with them."""
+    p = problems.get(name)
+    assert set(p.reference) == set(p.known_to) == set(p.measures) | {"lam"}
+    shapes = {part: value.shape for part, value in p.reference.items()}
+    assert shapes == {"tip": (2,), "tip_velocity": (2,), "lam": (p.model.m,)}
+    assert p.known_to["tip"] < 1e-8 and p.known_to["tip_velocity"] < 1e-5 and p.known_to["lam"] < 0.05
+
+
+@pytest.mark.parametrize("name", PLATES)
+def test_other_meshes_have_no_digits(name):
+    p = problems.get(name, cells=8)
+    assert p.reference == p.known_to == {} and "no reference for this mesh" in p.source
+    with pytest.raises(InputError, match="'q' is not in the reference, which knows nothing for these options"):
+        p.errors(q=np.zeros(p.model.n))
+
+
+def test_a_run_that_ends_elsewhere_is_refused():
+    p = problems.get("plate-chain")
+    with pytest.raises(InputError, match="the run ends at t = 0.01 s, the reference is known at t = 1 s"):
+        p.compare(solve(p.model, 0.01, GeneralizedAlpha(h=1e-3)))
