@@ -95,10 +95,10 @@ JOINTS = {  # kind: what holds the upper plate, what holds the lower one to it; 
 }
 
 
-def jointed(kind, angle=None, bend=0.4, gravity=GRAVITY, cells=20, mass=0.5):
+def jointed(kind, angle=None, bend=0.4, gravity=GRAVITY, cells=20, mass=0.5, **options):
     """A scene of two plates and a tip mass with the joint of a kind in it, called "joint"."""
     angle = pi.profile.quintic(0.0, 0.6, duration=0.5) if angle is None else angle
-    scene, upper, lower = pair(gravity, cells, bend)
+    scene, upper, lower = pair(gravity, cells, bend, **options)
     for joint in JOINTS[kind]((upper.section("left"), upper.section("right")), lower.section("left"), angle):
         scene.add(joint)
     scene.add(pi.PointMass(lower.section("right"), mass, name="tip"))

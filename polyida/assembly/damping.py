@@ -3,8 +3,25 @@
 They stand apart from the undamped pass: a scene without damping neither evaluates nor compiles them.
 """
 
+import numpy as np
+
+from polyida.assembly.equilibrium import tangent_blocks
 from polyida.compiled import entry
 from polyida.element import kernels, two_states
+
+
+def symmetric_blocks(model, u, c_m, c_v):
+    """Blocks (nnz, 2, 2) of `c_m M + c_v C + K` of a scene's plates at u (nodes, 2), C and K as if at rest there.
+
+    What K has of velocities beside is not symmetric, and small; Newton does without.
+    """
+    plates, blocks, damped = model.arrays.plates, np.empty((len(model.pattern[1]), 2, 2)), model.needs.velocity_forces
+    tangent_blocks(plates, u, c_m, 0.0 if damped else 1.0, blocks)
+    if damped:
+        viscous = np.empty_like(blocks)
+        damped_blocks(plates, u, np.zeros_like(u), c_v, 1.0, viscous)
+        blocks += viscous
+    return blocks
 
 
 @entry

@@ -17,7 +17,7 @@ class SceneModel(Model):
     """Plates, joints and masses as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
 
     bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read. `rows` names the slice
-    of phi and lam that belongs to each joint. fused: IDA may take its compiled callbacks (scenes without damping). Matrices are scipy.sparse.
+    of phi and lam that belongs to each joint. Matrices are scipy.sparse.
     """
 
     def __init__(self, parts, gravity):
@@ -31,8 +31,7 @@ class SceneModel(Model):
         links = self.arrays.links
         motors = links.joint_kind == rows.MOTOR
         both = motors & (links.joint_a >= 0) & (links.joint_b >= 0)
-        damped = any(body.plate.material.damped for body in self.bodies)
-        self.flexible, self.fused = True, not damped
+        damped, self.flexible = any(body.plate.material.damped for body in self.bodies), True
         self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool(motors.any()), phi_q_varies=bool(both.any()))
         self.reference = np.concatenate([body.points for body in self.bodies])
 

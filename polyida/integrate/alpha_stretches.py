@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.damping import damped_blocks
+from polyida.assembly.damping import symmetric_blocks
 from polyida.integrate import alpha_scene as compiled
 from polyida.integrate.alpha_arrays import AGE, ERROR, FORWARD, MARKS, MOVED, RATE, Memory, Method, trial
 from polyida.integrate.alpha_increment import drive_table, extent, gain_table, start_values
@@ -175,12 +175,7 @@ class Stretches:
         model, p, w = self.model, self.method, self.trial
         self.factored_at = w.u.ravel().copy()
         kernels.equilibrium(model.arrays, drives, w.u, w.a, w.lam, w.r, w.phi, w.rotation, w.dz, w.forces)
-        blocks = np.empty((len(model.pattern[1]), 2, 2))
-        kernels.tangent_blocks(model.arrays.plates, w.u, p.to_a, 1.0 if self.damp is None else 0.0, blocks)
-        if self.damp is not None:
-            viscous = np.empty_like(blocks)
-            damped_blocks(model.arrays.plates, w.u, np.zeros_like(w.u), p.to_v, 1.0, viscous)
-            blocks += viscous
+        blocks = symmetric_blocks(model, w.u, p.to_a, p.to_v)
         self.counts.residuals += 1
         self.counts.tangents += 1
         self.counts.factorizations += 1

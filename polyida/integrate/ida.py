@@ -137,7 +137,7 @@ def _far_side(model, state, t):
 
 def _callbacks(settings, model, counts):
     """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form."""
-    if getattr(model, "fused", False) and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
+    if hasattr(model, "arrays") and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
         from polyida.integrate.ida_scene import SceneSolve, SceneSystem
 
         system = SceneSystem(model, settings.form, settings.rate)

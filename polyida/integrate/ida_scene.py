@@ -10,6 +10,7 @@ import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
+from polyida.assembly.damping import add_damping, symmetric_blocks
 from polyida.compiled import entry
 from polyida.integrate.ida_border import stabilised_border
 from polyida.integrate.ida_forms import System
@@ -78,8 +79,11 @@ def overlap(links, points, nodes):
 
 
 @entry
-def residual(s, w, drives, y, yp, integrated, res):
-    """IDA's F(t, y, y') of ggl2 (integrated False) or ggl1 into res; returns the least det F."""
+def residual(s, w, drives, y, yp, integrated, damp, res):
+    """IDA's F(t, y, y') of ggl2 (integrated False) or ggl1 into res; returns the least det F.
+
+    damp: scratch (nodes, 2) of a damped scene, or None.
+    """
     n, m = 2 * w.u.shape[0], w.phi.shape[0]
     multipliers = yp if integrated else y
     for k in range(m):
@@ -89,9 +93,12 @@ def residual(s, w, drives, y, yp, integrated, res):
         w.dq[i, 0], w.dq[i, 1] = yp[n + 2 * i], yp[n + 2 * i + 1]
     det, cosine = kernels.equilibrium(s, drives, w.u, w.dq, w.lam, w.right, w.phi, w.rotation, w.dz, w.forces)
     for i in range(n // 2):
+        w.dq[i, 0], w.dq[i, 1] = y[n + 2 * i], y[n + 2 * i + 1]
+    if damp is not None:
+        add_damping(s.plates, w.u, w.dq, damp, w.right)
+    for i in range(n // 2):
         res[n + 2 * i], res[n + 2 * i + 1] = w.right[i, 0], w.right[i, 1]
         w.right[i, 0], w.right[i, 1] = yp[2 * i] - y[n + 2 * i], yp[2 * i + 1] - y[n + 2 * i + 1]
-        w.dq[i, 0], w.dq[i, 1] = y[n + 2 * i], y[n + 2 * i + 1]
     joints.point_values(s.links, w.dq, w.vz)
     joints.joint_rates(s.links, drives, w.dz, w.vz, w.rate, w.bias)
     joints.joint_velocities(s.links, drives, w.dz, w.vz, w.rate)
@@ -127,14 +134,21 @@ def momentum_reach(s, c, cr, w, reach):
 
 
 @entry
-def solve(s, c, cm, cr, w, drives, cj, integrated, r, z):
-    """z = J^-1 r; c and cm (its reach that of M A^T) at this cj. False where it is singular."""
+def solve(s, c, cm, cr, w, drives, cj, integrated, damp, r, z):
+    """z = J^-1 r; c and cm (its reach that of M A^T) at this cj. False where it is singular.
+
+    Of the damping C, linear in v, it lacks C B^T dmu, as good as zero, and what S lacks (`SceneSolve`).
+    """
     n, m = 2 * w.u.shape[0], w.phi.shape[0]
     for i in range(n // 2):
         w.dq[i, 0], w.dq[i, 1] = cj * r[2 * i], cj * r[2 * i + 1]
         w.right[i, 0], w.right[i, 1] = r[n + 2 * i], r[n + 2 * i + 1]
     kernels.momentum(s.plates, w.dq, w.right)
     joints.point_values(s.links, w.dq, w.moved)
+    if damp is not None:
+        for i in range(n // 2):
+            w.dq[i, 0], w.dq[i, 1] = r[2 * i], r[2 * i + 1]
+        add_damping(s.plates, w.u, w.dq, damp, w.right)
     for f in range(w.moved.shape[0]):
         w.moved[f, 0] *= s.links.point_mass[f]
         w.moved[f, 1] *= s.links.point_mass[f]
@@ -163,10 +177,12 @@ class SceneSystem(System):
     def __init__(self, model, form, rate):
         super().__init__(model, form, rate)
         self.room = room(model)
+        self.damp = np.empty((model.n_nodes, 2)) if model.needs.velocity_forces else None
 
     def residual(self, t, y, yp, res):
         """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where an element is inside out or a motor flipped."""
-        det = residual(self.model.arrays, self.room, self.model.drives(self.clamp(t)), y, yp, self.form.integrated, res)
+        det = residual(self.model.arrays, self.room, self.model.drives(self.clamp(t)), y, yp, self.form.integrated, self.damp,
+                       res)
         if not det > 0:
             res[:] = math.nan
 
@@ -179,10 +195,9 @@ class SceneSolve(EchoedSolve):
     """IDA's linear callbacks for a SceneSystem: a co-rotated factor of the plates and the border."""
 
     def setup(self, t, y, yp, res, cj):
-        """Factor `S = K + cj^2 M` at y, in the frame of the rotations that the last residual saw."""
+        """Factor `S = K + cj C + cj^2 M` at y, in the frame of the rotations that the last residual saw."""
         model, w = self.system.model, self.system.room
-        blocks = np.empty((len(model.pattern[1]), 2, 2))
-        kernels.tangent_blocks(model.arrays.plates, w.u, cj * cj, 1.0, blocks)
+        blocks = symmetric_blocks(model, w.u, cj * cj, cj)
         self.counts.tangents += 1
         self.counts.factorizations += 1
         try:
@@ -199,5 +214,5 @@ class SceneSolve(EchoedSolve):
         """z = J^-1 r; nan where there is no factor."""
         model, system = self.system.model, self.system
         if not math.isfinite(self.cj) or not solve(model.arrays, self.plain, self.massive, self.scratch, system.room,
-                                                   model.drives(system.clamp(t)), self.cj, system.form.integrated, r, z):
+                                                   model.drives(system.clamp(t)), self.cj, system.form.integrated, system.damp, r, z):
             z[:] = math.nan
