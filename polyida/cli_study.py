@@ -4,28 +4,31 @@ import argparse
 import json
 import math
 import sys
+from itertools import chain
 from pathlib import Path
 
 from polyida.errors import InputError
 from polyida.machine import machine_info
+from polyida.study.findings import findings
 from polyida.study.harness import of_other_code, plain, results, write_whole
+
+CELL = 40  # characters of a table's cell
 
 
 def main(study, arguments=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`. Prints the table, writes figures.json and pictures.
+    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`.
 
-    Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is kept.
+    Prints the table, writes figures.json and pictures. Failed tasks are rows and lines; figures that need them are
+    null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
+    kept.
     """
     options = parser(study).parse_args(arguments)
     out = Path(options.out or f"{study.name}{'-quick' if options.quick else ''}")
     tasks = out / "tasks"
     try:
-        if out.exists() and not out.is_dir():
-            raise InputError(f"{out}: is a file; give a folder with --out")
-        if options.fresh and tasks.is_dir():
-            for path in tasks.glob("*.json"):
-                path.unlink()
-        rows = results(study, options.quick, tasks, _shown)
+        rows = _results(study, options, out)
+        found = findings(study, rows, out)
+        data = _write_figures(study, options, rows, found, out)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
@@ -33,22 +36,31 @@ def main(study, arguments=None):
         sys.exit(f"stopped; what is done is in {tasks}, the same command goes on from there")
     except OSError as error:
         sys.exit(f"error: {error}; what is done is in {tasks}, the same command goes on from there")
-    figures = {name: float(value) for name, value in study.figures(rows).items()}
-    _write_figures(study, options, rows, figures, out)
-    _print(study, rows, figures, study.draw(rows, out), out)
+    _print(study, rows, found, out)
     other = of_other_code(study, options.quick, tasks)
     if other:
         print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
-    return json.loads((out / "figures.json").read_text(encoding="utf-8"))
+    return data
 
 
-def _write_figures(study, options, rows, figures, out):
-    """figures.json: strict JSON, so that what is not finite is null there."""
+def _results(study, options, out):
+    tasks = out / "tasks"
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; give a folder with --out")
+    if options.fresh and tasks.is_dir():
+        for path in tasks.glob("*.json"):
+            path.unlink()
+    return results(study, options.quick, tasks, _shown)
+
+
+def _write_figures(study, options, rows, found, out):
+    """figures.json, and what it holds: strict JSON, so that what is not finite is null there."""
     command = f"python studies/{study.name}.py{' --quick' if options.quick else ''}"
     kept = [{name: value for name, value in row.items() if name != "traceback"} for row in rows]
-    data = {"figures": figures, "rows": kept, "machine": machine_info(), "command": command}
+    data = {"figures": found.figures, "notes": found.notes, "rows": kept, "machine": machine_info(), "command": command}
     text = json.dumps(_finite(json.loads(json.dumps(data, default=plain))), indent=1, allow_nan=False)
     write_whole(out / "figures.json", text)
+    return json.loads(text)
 
 
 def _finite(value):
@@ -74,28 +86,28 @@ def _shown(done, total, task):
         print(f"\r\033[K{done}/{total} {name[:100]}", end="" if done < total else "\n", file=sys.stderr, flush=True)
 
 
-def _print(study, rows, figures, pictures, out):
+def _print(study, rows, found, out):
     from rich.console import Console
     from rich.table import Table
 
     console = Console(width=None if sys.stdout.isatty() else 160)
-    columns = study.columns or tuple(dict.fromkeys(name for row in rows for name in row if name not in ("error", "traceback")))
+    columns = study.columns or [name for name in dict.fromkeys(chain(*rows)) if name not in ("error", "traceback")]
     table = Table(*columns, title=study.title)
     for row in rows:
         table.add_row(*(shown(row.get(name, "")) for name in columns))
     console.print(table)
-    for name, value in figures.items():
+    for name, value in found.figures.items():
         console.print(f"{name}: {value:.6g}", highlight=False)
-    named = {name for task in study.tasks(False) + study.tasks(True) for name in task}
-    failed = [(", ".join(f"{name} {row[name]}" for name in row if name in named), row["error"]) for row in rows if row.get("error")]
-    lines = study.notes(rows) + [f"failed: {name[:100]}: {error}" for name, error in failed]
-    console.print("What failed, and what the numbers mean:" if lines else "Nothing failed.")
-    for line in lines:
+    console.print("What failed, and what the numbers mean:" if found.notes else "Nothing failed.")
+    for line in found.notes:
         console.print(f"  {line}", highlight=False, markup=False)
-    for path in [out / "figures.json", *pictures]:
+    for path in [out / "figures.json", *found.pictures]:
         console.print(f"wrote {path}", highlight=False)
 
 
 def shown(value):
-    """A table's cell."""
-    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
+    """A table's cell; long texts are cut, figures.json has them whole."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    text = "" if value is None else str(value)
+    return text if len(text) <= CELL else f"{text[:CELL - 1]}…"

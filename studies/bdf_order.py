@@ -4,6 +4,7 @@ from polyida.cli_study import main
 from polyida.study.drawing import drawn, look, panels, saved
 from polyida.study.harness import Study
 from polyida.study.order import run_order
+from polyida.study.rows import column, each, last, number, pick, stopped, value
 
 ORDERS = (1, 2, 3, 4, 5)
 
@@ -18,54 +19,88 @@ def tasks(quick):
     ]
 
 
-def pick(rows, **wanted):
-    return [row for row in rows if not row.get("error") and all(row.get(key) == value for key, value in wanted.items())]
-
-
-def figures(rows):
+def ratios(rows):
+    """Steps per simulated second at order 5 over those at order 2, for each material."""
     found = {}
-    for viscosity in dict.fromkeys(row["viscosity"] for row in pick(rows)):
-        per_second = {row["max_order"]: row["steps_per_s"] for row in pick(rows, viscosity=viscosity)}
-        name = "steps_order5_over_order2" + (f"_viscosity_{viscosity:.0e}" if viscosity else "")
-        found[name] = per_second[5] / per_second[2]
-    undamped = {row["max_order"]: row for row in pick(rows, viscosity=0.0)}
-    return found | {
-        "steps_order2": undamped[2]["steps"],
-        "steps_order5": undamped[5]["steps"],
-        "tip_error_order2": undamped[2]["tip_error"],
-        "cpu_order5_over_order2": undamped[5]["cpu_s"] / undamped[2]["cpu_s"],
+    for viscosity in each(rows, "viscosity"):
+        high, low = (number(rows, "steps_per_s", viscosity=viscosity, max_order=order) for order in (5, 2))
+        found["steps_order5_over_order2" + (f"_viscosity_{viscosity:.0e}" if viscosity else "")] = high / low
+    return found
+
+
+def undamped(rows):
+    low, high = (last(rows, viscosity=0.0, max_order=order) for order in (2, 5))
+    return {
+        "steps_order2": value(low, "steps"),
+        "steps_order5": value(high, "steps"),
+        "tip_error_order2": value(low, "tip_error"),
+        "cpu_order5_over_order2": value(high, "cpu_s") / value(low, "cpu_s"),
     }
 
 
 def notes(rows):
-    lines = [
-        f"viscosity {row['viscosity']:g} s, order {row['max_order']}: {row['outcome'][:140]}"
-        for row in pick(rows)
-        if row["outcome"] != "done"
-    ]
-    return lines + [
-        "ratios compare steps per simulated second, so that a run that met its cap counts with what it covered"
-    ]
+    capped = [row for row in pick(rows) if row["outcome"] != "done"]
+    lines = stopped(rows, "viscosity", "max_order", length=140)
+    covered = "; ".join(
+        f"order {row['max_order']} at viscosity {row['viscosity']:g} s {row['t_reached']:.3g} s" for row in capped
+    )
+    if capped:
+        lines.append(
+            f"ratios compare steps per simulated second, as {len(capped)} of {len(rows)} runs stopped early: {covered}"
+        )
+    return lines
 
 
 @drawn
-def draw(rows, folder):
-    made, axes = panels(2, height=3.0)
-    for i, viscosity in enumerate(dict.fromkeys(row["viscosity"] for row in rows)):
+def bdf_order_figure(rows, folder):
+    made, axes = panels(2 if pick(rows) else 0, width=7.4, height=3.6)
+    steps_panel(axes[0], rows)
+    history_panel(axes[1], rows)
+    for axis in [axis for axis in axes if axis.lines]:
+        axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return saved(made, folder, "bdf-order")
+
+
+def steps_panel(axis, rows):
+    """Steps per simulated second against the highest order; runs that stopped are hollow."""
+    for i, viscosity in enumerate(each(rows, "viscosity")):
         runs = pick(rows, viscosity=viscosity)
         label = f"viscosity {viscosity:g} s" if viscosity else "undamped"
-        axes[0].semilogy(
-            [row["max_order"] for row in runs], [row["steps_per_s"] for row in runs], label=label, **look(i)
+        axis.semilogy(column(runs, "max_order"), column(runs, "steps_per_s"), label=label, **look(i))
+    ended = [row for row in pick(rows) if row["outcome"] != "done"]
+    if ended:
+        axis.plot(
+            column(ended, "max_order"),
+            column(ended, "steps_per_s"),
+            "o",
+            markersize=9,
+            markerfacecolor="none",
+            color="#222222",
+            markeredgewidth=0.8,
+            label="stopped before the end",
         )
-    for i, row in enumerate(pick(rows, viscosity=0.0)):
-        axes[1].semilogy(
-            row["t"], row["h"], label=f"order {row['max_order']}", **look(i) | {"marker": "", "linestyle": "-"}
-        )
-    axes[0].set(xlabel="highest order", ylabel="steps per simulated second", xticks=ORDERS)
-    axes[1].set(xlabel="t, s", ylabel="step, s (mean of ten)", title="undamped")
-    for axis in axes:
-        axis.legend(loc="best", fontsize=7)
-    return saved(made, folder, "bdf-order")
+    axis.set(xlabel="highest order of BDF", ylabel="steps per simulated second", xticks=ORDERS)
+
+
+def history_panel(axis, rows):
+    """Steps over time of the undamped plates; a cross where a run stopped."""
+    for i, order in enumerate(ORDERS):
+        row = last(rows, viscosity=0.0, max_order=order)
+        if row is None:
+            continue
+        axis.semilogy(row["t"], row["h"], label=f"order {order}", **look(i) | {"marker": "", "linestyle": "-"})
+        if row["outcome"] != "done":
+            axis.plot(
+                row["t"][-1],
+                row["h"][-1],
+                "x",
+                color=look(i)["color"],
+                markersize=8,
+                markeredgewidth=2.0,
+                zorder=5,
+                label=f"order {order} stopped, {row['t_reached']:.3g} s",
+            )
+    axis.set(xlabel="t, s", ylabel="step of the undamped plates, s")
 
 
 COLUMNS = (
@@ -87,10 +122,11 @@ STUDY = Study(
     "IDA on the swinging double plate: the highest order of BDF",
     tasks,
     run_order,
-    figures,
-    draw,
+    (ratios, undamped),
+    bdf_order_figure,
     COLUMNS,
     notes=notes,
+    headline=("steps_order5_over_order2",),
 )
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from polyida.linear.kkt import SCALINGS
 from polyida.study import conditioning, solve_error
 from polyida.study.drawing import drawn, fitted, legend, loglog, panels, saved, slope_line
 from polyida.study.harness import Study
+from polyida.study.rows import every, farthest, number, pick, worst
 
 
 def steps(quick):
@@ -95,79 +96,68 @@ def theory(of, form, scaling):
     return conditioning.ALPHA_SCALINGS[scaling] if form == "(q, lam)" else conditioning.ALPHA_UNKNOWNS[form[1]]
 
 
-def pick(rows, **wanted):
-    return [row for row in rows if not row.get("error") and all(row[key] == value for key, value in wanted.items())]
-
-
 def figures(rows):
-    physical = pick(rows, of="alpha", form="(q, lam)", scaling="physical")
-    unscaled = pick(rows, of="alpha", form="(q, lam)", scaling="none")
+    physical = {"of": "alpha", "form": "(q, lam)", "scaling": "physical"}
+    unscaled = {"of": "alpha", "form": "(q, lam)", "scaling": "none"}
     found = {
-        "slope_unscaled": pick(unscaled, plates="soft")[0]["slope"],
-        "slope_unscaled_worst": max((row["slope_limit"] for row in unscaled), key=lambda slope: abs(slope + 4)),
-        "scaled_condition_max": max(row["worst"] for row in physical),
-        "scaled_condition_at_1e-9_max": max(row["at_1e-9"] for row in physical),
+        "slope_unscaled": number(rows, "slope", plates="soft", **unscaled),
+        "slope_unscaled_worst": farthest(every(rows, "slope_limit", **unscaled), -4),
+        "scaled_condition_max": worst(rows, "worst", **physical),
+        "scaled_condition_at_1e-9_max": worst(rows, "at_1e-9", **physical),
     }
-    for row in physical:
+    for row in pick(rows, **physical):
         found[f"scaled_condition_max_{row['plates']}"] = row["worst"]
-    free = {row["plates"]: row["values"] for row in pick(rows, form="S on free motions")}
-    found["scaled_over_free_max"] = max(np.max(np.divide(row["values"], free[row["plates"]])) for row in physical)
-    found["ida_scaled_slope_limit_max"] = max(
-        abs(row["slope_limit"]) for row in pick(rows, of="IDA", scaling="characteristic")
+    found["scaled_over_free_max"] = over_free(rows, pick(rows, **physical))
+    found["ida_scaled_slope_limit_max"] = abs(
+        farthest(every(rows, "slope_limit", of="IDA", scaling="characteristic"), 0)
     )
     for row in pick(rows, of="IDA", scaling="none", plates="soft"):
         found[f"slope_limit_{row['form']}"] = row["slope_limit"]
     return found
 
 
-def notes(rows):
-    found = figures(rows)
-    lines = [
+def over_free(rows, physical):
+    """Largest scaled condition number over that of S on the free motions, where both are there."""
+    free = {row["plates"]: row["values"] for row in pick(rows, form="S on free motions")}
+    ratios = [np.max(np.divide(row["values"], free[row["plates"]])) for row in physical if row["plates"] in free]
+    return max(ratios, default=float("nan"))
+
+
+def size_notes(rows):
+    return [
         f"scaled condition numbers exceed 1e4: {row['plates']}, up to {row['worst']:.2g} at h <= 1e-2. "
         "They are the plates' own, of S on the motions that the constraints leave free; no scaling of the border helps"
         for row in pick(rows, of="alpha", form="(q, lam)", scaling="physical")
         if row["worst"] > 1e4
     ]
-    lines.append(
-        f"the border adds at most a factor {found['scaled_over_free_max']:.2g} to S on the free motions, at every h"
-    )
-    for row in rows:
-        if "solve" in row["of"] and not row.get("error") and row["at_1e-9"] > 1e-3:
-            lines.append(
-                f"no digits at 1e-9: {row['of']}, {row['form']}, scaling {row['scaling']}, {row['plates']}: "
-                f"{row['at_1e-9']:.1g}"
-            )
-    return lines
+
+
+def border_notes(rows):
+    added = figures(rows)["scaled_over_free_max"]
+    return [f"the border adds at most a factor {added:.2g} to S on the free motions, at every h"] if added > 0 else []
+
+
+def solve_notes(rows):
+    return [
+        f"no digits at 1e-9: {row['of']}, {row['form']}, scaling {row['scaling']}, {row['plates']}: "
+        f"{row['at_1e-9']:.1g}"
+        for row in pick(rows)
+        if "solve" in row["of"] and row["at_1e-9"] > 1e-3
+    ]
+
+
+def label_of(row):
+    return f"{row['form']}{'' if row['scaling'] in '-' else ', ' + row['scaling']}"
 
 
 @drawn
-def draw(rows, folder):
-    return (
-        alpha_figure(rows, folder)
-        + ida_figure(rows, folder)
-        + solve_figure(rows, folder, "solve-error", "step h, s", [("solve", scaling) for scaling in SCALINGS])
-        + solve_figure(
-            rows,
-            folder,
-            "solve-error-ida",
-            "1 / cj, s",
-            [(f"IDA solve, {form}", scaling) for form in ("ggl2", "index1") for scaling in IDA_SCALINGS[::-1]],
-        )
-    )
-
-
 def alpha_figure(rows, folder):
     made, axes = panels(2, height=3.4)
+    labels = list(dict.fromkeys(label_of(row) for row in pick(rows, of="alpha")))
     for axis, plates in zip(axes, ("soft", "steel")):
         kept = pick(rows, of="alpha", plates=plates)
-        for i, row in enumerate(kept):
-            loglog(
-                axis,
-                row["h"],
-                row["values"],
-                i,
-                f"{row['form']}{'' if row['scaling'] in '-' else ', ' + row['scaling']}",
-            )
+        for row in kept:
+            loglog(axis, row["h"], row["values"], labels.index(label_of(row)), label_of(row))
         for row in kept:
             if row["scaling"] == "none":
                 slope_line(axis, row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
@@ -176,11 +166,12 @@ def alpha_figure(rows, folder):
     return saved(made, folder, "condition-alpha")
 
 
+@drawn
 def ida_figure(rows, folder):
     made, axes = panels(2, height=3.4, sharey=True)
     for axis, scaling, title in zip(axes, ("none", "characteristic"), ("raw", "scaled by characteristic sizes")):
-        for i, row in enumerate(pick(rows, of="IDA", plates="soft", scaling=scaling)):
-            loglog(axis, row["h"], row["values"], i, row["form"])
+        for row in pick(rows, of="IDA", plates="soft", scaling=scaling):
+            loglog(axis, row["h"], row["values"], list(conditioning.IDA_SLOPES).index(row["form"]), row["form"])
         axis.set(xlabel="1 / cj, s", title=f"IDA, soft plates, {title}")
     axes[0].set_ylabel("condition number")
     legend(made, axes, 6)
@@ -191,14 +182,25 @@ def solve_figure(rows, folder, name, step, shown):
     """Errors on steel plates, a panel for each (of, scaling)."""
     made, axes = panels(len(shown), width=7.4, height=3.3, columns=len(shown), sharey=True)
     for axis, (of, scaling) in zip(axes, shown):
-        for i, row in enumerate(pick(rows, of=of, plates="steel", scaling=scaling)):
-            loglog(axis, row["h"], row["values"], i, row["form"])
+        for row in pick(rows, of=of, plates="steel", scaling=scaling):
+            loglog(axis, row["h"], row["values"], list(solve_error.BACKENDS).index(row["form"]), row["form"])
         form = of.removeprefix("IDA solve, ")
         title = f"scaling: {scaling}" if of == form else f"{form}, {'raw' if scaling == 'none' else 'scaled'}"
         axis.set(xlabel=step, title=title, ylim=(1e-16, 1e3))
     axes[0].set_ylabel("relative error of the solve")
     legend(made, axes, 2)
     return saved(made, folder, name)
+
+
+@drawn
+def solve_alpha_figure(rows, folder):
+    return solve_figure(rows, folder, "solve-error", "step h, s", [("solve", scaling) for scaling in SCALINGS])
+
+
+@drawn
+def solve_ida_figure(rows, folder):
+    kinds = [(f"IDA solve, {form}", scaling) for form in ("ggl2", "index1") for scaling in IDA_SCALINGS[::-1]]
+    return solve_figure(rows, folder, "solve-error-ida", "1 / cj, s", kinds)
 
 
 COLUMNS = ("of", "plates", "form", "scaling", "theory", "slope", "slope_limit", "at_1e-2", "at_1e-9", "worst", "error")
@@ -208,9 +210,10 @@ STUDY = Study(
     tasks,
     run,
     figures,
-    draw,
+    (alpha_figure, ida_figure, solve_alpha_figure, solve_ida_figure),
     COLUMNS,
-    notes=notes,
+    notes=(size_notes, border_notes, solve_notes),
+    headline=("slope_unscaled", "scaled_condition_max"),
 )
 
 if __name__ == "__main__":

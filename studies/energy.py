@@ -3,9 +3,10 @@
 import numpy as np
 
 from polyida.cli_study import main
-from polyida.study.drawing import drawn, legend, look, panels, saved
+from polyida.study.drawing import drawn, legend, look, panels, saved, tag
 from polyida.study.harness import Study
 from polyida.study.long_run import balance
+from polyida.study.rows import pick, stopped, worst
 
 STEP = 2e-3
 MEMBERS = {
@@ -21,6 +22,8 @@ MEMBERS = {
     "IDA ggl1": 1e-5,
     "IDA index1": 1e-5,
 }
+DRAWN = ("alpha", "alpha, rho 0.5", "alpha, Richardson", "Newmark", "energy-momentum", "IDA ggl2", "IDA index1")
+LOST = 1.0  # relative change beyond which a run has nothing to do with the motion any more
 
 
 def tasks(quick):
@@ -37,23 +40,17 @@ def run(scene, integrator, x, time, cells):
     return balance(scene, integrator, x, time, cells)
 
 
-def pick(rows, **wanted):
-    return [row for row in rows if not row.get("error") and all(row.get(key) == value for key, value in wanted.items())]
-
-
-def figures(rows):
-    found = {
-        "energy_momentum_relative_drift": max(
-            row["energy_drift"] for row in pick(rows, scene="swinging", integrator="energy-momentum")
-        )
+def headline(rows):
+    return {
+        "energy_momentum_relative_drift": worst(rows, "energy_drift", scene="swinging", integrator="energy-momentum")
     }
-    for row in pick(rows, scene="swinging"):
-        found[f"energy_drift_{short(row)}"] = row["energy_drift"]
+
+
+def drifts(rows):
+    found = {f"energy_drift_{short(row)}": row["energy_drift"] for row in pick(rows, scene="swinging")}
     for row in pick(rows, scene="thrown"):
-        found[f"angular_momentum_drift_{short(row)}"], found[f"linear_momentum_drift_{short(row)}"] = (
-            row["angular_drift"],
-            row["linear_drift"],
-        )
+        found[f"angular_momentum_drift_{short(row)}"] = row["angular_drift"]
+        found[f"linear_momentum_drift_{short(row)}"] = row["linear_drift"]
     return found
 
 
@@ -62,34 +59,61 @@ def short(row):
     return f"{name}_{row['x']:.0e}"
 
 
-def notes(rows):
-    lines = [
-        f"{row['scene']}, {row['integrator']} at {row['x']:g}: {row['outcome'][:140]}"
+def label(row):
+    return f"{row['integrator']}, {tag('rtol' if row['integrator'].startswith('IDA') else 'h', row['x'])}"
+
+
+def stop_notes(rows):
+    """Runs that stopped; their drifts are those up to there."""
+    return [f"{line}; drifts are up to there" for line in stopped(rows, "scene", "integrator", "x", length=140)]
+
+
+def gain_notes(rows):
+    return [
+        f"{row['scene']}, {label(row)} gains {max(row['energy']):.3g} times the scale of its energy"
         for row in pick(rows)
-        if row["outcome"] != "done"
+        if max(row["energy"]) > 1e-3
     ]
-    gains = [row for row in pick(rows) if max(row["energy"]) > 1e-3]
-    return lines + [
-        f"{row['scene']}, {row['integrator']} at {row['x']:g} gains {max(row['energy']):.1%} of its energy"
-        for row in gains
-    ]
+
+
+def running(row, what):
+    """(t, largest |change| so far), and whether it ends there: cut once it exceeds LOST, or where the run stopped."""
+    t, size = np.asarray(row["t"], float), np.maximum.accumulate(np.abs(np.asarray(row[what], float)))
+    lost = size > LOST
+    return t[~lost], np.maximum(size[~lost], 1e-16), bool(lost.any()) or row["outcome"] != "done"
+
+
+def draw_change(axis, rows, scene, what):
+    for i, member in enumerate(DRAWN):
+        for dash, row in zip(("-", (0, (4, 1.6))), pick(rows, scene=scene, integrator=member)):
+            t, size, cut = running(row, what)
+            style = look(i) | {"marker": "", "linestyle": dash}
+            axis.semilogy(t[1:], size[1:], label=label(row), **style)
+            if cut and len(t) > 1:
+                axis.plot(t[-1], size[-1], "x", color=style["color"], markersize=7, markeredgewidth=1.8)
 
 
 @drawn
-def draw(rows, folder):
-    made, axes = panels(3, width=7.4, height=3.2, columns=3)
-    for scene, axis, what in (
-        ("swinging", axes[0], "energy"),
-        ("thrown", axes[1], "energy"),
-        ("thrown", axes[2], "angular"),
-    ):
-        for i, row in enumerate(pick(rows, scene=scene)):
-            size = np.maximum(np.abs(row[what]), 1e-16)
-            axis.semilogy(row["t"], size, label=f"{row['integrator']} {row['x']:.0e}", **look(i) | {"marker": ""})
+def energy_figure(rows, folder):
+    made, axes = panels(3, width=7.4, height=3.4, columns=3)
+    for axis, scene, what in zip(axes, ("swinging", "thrown", "thrown"), ("energy", "energy", "angular")):
+        draw_change(axis, rows, scene, what)
         axis.set(xlabel="t, s", title=f"{scene}: {'energy' if what == 'energy' else 'angular momentum'}")
-    axes[0].set_ylabel("relative change")
-    legend(made, axes, 4)
+    axes[0].set_ylabel("largest relative change so far")
+    legend(made, axes, 3)
     return saved(made, folder, "energy")
+
+
+def figure_notes(rows):
+    ended = [
+        f"{row['scene']} {label(row)}" for row in pick(rows) if row["integrator"] in DRAWN and running(row, "energy")[2]
+    ]
+    crosses = (
+        f"; a cross is where a run stopped or had changed by more than {LOST:g}: {'; '.join(ended)}" if ended else ""
+    )
+    others = sorted({row["integrator"] for row in pick(rows)} - set(DRAWN))
+    absent = f"; not drawn, but in the table: {'; '.join(others)}" if others else ""
+    return [f"the figure shows the largest change so far{crosses}{absent}"] if pick(rows) else []
 
 
 COLUMNS = (
@@ -111,10 +135,11 @@ STUDY = Study(
     "long-time energy and momentum; x is the step, s, or the tolerance",
     tasks,
     run,
-    figures,
-    draw,
+    (headline, drifts),
+    energy_figure,
     COLUMNS,
-    notes=notes,
+    notes=(stop_notes, gain_notes, figure_notes),
+    headline=("energy_momentum_relative_drift",),
 )
 
 if __name__ == "__main__":

@@ -7,58 +7,12 @@ from functools import cache
 from polyida.cli_study import main
 from polyida.problems.spin_up_beam import EXTENSION
 from polyida.study import mesh_cases
-from polyida.study.drawing import drawn, fitted, legend, loglog, look, panels, saved
+from polyida.study.drawing import aim_line, drawn, fitted, legend, loglog, look, panels, saved
 from polyida.study.harness import Study
+from polyida.study.mesh_selection import MEMBERS, POLYGONS, QUADS, SLENDER, tasks
+from polyida.study.rows import column, last, pick, value, worst
 
-MEMBERS = (
-    ("polygons", "wachspress"),
-    ("quads", "wachspress"),
-    ("triangles", "wachspress"),
-    ("polygons", "virtual"),
-    ("quads", "virtual"),
-)
-
-
-QUICK = {
-    "elastica": (2, 4, 8),
-    "cantilever": (2, 4, 8),
-    "csm1": (2, 4, 8),
-    "csm1 fine": (16, 40),
-    "frequencies": (2, 4),
-    "compliance": (2, 4, 8),
-    "spin-up": ((130, 1, 1e-2), (130, 2, 5e-3)),
-}
-FULL = {
-    "elastica": (2, 3, 4, 6, 8, 12),
-    "cantilever": (2, 3, 5, 10, 20),
-    "csm1": (2, 4, 8, 16),
-    "csm1 fine": (24, 40),
-    "frequencies": (2, 3, 4, 6, 8),
-    "compliance": (2, 4, 8, 16, 32),
-    "spin-up": ((65, 1, 1e-2), (130, 1, 1e-2), (130, 2, 5e-3), (260, 2, 5e-3), (260, 2, 2e-3)),
-}
-
-
-def tasks(quick):
-    sizes = QUICK if quick else FULL
-    loads = [{"load": load} for load in (1, 10)]
-    clamps = [{"clamp": clamp} for clamp in ("arc", "straight")]
-    made = grid("elastica", MEMBERS, sizes["elastica"], loads) + grid("csm1", MEMBERS, sizes["csm1"], clamps)
-    made += grid("csm1", MEMBERS[1:2], sizes["csm1 fine"][:1], clamps)
-    made += grid("csm1", MEMBERS[1:2], sizes["csm1 fine"][1:], clamps[:1] if quick else clamps)
-    made += grid("cantilever", MEMBERS, sizes["cantilever"]) + grid("frequencies", MEMBERS, sizes["frequencies"])
-    made += grid("compliance", MEMBERS[:1], sizes["compliance"], [{"at": at} for at in ("node", "section")])
-    return made + [grid("spin-up", MEMBERS[1:2], (ny,), [{"nx": nx, "h": h}])[0] for nx, ny, h in sizes["spin-up"]]
-
-
-def grid(case, members, sizes, options=({},)):
-    """All combinations as tasks."""
-    return [
-        {"case": case, "kind": kind, "element": element, "through": n} | option
-        for option in options
-        for kind, element in members
-        for n in sizes
-    ]
+STEADY = 12.0  # s, before which the swing shortens the spin-up beam a hundred times more than the turning lengthens it
 
 
 @cache
@@ -74,80 +28,165 @@ def run(case, kind, element, through, **options):
     return getattr(mesh_cases, case)(kind, element, through, **options)
 
 
-def pick(rows, **wanted):
-    kept = [
-        row for row in rows if not row.get("error") and "dof" in row and all(row.get(k) == v for k, v in wanted.items())
-    ]
-    return sorted(kept, key=lambda row: row["dof"])
+def by_size(rows, **wanted):
+    """Rows with these values that did not fail, from coarse to fine."""
+    return sorted(pick(rows, **wanted), key=lambda row: row.get("dof", 0))
 
 
-def figures(rows):
+def finest(rows, **wanted):
+    """The row of the finest mesh with these values, or None; if it failed, none of a coarser mesh stands in."""
+    all_of = [row for row in rows if all(row.get(key) == entry for key, entry in wanted.items())]
+    row = max(all_of, key=lambda row: (row["through"], row.get("nx", 0), -row.get("h", 0.0)), default=None)
+    return None if row is None or row.get("error") else row
+
+
+def of_member(member):
+    return dict(zip(("kind", "element"), member))
+
+
+def elastica(rows):
     found = {}
     for load in (1, 10):
-        for kind, element in MEMBERS:
-            found[f"elastica_{load}_error_{kind}_{element}"] = pick(
-                rows, case="elastica", load=load, kind=kind, element=element
-            )[-1]["deviation"]
+        for member in MEMBERS:
+            row = finest(rows, case="elastica", load=load, slenderness=50, **of_member(member))
+            found[f"elastica_{load}_error_{'_'.join(member)}"] = value(row, "deviation")
         found[f"elastica_{load}_error"] = found[f"elastica_{load}_error_polygons_wachspress"]
-    for clamp in ("arc", "straight"):
-        runs = pick(rows, case="csm1", clamp=clamp, kind="quads", element="wachspress")
-        found[f"csm1_error_{clamp}"] = runs[-1]["deviation"]
-        fine, coarse = (next(row for row in runs if row["through"] == n) for n in (16, 8))
-        found[f"csm1_extrapolated_error_{clamp}"] = mesh_cases.extrapolated(coarse["moved"], fine["moved"], clamp)
-    found["csm1_error"] = found["csm1_error_arc"]
-    found["spin_up_extension_error"] = pick(rows, case="spin-up")[-1]["deviation"]
-    for at in ("node", "section"):
-        runs = pick(rows, case="compliance", at=at)
-        found[f"compliance_growth_{at}"] = runs[-1]["compliance"] / runs[0]["compliance"] - 1
-    for kind, element in MEMBERS:
-        runs = pick(rows, case="cantilever", kind=kind, element=element)
-        found[f"cantilever_order_{kind}_{element}"] = -2 * fitted(
-            [row["dof"] for row in runs], [row["deviation"] for row in runs]
-        )
-        last = pick(rows, case="frequencies", kind=kind, element=element)[-1]
-        found[f"bending_frequency_error_{kind}_{element}"], found[f"axial_frequency_error_{kind}_{element}"] = (
-            abs(last["bending_errors"][0]),
-            max(map(abs, last["axial_errors"])),
-        )
+        slender = finest(rows, case="elastica", load=load, slenderness=SLENDER, kind="quads")
+        found[f"elastica_{load}_error_slender_quads_wachspress"] = value(slender, "deviation")
     return found
 
 
-def notes(rows):
-    found = figures(rows)
+def csm1(rows):
+    found = {}
+    for clamp in ("arc", "straight"):
+        quads = {"case": "csm1", "clamp": clamp} | of_member(QUADS[0])
+        found[f"csm1_error_{clamp}"] = value(finest(rows, **quads), "deviation")
+        fine, coarse = (last(rows, through=n, **quads) for n in (16, 8))
+        if fine and coarse:
+            found[f"csm1_extrapolated_error_{clamp}"] = mesh_cases.extrapolated(coarse["moved"], fine["moved"], clamp)
+    polygons = finest(rows, case="csm1", clamp="arc", **of_member(POLYGONS[0]))
+    return found | {"csm1_error": found["csm1_error_arc"], "csm1_error_arc_polygons": value(polygons, "deviation")}
+
+
+def spin_up(rows):
+    return {"spin_up_extension_error": value(finest(rows, case="spin-up"), "deviation")}
+
+
+def joints(rows):
+    found = {}
+    for at in ("node", "section"):
+        runs = column(by_size(rows, case="compliance", at=at), "compliance")
+        found[f"compliance_growth_{at}"] = runs[-1] / runs[0] - 1 if len(runs) > 1 else float("nan")
+    return found
+
+
+def rates(rows):
+    found = {}
+    for member in MEMBERS:
+        name, runs = "_".join(member), by_size(rows, case="cantilever", **of_member(member))
+        found[f"cantilever_order_{name}"] = -2 * fitted(column(runs, "dof"), column(runs, "deviation"))
+        if row := finest(rows, case="frequencies", **of_member(member)):
+            found[f"bending_frequency_error_{name}"] = abs(row["bending_errors"][0])
+            found[f"axial_frequency_error_{name}"] = max(map(abs, row["axial_errors"]))
+    return found
+
+
+def aim_notes(rows):
+    found = elastica(rows) | csm1(rows) | spin_up(rows)
     aims = {"elastica_1_error": 1e-3, "elastica_10_error": 1e-3, "csm1_error": 1e-3, "spin_up_extension_error": 1e-2}
-    lines = [f"{name} = {found[name]:.2g} misses {aim:g}" for name, aim in aims.items() if found[name] > aim]
-    lines.append(
-        f"a joint at one node does not converge: its compliance grows by {found['compliance_growth_node']:.1%} to the "
-        f"finest mesh, that of a section by {found['compliance_growth_section']:.1e}"
+    return [f"{name} = {found[name]:.2g} misses {aim:g}" for name, aim in aims.items() if found[name] > aim]
+
+
+def csm1_notes(rows):
+    """Which mesh csm1_error is of, and how far the finest of the others are."""
+    lines = []
+    for clamp in ("arc", "straight"):
+        ends = [finest(rows, case="csm1", clamp=clamp, **of_member(member)) for member in MEMBERS]
+        told = [
+            f"{row['kind']}, {row['element']} {row['deviation']:.2%} ({row['through']} cells through the thickness, "
+            f"{row['dof']} degrees of freedom)"
+            for row in ends
+            if row
+        ]
+        lines += [f"CSM1, {clamp} clamp, on the finest mesh of each: {'; '.join(told)}"] if told else []
+    best = finest(rows, case="csm1", clamp="arc", **of_member(QUADS[0]))
+    return lines + ([f"csm1_error is that of quads with {best['through']} through the thickness"] if best else [])
+
+
+def elastica_notes(rows):
+    """How much of the elastica's error no mesh takes away: the reference has neither shear nor stretch."""
+    lines = []
+    for load in (1, 10):
+        for member in QUADS + POLYGONS:
+            wanted = {"case": "elastica", "load": load} | of_member(member)
+            stout, slender = (
+                by_size(rows, slenderness=50, **wanted)[-2:],
+                by_size(rows, slenderness=SLENDER, **wanted)[-2:],
+            )
+            if stout and slender:
+                told = [" and ".join(f"{row['deviation']:.1e}" for row in kept) for kept in (stout, slender)]
+                lines.append(
+                    f"elastica, PL^2/EI = {load}, {', '.join(member)}, finest meshes: {told[0]} at L/h = 50, "
+                    f"{told[1]} at L/h = {SLENDER}; the reference has no shear, which adds 1.2 (h/L)^2 "
+                    f"to small deflections: {1.2 / 50**2:.1e} and {1.2 / SLENDER**2:.1e}"
+                )
+    return lines
+
+
+def joint_notes(rows):
+    found = joints(rows)
+    if not all(abs(growth) < float("inf") for growth in found.values()):
+        return []
+    return [
+        f"compliance from the coarsest to the finest mesh: a joint at one node {found['compliance_growth_node']:+.1%}, "
+        f"which does not converge, that of a section {found['compliance_growth_section']:+.1e}"
+    ]
+
+
+def locking_notes(rows):
+    off = worst(
+        [
+            row
+            for row in (finest(rows, case="elastica", load=load, slenderness=50, kind="triangles") for load in (1, 10))
+            if row
+        ],
+        "deviation",
     )
-    triangles = max(found["elastica_1_error_triangles_wachspress"], found["elastica_10_error_triangles_wachspress"])
-    lines.append(f"linear triangles lock in bending: {triangles:.1%} off on the finest elastica")
-    lines.append(
-        "elastica: the reference has neither shear nor stretch; at L/h = 50 shear alone adds 1.2 (h/L)^2 = 5e-4 to u"
+    return (
+        [f"linear triangles on the finest elastica are up to {off:.1%} off: they lock in bending"] if off > 0.01 else []
     )
+
+
+def rate_notes(rows):
+    """Elements whose error in the short cantilever does not fall from mesh to mesh."""
+    lines = []
+    for member in MEMBERS:
+        errors = column(by_size(rows, case="cantilever", **of_member(member)), "deviation")
+        if (errors[1:] > errors[:-1]).any():
+            told = ", ".join(f"{error:.1e}" for error in errors)
+            lines.append(
+                f"short cantilever, {', '.join(member)}: errors {told} do not fall steadily; "
+                "the fitted order says nothing"
+            )
     return lines
 
 
 @drawn
-def draw(rows, folder):
-    return convergence_figure(rows, folder) + joint_figure(rows, folder) + spin_up_figure(rows, folder)
-
-
 def convergence_figure(rows, folder):
     cases = {
-        "elastica, PL²/EI = 1": {"case": "elastica", "load": 1},
-        "elastica, PL²/EI = 10": {"case": "elastica", "load": 10},
+        "elastica, PL²/EI = 1, L/h = 50": {"case": "elastica", "load": 1, "slenderness": 50},
+        "elastica, PL²/EI = 10, L/h = 50": {"case": "elastica", "load": 10, "slenderness": 50},
         "CSM1, arc clamp": {"case": "csm1", "clamp": "arc"},
         "CSM1, straight clamp": {"case": "csm1", "clamp": "straight"},
-        "short cantilever, L/H = 10": {"case": "cantilever"},
-        "frequencies, L/H = 50": {"case": "frequencies"},
+        "short cantilever, L/h = 10": {"case": "cantilever"},
+        "frequencies, L/h = 50": {"case": "frequencies"},
     }
     made, axes = panels(len(cases), height=2.3)
     for axis, (title, wanted) in zip(axes, cases.items()):
-        for i, (kind, element) in enumerate(MEMBERS):
-            runs = pick(rows, kind=kind, element=element, **wanted)
-            loglog(axis, [row["dof"] for row in runs], [row["deviation"] for row in runs], i, f"{kind}, {element}")
-        axis.axhline(1e-3, color="#999999", linewidth=0.6, zorder=0)
+        for i, member in enumerate(MEMBERS):
+            runs = by_size(rows, **of_member(member), **wanted)
+            loglog(axis, column(runs, "dof"), column(runs, "deviation"), i, ", ".join(member))
+        aim_line(axis, 1e-3, "0.1 %")
         axis.set(title=title, ylabel="relative error")
     for axis in axes[-2:]:
         axis.set_xlabel("degrees of freedom")
@@ -155,26 +194,30 @@ def convergence_figure(rows, folder):
     return saved(made, folder, "mesh-convergence")
 
 
+@drawn
 def joint_figure(rows, folder):
     made, axes = panels(1, width=4.2, height=2.6)
     for i, at in enumerate(("node", "section")):
-        runs = pick(rows, case="compliance", at=at)
-        axes[0].semilogx(
-            [row["dof"] for row in runs], [row["compliance"] for row in runs], label=f"pulled at a {at}", **look(i)
-        )
+        runs = by_size(rows, case="compliance", at=at)
+        axes[0].semilogx(column(runs, "dof"), column(runs, "compliance"), label=f"pulled at a {at}", **look(i))
     axes[0].set(xlabel="degrees of freedom", ylabel="compliance over that of the bar")
     legend(made, axes, 2)
     return saved(made, folder, "node-against-section")
 
 
+@drawn
 def spin_up_figure(rows, folder):
-    made, axes = panels(2, height=2.6)
-    row = pick(rows, case="spin-up")[-1]
-    axes[0].plot(row["t"], row["w"], **look(0) | {"marker": ""})
-    axes[1].plot(row["t"], [1e3 * u for u in row["u"]], **look(0) | {"marker": ""})
-    axes[1].axhline(1e3 * EXTENSION, color="#D55E00", linewidth=0.9, linestyle=(0, (4, 2)))
-    axes[1].set(ylabel="extension, mm", xlabel="t, s", ylim=(-2, 1.5), title="steady turning: dashed, exact")
-    axes[0].set(ylabel="deflection, m", xlabel="t, s", title="spin-up beam, tip in the turning frame")
+    runs = by_size(rows, case="spin-up")
+    made, axes = panels(2 if runs else 0, height=2.8)
+    steady = [(t, 1e3 * u) for t, u in zip(runs[-1]["t"], runs[-1]["u"]) if t > STEADY]
+    axes[0].plot(runs[-1]["t"], runs[-1]["w"], color=look(0)["color"], linewidth=1.0)
+    axes[1].plot(*zip(*steady), color=look(0)["color"], linewidth=1.0, label="tip")
+    axes[1].axhline(
+        1e3 * EXTENSION, color=look(1)["color"], linewidth=1.0, linestyle=(0, (4, 2)), label="exact, steady turning"
+    )
+    axes[0].set(ylabel="deflection of the tip, m", xlabel="t, s", title="spin-up beam, in the turning frame")
+    axes[1].set(ylabel="extension, mm", xlabel="t, s", title=f"the same, t > {STEADY:g} s")
+    legend(made, axes, 2)
     return saved(made, folder, "spin-up")
 
 
@@ -184,6 +227,7 @@ COLUMNS = (
     "element",
     "through",
     "load",
+    "slenderness",
     "clamp",
     "at",
     "nx",
@@ -195,7 +239,15 @@ COLUMNS = (
     "error",
 )
 STUDY = Study(
-    "mesh_convergence", "meshes and elements against known answers", tasks, run, figures, draw, COLUMNS, notes=notes
+    "mesh_convergence",
+    "meshes and elements against known answers",
+    tasks,
+    run,
+    (elastica, csm1, spin_up, joints, rates),
+    (convergence_figure, joint_figure, spin_up_figure),
+    COLUMNS,
+    notes=(aim_notes, csm1_notes, elastica_notes, joint_notes, locking_notes, rate_notes),
+    headline=("elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"),
 )
 
 if __name__ == "__main__":

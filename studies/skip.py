@@ -5,6 +5,7 @@ import numpy as np
 from polyida.cli_study import main
 from polyida.study import skip
 from polyida.study.harness import Study
+from polyida.study.rows import each, pick
 
 
 def tasks(quick):
@@ -38,7 +39,9 @@ def draw(rows, folder):
     """A bar for each saving: CPU time without over with."""
     from polyida.show.style import PALETTE, figure, save, settings
 
-    names, sizes = list(dict.fromkeys(row["saving"] for row in rows)), list(dict.fromkeys(row["cells"] for row in rows))
+    names, sizes = each(rows, "saving"), each(rows, "cells")
+    if not pick(rows):
+        raise LookupError("no rows to draw")
     with settings():
         made, axes = figure(6.4, 1.0 + 0.26 * len(names))
         for k, cells in enumerate(sizes):

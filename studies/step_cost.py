@@ -5,6 +5,7 @@ import numpy as np
 from polyida.cli_study import main
 from polyida.study import peers
 from polyida.study import step_cost as cost
+from polyida.study.drawing import drawn
 from polyida.study.harness import Study
 
 DECADES = {"1e3": 1_000, "1e4": 10_000, "1e5": 100_000}
@@ -31,6 +32,7 @@ AIMS = {  # figure: aim, at most (True) or at least
     "cold_start_s": (3, True),
     "warm_start_s": (0.7, True),
 }
+HEADLINE = tuple(name for name in AIMS if not name.endswith("start_s"))  # the short selection starts no process
 PARTS = ("residual", "tangent", "factor", "solve", "rest")
 RUNS = {
     "step": cost.step_row,
@@ -112,14 +114,19 @@ def figures(rows):
     return found | {key: row[key] for row in only(rows, "start") for key in ("cold_start_s", "warm_start_s")}
 
 
-def notes(rows):
-    """Aims that are not reached, and the profile of the step that says why."""
-    found, best = figures(rows), floors(rows)
-    lines = [
+def aim_notes(rows):
+    """Aims that are not reached."""
+    found = figures(rows)
+    return [
         f"{name}: {found[name]:.3g}, aim {'at most' if most else 'at least'} {aim:.3g}"
         for name, (aim, most) in AIMS.items()
         if name in found and (found[name] > aim) == most
     ]
+
+
+def step_notes(rows):
+    """The profile of the step at each size, beside the floor."""
+    lines, best = [], floors(rows)
     for row in only(rows, "step", integrator="alpha", scene="scene 1"):
         floor = best.get(row["dof"], {"backend": "-", "factor_ms": np.nan, "solve_ms": np.nan})
         shares = ", ".join(f"{part} {100 * row[f'{part}_ms'] / row['ms_per_step']:.0f} %" for part in PARTS)
@@ -128,13 +135,23 @@ def notes(rows):
             f"({row['newton_iterations_per_step']:.2f} iterations); floor {floor['backend']}: "
             f"{floor['factor_ms']:.3g} + 3 x {floor['solve_ms']:.3g} ms"
         )
-    for row in only(rows, "memory"):
-        lines.append(
-            f"bytes_per_dof_1e5: peak resident memory of a process of {row['steps']} steps, Python and libraries "
-            f"({row['imported_bytes'] / 2**20:.0f} MiB) and model ({row['built_bytes'] / 2**20:.0f} MiB so far) "
-            f"included, over coordinates: {row['peak_bytes'] / 2**20:.0f} MiB; {row['frame_bytes'] / 2**20:.0f} MiB of "
-            "frames, in a file beyond 512 MiB"
-        )
+    return lines
+
+
+def memory_notes(rows):
+    """What the bytes of a coordinate are made of."""
+    return [
+        f"bytes_per_dof_1e5: peak resident memory of a process of {row['steps']} steps, Python and libraries "
+        f"({row['imported_bytes'] / 2**20:.0f} MiB) and model ({row['built_bytes'] / 2**20:.0f} MiB so far) "
+        f"included, over coordinates: {row['peak_bytes'] / 2**20:.0f} MiB; {row['frame_bytes'] / 2**20:.0f} MiB of "
+        "frames, in a file beyond 512 MiB"
+        for row in only(rows, "memory")
+    ]
+
+
+def start_notes(rows):
+    """What a fresh process spends before its first step, and what was left out."""
+    lines = []
     for row in only(rows, "start"):
         split = ", ".join(
             f"{what} {row[f'cold_{what}_s']:.2f} / {row[f'warm_{what}_s']:.2f}"
@@ -144,15 +161,9 @@ def notes(rows):
     return lines + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
 
 
-def draw(rows, folder):
-    """Cost of a step with the floors, and the parts of a step."""
-    from polyida.show.style import settings
-
-    with settings():
-        return [path for make in (_costs, _parts) for path in make(rows, folder)]
-
-
-def _costs(rows, folder):
+@drawn
+def cost_figure(rows, folder):
+    """Cost of a step with the floors."""
     from polyida.show.style import figure, line
 
     made, axes = figure(6.4, 4.6)
@@ -166,16 +177,22 @@ def _costs(rows, folder):
         if found:
             axes.loglog([row["n"] for row in found], [row[key] for row in found], marker=marker, label=label,
                         **line(k) | {"markersize": 4} | {"linewidth": 1.4 if marker == "o" else 0.8})
+    if not axes.lines:
+        raise LookupError("no rows to draw")
     axes.set(xlabel="coordinates", ylabel="CPU time, ms")
     made.legend(loc="outside lower center", ncols=2, fontsize=7)
     return _saved(made, folder, "step_cost")
 
 
-def _parts(rows, folder):
+@drawn
+def parts_figure(rows, folder):
+    """The parts of a step."""
     from polyida.show.style import PALETTE, figure
 
     made, axes = figure(6.4, 2.8)
     found, bottom = only(rows, "step", scene="scene 1", integrator="alpha"), 0.0
+    if not found:
+        raise LookupError("no rows to draw")
     for colour, part in zip(PALETTE, PARTS):
         share = np.array([100 * max(r[f"{part}_ms"], 0.0) / r["ms_per_step"] for r in found])
         axes.bar(range(len(found)), share, 0.6, bottom=bottom, label=part, color=colour)
@@ -198,8 +215,9 @@ study = Study(
     tasks,
     run,
     figures,
-    draw,
-    notes=notes,
+    (cost_figure, parts_figure),
+    notes=(aim_notes, step_notes, memory_notes, start_notes),
+    headline=HEADLINE,
     columns=(
         "part",
         "scene",

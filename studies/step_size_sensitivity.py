@@ -6,20 +6,16 @@ import numpy as np
 
 from polyida.cli_study import main
 from polyida.linear.kkt import SCALINGS
-from polyida.study.drawing import drawn, fitted, legend, loglog, panels, saved, slope_line
+from polyida.study import slopes
+from polyida.study.drawing import drawn, legend, loglog, nested, panels, saved, slope_line
 from polyida.study.harness import Study
-from polyida.study.sensitivity import PARTS, decades, order_errors, tiny_steps
+from polyida.study.rows import column, each, farthest, last, number, pick, stopped, value
+from polyida.study.sensitivity import decades, order_errors, reference_floor, tiny_steps
+from polyida.study.slopes import PARTS, SOLVES, WAYS, runs_of
 
-THEORY = {
-    "q": (3, 0),
-    "v": (2, -1),
-    "a": (2, -2),
-    "lam": (2, -2),
-}  # in h after a few steps: method, round-off of phi from positions
 COARSEST, HALVINGS, TIME = 1e-2, 5, 0.25
-WAYS = {"carried": True, "from positions": False}  # how phi is taken
-SOLVES = (*SCALINGS, "compiled")  # the whole matrix in a scaling, or the compiled steps through the Schur complement
 SCENES = ("scene 2", "smooth motors")
+PLAIN = "index3, plain start"
 
 
 def tasks(quick):
@@ -27,7 +23,7 @@ def tasks(quick):
     for kind in ("load", "motors"):
         made += [
             {"part": "order", "scene": kind, "cells": cells, "form": form, "halvings": k}
-            for form in ("index3", "stabilised", "index3, plain start")
+            for form in ("index3", "stabilised", PLAIN)
             for k in range(HALVINGS)
         ]
     return made + [
@@ -40,123 +36,164 @@ def tasks(quick):
 
 
 def run(part, scene, cells, **options):
-    if part == "order":
-        form, _, start = options["form"].partition(", ")
-        errors = order_errors(
-            scene, cells, COARSEST, options["halvings"], TIME, form=form, start="plain" if start else "consistent"
+    if part == "tiny":
+        compiled = options["solve"] == "compiled"
+        how = {"linear": "auto"} if compiled else {"linear": "kkt", "scaling": options["solve"]}
+        return tiny_steps(
+            scene, cells, options["h"], 1e-9, options["largest"], incremental_phi=WAYS[options["phi"]], **how
         )
-        return {f"error_{name}": value for name, value in errors.items()} | {"h": COARSEST / 2 ** options["halvings"]}
-    compiled = options["solve"] == "compiled"
-    how = {"linear": "auto"} if compiled else {"linear": "kkt", "scaling": options["solve"]}
-    return tiny_steps(scene, cells, options["h"], 1e-9, options["largest"], incremental_phi=WAYS[options["phi"]], **how)
+    form, _, plain = options["form"].partition(", ")
+    start = "plain" if plain else "consistent"
+    errors = order_errors(scene, cells, COARSEST, options["halvings"], TIME, form=form, start=start)
+    floor = reference_floor(scene, cells, COARSEST, TIME)
+    found = {f"error_{name}": value for name, value in errors.items()} | {
+        f"floor_{name}": value for name, value in floor.items()
+    }
+    return found | {"h": COARSEST / 2 ** options["halvings"]}
 
 
-def pick(rows, **wanted):
-    kept = [row for row in rows if not row.get("error") and all(row.get(key) == value for key, value in wanted.items())]
-    return sorted(kept, key=lambda row: row["h"])
+def orders(rows):
+    found = {f"order_{part}_{kind}": slopes.order(rows, kind, part) for part in PARTS for kind in ("load", "motors")}
+    for part in PARTS:
+        found[f"order_{part}"] = farthest([found[f"order_{part}_load"], found[f"order_{part}_motors"]], 2)
+    return found | {"order_a_plain_start": slopes.order(rows, "motors", "a", PLAIN)}
 
 
-def column(rows, name):
-    return np.array([np.nan if row.get(name) is None else row[name] for row in rows], float)
-
-
-def slope(rows, name, low, high):
-    kept = [row for row in rows if low * 0.99 <= row["h"] <= high * 1.01]
-    return fitted(column(kept, "h"), column(kept, name))
-
-
-def figures(rows):
+def smallest_step(rows):
     found = {}
-    for part in PARTS:
-        for kind in ("load", "motors"):
-            runs = pick(rows, part="order", scene=kind, form="index3")
-            found[f"order_{part}_{kind}"] = fitted(column(runs, "h"), column(runs, f"error_{part}"))
-        found[f"order_{part}"] = min(
-            found[f"order_{part}_load"], found[f"order_{part}_motors"], key=lambda order: -abs(order - 2)
-        )
-    plain = pick(rows, part="order", scene="motors", form="index3, plain start")
-    found["order_a_plain_start"] = fitted(column(plain, "h"), column(plain, "error_a"))
     for phi, name in (("carried", ""), ("from positions", "_phi_from_positions")):
-        end = pick(rows, part="tiny", scene="scene 2", phi=phi, solve="compiled", h=1e-9)[0]
-        found[f"lam_error_h1e-9{name}"], found[f"acceleration_error_h1e-9{name}"] = end["error_lam"], end["error_a"]
-    runs = pick(rows, part="tiny", scene="smooth motors", phi="from positions", solve="physical")
-    for part in PARTS:
-        found[f"slope_method_{part}"] = slope(runs, f"error_{part}", 1e-4, 1e-2)
-        found[f"slope_round_off_{part}"] = slope(runs, f"error_{part}", 1e-9, 1e-7)
-    for phi in WAYS:
-        runs = pick(rows, part="tiny", scene="scene 2", phi=phi, solve="physical")
-        found[f"stall_slope_phi_{phi.replace(' ', '_')}"] = slope(runs, "stall_q", 1e-9, 1e-5)
+        end = last(rows, part="tiny", scene="scene 2", phi=phi, solve="compiled", h=1e-9)
+        found[f"lam_error_h1e-9{name}"] = value(end, "error_lam")
+        found[f"acceleration_error_h1e-9{name}"] = value(end, "error_a")
     return found
 
 
-def notes(rows):
-    found = figures(rows)
+def fitted_slopes(rows):
+    return {name: slope for name, _, _, slope, _ in slopes.table(rows)}
+
+
+def order_notes(rows):
     lines = [
-        f"slopes after a few steps, {part}: method {found[f'slope_method_{part}']:+.2f} (theory {method:+d}), "
-        f"round-off of phi from positions {found[f'slope_round_off_{part}']:+.2f} (theory {round_off:+d})"
-        for part, (method, round_off) in THEORY.items()
+        f"order in {part} is {order:.3f}, not within 0.05 of 2"
+        for part in PARTS
+        if abs((order := orders(rows)[f"order_{part}"]) - 2) > 0.05
     ]
-    lines += [
-        f"order in {part} is {found[f'order_{part}']:.3f}, not within 0.05 of 2"
-        for part in ("q", "v", "lam")
-        if abs(found[f"order_{part}"] - 2) > 0.05
-    ]
-    lines += [
-        f"{row['scene']}, phi {row['phi']}, {row['solve']}, h {row['h']:g}: {row['outcome'][:120]}"
-        for row in pick(rows, part="tiny")
-        if row["outcome"] != "done"
-    ]
-    return lines + [
-        "no scaling lowers the round-off that phi from positions puts into lam: it acts on the linear solve only"
+    for kind in ("load", "motors"):
+        runs = runs_of(rows, part="order", scene=kind, form="index3")
+        for part in PARTS:
+            if len(kept := slopes.above_floor(runs, part)) < len(runs):
+                lines.append(
+                    f"order in {part}, smooth {kind}: the reference is known to {value(runs[0], f'floor_{part}'):.1e}; "
+                    f"{len(kept)} of {len(runs)} steps are fitted"
+                )
+    return lines
+
+
+def range_notes(rows):
+    """Where the steps end, and where there is no stall level."""
+    tiny = pick(rows, part="tiny")
+    lines = [f"h runs from {min(each(tiny, 'h')):g} to {max(each(tiny, 'h')):g} s"] if tiny else []
+    blind = [row for row in tiny if row["outcome"] == "done" and not np.isfinite(value(row, "stall_q"))]
+    for scene, h in dict.fromkeys((row["scene"], row["h"]) for row in blind):
+        lines.append(
+            f"{scene}, h = {h:g} s: no stall level, as the iteration with the matrix of the step's begin runs away"
+        )
+    return lines + stopped(tiny, "scene", "phi", "solve", "h", length=120)
+
+
+def scaling_notes(rows):
+    """What the scaling does to the round-off that phi from positions puts into lam."""
+    errors = {
+        solve: number(rows, "error_lam", part="tiny", scene="scene 2", phi="from positions", solve=solve, h=1e-9)
+        for solve in SCALINGS
+    }
+    errors = {solve: error for solve, error in errors.items() if np.isfinite(error)}
+    if len(errors) < 2:
+        return []
+    low, high = min(errors, key=errors.get), max(errors, key=errors.get)
+    carried = number(rows, "error_lam", part="tiny", scene="scene 2", phi="carried", solve=low, h=1e-9)
+    return [
+        f"phi from positions at h = 1e-9: lam is off by {errors[low]:.2g} (scaling {low}) to {errors[high]:.2g} "
+        f"(scaling {high}), a factor of {errors[high] / errors[low]:.2g} between scalings; "
+        f"carried phi, scaling {low}: {carried:.2g}"
     ]
 
 
 @drawn
-def draw(rows, folder):
-    return (
-        order_figure(rows, folder)
-        + tiny_figure(rows, folder, "scene 2")
-        + tiny_figure(rows, folder, "smooth motors")
-        + newton_figure(rows, folder)
-    )
-
-
 def order_figure(rows, folder):
     made, axes = panels(2, height=3.0, sharey=True)
     for axis, kind in zip(axes, ("load", "motors")):
-        runs = pick(rows, part="order", scene=kind, form="index3")
+        runs = runs_of(rows, part="order", scene=kind, form="index3")
         for i, part in enumerate(PARTS):
             loglog(axis, column(runs, "h"), column(runs, f"error_{part}"), i, part)
-        plain = pick(rows, part="order", scene=kind, form="index3, plain start")
+        plain = runs_of(rows, part="order", scene=kind, form=PLAIN)
         loglog(axis, column(plain, "h"), column(plain, "error_a"), 4, "a, plain start")
-        slope_line(axis, 2, [1e-2, 1e-3], np.nanmin([column(runs, f"error_{part}")[-1] for part in PARTS]) / 2)
+        if runs:
+            lowest = np.nanmin([value(runs[0], f"error_{part}") for part in PARTS]) / 3
+            slope_line(axis, 2, [runs[0]["h"], runs[-1]["h"]], lowest, "slope 2", beside=(-1, -20))
         axis.set(xlabel="step h, s", title=f"smooth {kind}")
     axes[0].set_ylabel("largest relative error")
     legend(made, axes, 5)
     return saved(made, folder, "order")
 
 
+def nest(axis, rows, scene, solves, name):
+    """Lines of both ways to take phi (colours) with each solve (hollow markers, one inside the other)."""
+    for colour, phi in enumerate(WAYS):
+        for ring, solve in enumerate(solves):
+            runs = runs_of(rows, part="tiny", scene=scene, phi=phi, solve=solve)
+            good = [row for row in runs if value(row, name) > 0]
+            look = nested(colour, ring, len(solves), "-" if phi == "carried" else (0, (4, 2)))
+            axis.plot(column(good, "h"), column(good, name), label=f"phi {phi}, {solve}", **look)
+
+
+def theory_lines(axis, rows, scene, part):
+    """Slopes of theory beside the data: of the method and of the round-off of phi from positions."""
+
+    def at(phi, h):
+        return number(rows, f"error_{part}", part="tiny", scene=scene, phi=phi, solve="physical", h=h)
+
+    if np.isfinite(at("carried", 1e-4)):
+        slope_line(axis, slopes.METHOD[part], [1e-4, 1e-2], 20 * at("carried", 1e-4), beside=(-3, 2))
+    if np.isfinite(at("from positions", 1e-6)):
+        slope_line(axis, slopes.ROUND_OFF[part], [1e-6, 1e-8], 20 * at("from positions", 1e-6), beside=(3, 2))
+
+
 def tiny_figure(rows, folder, scene):
-    made, axes = panels(4, height=2.3)
+    made, axes = panels(4, height=2.5)
     for axis, part in zip(axes, PARTS):
-        for i, (phi, solve) in enumerate((phi, solve) for phi in WAYS for solve in SOLVES):
-            runs = pick(rows, part="tiny", scene=scene, phi=phi, solve=solve)
-            loglog(axis, column(runs, "h"), column(runs, f"error_{part}"), i, f"phi {phi}, {solve}")
-        axis.set(title=f"{part}, {scene}", xlabel="step h, s", ylabel="relative error")
-    legend(made, axes, 3)
+        nest(axis, rows, scene, SOLVES, f"error_{part}")
+        axis.set(title=f"{part}, {scene}", xlabel="step h, s", ylabel="relative error", xscale="log", yscale="log")
+        theory_lines(axis, rows, scene, part)
+    legend(made, axes, 2)
     return saved(made, folder, f"tiny-steps-{scene.replace(' ', '-')}")
 
 
+@drawn
+def tiny_scene_2_figure(rows, folder):
+    return tiny_figure(rows, folder, "scene 2")
+
+
+@drawn
+def tiny_smooth_figure(rows, folder):
+    return tiny_figure(rows, folder, "smooth motors")
+
+
+@drawn
 def newton_figure(rows, folder):
     made, axes = panels(2, height=2.8)
-    for axis, name, title in zip(
-        axes, ("stall_q", "iterations"), ("Newton stalls at |dq| / (beta h² |a|)", "Newton iterations a step")
-    ):
-        for i, (phi, solve) in enumerate((phi, solve) for phi in WAYS for solve in SCALINGS):
-            runs = pick(rows, part="tiny", scene="scene 2", phi=phi, solve=solve)
-            loglog(axis, column(runs, "h"), column(runs, name), i, f"phi {phi}, {solve}")
-        axis.set(title=title, xlabel="step h, s")
-    legend(made, axes, 3)
+    nest(axes[0], rows, "scene 2", SCALINGS, "stall_q")
+    nest(axes[1], rows, "scene 2", SCALINGS, "iterations")
+    axes[0].set(
+        xscale="log", yscale="log", title="Newton's stall, scene 2", ylabel="|dq| / (beta h² |a|)", xlabel="step h, s"
+    )
+    axes[1].set(
+        xscale="log", title="Newton's work, scene 2", ylabel="iterations a step", xlabel="step h, s", ylim=(0, None)
+    )
+    level = number(rows, "stall_q", part="tiny", scene="scene 2", phi="from positions", solve="physical", h=1e-6)
+    if np.isfinite(level):
+        slope_line(axes[0], slopes.STALL["from positions"], [1e-5, 1e-8], 0.2 * level, beside=(3, 2))
+    legend(made, axes, 2)
     return saved(made, folder, "newton")
 
 
@@ -180,10 +217,11 @@ STUDY = Study(
     "generalized-alpha against its step; errors relative to the largest value",
     tasks,
     run,
-    figures,
-    draw,
+    (orders, smallest_step, fitted_slopes),
+    (order_figure, tiny_scene_2_figure, tiny_smooth_figure, newton_figure),
     COLUMNS,
-    notes=notes,
+    notes=(order_notes, slopes.in_words, range_notes, scaling_notes),
+    headline=("order_q", "order_v", "order_lam", "lam_error_h1e-9", "acceleration_error_h1e-9"),
 )
 
 if __name__ == "__main__":

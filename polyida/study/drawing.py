@@ -1,5 +1,7 @@
 """What the figures of all studies share: logarithmic panels, slopes beside the data, PNG and PDF of each figure."""
 
+from functools import wraps
+
 import numpy as np
 
 from polyida.show.style import DASHES, INK, PALETTE, figure, save, settings
@@ -8,7 +10,12 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
 
 
 def panels(count, width=6.8, height=3.0, columns=2, **layout):
-    """(figure, flat array of `count` axes), at most `columns` beside each other; those left over are hidden."""
+    """(figure, flat array of `count` axes), at most `columns` beside each other; those left over are hidden.
+
+    LookupError where there is nothing to show.
+    """
+    if not count:
+        raise LookupError("no rows to draw")
     columns = min(columns, count)
     rows = -(-count // columns)
     made, axes = figure(width, height * rows, nrows=rows, ncols=columns, squeeze=False, **layout)
@@ -35,17 +42,46 @@ def loglog(axes, x, y, i, label=None):
     axes.loglog(x[good], y[good], label=label, **look(i))
 
 
-def slope_line(axes, slope, x, y, label=None):
-    """A thin line of the given slope through (x[0], y) over the range x, with its slope written at the end."""
+def nested(colour, ring, rings, dash="-"):
+    """Look of the `ring`-th of `rings` lines that may lie on each other: hollow markers of falling size, nested."""
+    return {
+        "color": PALETTE[colour % len(PALETTE)],
+        "linestyle": dash,
+        "marker": MARKERS[ring % len(MARKERS)],
+        "markersize": 2.5 + 2.2 * (rings - 1 - ring),
+        "markerfacecolor": "none",
+        "markeredgewidth": 0.8,
+        "linewidth": 0.8,
+    }
+
+
+def slope_line(axes, slope, x, y, label=None, beside=(2, 2)):
+    """A thin line of the given slope through (x[0], y) over the range x; its slope is `beside` its end, points."""
     x = np.asarray(x, float)
     axes.loglog(x, y * (x / x[0]) ** slope, color=INK, linewidth=0.6, linestyle=(0, (2, 2)), zorder=0)
     axes.annotate(
-        label or f"{slope:+.3g}",
+        label or (f"{slope:+.3g}" if slope else "0"),
         (x[-1], y * (x[-1] / x[0]) ** slope),
         fontsize=7,
         color=INK,
-        xytext=(2, 2),
+        xytext=beside,
         textcoords="offset points",
+        ha="right" if beside[0] < 0 else "left",
+        va="top" if beside[1] < 0 else "bottom",
+    )
+
+
+def aim_line(axes, y, label):
+    """A thin dashed line across the axes at y, with what it is written above its left end."""
+    axes.axhline(y, color="#777777", linewidth=0.8, linestyle=(0, (5, 3)), zorder=1)
+    axes.annotate(
+        label,
+        (0, y),
+        xycoords=("axes fraction", "data"),
+        xytext=(3, 2),
+        textcoords="offset points",
+        fontsize=7,
+        color="#555555",
     )
 
 
@@ -54,29 +90,44 @@ def legend(made, axes, columns=4):
     known = {}
     for axis in np.ravel(axes):
         known |= dict(zip(*reversed(axis.get_legend_handles_labels())))
+    if not known:
+        raise LookupError("no rows to draw")
     made.legend(known.values(), known, loc="outside upper center", ncols=columns)
 
 
-def _whole_decades(axis):
-    """Widen a short logarithmic axis to whole decades and keep labels to these: others run into each other."""
+def tag(kind, value):
+    """A step, s, or a tolerance in words of a legend: "h = 2e-3", "rtol 1e-5"."""
+    digits, power = f"{value:.0e}".split("e")
+    return f"{'h =' if kind == 'h' else kind} {digits}e{int(power)}"
+
+
+def _two_decades(axis):
+    """Widen a short logarithmic axis until two whole decades are marked; label these alone: others would collide."""
     from matplotlib.ticker import NullFormatter
 
     low, high = np.log10(axis.get_view_interval())
-    if high - low < 2.2:
-        axis.axes.set(**{f"{axis.axis_name}lim": (10 ** np.floor(low + 0.1), 10 ** np.ceil(high - 0.1))})
+    while np.floor(high) - np.ceil(low) < 1:
+        if np.floor(high) + 1 - high < low - np.ceil(low) + 1:
+            high = np.floor(high) + 1
+        else:
+            low = np.ceil(low) - 1
+    axis.axes.set(**{f"{axis.axis_name}lim": (10**low, 10**high)})
     axis.set_minor_formatter(NullFormatter())
 
 
 def saved(made, folder, name):
-    """Write a figure as PNG and PDF into the folder; returns both paths."""
+    """Write a figure as PNG and PDF into the folder; returns both paths. LookupError where no line has a point."""
+    if not any(len(line.get_xdata()) for axes in made.axes for line in axes.get_lines() if line.get_label()[:1] != "_"):
+        raise LookupError("no rows to draw")
     for axis in [axis for axes in made.axes for axis in (axes.xaxis, axes.yaxis) if axis.get_scale() == "log"]:
-        _whole_decades(axis)
+        _two_decades(axis)
     return [save(made, folder / f"{name}.{kind}") for kind in ("png", "pdf")]
 
 
 def drawn(function):
-    """A study's `draw(rows, folder)`, run in the settings of this package's figures."""
+    """A study's figure, `draw(rows, folder)`, of the rows that did not fail, in the settings of this package."""
 
+    @wraps(function)
     def draw(rows, folder):
         with settings():
             return function([row for row in rows if not row.get("error")], folder)
@@ -88,4 +139,6 @@ def fitted(x, y):
     """Slope of log y over log x by least squares; NaN where there are fewer than two finite positive points."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-    return float(np.polyfit(np.log(x[good]), np.log(y[good]), 1)[0]) if good.sum() > 1 else float("nan")
+    if len(np.unique(x[good])) < 2:
+        return float("nan")
+    return float(np.polyfit(np.log(x[good]), np.log(y[good]), 1)[0])

@@ -1,4 +1,4 @@
-"""Many runs, one table: a study's tasks are independent, each leaves one file, and what is there already is not run again."""
+"""Many runs, one table: a study's tasks are independent, each leaves one file, and what is there is not run again."""
 
 import hashlib
 import json
@@ -16,24 +16,28 @@ from polyida.study.isolation import Worker, attempt, plain
 class Study:
     """What to vary, what to measure, what to plot.
 
-    tasks(quick): list of dictionaries of plain values, one a run. run(**task): a dictionary of plain values, the row's results.
-    figures(rows): {name: number}, the study's findings. draw(rows, folder): writes pictures, returns their paths. columns: of the
-    table, all where empty. limit: seconds after which an isolated task counts as hanging; isolated: run each task in a process of
-    its own, so that a crash is a row; fresh: a new process for each, or else one for all that is replaced after a crash or a hang
-    (starting one costs about a second); notes(rows): lines that say what failed and what the numbers mean.
+    tasks(quick): list of dictionaries of plain values, one a run. run(**task): a dictionary of plain values, the row's
+    results. figures(rows): {name: number}, the study's findings. draw(rows, folder): writes pictures, returns their
+    paths. notes(rows): lines that say what failed and what the numbers mean. figures, draw and notes may be tuples of
+    such functions, each formed alone: rows that are missing spoil no more than what needs them. headline: names of
+    figures that are there in any case, NaN where their rows are missing. columns: of the table, all where empty.
+    isolated: run each task in a process of its own, so that a crash is a row; limit: seconds after which it counts as
+    hanging; fresh: a new process for each, or else one for all that is replaced after a crash or a hang (starting one
+    costs about a second).
     """
 
     name: str
     title: str
     tasks: Callable
     run: Callable
-    figures: Callable
-    draw: Callable = lambda rows, folder: []
+    figures: Callable | tuple
+    draw: Callable | tuple = lambda rows, folder: []
     columns: tuple = ()
     isolated: bool = False
     limit: float = 600.0
-    notes: Callable = field(default=lambda rows: [])
+    notes: Callable | tuple = field(default=lambda rows: [])
     fresh: bool = True
+    headline: tuple = ()
 
 
 def key_of(study, task):

@@ -1,6 +1,7 @@
 """One run of work against precision: an integrator at one step or tolerance on one case."""
 
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -29,35 +30,28 @@ def measure(name, member, x, quick):
     """Errors at the end, CPU seconds and counts of one run; one that fails has its message as outcome, no errors."""
     given = case(name, quick)
     warm(name, member, quick)
-    run = solve(
-        given.model,
-        given.t_end,
-        integrator(member, x, given.sizes, given.t_end / 20, given.newton),
-        q0=given.q0,
-        v0=given.v0,
-        every=10**9,
-    )
-    counts = {key: getattr(run.counts, key) for key in COUNTS}
-    outcome = {
-        "outcome": "done" if run.success else run.message,
-        "t": float(run.t[-1]),
-        "cpu_s": run.cpu_seconds,
-    } | counts
-    outcome |= {"reference": given.how, "known": given.known}
+    chosen = integrator(member, x, given.sizes, given.t_end / 20, given.newton)
+    every = 1 if at_middle(chosen) else 10**9
+    run = solve(given.model, given.t_end, chosen, q0=given.q0, v0=given.v0, every=every)
+    outcome = {"outcome": "done" if run.success else run.message, "t": float(run.t[-1]), "cpu_s": run.cpu_seconds}
+    outcome |= {key: getattr(run.counts, key) for key in COUNTS} | {"reference": given.how, "known": given.known}
     return (given.errors(last_state(run)) if run.success else {}) | outcome
 
 
-def last_state(run):
-    """The end of a run with lam at the end: that of an integrator whose multipliers are of the middle of a step is left
-    out.
-    """
-    from types import SimpleNamespace
+def at_middle(chosen):
+    """Whether an integrator's multipliers are of the middle of a step."""
+    return getattr(chosen, "multipliers_at_middle", False)
 
-    lam = (
-        run.lam[-1]
-        if not getattr(run.integrator, "multipliers_at_middle", False)
-        else np.full(run.lam.shape[1], np.nan)
-    )
+
+def last_state(run):
+    """The end of a run, with lam at the end: that of the middle of a step is extended linearly from the last two.
+
+    Of such an integrator every step must be in the run.
+    """
+    lam = run.lam[-1]
+    if at_middle(run.integrator):
+        before, middle = (run.t[-3:-1] + run.t[-2:]) / 2
+        lam = lam + (run.t[-1] - middle) / (middle - before) * (lam - run.lam[-2])
     return SimpleNamespace(q=run.q[-1], v=run.v[-1], lam=lam)
 
 

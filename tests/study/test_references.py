@@ -5,11 +5,13 @@ import pytest
 
 from polyida import problems
 from polyida.errors import InputError
+from polyida.integrate.energy_momentum import EnergyMomentum
 from polyida.integrate.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from polyida.study import references
 from polyida.study.members import FIXED, IDA_FORMS, integrator
+from polyida.study.sensitivity import smooth
 from polyida.study.work_precision import cheapest, last_state, measure
 
 
@@ -60,6 +62,20 @@ def test_a_measured_run_has_errors_and_counts():
 def test_a_run_that_fails_is_a_row():
     row = measure("pendulum", "IDA index3", 1e-5, True)
     assert "error_q" not in row and "max_num_steps" in row["outcome"]
+
+
+def test_multipliers_of_the_middle_of_a_step_are_extended_to_the_end():
+    model = smooth("load", 4)
+    exact, errors = references.explicit(model, 0.1, 1e-9)[0][3], []
+    for h in (4e-3, 2e-3):
+        run = solve(model, 0.1, EnergyMomentum(h=h))
+        errors.append(np.abs(last_state(run).lam - exact).max())
+        assert errors[-1] < 0.2 * np.abs(run.lam[-1] - exact).max()
+    assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.3)
+
+
+def test_energy_momentum_rows_have_an_error_of_lam():
+    assert np.isfinite(measure("double-plate", "energy-momentum", 4e-3, True)["error_lam"])
 
 
 def test_cheapest_interpolates_and_does_not_extrapolate():

@@ -1,0 +1,59 @@
+"""Meshes and elements of the mesh study: which cases at how many cells through the thickness."""
+
+MEMBERS = (
+    ("polygons", "wachspress"),
+    ("quads", "wachspress"),
+    ("triangles", "wachspress"),
+    ("polygons", "virtual"),
+    ("quads", "virtual"),
+)
+POLYGONS, QUADS = MEMBERS[:1], MEMBERS[1:2]
+SLENDER = 200  # L / h of an elastica whose shear is 16 times less than at 50
+
+QUICK = {
+    "elastica": (2, 4, 8),
+    "slender elastica": {QUADS: (2,)},
+    "cantilever": (2, 4, 8),
+    "csm1": (2, 4, 8),
+    "csm1 polygons": (16,),
+    "csm1 fine": (16, 40),
+    "frequencies": (2, 4),
+    "compliance": (2, 4, 8),
+    "spin-up": ((130, 1, 1e-2), (130, 2, 5e-3)),
+}
+FULL = {
+    "elastica": (2, 3, 4, 6, 8, 12),
+    "slender elastica": {QUADS: (2, 4), POLYGONS: (2, 4, 6)},
+    "cantilever": (2, 3, 5, 10, 20),
+    "csm1": (2, 4, 8, 16),
+    "csm1 polygons": (24, 32, 40),
+    "csm1 fine": (24, 40),
+    "frequencies": (2, 3, 4, 6, 8),
+    "compliance": (2, 4, 8, 16, 32),
+    "spin-up": ((65, 1, 1e-2), (130, 1, 1e-2), (130, 2, 5e-3), (260, 2, 5e-3), (260, 2, 2e-3)),
+}
+
+
+def tasks(quick):
+    sizes = QUICK if quick else FULL
+    loads = [{"load": load, "slenderness": 50} for load in (1, 10)]
+    clamps = [{"clamp": clamp} for clamp in ("arc", "straight")]
+    made = grid("elastica", MEMBERS, sizes["elastica"], loads) + grid("csm1", MEMBERS, sizes["csm1"], clamps)
+    for members, through in sizes["slender elastica"].items():
+        made += grid("elastica", members, through, [load | {"slenderness": SLENDER} for load in loads])
+    made += grid("csm1", POLYGONS, sizes["csm1 polygons"], clamps[:1])
+    made += grid("csm1", QUADS, sizes["csm1 fine"][:1], clamps)
+    made += grid("csm1", QUADS, sizes["csm1 fine"][1:], clamps[:1] if quick else clamps)
+    made += grid("cantilever", MEMBERS, sizes["cantilever"]) + grid("frequencies", MEMBERS, sizes["frequencies"])
+    made += grid("compliance", POLYGONS, sizes["compliance"], [{"at": at} for at in ("node", "section")])
+    return made + [grid("spin-up", QUADS, (ny,), [{"nx": nx, "h": h}])[0] for nx, ny, h in sizes["spin-up"]]
+
+
+def grid(case, members, sizes, options=({},)):
+    """All combinations as tasks."""
+    return [
+        {"case": case, "kind": kind, "element": element, "through": n} | option
+        for option in options
+        for kind, element in members
+        for n in sizes
+    ]

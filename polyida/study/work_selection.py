@@ -1,0 +1,105 @@
+"""Which integrator runs on which problem of the work-precision study, at which steps and tolerances, and why not."""
+
+import numpy as np
+
+from polyida.study.members import FIXED, IDA_FORMS
+
+CLASSICAL = {"pendulum": 2e-2, "car-axis": 1e-2, "andrews": 6e-5}  # problem: coarsest step, s; halved again and again
+SCENES = {
+    "double-plate": 4e-3,
+    "double-plate-motors": 4e-3,
+    "plate-chain": 4e-3,
+    "rigid-limit": 4e-3,
+    "spin-up-beam": 4e-2,
+}
+STIFF = ("rigid-limit", "spin-up-beam")
+EVENT = "sudden-blow"
+MEMBERS = (*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS))
+SHORT = {
+    "problems": ("pendulum", "car-axis", "andrews", "double-plate", "double-plate-motors"),
+    "steps": (0, 2),
+    "members": ("alpha", "alpha, stabilised", "alpha, Richardson", "energy-momentum", "alpha, adaptive")
+    + tuple(f"IDA {form}" for form in IDA_FORMS),
+}
+FULL = {"problems": (*CLASSICAL, *SCENES), "steps": range(6), "members": MEMBERS}
+ALWAYS = (  # members, problems, why these do not meet
+    (set(MEMBERS) - {"alpha", "alpha, adaptive"}, (EVENT,), "what is compared is error control with fixed steps"),
+    ({"energy-momentum"}, CLASSICAL, "it takes scenes of plates only"),
+    (
+        {"alpha, rho 0.5", "alpha, rho 0.99"},
+        CLASSICAL,
+        "they differ in the damping of mesh modes, of which there are none",
+    ),
+    (
+        {"IDA index3", "IDA index2", "IDA index1", "IDA baumgarte"},
+        STIFF,
+        "IDA takes 1e4 to 1e6 steps on undamped stiff plates: its stabilised forms alone are run, to looser tolerances",
+    ),
+)
+SPARED, ELSEWHERE = "left out of the short selection", "not in this table"
+IN_SHORT = (
+    ({"alpha, stabilised", "IDA index1", "IDA baumgarte"}, set(SHORT["problems"]) - {"andrews"}, SPARED),
+    ({"alpha, Richardson"}, {"pendulum", "car-axis"}, SPARED),
+    (set(MEMBERS) - set(SHORT["members"]), SHORT["problems"], SPARED),
+)
+
+
+def left_out(problem, member, quick):
+    """Why a member is not run on a problem; empty where it is."""
+    rules = ALWAYS + IN_SHORT if quick else ALWAYS
+    return next((why for members, problems, why in rules if member in members and problem in problems), "")
+
+
+def tasks(quick):
+    """One a run: problem, integrator and x, its step, s, or tolerance."""
+    chosen = SHORT if quick else FULL
+    made = [
+        {"problem": problem, "integrator": member, "x": float(f"{x:.3g}"), "quick": quick}
+        for problem in chosen["problems"]
+        for member in chosen["members"]
+        if not left_out(problem, member, quick)
+        for x in ladder(problem, member, quick)
+    ]
+    made += [
+        {"problem": EVENT, "integrator": "alpha", "x": float(f"{8e-3 / 2**k:.3g}"), "quick": quick} for k in range(9)
+    ]
+    return made + [
+        {"problem": EVENT, "integrator": "alpha, adaptive", "x": 10.0**-k, "quick": quick} for k in range(3, 9)
+    ]
+
+
+def ladder(problem, member, quick):
+    """Steps or tolerances of a member on a problem, coarse to fine."""
+    if member in FIXED:
+        finer = (3,) if quick and (problem, member) == ("andrews", "alpha, Richardson") else ()
+        return [(CLASSICAL | SCENES)[problem] / 2**k for k in (*(SHORT if quick else FULL)["steps"], *finer)]
+    if member == "alpha, adaptive":
+        return _powers(1e-4, 1e-6 if quick else 1e-8, quick)
+    return [1e-3, 1e-5] if member == "IDA index3" else _powers(1e-3, tightest(problem, quick), quick)
+
+
+def tightest(problem, quick):
+    """The last of IDA's ladder: stiff scenes without damping take a million steps beyond it."""
+    if problem in CLASSICAL:
+        return 1e-12
+    return 1e-7 if quick else {"rigid-limit": 1e-5, "spin-up-beam": 1e-4}.get(problem, 1e-9)
+
+
+def _powers(loose, tight, quick):
+    return [
+        float(f"1e{round(power)}") for power in np.arange(np.log10(loose), np.log10(tight) - 0.5, -2 if quick else -1)
+    ]
+
+
+def not_run(rows):
+    """Lines: the members that have no row on a problem of the table, and why."""
+    met = {(row["problem"], row["integrator"]) for row in rows}
+    absent = {}
+    for problem, quick in {row["problem"]: row["quick"] for row in rows}.items():
+        for member in MEMBERS:
+            if (problem, member) not in met:
+                absent.setdefault((member, left_out(problem, member, quick) or ELSEWHERE), []).append(problem)
+    together = {}
+    for (member, why), problems in absent.items():
+        together.setdefault((", ".join(problems), why), []).append(member)
+    return [f"not run: {'; '.join(members)} on {problems}: {why}" for (problems, why), members in together.items()]

@@ -1,0 +1,273 @@
+"""All studies with rows that failed: table, notes, figures.json and what can be drawn come out all the same."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from polyida import cli_study
+from polyida.study import drawing, findings
+from polyida.study.work_selection import left_out, not_run, tasks
+
+FOLDER = Path(__file__).parents[2] / "studies"
+BROKEN = {"error": "RuntimeError: it broke", "traceback": "where it broke"}
+T = [0.0, 10.0, 13.0, 20.0]
+REQUIRED = {
+    "work_precision": {
+        "andrews_alpha_best_error",
+        "andrews_ida_best_error",
+        "car_axis_ida_error_q",
+        "car_axis_ida_error_lam",
+    },
+    "step_size_sensitivity": {"order_q", "order_v", "order_lam", "lam_error_h1e-9", "acceleration_error_h1e-9"},
+    "conditioning": {"slope_unscaled", "scaled_condition_max"},
+    "bdf_order": {"steps_order5_over_order2"},
+    "energy": {"energy_momentum_relative_drift"},
+    "mesh_convergence": {"elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"},
+}
+
+
+def made_up(name, task):
+    """A row's results of the right form, without a run."""
+    h = task.get("x", task.get("h", 1e-3 / 2 ** task.get("halvings", 0)))
+    size = 1e-6 if isinstance(h, list) else float(h)
+    errors = {f"error_{part}": size**2 for part in ("q", "v", "a", "lam")}
+    work = {
+        "outcome": "done",
+        "steps": 10,
+        "cpu_s": 1e-3 / size,
+        "residuals": 20,
+        "factorizations": 2,
+        "dof": int(task.get("through", 4)) ** 2,
+    }
+    if name == "work_precision":
+        return errors | work | {"known": {"q": 1e-9}, "reference": "made up"}
+    if name == "step_size_sensitivity":
+        floors = {f"floor_{part}": 1e-20 for part in ("q", "v", "a", "lam")}
+        return errors | floors | {"h": size, "outcome": "done", "iterations": 2.0, "stall_q": 1e-18 / size**2}
+    if name == "conditioning":
+        values = [1e-3] * len(task["h"])
+        return {
+            "values": values,
+            "theory": 0,
+            "slope": -4.0,
+            "slope_limit": -4.0,
+            "worst": 1e5,
+            "at_1e-2": 1e-2,
+            "at_1e-9": 1e-2,
+        }
+    if name == "bdf_order":
+        return work | {
+            "steps_per_s": 40.0,
+            "t_reached": 0.25,
+            "tip_error": 1e-5,
+            "t": T,
+            "h": [1e-4] * 4,
+            "rejected": 0,
+        }
+    if name == "energy":
+        momentum = {"linear_drift": 1e-9, "angular_drift": 1e-9, "angular": [0.0, 1e-9, 1e-9, 1e-9]}
+        return (
+            work | momentum | {"energy_drift": 1e-9, "energy_change": 1e-9, "t": T, "energy": [0.0, 1e-9, -1e-9, 2.0]}
+        )
+    if name == "mesh_convergence":
+        moved = {
+            "moved": [-7e-3, -66e-3],
+            "bending_errors": [1e-3] * 3,
+            "axial_errors": [1e-3] * 2,
+            "compliance": 1.0 + size,
+        }
+        return (
+            work
+            | moved
+            | {"deviation": 0.1 / task["through"] ** 2, "t": T, "u": [0.0, 1e-4, 5e-4, 5e-4], "w": [0.0] * 4}
+        )
+    return performance(name, task)
+
+
+def performance(name, task):
+    if name == "skip":
+        return {
+            "off": "",
+            "counted": "",
+            "count_on": 1,
+            "count_off": 2,
+            "cpu_on_s": 1.0,
+            "cpu_off_s": 2.0,
+            "times": 2.0,
+        }
+    if name == "stress":
+        return {
+            "outcome": "right",
+            "checked": "drift",
+            "deviation": 1e-12,
+            "bound": 1e-9,
+            "steps": 10,
+            "status": "done",
+            "reason": "",
+        }
+    if name == "against_peers":
+        setting = task["setting"]
+        known = (
+            {"reference_doubt": 1e-8}
+            if task["solver"] == "reference"
+            else {"cpu_s": 1e-4 / setting, "steps": 1 / setting}
+        )
+        return {"n": task["dof"], "error_max": 0.5 * setting**1.5, "error_end": setting**2} | known
+    parts = {f"{part}_ms": 1.0 for part in ("residual", "tangent", "factor", "solve", "rest")}
+    sizes = {f"{key}_bytes": 2**20 for key in ("imported", "built", "peak", "frame")}
+    starts = {f"{how}_{what}_s": 1.0 for how in ("cold", "warm") for what in ("import", "mesh", "first_step", "start")}
+    costs = {
+        "n": task["dof"],
+        "ms_per_step": 1e-3 * task["dof"],
+        "newton_iterations_per_step": 1.0,
+        "floor_ms": 1.0,
+        "speedup": 5.0,
+    }
+    return (
+        parts
+        | sizes
+        | starts
+        | costs
+        | {"steps": 10, "bytes_per_dof": 10.0, "residual_ns_per_dof": 1.0, "residual_tangent_ns_per_dof": 2.0}
+    )
+
+
+def study_of(name):
+    spec = importlib.util.spec_from_file_location(f"study_{name}", FOLDER / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return getattr(module, "STUDY", None) or module.study
+
+
+STUDIES = {path.stem: study_of(path.stem) for path in sorted(FOLDER.glob("*.py"))}
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_saved(monkeypatch):
+    monkeypatch.setattr(drawing, "save", lambda made, path: path)
+    monkeypatch.setattr("polyida.show.style.save", lambda made, path: path)
+
+
+def rows_of(study):
+    return [task | {"error": ""} | made_up(study.name, task) for task in study.tasks(True)]
+
+
+def command(study, rows, folder, monkeypatch):
+    """figures.json of the command line with these rows."""
+    monkeypatch.setattr(cli_study, "results", lambda *given: rows)
+    folder.mkdir(parents=True, exist_ok=True)
+    return cli_study.main(study, ["--quick", "--out", str(folder)])
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
+    study = STUDIES[name]
+    rows = [task | BROKEN for task in study.tasks(True)]
+    data = command(study, rows, tmp_path, monkeypatch)
+    assert REQUIRED.get(name, set()) <= set(study.headline) <= set(data["figures"])
+    assert all(data["figures"][key] is None for key in study.headline)
+    assert sum(line.startswith("failed: ") for line in data["notes"]) == len(rows) == len(data["rows"])
+    assert {"figures", "notes", "rows", "machine", "command"} == set(data)
+    assert data == json.loads((tmp_path / "figures.json").read_text())
+    printed = capsys.readouterr().out
+    assert "it broke" in printed and "figures.json" in printed and "where it broke" not in printed
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_each_single_row_failed(name, monkeypatch):
+    study, rows = STUDIES[name], rows_of(STUDIES[name])
+    monkeypatch.setattr("polyida.study.findings.failures", lambda study, rows: [])
+    silent = study.__class__(**{**study.__dict__, "draw": lambda rows, folder: []})
+    whole = findings.findings(silent, rows, None)
+    assert all(np.isfinite(whole.figures[key]) for key in REQUIRED.get(name, ()))
+    assert not [line for line in whole.notes if "not formed" in line]
+    for k, task in enumerate(study.tasks(True)):
+        broken = rows[:k] + [task | BROKEN] + rows[k + 1 :]
+        assert not [line for line in findings.findings(silent, broken, None).notes if "not formed" in line], task
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_what_can_be_drawn_is_drawn(name, tmp_path):
+    study, rows = STUDIES[name], rows_of(STUDIES[name])
+    whole = findings.findings(study, rows, tmp_path)
+    assert whole.pictures and not [line for line in whole.notes if "not formed" in line]
+    few = rows[:: max(1, len(rows) // 5)]
+    for row in few:
+        broken = [
+            {key: row[key] for key in study.tasks(True)[0] if key in row} | BROKEN if other is row else other
+            for other in few
+        ]
+        found = findings.findings(study, broken, tmp_path)
+        assert found.pictures and all(
+            line.endswith("no rows to draw") for line in found.notes if line.startswith("not formed")
+        )
+
+
+def test_a_part_that_cannot_be_formed_keeps_no_other_from_it(tmp_path, monkeypatch, capsys):
+    def bad(rows, *folder):
+        return {"lost": [row["value"] for row in rows][0]}
+
+    study = findings_study(bad)
+    data = command(study, [{"number": 1, "error": ""}], tmp_path, monkeypatch)
+    assert data["figures"] == {"lost": None, "kept": 1.0} and "a line" in data["notes"]
+    assert sum("not formed: bad: KeyError: 'value'" == line for line in data["notes"]) == 3
+
+
+def findings_study(bad):
+    from polyida.study.harness import Study
+
+    return Study(
+        "two",
+        "",
+        lambda quick: [{"number": 1}],
+        None,
+        (bad, lambda rows: {"kept": 1}),
+        (bad, lambda rows, folder: []),
+        notes=(bad, lambda rows: ["a line"]),
+        headline=("lost",),
+    )
+
+
+def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):
+    text = "x" * 100
+    data = command(
+        findings_study(lambda rows, *folder: {}), [{"number": 1, "outcome": text, "error": ""}], tmp_path, monkeypatch
+    )
+    assert text not in capsys.readouterr().out and data["rows"][0]["outcome"] == text
+    assert cli_study.shown(text) == "x" * 39 + "…" and cli_study.shown("x" * 40) == "x" * 40
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_every_member_that_is_not_run_is_told_with_its_reason(quick):
+    rows = tasks(quick)
+    assert all(
+        not left_out(row["problem"], row["integrator"], quick) or row["problem"] == "sudden-blow" for row in rows
+    )
+    lines = not_run(rows)
+    assert lines and all(line.rpartition(": ")[2] for line in lines)
+    assert any("energy-momentum" in line and "scenes of plates only" in line for line in lines)
+
+
+def test_logarithmic_axes_never_cut_the_data():
+    for low, high in ((3e-2, 5e-2), (0.9, 1.1), (2e-4, 9e-4), (1e-3, 1e-2), (1e-6, 1.0)):
+        with drawing.settings():
+            made, axes = drawing.panels(1)
+            drawing.loglog(axes[0], [low, high], [low, high], 0, "line")
+            drawing.saved(made, Path("nowhere"), "x")
+        for limits in (axes[0].get_xlim(), axes[0].get_ylim()):
+            assert limits[0] < low and limits[1] > high
+            decades = np.floor(np.log10(limits[1]) + 1e-9) - np.ceil(np.log10(limits[0]) - 1e-9)
+            assert decades >= 1 and limits[0] > low / 101 and limits[1] < high * 101
+
+
+def test_slopes_of_too_few_points_are_nan():
+    assert np.isnan(drawing.fitted([1e-3], [1.0])) and np.isnan(drawing.fitted([1e-3, 1e-3], [1.0, 2.0]))
+    assert drawing.fitted([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("kind, value, text", [("h", 2e-3, "h = 2e-3"), ("rtol", 1e-5, "rtol 1e-5")])
+def test_steps_and_tolerances_are_told_apart(kind, value, text):
+    assert drawing.tag(kind, value) == text
