@@ -16,10 +16,10 @@ FAMILIES = {  # figure: its members, and one of the other family for comparison
     "alpha": ((*FIXED, "alpha, adaptive"), "IDA ggl2"),
     "ida": (tuple(f"IDA {form}" for form in IDA_FORMS), "alpha"),
 }
-UNITS = {  # of q, v and lam; a multiplier of an angle motor is in N/m, the car axis is stated without units
+UNITS = {  # of q, v and lam; a multiplier of an angle motor is in N m, one of a phi in m^2 in N/m
     "andrews": ("rad", "rad/s", "N"),
-    "car-axis": ("no unit", "no unit", "no unit"),
-    "double-plate-motors": ("m", "m/s", "N and N/m"),
+    "car-axis": ("m", "m/s", "N/m"),
+    "double-plate-motors": ("m", "m/s", "N and N m"),
 }
 SI = ("m", "m/s", "N")
 LEVELS = (1e-6, 1e-8)

@@ -66,7 +66,7 @@ class SceneModel(Model):
         return r
 
     def phi(self, t, q):
-        """Constraints, (m,), in m (points) and m of turned direction (motors)."""
+        """Constraints, (m,), in m (points) and, without unit, as |d_A| |d_B| sin(angle error) (motors)."""
         phi, dz = np.empty(self.m), self.dz(q)
         rows.joint_forces(self.arrays.links, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
         return phi

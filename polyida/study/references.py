@@ -142,7 +142,7 @@ def with_refined(name, model, t_end, sizes, h):
 def rigid_limit():
     """The Case of the stiff double pendulum against its rigid bodies' equation."""
     p = problems.get("rigid-limit")
-    return Case(p.name, p.model, p.t_end, None, None, p.reference, {}, (1e-2, 10.0), p.source)
+    return Case(p.name, p.model, p.t_end, None, None, p.reference, p.known_to, (1e-2, 10.0), p.source)
 
 
 def sudden_blow(cells, t_end, duration=0.005, force=40.0):
