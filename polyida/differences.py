@@ -3,18 +3,17 @@
 import numpy as np
 
 FIRST_ORDER_STEP = np.finfo(float).eps ** (1 / 5)  # balances the h^4 truncation against round-off / h
-
-
 EVERYWHERE = (-np.inf, np.inf)
 SPACES = 6  # between the values of a difference that is not central
 
 
 def along(function, scale=1.0, room=EVERYWHERE):
-    """Derivative d/ds function(s) at s = 0, fourth order central.
+    """Derivative d/ds function(s) at s = 0, fourth order central, or by `within` where there is no room for that.
 
     Parameters: `function` of one float, returning an array; `scale`, the size of s over which it varies; `room`, the
     range of s around 0 in which it is smooth: where that is short on one side, values are taken from the other.
-    Returns an array of the same shape. The error is about eps^(4/5) of the function's size over `scale`.
+    Returns an array of the same shape. The error is about eps^(4/5) of the function's size over `scale`; in little
+    room round-off grows.
     """
     step = FIRST_ORDER_STEP * scale
     if room[0] > -2 * step or room[1] < 2 * step:
@@ -27,7 +26,7 @@ def along(function, scale=1.0, room=EVERYWHERE):
 def within(function, room, step, order=1):
     """Derivative of order 1 or 2 at s = 0 from 7 values of the function `step` apart, or nearer, all inside of `room`.
 
-    It is that of the polynomial through them, of sixth order in the step, and from the right where room[0] = 0.
+    It is that of the polynomial through them, of fifth order in the step or higher, from the right where room[0] = 0.
     """
     low, high = room
     step = min(step, (high - low) / (SPACES + 2))

@@ -26,7 +26,7 @@ class Model:
     """A constrained mechanical system `r = M(q) a + g(t, q, v) + phi_q^T lam = 0`, `phi(t, q) = 0` (index 3).
 
     A model of one's own sets `n` and `m` and writes `mass`, `force`, `phi` and `phi_q`; all other derivatives have right
-    defaults by fourth-order central differences. Override them where the exact form is known, and check the override with
+    defaults by fourth-order differences. Override them where the exact form is known, and check the override with
     `check_derivatives`. Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
     """
 
@@ -143,7 +143,7 @@ def require_shapes(model, t, q, v):
 
 
 def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
-    """Compare every derivative of a model with central differences of what it is the derivative of.
+    """Compare every derivative of a model with differences of what it is the derivative of.
 
     States that are not given are drawn at random (q of size 1, v of size 1). Returns {name: relative error}, the largest
     deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong.

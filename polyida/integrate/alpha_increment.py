@@ -8,6 +8,7 @@ h^2 q'' where rate is carried too.
 import numpy as np
 
 from polyida.assembly import joints
+from polyida.integrate.segments import at_kink
 
 EPS = np.finfo(float).eps
 NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1/2, 1/2]
@@ -30,12 +31,6 @@ def drive_table(model, times, h):
         for column, (function, at) in enumerate((value, (profile.d1, inner), (profile.d2, inner))):
             table[:, k, column] = function(at) if profile.formula else [function(t) for t in at]
     return table
-
-
-def at_kink(model, t):
-    """Whether a load or motor has a kink at t."""
-    near = 1e-12 * max(abs(t), 1e-300)
-    return bool(model.kinks(t - near, t + near))
 
 
 def inner_side(model, t, h):

@@ -84,7 +84,7 @@ def local_error(p, y, w):
             change += (w.a[i, k] - y.a[i, k]) ** 2
             size += w.u[i, k] * w.u[i, k]
     n = 2.0 * w.u.shape[0]
-    return p.control * np.sqrt(change / n) / (p.atol + p.rtol * np.sqrt(size / n))
+    return p.control * np.sqrt(change / n) / max(p.atol + p.rtol * np.sqrt(size / n), 1e-300)
 
 
 @part

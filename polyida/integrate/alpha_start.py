@@ -9,7 +9,8 @@ is on its constraint.
 
 import numpy as np
 
-from polyida.integrate.alpha_increment import at_kink, beside, start_values
+from polyida.integrate.alpha_increment import beside, start_values
+from polyida.integrate.segments import at_kink
 from polyida.integrate.start import consistent_acceleration, jerk, mass_system
 from polyida.integrate.state import State
 

@@ -17,8 +17,8 @@ class EnergyMomentum:
     energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Second order in q and v;
     lam and a are those of the middle of the step. Damping enters at the middle of the step and only takes energy.
 
-    h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps between kinks of loads
-    that are no straight lines. tolerance: Newton's, of h^2 times the size of the
+    h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
+    the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the
     acceleration. max_iterations: of one Newton solve. Raises InputError for a setting out of range and for a model that is no scene.
     Source: Simo, Tarnow, ZAMP 43 (1992) 757-792; Gonzalez, CMAME 190 (2000) 1763-1783 for the stress.
     """

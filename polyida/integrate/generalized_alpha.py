@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from polyida.errors import InputError
-from polyida.given import is_number, is_one_of, is_whole
+from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.alpha_family import Coefficients, require_damping
 from polyida.integrate.alpha_march import march
 from polyida.integrate.segments import enough_steps, segments
@@ -23,7 +21,7 @@ class GeneralizedAlpha:
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
     h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly,
-    and four at least where its loads are no straight lines.
+    and four at least behind a kink where the loads are no straight lines (motors are not looked at).
     rho_inf: spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f,
     beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
     form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
@@ -149,7 +147,8 @@ class GeneralizedAlpha:
 
 
 def _four(given):
-    return isinstance(given, (tuple, list, np.ndarray)) and len(given) == 4 and all(map(is_number, given))
+    numbers = floats(given)
+    return numbers is not None and numbers.shape == (4,)
 
 
 def _tuple(c):

@@ -171,7 +171,7 @@ class System:
         """The Blocks at (t, y, y')."""
         model, t = self.model, self.clamp(t)
         q, v, a, _, _ = self.split(y.copy(), yp.copy())
-        B = _dense(model.phi_q(t, q))
+        B = dense(model.phi_q(t, q))
         triples = [self._derivatives(order, t, q, v, a, B) for order in self.form.rows]
         P, Q0, Q1 = (self._sum(rows) if self.form.combined else np.vstack(rows) for rows in zip(*triples))
         C = model.force_v(t, q, v) if model.needs.velocity_forces else None
@@ -194,7 +194,7 @@ class System:
         needs = self.model.needs
         if not (needs.phi_q_varies or (needs.driven and time)):
             return np.zeros((self.model.m, self.model.n))
-        return along(lambda s: _dense(self.model.phi_q(t + s * time, q + s * direction)), _reach(q, direction))
+        return along(lambda s: dense(self.model.phi_q(t + s * time, q + s * direction)), _reach(q, direction))
 
 
 def _reach(q, direction):
@@ -202,5 +202,6 @@ def _reach(q, direction):
     return min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(direction).max(initial=0)))
 
 
-def _dense(matrix):
+def dense(matrix):
+    """The matrix as a dense array."""
     return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, float)

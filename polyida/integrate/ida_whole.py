@@ -16,6 +16,7 @@ index2) or h^-1 (the others), cj = 1/h; scaled, it is flat. Source: as linear/kk
 
 import numpy as np
 
+from polyida.integrate.ida_forms import dense
 from polyida.integrate.ida_linear import EchoedSolve, dense_factor, not_a_number
 from polyida.linear.condition import scaled
 
@@ -60,7 +61,7 @@ def _joined(blocks, K, damping, cj, B_T):
     columns = (2 if blocks.stabilised else 1) * m
     J = np.zeros((2 * n + columns, 2 * n + columns))
     J[:n, :n], J[:n, n:2 * n] = cj * np.eye(n), -np.eye(n)
-    J[n:2 * n, :n], J[n:2 * n, n:2 * n], J[n:2 * n, 2 * n:2 * n + m] = K, damping, B_T
+    J[n:2 * n, :n], J[n:2 * n, n:2 * n], J[n:2 * n, 2 * n:2 * n + m] = K, dense(damping), B_T
     J[:n, 2 * n + m:] = B_T[:, :columns - m]
     J[2 * n:, :n], J[2 * n:, n:2 * n] = blocks.P, Q
     return J

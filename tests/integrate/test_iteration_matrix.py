@@ -135,6 +135,16 @@ def test_the_whole_matrix_gives_the_run_of_the_border(scene, form, scaling, give
     assert whole.counts.factorizations > 0
 
 
+def test_a_sparse_mass_beside_dense_differences():
+    """A model of one's own may mix them."""
+    from scipy.sparse import csc_array
+
+    pendulum = pi.problems.get("pendulum").model
+    mixed = type("Mixed", (type(pendulum),), {"mass": lambda self, q: csc_array(np.eye(2)), "force_q": pi.Model.force_q})()
+    one, other = (pi.solve(model, 0.1, pi.IDA(linear="whole"), q0=[0.6, -0.8]) for model in (pendulum, mixed))
+    assert other.success and np.abs(one.q[-1] - other.q[-1]).max() < 1e-9
+
+
 def test_what_there_is_not(scene):
     alpha, ida = pi.GeneralizedAlpha(h=1e-3), pi.IDA()
     for integrator, choice, more in ((alpha, ("best",), {}), (alpha, ("none", "p"), {}), (ida, ("bottasso",), {"h": 1e-3}),

@@ -111,6 +111,29 @@ def test_a_pulse_between_two_steps_is_felt(scenes, integrator):
     assert gained == pytest.approx([0.0, 40.0 * 2.5e-3], rel=5e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=2e-2), pi.EnergyMomentum(h=2e-2)])
+def test_a_pulse_that_is_zero_in_its_middle_too_is_felt(scenes, integrator):
+    """One period of a sine leaves a free mass moved by 1/(2 pi) of force times time squared over mass."""
+    scene, plate = scenes.single(gravity=(0.0, 0.0))
+    pulse = pi.profile.from_function(lambda t: np.sin(2 * np.pi * (t - 0.03) / 0.01) if 0.03 < t < 0.04 else 0.0,
+                                     kinks=(0.03, 0.04))
+    scene.add(pi.PointLoad(plate.section("right"), (0.0, 40.0), pulse, name="shake"))
+    run = pi.solve(scene.build(), 0.04, integrator)
+    moved = (run.model.mass() @ run.q[-1]).reshape(-1, 2).sum(axis=0)[1]
+    assert moved == pytest.approx(40.0 * 0.01**2 / (2 * np.pi), rel=0.3)
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=1e-2, rtol=1e-3), pi.EnergyMomentum(h=1e-2)])
+def test_a_restart_near_the_end_takes_the_same_steps(scenes, integrator):
+    scene, plate = scenes.hinged()
+    scene.add(pi.PointLoad(plate.section("right"), (0.0, 1.0), pi.profile.sine(1.0, 2.0), name="sway"))
+    model = scene.build()
+    whole = pi.solve(model, 0.1, integrator)
+    part = pi.solve(model, float(whole.t[-3]), integrator)
+    rest = pi.solve(model, 0.1, integrator, state=part.state)
+    assert len(rest) <= 4 and np.abs(rest.q[-1] - whole.q[-1]).max() < 1e-3 * np.abs(whole.q[-1]).max()
+
+
 def test_straight_pieces_take_no_more_steps_than_asked(scenes):
     """A load that is given by points: one step from each to the next."""
     times, values = np.linspace(0.0, 0.05, 51), np.sin(np.arange(51.0))
