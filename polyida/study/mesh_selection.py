@@ -35,6 +35,7 @@ FULL = {
 
 
 def tasks(quick):
+    """The tasks of the study, dictionaries of plain values: all meshes, or with quick those that take seconds."""
     sizes = QUICK if quick else FULL
     loads = [{"load": load, "slenderness": 50} for load in (1, 10)]
     clamps = [{"clamp": clamp} for clamp in ("arc", "straight")]
