@@ -166,7 +166,8 @@ class Steps:
         if objection:
             raise StepFailure("objection", objection, t)
         if self.settings.form == "stabilised" and model.m:
-            v = v + mass_system(model, t, q).solve(np.zeros(model.n), model.phi_q(t, q) @ v + model.phi_t(inner_side(model, t, self.h), q))[0]
+            off = model.phi_q(t, q) @ v + model.phi_t(inner_side(model, t, self.h), q)
+            v = v + mass_system(model, t, q).solve(np.zeros(model.n), off)[0]
             rate = np.zeros(model.m)
         self.size = max(self.size, _rms(a))
         made = np.zeros(0) if self.kkt is None else self.factored_at

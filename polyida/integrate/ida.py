@@ -11,7 +11,7 @@ from polyida.integrate.ida_forms import FORMS, System
 from polyida.integrate.ida_linear import ReducedSolve
 from polyida.integrate.ida_quiet import error_lines_kept
 from polyida.integrate.ida_whole import SCALINGS, WholeSolve
-from polyida.integrate.segments import segments
+from polyida.integrate.segments import at_kink, segments
 from polyida.integrate.state import State, StepFailure
 
 LINEAR = ("auto", "kkt", "whole")
@@ -101,10 +101,10 @@ class IDA:
         run = _Run(self, model, counts)
         for begin, end in segments(model, state.t, t_end):
             limits = (-math.inf, math.inf)
-            if _at_kink(model, begin):
+            if at_kink(model, begin):
                 limits = (_beside(begin, 1), math.inf)
                 state = _far_side(model, state, limits[0])
-            if _at_kink(model, end):
+            if at_kink(model, end):
                 limits = (limits[0], _beside(end, -1))
             for state in run.piece(state, begin, end, limits):
                 yield state
@@ -117,10 +117,6 @@ def _check(name, value, right, wanted):
 
 def _beside(t, side):
     return t + side * 32 * math.ulp(max(abs(t), 1.0))
-
-
-def _at_kink(model, t):
-    return len(model.kinks(_beside(t, -1), _beside(t, 1))) > 0
 
 
 def _far_side(model, state, t):

@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida.integrate.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida import IDA
+from polyida.integrate.ida_forms import dense
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, mass_system
@@ -131,8 +132,3 @@ def inherent_condition(model, state, h):
     free = null_space(dense(B))
     values = np.linalg.svd(free.T @ dense(tangent) @ free, compute_uv=False)
     return float(values[0] / values[-1])
-
-
-def dense(matrix):
-    """The matrix as a dense array."""
-    return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, float)
