@@ -126,6 +126,15 @@ def _derivative(function, order, kinks):
     return lambda t: float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
 
 
+def difference(first, second):
+    """The profile `first - second`."""
+    kinks = tuple(sorted({*first.kinks, *second.kinks}))
+    value, d1, d2 = (
+        lambda t, f=f, g=g: f(t) - g(t) for f, g in ((first.value, second.value), (first.d1, second.d1), (first.d2, second.d2))
+    )
+    return Profile(value, d1, d2, kinks)
+
+
 def as_profile(given, part):
     """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise.
 

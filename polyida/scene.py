@@ -6,13 +6,10 @@ from polyida.body.material import vector2
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
-from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.attachment import Attachment
-from polyida.joint.clamp import Clamp
-from polyida.joint.revolute import Revolute
+from polyida.joint.joint import Joint
 
-KINDS = {Plate: "plate", Revolute: "revolute", Clamp: "clamp", AngleMotor: "motor", PointMass: "mass", PointLoad: "load",
-         EdgeTraction: "traction"}
+KINDS = {Plate: "plate", PointMass: "mass", PointLoad: "load", EdgeTraction: "traction"}
 
 
 class Scene:
@@ -30,18 +27,19 @@ class Scene:
 
         Raises InputError for what is no part, and for a name that is taken.
         """
-        if type(part) not in KINDS:
-            raise InputError(f"Scene.add: {part!r} is no part of a scene; parts are {', '.join(kind.__name__ for kind in KINDS)}")
+        if not isinstance(part, (*KINDS, Joint)):
+            known = ", ".join(kind.__name__ for kind in (*KINDS, Joint))
+            raise InputError(f"Scene.add: {part!r} is no part of a scene; parts are {known}")
         if any(part is known for known in self.parts.values()):
-            raise InputError(f"Scene.add: {part.name or KINDS[type(part)]!r} is in the scene already")
-        name = part.name or self._next_name(KINDS[type(part)])
+            raise InputError(f"Scene.add: {part.name or kind_of(part)!r} is in the scene already")
+        name = part.name or self._next_name(kind_of(part))
         if name in self.parts:
-            raise InputError(f"Scene.add: the name {name!r} is taken by a {KINDS[type(self.parts[name])]}; names must differ")
+            raise InputError(f"Scene.add: the name {name!r} is taken by a {kind_of(self.parts[name])}; names must differ")
         self.parts[name] = part
         return part
 
     def _next_name(self, kind):
-        number = 1 + sum(KINDS[type(part)] == kind for part in self.parts.values())
+        number = 1 + sum(kind_of(part) == kind for part in self.parts.values())
         while f"{kind} {number}" in self.parts:
             number += 1
         return f"{kind} {number}"
@@ -56,3 +54,10 @@ class Scene:
                 if isinstance(side, Attachment) and not any(side.body is plate for plate in plates):
                     raise InputError(f"{name}: {side!r} is of a body that is not in the scene; add it with scene.add")
         return SceneModel(self.parts, self.gravity)
+
+
+def kind_of(part):
+    """What a part without a name is called with a number."""
+    if isinstance(part, Joint):
+        return part.kind or type(part).__name__.lower()
+    return next(word for kind, word in KINDS.items() if isinstance(part, kind))

@@ -126,17 +126,13 @@ class Trajectory:
         return np.concatenate([np.einsum("k,fkx->fx", weights, x) for x in moved])
 
     def _nodes_of(self, name):
-        if not hasattr(self.model, "points_of"):
+        if not hasattr(self.model, "attachment"):
             raise InputError(f"position({name!r}): {type(self.model).__name__} has no named points; read q")
-        if hasattr(name, "weights"):
-            body = next((body for body in self.model.bodies if body.plate is name.body), None)
-            if body is None:
-                raise InputError(f"position({name!r}): its body is not in the scene of this run")
-            return name.nodes + body.nodes.start, name.weights
-        name = next((known for known, part in self.model.parts.items() if part is name), name)
-        s, point = self.model.arrays.links, self.model.points_of(name)
-        part = slice(s.point_ptr[point], s.point_ptr[point + 1])
-        return s.point_nodes[part], s.point_weights[part]
+        side = name
+        if not hasattr(side, "weights"):
+            name = next((known for known, part in self.model.parts.items() if part is name), name)
+            side = self.model.attachment(name)
+        return self.model.nodes_of(side), side.weights
 
     def reaction(self, name):
         """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""

@@ -46,9 +46,8 @@ def tasks(quick):
 
 def tip_of(model):
     """Function q (n,) -> position of the tip, (2,), m."""
-    at = model.points_of("tip")
-    rest = model.arrays.links.point_rest[at]
-    return lambda q: rest + model.dz(q)[at]
+    rest = model.attachment("tip").point
+    return lambda q: rest + model.displacement("tip", q)
 
 
 @lru_cache(maxsize=4)

@@ -16,7 +16,7 @@ def test_double_plate_has_the_stated_mass_and_places():
     assert model.reference.min(axis=0) == pytest.approx([0.0, -0.05])
     assert model.reference.max(axis=0) == pytest.approx([2.0, 0.05])
     for name, place in (("shoulder", (0, 0)), ("elbow", (1, 0)), ("tip", (2, 0))):
-        assert model.arrays.links.point_rest[model.points_of(name)] == pytest.approx(place, abs=1e-12)
+        assert model.attachment(name).point == pytest.approx(place, abs=1e-12)
 
 
 def test_motors_add_one_row_a_joint_and_follow_the_quintic():

@@ -41,26 +41,31 @@ class Plates(NamedTuple):
 
 
 class Links(NamedTuple):
-    """The points that joints and masses hold on to, and the joints.
+    """The points that joints and masses hold on to, and the rows of phi.
 
-    Points: weighted sums of nodal positions in CSR form (`dz = A u`), their value at rest, the mass they carry.
-    Joints: kind (0 linear pair, 1 motor), first row, points a and b (-1: ground), drive number, matrix Q (linear) or R(theta0) (motor),
-    vector of the ground side (motor).
+    Points: weighted sums of nodal positions in CSR form (`dz = A u`), the mass they carry.
+    Rows: constant; the components of the points that each touches, in CSR form. Products `R(theta) E . F`: their row, the vectors E
+    and F, the drive of theta (-1: none), whether only one of two positions half a turn apart is accepted. Vectors: value at rest, and
+    in CSR form their points with a complex weight each.
     """
 
     point_ptr: np.ndarray
     point_nodes: np.ndarray
     point_weights: np.ndarray
-    point_rest: np.ndarray
     point_mass: np.ndarray
     gravity: np.ndarray
-    joint_kind: np.ndarray
-    joint_row: np.ndarray
-    joint_a: np.ndarray
-    joint_b: np.ndarray
-    joint_drive: np.ndarray
-    joint_matrix: np.ndarray
-    joint_ground: np.ndarray
+    row_constant: np.ndarray
+    row_start: np.ndarray
+    row_columns: np.ndarray
+    product_row: np.ndarray
+    product_first: np.ndarray
+    product_second: np.ndarray
+    product_drive: np.ndarray
+    product_one_way: np.ndarray
+    vector_rest: np.ndarray
+    vector_start: np.ndarray
+    vector_points: np.ndarray
+    vector_weights: np.ndarray
 
 
 class SceneArrays(NamedTuple):
@@ -68,6 +73,12 @@ class SceneArrays(NamedTuple):
 
     plates: Plates
     links: Links
+
+
+def bilinear(links):
+    """Which products have points in both of their vectors, (products,): those that make phi_q vary with q."""
+    size = np.diff(links.vector_start)
+    return (size[links.product_first] > 0) & (size[links.product_second] > 0)
 
 
 def concatenated(arrays, dtype, tail=()):

@@ -5,16 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
-from polyida.assembly.joint_table import Drives, JointTable
 from polyida.assembly.points import Points
+from polyida.assembly.row_table import Drives, RowTable
 from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.element import stabilisation
 from polyida.element.wachspress import reference_operator
-from polyida.joint.angle_motor import AngleMotor
-from polyida.joint.clamp import Clamp
-from polyida.joint.revolute import Revolute
+from polyida.joint.joint import Joint
 
 
 @dataclass(frozen=True)
@@ -64,25 +62,20 @@ def operator_of(plate):
 
 
 def assemble(bodies, parts, gravity):
-    """(SceneArrays, Points, JointTable, profiles, {mass or load name: point}) of the parts."""
+    """(SceneArrays, Points, RowTable, profiles) of the parts."""
     first_node = {body.plate: body.nodes.start for body in bodies}
     points, drives = Points(first_node), Drives()
     corners = np.concatenate([body.points for body in bodies])
-    table = JointTable(points, drives, np.ptp(corners, axis=0).max())
-    for name, joint in of_kind(parts, Revolute, Clamp, AngleMotor).items():
+    table = RowTable(points, drives, np.ptp(corners, axis=0).max())
+    for name, joint in of_kind(parts, Joint).items():
         table.add(name, joint)
-    held = {}
-    for name, mass in of_kind(parts, PointMass).items():
-        held[name] = points.add(mass.at)
-        points.mass[held[name]] += mass.mass
+    for mass in of_kind(parts, PointMass).values():
+        points.mass[points.add(mass.at)] += mass.mass
     loads = of_kind(parts, PointLoad, EdgeTraction)
-    for name, load in loads.items():
-        if not isinstance(load, EdgeTraction):
-            held[name] = points.add(load.at)
     fields = operator_arrays(bodies) | body_arrays(bodies, gravity) | load_arrays(loads, drives, first_node)
     links = Links(**points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
     arrays = SceneArrays(Plates(**fields), links)
-    return arrays, points, table, drives.profiles, held
+    return arrays, points, table, drives.profiles
 
 
 def operator_arrays(bodies):

@@ -1,15 +1,14 @@
-"""Joints on the values dz of the scene's points: phi, its derivatives, and the forces of the multipliers.
+"""Rows of phi on the values dz of the scene's points: values, derivatives, and the forces of the multipliers.
 
-`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. All of phi is a function of dz and of the
-drives (value, first and second derivative of each motor's angle). The chain rule with the constant A gives everything
-in q: `phi_q = phi_z A`.
+`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. A row is `constant + sum R(theta) E . F`; E and F are vectors
+`rest + sum_j W_j dz_j`, W_j a turn with a stretch, written as a complex number (2,). The chain rule with the constant A gives
+everything in q: `phi_q = phi_z A`. `slopes` holds phi_z at the columns (component `2 point + axis`) that each row touches,
+`row_columns[row_start[k]:row_start[k + 1]]`.
 """
 
 import numpy as np
 
 from polyida.compiled import entry, part
-
-LINEAR, MOTOR = 0, 1
 
 
 @entry
@@ -38,136 +37,14 @@ def spread(s, forces, r):
 
 
 @part
-def turned_sides(s, j, drives, dz):
-    """(w, d): the direction of a turned by theta + theta0, and the direction of b."""
-    a, b = s.joint_a[j], s.joint_b[j]
-    ex, ey = s.joint_ground[j, 0], s.joint_ground[j, 1]
-    if a >= 0:
-        ax, ay = s.point_rest[a, 0] + dz[a, 0], s.point_rest[a, 1] + dz[a, 1]
-    else:
-        ax, ay = ex, ey
-    if b >= 0:
-        bx, by = s.point_rest[b, 0] + dz[b, 0], s.point_rest[b, 1] + dz[b, 1]
-    else:
-        bx, by = ex, ey
-    c, n = turn(s, j, drives)
-    return c * ax - n * ay, n * ax + c * ay, bx, by
-
-
-@part
-def turn(s, j, drives):
-    """Cosine and sine of theta + theta0."""
-    theta = drives[s.joint_drive[j], 0]
-    c0, n0 = s.joint_matrix[j, 0, 0], s.joint_matrix[j, 1, 0]
-    c, n = np.cos(theta), np.sin(theta)
-    return c * c0 - n * n0, n * c0 + c * n0
-
-
-@entry
-def motor_cosine(s, j, drives, dz):
-    """Cosine of the angle error of motor j."""
-    wx, wy, bx, by = turned_sides(s, j, drives, dz)
-    return (wx * bx + wy * by) / np.sqrt((wx * wx + wy * wy) * (bx * bx + by * by))
-
-
-@entry
-def joint_forces(s, drives, dz, lam, phi, forces):
-    """Fill phi; forces += phi_z^T lam. Returns the least cosine of a motor's angle error (1 without motors)."""
-    least = 1.0
-    for j in range(s.joint_kind.shape[0]):
-        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
-        if s.joint_kind[j] == LINEAR:
-            _linear_forces(s, j, k, a, b, dz, lam, phi, forces)
-            continue
-        wx, wy, bx, by = turned_sides(s, j, drives, dz)
-        phi[k] = wx * by - wy * bx
-        least = min(least, motor_cosine(s, j, drives, dz))
-        if a >= 0:
-            c, n = turn(s, j, drives)
-            forces[a, 0] += lam[k] * (c * by - n * bx)
-            forces[a, 1] += lam[k] * (-n * by - c * bx)
-        if b >= 0:
-            forces[b, 0] -= lam[k] * wy
-            forces[b, 1] += lam[k] * wx
-    return least
-
-
-@part
-def _linear_forces(s, j, k, a, b, dz, lam, phi, forces):
+def moved(s, i, dz):
+    """`sum_j W_j dz_j` of vector i."""
     x = y = 0.0
-    if a >= 0:
-        x, y = dz[a, 0], dz[a, 1]
-        forces[a, 0] += lam[k]
-        forces[a, 1] += lam[k + 1]
-    if b >= 0:
-        q = s.joint_matrix[j]
-        x -= q[0, 0] * dz[b, 0] + q[0, 1] * dz[b, 1]
-        y -= q[1, 0] * dz[b, 0] + q[1, 1] * dz[b, 1]
-        forces[b, 0] -= q[0, 0] * lam[k] + q[1, 0] * lam[k + 1]
-        forces[b, 1] -= q[0, 1] * lam[k] + q[1, 1] * lam[k + 1]
-    phi[k] = x
-    phi[k + 1] = y
-
-
-@entry
-def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
-    """Add to phi and rate = phi_z vz + phi_t what a step of h changes, to the round-off of its second differences
-    alone.
-
-    Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3):
-    increments of the angle, of the angle less h times its rate, of its rate. `phi += h rate + ...`: rate takes the
-    place of terms that cancel in it.
-    """
-    for j in range(s.joint_kind.shape[0]):
-        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
-        if s.joint_kind[j] == MOTOR:
-            motor_change(s, j, drives, gains[s.joint_drive[j]], h, dz, vz, dd, dv, phi, rate)
-            continue
-        for i in range(2):
-            x = y = 0.0
-            if a >= 0:
-                x, y = dd[a, i], dv[a, i]
-            if b >= 0:
-                x -= s.joint_matrix[j, i, 0] * dd[b, 0] + s.joint_matrix[j, i, 1] * dd[b, 1]
-                y -= s.joint_matrix[j, i, 0] * dv[b, 0] + s.joint_matrix[j, i, 1] * dv[b, 1]
-            phi[k + i] += h * rate[k + i] + x
-            rate[k + i] += y
-
-
-@part
-def motor_change(s, j, drives, gain, h, dz, vz, dd, dv, phi, rate):
-    """`joint_change` of a motor: `phi = w x b`, `w = R a`, R turning by theta + theta0; J turns by a right angle.
-
-    `dw = R (da + (cos g - 1) a1 + sin g J a1)`, of which `h R (va + theta' J a)` is in h rate; so is `h w x vb`.
-    """
-    a, b, k, speed = s.joint_a[j], s.joint_b[j], s.joint_row[j], drives[s.joint_drive[j], 1]
-    wx, wy, bx, by = turned_sides(s, j, drives, dz)
-    c, n = turn(s, j, drives)
-    ax, ay = c * wx + n * wy, c * wy - n * wx
-    vax, vay, ddax, dday, dvax, dvay = at_point(vz, dd, dv, a)
-    vbx, vby, ddbx, ddby, dvbx, dvby = at_point(vz, dd, dv, b)
-    dax, day, dbx, dby = h * vax + ddax, h * vay + dday, h * vbx + ddbx, h * vby + ddby
-    x, y, g = ax + dax, ay + day, gain[0]
-    less, sine, cubic = -2.0 * np.sin(0.5 * g) ** 2, np.sin(g), sine_less_angle(g)
-    px, py = ddax - gain[1] * ay + less * x - cubic * y - g * day, dday + gain[1] * ax + less * y + cubic * x + g * dax
-    dwx, dwy = rotated(c, n, dax + less * x - sine * y, day + less * y + sine * x)
-    px, py = rotated(c, n, px, py)
-    phi[k] += h * rate[k] + px * by - py * bx + wx * ddby - wy * ddbx + dwx * dby - dwy * dbx
-    ux, uy = rotated(c, n, vax - speed * ay, vay + speed * ax)
-    later = speed + gain[2]
-    ex, ey = vax + dvax - later * y, vay + dvay + later * x
-    fx, fy = rotated(c, n, less * ex - sine * ey + dvax - gain[2] * y - speed * day,
-                     less * ey + sine * ex + dvay + gain[2] * x + speed * dax)
-    rate[k] += fx * (by + dby) - fy * (bx + dbx) + ux * dby - uy * dbx
-    rate[k] += dwx * (vby + dvby) - dwy * (vbx + dvbx) + wx * dvby - wy * dvbx
-
-
-@part
-def at_point(vz, dd, dv, a):
-    """Velocity, second-order move and change of velocity of a point; zeros of the ground."""
-    if a < 0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    return vz[a, 0], vz[a, 1], dd[a, 0], dd[a, 1], dv[a, 0], dv[a, 1]
+    for k in range(s.vector_start[i], s.vector_start[i + 1]):
+        p, c, n = s.vector_points[k], s.vector_weights[k, 0], s.vector_weights[k, 1]
+        x += c * dz[p, 0] - n * dz[p, 1]
+        y += n * dz[p, 0] + c * dz[p, 1]
+    return x, y
 
 
 @part
@@ -177,116 +54,215 @@ def rotated(c, n, x, y):
 
 
 @part
+def turn(s, p, drives):
+    """(cosine, sine, rate, second derivative) of the angle that turns E of product p."""
+    d = s.product_drive[p]
+    if d < 0:
+        return 1.0, 0.0, 0.0, 0.0
+    return np.cos(drives[d, 0]), np.sin(drives[d, 0]), drives[d, 1], drives[d, 2]
+
+
+@part
+def factors(s, p, c, n, dz):
+    """R E and F of product p."""
+    e, f = s.product_first[p], s.product_second[p]
+    x, y = moved(s, e, dz)
+    ex, ey = rotated(c, n, s.vector_rest[e, 0] + x, s.vector_rest[e, 1] + y)
+    x, y = moved(s, f, dz)
+    return ex, ey, s.vector_rest[f, 0] + x, s.vector_rest[f, 1] + y
+
+
+@part
+def push(s, i, x, y, forces):
+    """forces += `W_j^T (x, y)`: the force (x, y) on vector i."""
+    for k in range(s.vector_start[i], s.vector_start[i + 1]):
+        p, c, n = s.vector_points[k], s.vector_weights[k, 0], s.vector_weights[k, 1]
+        forces[p, 0] += c * x + n * y
+        forces[p, 1] += c * y - n * x
+
+
+@part
+def slope(s, i, row, x, y, slopes):
+    """`push` into the slopes of a row."""
+    for k in range(s.vector_start[i], s.vector_start[i + 1]):
+        p, c, n = s.vector_points[k], s.vector_weights[k, 0], s.vector_weights[k, 1]
+        at = s.row_start[row]
+        while s.row_columns[at] != 2 * p:
+            at += 2
+        slopes[at] += c * x + n * y
+        slopes[at + 1] += c * y - n * x
+
+
+@part
+def cosine(ex, ey, fx, fy):
+    """Of the angle between E turned back by a right angle and F: of a `cross` between its two vectors."""
+    return (ey * fx - ex * fy) / np.sqrt((ex * ex + ey * ey) * (fx * fx + fy * fy))
+
+
+@entry
+def joint_forces(s, drives, dz, lam, phi, forces):
+    """Fill phi; forces += phi_z^T lam. Returns the least cosine between the vectors of one-way products (1 without any)."""
+    least = 1.0
+    phi[:] = s.row_constant
+    for p in range(s.product_row.shape[0]):
+        k = s.product_row[p]
+        c, n, _, _ = turn(s, p, drives)
+        ex, ey, fx, fy = factors(s, p, c, n, dz)
+        phi[k] += ex * fx + ey * fy
+        if s.product_one_way[p]:
+            least = min(least, cosine(ex, ey, fx, fy))
+        push(s, s.product_first[p], lam[k] * (c * fx + n * fy), lam[k] * (c * fy - n * fx), forces)
+        push(s, s.product_second[p], lam[k] * ex, lam[k] * ey, forces)
+    return least
+
+
+@entry
+def flipped(s, drives, dz):
+    """The first row with a one-way product on its wrong side, or -1."""
+    for p in range(s.product_row.shape[0]):
+        if s.product_one_way[p]:
+            c, n, _, _ = turn(s, p, drives)
+            ex, ey, fx, fy = factors(s, p, c, n, dz)
+            if not cosine(ex, ey, fx, fy) > 0.0:
+                return s.product_row[p]
+    return -1
+
+
+@entry
+def joint_jacobian(s, drives, dz, slopes):
+    """Fill slopes with phi_z."""
+    slopes[:] = 0.0
+    for p in range(s.product_row.shape[0]):
+        k = s.product_row[p]
+        c, n, _, _ = turn(s, p, drives)
+        ex, ey, fx, fy = factors(s, p, c, n, dz)
+        slope(s, s.product_first[p], k, c * fx + n * fy, c * fy - n * fx, slopes)
+        slope(s, s.product_second[p], k, ex, ey, slopes)
+
+
+@entry
+def joint_curvature(s, drives, lam, curvature):
+    """curvature += d(phi_z^T lam)/dz, (2 points, 2 points): `lam W_i^T R^T W_j` between the points of E and those of F."""
+    for p in range(s.product_row.shape[0]):
+        e, f = s.product_first[p], s.product_second[p]
+        if s.vector_start[e] == s.vector_start[e + 1] or s.vector_start[f] == s.vector_start[f + 1]:
+            continue
+        c, n, _, _ = turn(s, p, drives)
+        for i in range(s.vector_start[e], s.vector_start[e + 1]):
+            a, (x, y) = s.vector_points[i], rotated(c, n, s.vector_weights[i, 0], s.vector_weights[i, 1])
+            for j in range(s.vector_start[f], s.vector_start[f + 1]):
+                b = s.vector_points[j]
+                x1, y1 = rotated(x, -y, s.vector_weights[j, 0], s.vector_weights[j, 1])
+                _couple(2 * a, 2 * b, lam[s.product_row[p]] * x1, lam[s.product_row[p]] * y1, curvature)
+
+
+@part
+def _couple(a, b, x, y, curvature):
+    """Add the matrix ((x, -y), (y, x)) at (a, b), and its transpose at (b, a)."""
+    block = ((x, -y), (y, x))
+    for i in range(2):
+        for e in range(2):
+            curvature[a + i, b + e] += block[i][e]
+            curvature[b + e, a + i] += block[i][e]
+
+
+@entry
+def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
+    """Fill phi_t, rate = phi_z vz + phi_t and the bias `(phi_q v)_q v + 2 phi_qt v + phi_tt`, each (m,)."""
+    phi_t[:] = 0.0
+    rate[:] = 0.0
+    bias[:] = 0.0
+    for p in range(s.product_row.shape[0]):
+        k = s.product_row[p]
+        c, n, speed, second = turn(s, p, drives)
+        ex, ey, fx, fy = factors(s, p, c, n, dz)
+        ux, uy = moved(s, s.product_first[p], vz)
+        ux, uy = rotated(c, n, ux, uy)
+        gx, gy = moved(s, s.product_second[p], vz)
+        across, along = ex * fy - ey * fx, ex * fx + ey * fy
+        phi_t[k] += speed * across
+        rate[k] += speed * across + ux * fx + uy * fy + ex * gx + ey * gy
+        bias[k] += 2.0 * (ux * gx + uy * gy) + second * across - speed * speed * along
+        bias[k] += 2.0 * speed * (ux * fy - uy * fx + ex * gy - ey * gx)
+
+
+@part
+def joint_rate_jacobian(s, drives, dz, vz, slopes):
+    """Fill slopes with d(phi_z vz + phi_t)/dz."""
+    slopes[:] = 0.0
+    for p in range(s.product_row.shape[0]):
+        k, e, f = s.product_row[p], s.product_first[p], s.product_second[p]
+        c, n, speed, _ = turn(s, p, drives)
+        ex, ey, fx, fy = factors(s, p, c, n, dz)
+        ux, uy = moved(s, e, vz)
+        ux, uy = rotated(c, n, ux, uy)
+        gx, gy = moved(s, f, vz)
+        gx, gy = gx + speed * fy, gy - speed * fx
+        slope(s, e, k, c * gx + n * gy, c * gy - n * gx, slopes)
+        slope(s, f, k, ux - speed * ey, uy + speed * ex, slopes)
+
+
+@entry
+def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
+    """Add to phi and rate = phi_z vz + phi_t what a step of h changes, to the round-off of its second differences
+    alone.
+
+    Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3):
+    increments of the angle, of the angle less h times its rate, of its rate. `phi += h rate + ...`: rate takes the
+    place of terms that cancel in it. With e = R E, `e_0 . f_0` becomes
+    `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`.
+    """
+    for k in range(phi.shape[0]):
+        phi[k] += h * rate[k]
+    for p in range(s.product_row.shape[0]):
+        k, f = s.product_row[p], s.product_second[p]
+        c, n, speed, _ = turn(s, p, drives)
+        ex, ey, fx, fy = factors(s, p, c, n, dz)
+        gx, gy = moved(s, f, vz)
+        ddfx, ddfy = moved(s, f, dd)
+        dvfx, dvfy = moved(s, f, dv)
+        ux, uy, ddx, ddy, dvx, dvy = turning_change(s, p, c, n, speed, gains, h, dz, vz, dd, dv)
+        dex, dey, dfx, dfy = h * ux + ddx, h * uy + ddy, h * gx + ddfx, h * gy + ddfy
+        phi[k] += ddx * fx + ddy * fy + ex * ddfx + ey * ddfy + dex * dfx + dey * dfy
+        rate[k] += dvx * (fx + dfx) + dvy * (fy + dfy) + ux * dfx + uy * dfy
+        rate[k] += ex * dvfx + ey * dvfy + dex * (gx + dvfx) + dey * (gy + dvfy)
+
+
+@part
+def turning_change(s, p, c, n, speed, gains, h, dz, vz, dd, dv):
+    """Velocity of e = R E of product p, what its move differs from h times that, and its change of velocity.
+
+    i turns by a right angle, g is what the angle gains, k that less h theta', E_1 = E + h E' + dd_E:
+    `e' = R (E' + theta' i E)`, `dd_e = R (dd_E + (cos g - 1) E_1 + (sin g - g) i E_1 + g i (E_1 - E) + k i E)`,
+    `de' = R ((R(g) - I)(E_1' + theta_1' i E_1) + dE' + theta_1' i (E_1 - E) + (theta_1' - theta') i E)`.
+    """
+    e = s.product_first[p]
+    ux, uy = moved(s, e, vz)
+    ddx, ddy = moved(s, e, dd)
+    dvx, dvy = moved(s, e, dv)
+    d = s.product_drive[p]
+    if d < 0:
+        return ux, uy, ddx, ddy, dvx, dvy
+    x, y = moved(s, e, dz)
+    x, y = s.vector_rest[e, 0] + x, s.vector_rest[e, 1] + y
+    g, ahead, faster = gains[d, 0], gains[d, 1], gains[d, 2]
+    mx, my = h * ux + ddx, h * uy + ddy
+    x1, y1 = x + mx, y + my
+    less, sine, cubic = -2.0 * np.sin(0.5 * g) ** 2, np.sin(g), sine_less_angle(g)
+    px, py = ddx + less * x1 - cubic * y1 - g * my - ahead * y, ddy + less * y1 + cubic * x1 + g * mx + ahead * x
+    later = speed + faster
+    wx, wy = ux + dvx - later * y1, uy + dvy + later * x1
+    qx = less * wx - sine * wy + dvx - later * my - faster * y
+    qy = less * wy + sine * wx + dvy + later * mx + faster * x
+    ux, uy = rotated(c, n, ux - speed * y, uy + speed * x)
+    px, py = rotated(c, n, px, py)
+    qx, qy = rotated(c, n, qx, qy)
+    return ux, uy, px, py, qx, qy
+
+
+@part
 def sine_less_angle(g):
     """sin g - g without cancellation."""
     if abs(g) < 0.05:
         return -g * g * g / 6.0 * (1.0 - g * g / 20.0 * (1.0 - g * g / 42.0))
     return np.sin(g) - g
-
-
-@entry
-def joint_jacobian(s, drives, dz, phi_z):
-    """Fill phi_z (m, 2 points), dense."""
-    phi_z[:] = 0.0
-    for j in range(s.joint_kind.shape[0]):
-        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
-        if s.joint_kind[j] == LINEAR:
-            if a >= 0:
-                phi_z[k, 2 * a] = 1.0
-                phi_z[k + 1, 2 * a + 1] = 1.0
-            if b >= 0:
-                for i in range(2):
-                    for e in range(2):
-                        phi_z[k + i, 2 * b + e] = -s.joint_matrix[j, i, e]
-            continue
-        wx, wy, bx, by = turned_sides(s, j, drives, dz)
-        if a >= 0:
-            c, n = turn(s, j, drives)
-            phi_z[k, 2 * a] = c * by - n * bx
-            phi_z[k, 2 * a + 1] = -n * by - c * bx
-        if b >= 0:
-            phi_z[k, 2 * b] = -wy
-            phi_z[k, 2 * b + 1] = wx
-
-
-@entry
-def joint_curvature(s, drives, lam, curvature):
-    """curvature += d(phi_z^T lam)/dz, (2 points, 2 points): lam R^T J between the two directions of a motor."""
-    for j in range(s.joint_kind.shape[0]):
-        a, b = s.joint_a[j], s.joint_b[j]
-        if s.joint_kind[j] == MOTOR and a >= 0 and b >= 0:
-            c, n = turn(s, j, drives)
-            g = lam[s.joint_row[j]]
-            block = ((-n * g, c * g), (-c * g, -n * g))
-            for i in range(2):
-                for e in range(2):
-                    curvature[2 * a + i, 2 * b + e] += block[i][e]
-                    curvature[2 * b + e, 2 * a + i] += block[i][e]
-
-
-@entry
-def joint_rates(s, drives, dz, vz, phi_t, bias):
-    """Fill phi_t (m,) and the bias of the acceleration constraint `(phi_q v)_q v + 2 phi_qt v + phi_tt` (m,)."""
-    phi_t[:] = 0.0
-    bias[:] = 0.0
-    for j in range(s.joint_kind.shape[0]):
-        if s.joint_kind[j] != MOTOR:
-            continue
-        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
-        wx, wy, bx, by = turned_sides(s, j, drives, dz)
-        c, n = turn(s, j, drives)
-        rate, second = drives[s.joint_drive[j], 1], drives[s.joint_drive[j], 2]
-        ux = uy = dx = dy = 0.0
-        if a >= 0:
-            ux, uy = c * vz[a, 0] - n * vz[a, 1], n * vz[a, 0] + c * vz[a, 1]
-        if b >= 0:
-            dx, dy = vz[b, 0], vz[b, 1]
-        along = wx * bx + wy * by
-        phi_t[k] = -rate * along
-        mixed = -rate * (ux * bx + uy * by + wx * dx + wy * dy)
-        bias[k] = 2.0 * (ux * dy - uy * dx) + 2.0 * mixed - second * along - rate * rate * (wx * by - wy * bx)
-
-
-@part
-def joint_velocities(s, drives, dz, vz, rate):
-    """rate += phi_z vz, (m,)."""
-    for j in range(s.joint_kind.shape[0]):
-        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
-        if s.joint_kind[j] == LINEAR:
-            for i in range(2):
-                if a >= 0:
-                    rate[k + i] += vz[a, i]
-                if b >= 0:
-                    rate[k + i] -= s.joint_matrix[j, i, 0] * vz[b, 0] + s.joint_matrix[j, i, 1] * vz[b, 1]
-            continue
-        wx, wy, bx, by = turned_sides(s, j, drives, dz)
-        c, n = turn(s, j, drives)
-        if a >= 0:
-            rate[k] += (c * vz[a, 0] - n * vz[a, 1]) * by - (n * vz[a, 0] + c * vz[a, 1]) * bx
-        if b >= 0:
-            rate[k] += wx * vz[b, 1] - wy * vz[b, 0]
-
-
-@part
-def joint_rate_jacobian(s, drives, dz, vz, rate_z):
-    """Fill rate_z = d(phi_z vz + phi_t)/dz (m, 2 points), dense."""
-    rate_z[:] = 0.0
-    for j in range(s.joint_kind.shape[0]):
-        if s.joint_kind[j] != MOTOR:
-            continue
-        k, a, b = s.joint_row[j], s.joint_a[j], s.joint_b[j]
-        wx, wy, bx, by = turned_sides(s, j, drives, dz)
-        c, n = turn(s, j, drives)
-        rate = drives[s.joint_drive[j], 1]
-        if a >= 0:
-            dx, dy = -rate * bx, -rate * by
-            if b >= 0:
-                dx, dy = dx + vz[b, 1], dy - vz[b, 0]
-            rate_z[k, 2 * a] = c * dx + n * dy
-            rate_z[k, 2 * a + 1] = -n * dx + c * dy
-        if b >= 0:
-            ux = uy = 0.0
-            if a >= 0:
-                ux, uy = c * vz[a, 0] - n * vz[a, 1], n * vz[a, 0] + c * vz[a, 1]
-            rate_z[k, 2 * b] = -uy - rate * wx
-            rate_z[k, 2 * b + 1] = ux - rate * wy

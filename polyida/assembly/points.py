@@ -11,7 +11,7 @@ class Points:
     def __init__(self, first_node):
         self._first_node = first_node  # {plate: its first node in the scene}
         self._index = {}
-        self.nodes, self.weights, self.rest, self.mass = [], [], [], []
+        self.nodes, self.weights, self.mass = [], [], []
 
     def add(self, attachment, part="point"):
         """Number of the point ("point") or direction ("direction") of an attachment."""
@@ -21,7 +21,6 @@ class Points:
             self._index[key] = len(self.nodes)
             self.nodes.append(attachment.nodes + self._first_node[attachment.body])
             self.weights.append(weights)
-            self.rest.append(weights @ attachment.body.points[attachment.nodes])
             self.mass.append(0.0)
         return self._index[key]
 
@@ -31,6 +30,5 @@ class Points:
             "point_ptr": starts(self.nodes),
             "point_nodes": concatenated(self.nodes, np.int32),
             "point_weights": concatenated(self.weights, float),
-            "point_rest": concatenated(self.rest, float, (2,)),
             "point_mass": np.array(self.mass, float),
         }

@@ -6,10 +6,11 @@ import numpy as np
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly import joints as rows
+from polyida.assembly.arrays import bilinear
 from polyida.assembly.build import assemble, bodies_of
 from polyida.assembly.damping import add_damping, damped_blocks
 from polyida.element import kernels
-from polyida.joint.angle_motor import AngleMotor
+from polyida.errors import InputError
 from polyida.model import Model, Needs
 
 
@@ -23,16 +24,15 @@ class SceneModel(Model):
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
         self.bodies, self._kept = bodies_of(parts), {}
-        self.arrays, points, table, self.profiles, self._held = assemble(self.bodies, parts, gravity)
-        self.labels, self.rows, self.joints = table.labels, table.rows, table.sides
+        self.arrays, points, table, self.profiles = assemble(self.bodies, parts, gravity)
+        self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
         self.n_nodes = self.bodies[-1].nodes.stop
         self.n, self.m = 2 * self.n_nodes, len(self.labels)
         self.n_points = len(points.nodes)
         links = self.arrays.links
-        motors = links.joint_kind == rows.MOTOR
-        both = motors & (links.joint_a >= 0) & (links.joint_b >= 0)
         damped, self.flexible = any(body.plate.material.damped for body in self.bodies), True
-        self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool(motors.any()), phi_q_varies=bool(both.any()))
+        self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool((links.product_drive >= 0).any()),
+                           phi_q_varies=bool(bilinear(links).any()))
         self.reference = np.concatenate([body.points for body in self.bodies])
 
     def drives(self, t):
@@ -108,7 +108,7 @@ class SceneModel(Model):
 
     def phi_q(self, t, q):
         """Constraint Jacobian, (m, n) sparse; constant unless `needs.phi_q_varies` or `needs.driven`."""
-        return self._phi_q if not self.needs.driven else self._jacobian(t, q)
+        return self._jacobian(t, q) if self.needs.driven or self.needs.phi_q_varies else self._phi_q
 
     @cached_property
     def _phi_q(self):
@@ -117,9 +117,10 @@ class SceneModel(Model):
     def _jacobian(self, t, q):
         from scipy.sparse import csr_array
 
-        phi_z = np.empty((self.m, 2 * self.n_points))
-        rows.joint_jacobian(self.arrays.links, self.drives(t), self.dz(q), phi_z)
-        return csr_array(csr_array(phi_z) @ self._points_t.T)
+        s = self.arrays.links
+        slopes = np.empty(len(s.row_columns))
+        rows.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
+        return csr_array(csr_array((slopes, s.row_columns, s.row_start), (self.m, 2 * self.n_points)) @ self._points_t.T)
 
     def phi_t(self, t, q):
         """Partial derivative of phi in time, (m,)."""
@@ -130,9 +131,9 @@ class SceneModel(Model):
         return self._rates(t, q, v)[1]
 
     def _rates(self, t, q, v):
-        phi_t, bias = np.zeros((2, self.m))
-        if self.needs.driven:
-            rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, bias)
+        phi_t, rate, bias = np.zeros((3, self.m))
+        if self.needs.driven or self.needs.phi_q_varies:
+            rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, rate, bias)
         return phi_t, bias
 
     def force_q(self, t, q, v):
@@ -150,7 +151,7 @@ class SceneModel(Model):
         return csc_array((self.n, self.n))
 
     def reaction_q(self, t, q, lam):
-        """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the motors on the points."""
+        """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the rows on the points."""
         from scipy.sparse import csr_array
 
         curvature = np.zeros((2 * self.n_points, 2 * self.n_points))
@@ -170,12 +171,9 @@ class SceneModel(Model):
         return None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
 
     def _flipped(self, t, q):
-        """Name of a motor whose angle error is beyond a quarter turn."""
-        links, drives, dz = self.arrays.links, self.drives(t), self.dz(q)
-        for name, part in self.rows.items():
-            at = int(np.searchsorted(links.joint_row, part.start))
-            if links.joint_kind[at] == rows.MOTOR and rows.motor_cosine(links, at, drives, dz) <= 0:
-                return name
+        """Name of a joint whose angle error is beyond a quarter turn."""
+        row = rows.flipped(self.arrays.links, self.drives(t), self.dz(q))
+        return next((name for name, part in self.rows.items() if part.start <= row < part.stop), None)
 
     def potential(self, q):
         """Strain energy and potential of gravity, J, relative to the reference configuration."""
@@ -244,14 +242,16 @@ class SceneModel(Model):
 
     def reactions(self, name, q, lam):
         """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""
-        if not isinstance(self.joints[name], AngleMotor):
-            return lam.copy()
-        at = int(np.searchsorted(self.arrays.links.joint_row, self.rows[name].start))
-        sizes = np.ones(len(q))
-        for point in (self.arrays.links.joint_a[at], self.arrays.links.joint_b[at]):
-            if point >= 0:
-                sizes *= [np.hypot(*(self.arrays.links.point_rest[point] + self.dz(frame)[point])) for frame in q]
-        return -lam * sizes[:, None]
+        return self.joints[name].reaction(lam, lambda vector: self._values(vector, q))
+
+    def _values(self, vector, q):
+        """A vector of a joint's formula, its profiles at zero, over frames q (frames, n): (frames, 2)."""
+        values = np.full(len(q), complex(vector.rest))
+        for side, part, w in (term for piece in vector.pieces for term in piece.terms):
+            weights = side.weights if part == "point" else side.turn_weights
+            u = q.reshape(len(q), -1, 2)[:, self.nodes_of(side)] @ np.array([1.0, 1j])
+            values += w * (u @ weights)
+        return np.stack([values.real, values.imag], axis=1)
 
     def once(self, make):
         """make(self), kept: what other layers derive from the model once."""
@@ -259,18 +259,26 @@ class SceneModel(Model):
             self._kept[make] = make(self)
         return self._kept[make]
 
-    def points_of(self, name):
-        """Number of the point that a mass, load or joint holds on to; raises InputError where there is none of that name."""
-        from polyida.errors import InputError
+    def attachment(self, name):
+        """What a mass, load or joint holds on to (a joint: its side b, or a where b is ground); InputError for another name."""
+        part = self.parts.get(name)
+        side = getattr(part, "at", None) if name not in self.joints else part.a if part.b.body is None else part.b
+        if side is None:
+            known = ", ".join(repr(other) for other, part in self.parts.items() if hasattr(part, "at") or other in self.joints)
+            raise InputError(f"no mass, load or joint is called {name!r}; known: {known}")
+        return side
 
-        if name in self._held:
-            return self._held[name]
-        if name in self.rows:
-            at = int(np.searchsorted(self.arrays.links.joint_row, self.rows[name].start))
-            b = self.arrays.links.joint_b[at]
-            return int(b if b >= 0 else self.arrays.links.joint_a[at])
-        known = ", ".join(map(repr, [*self._held, *self.rows]))
-        raise InputError(f"no mass, load or joint is called {name!r}; known: {known}")
+    def nodes_of(self, side):
+        """Numbers in the scene of an attachment's nodes; InputError where its body is another scene's."""
+        body = next((body for body in self.bodies if body.plate is side.body), None)
+        if body is None:
+            raise InputError(f"{side!r}: its body is not in the scene")
+        return side.nodes + body.nodes.start
+
+    def displacement(self, name, q):
+        """Displacement of the point that a mass, load or joint holds on to, (2,), m; of q = v its velocity."""
+        side = self.attachment(name)
+        return side.weights @ self._nodal(q)[self.nodes_of(side)]
 
     def _nodal(self, q):
         """q as (nodes, 2) for the kernels, which do not check bounds."""

@@ -20,7 +20,7 @@ def drive_table(model, times, h):
     At a kink at either end loads and all derivatives are those of the inner side. A motor's angle is continuous.
     """
     links = model.arrays.links
-    motors = links.joint_drive[links.joint_kind == joints.MOTOR]
+    motors = set(links.product_drive.tolist())
     table = np.empty((len(times), len(model.profiles), 3))
     if not table.size:
         return table
@@ -53,7 +53,7 @@ def gain_table(model, times, drives, h):
     gains = np.empty(before.shape)
     gains[:, :, 0], gains[:, :, 2] = after[:, :, 0] - before[:, :, 0], after[:, :, 1] - before[:, :, 1]
     gains[:, :, 1] = gains[:, :, 0] - h * before[:, :, 1]
-    for k in np.unique(links.joint_drive[links.joint_kind == joints.MOTOR]):
+    for k in np.unique(links.product_drive[links.product_drive >= 0]):
         t, ends = times[1:], after[:, k]
         size = np.abs(before[:, k, :2]) + np.abs(ends[:, :2]) + np.abs(t[:, None] * ends[:, 1:])
         lost = np.flatnonzero((np.abs(gains[:, k, ::2]) < 1e-5 * size).any(axis=1))

@@ -163,7 +163,7 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
         counts[1] += 1
         moved, length, size, pull = correct(p, w)
         if tie is not None:
-            good = alpha_tie.slip(p, y, w, tie) and good
+            good = alpha_tie.slip(s.links, p, y, w, tie) and good
         if not good:
             return SINGULAR, last
         settled, hopeless, allowed = judge(p, y.marks, iteration == 1, last, moved, length, size, pull)

@@ -26,7 +26,7 @@ class Tie(NamedTuple):
     last: np.ndarray
     rate: np.ndarray
     bias: np.ndarray
-    phi_z: np.ndarray
+    slopes: np.ndarray
     vz: np.ndarray
     pull: np.ndarray
 
@@ -41,42 +41,42 @@ def tie(model):
     reach = np.ascontiguousarray(model.mass_inverse(both.reshape(model.n, points)).reshape(both.shape)[:, 0])
     g = np.array([[s.point_weights[a:b] @ reach[s.point_nodes[a:b], f] for f in range(points)]
                   for a, b in zip(s.point_ptr[:-1], s.point_ptr[1:])])
-    shapes = ((m, m), m, m, m, (m, 2 * points), (points, 2), (points, 2))
-    matrix, eta, rate, bias, phi_z, vz, pull = map(np.empty, shapes)
-    return Tie(reach, g, matrix, eta, np.empty(m, np.int64), rate, bias, phi_z, vz, pull)
+    shapes = ((m, m), m, m, m, len(s.row_columns), (points, 2), (points, 2))
+    matrix, eta, rate, bias, slopes, vz, pull = map(np.empty, shapes)
+    return Tie(reach, g, matrix, eta, np.empty(m, np.int64), rate, bias, slopes, vz, pull)
 
 
 @part
 def velocity_rate(s, drives, dz, v, t):
-    """t.rate = phi_q v + phi_t; t.phi_z with it."""
+    """t.rate = phi_q v + phi_t; t.slopes with it."""
     joints.point_values(s, v, t.vz)
-    joints.joint_rates(s, drives, dz, t.vz, t.rate, t.bias)
-    joints.joint_velocities(s, drives, dz, t.vz, t.rate)
-    joints.joint_jacobian(s, drives, dz, t.phi_z)
+    joints.joint_rates(s, drives, dz, t.vz, t.eta, t.rate, t.bias)
+    joints.joint_jacobian(s, drives, dz, t.slopes)
 
 
 @part
-def project(t, wanted, x):
+def project(s, t, wanted, x):
     """x -= M^-1 phi_q^T eta with `phi_q M^-1 phi_q^T eta = wanted`. False where that is singular."""
-    m, points = wanted.shape[0], t.pull.shape[0]
+    m = wanted.shape[0]
     for i in range(m):
         t.eta[i] = wanted[i]
         for j in range(m):
             t.matrix[i, j] = 0.0
-        for f in range(points):
-            fx, fy = t.phi_z[i, 2 * f], t.phi_z[i, 2 * f + 1]
-            if fx == 0.0 and fy == 0.0:
-                continue
-            for h in range(points):
-                for j in range(m):
-                    t.matrix[i, j] += t.g[f, h] * (fx * t.phi_z[j, 2 * h] + fy * t.phi_z[j, 2 * h + 1])
+            for e in range(s.row_start[i], s.row_start[i + 1]):
+                p = s.row_columns[e]
+                for o in range(s.row_start[j], s.row_start[j + 1]):
+                    q = s.row_columns[o]
+                    if p % 2 == q % 2:
+                        t.matrix[i, j] += t.slopes[e] * t.g[p // 2, q // 2] * t.slopes[o]
     if not solve_small(t.matrix, t.eta, t.last):
         return False
-    for f in range(points):
-        px = py = 0.0
-        for i in range(m):
-            px += t.phi_z[i, 2 * f] * t.eta[i]
-            py += t.phi_z[i, 2 * f + 1] * t.eta[i]
+    t.pull[:] = 0.0
+    for i in range(m):
+        for e in range(s.row_start[i], s.row_start[i + 1]):
+            p = s.row_columns[e]
+            t.pull[p // 2, p % 2] += t.slopes[e] * t.eta[i]
+    for f in range(t.pull.shape[0]):
+        px, py = t.pull[f, 0], t.pull[f, 1]
         if px != 0.0 or py != 0.0:
             for i in range(x.shape[0]):
                 x[i, 0] -= t.reach[i, f] * px
@@ -95,9 +95,9 @@ def part_constraints(s, drives, w, t, to_v):
 
 
 @part
-def slip(p, y, w, t):
+def slip(s, p, y, w, t):
     """Add y to the step."""
-    if not project(t, t.bias, w.dd):
+    if not project(s, t, t.bias, w.dd):
         return False
     for i in range(w.u.shape[0]):
         for k in range(2):
@@ -112,4 +112,4 @@ def settle(s, drives, w, t):
     velocity_rate(s, drives, w.dz, w.v, t)
     for k in range(w.rate.shape[0]):
         w.rate[k] = 0.0
-    return project(t, t.rate, w.v)
+    return project(s, t, t.rate, w.v)

@@ -15,15 +15,15 @@ from polyida.linear.dense import solve_small
 @part
 def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
     """Solve for w, dlam, dmu; move w.dq by them; leave A's forces Bz^T dmu in w.swing."""
-    wide = w.rate_z.shape[1]
+    wide = w.cross.shape[0]
     corotated.points_matrix(s.links, c, cr)
     for i in range(wide):
         for j in range(wide):
             w.cross[i, j] = cr.g[i, j]
     corotated.points_matrix(s.links, cm, cr)
     g, h = w.cross, cr.g
-    joints.joint_jacobian(s.links, drives, w.dz, cr.phi_z)
-    joints.joint_rate_jacobian(s.links, drives, w.dz, w.vz, w.rate_z)
+    joints.joint_jacobian(s.links, drives, w.dz, cr.slopes)
+    joints.joint_rate_jacobian(s.links, drives, w.dz, w.vz, w.rate_slopes)
     corotated.fill_curvature(s.links, cr, drives, w.lam, cj * cj)
     for i in range(wide):
         for j in range(wide):
@@ -33,8 +33,8 @@ def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
                 for k in range(2):
                     for e in range(w.own.shape[0]):
                         h[i, 2 * e + k] += cj * g[i, 2 * f + k] * s.links.point_mass[f] * w.own[f, e]
-    times_jacobian(c, cr, g, cr.gb)
-    times_jacobian(c, cr, h, w.hb)
+    times_jacobian(s.links, cr, g, cr.gb)
+    times_jacobian(s.links, cr, h, w.hb)
     fill_stabilised(s, c, cr, w, cj, r, n, m)
     if not solve_small(w.small, w.unknown, w.last):
         return False
@@ -43,14 +43,13 @@ def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
 
 
 @part
-def times_jacobian(c, cr, matrix, product):
+def times_jacobian(s, cr, matrix, product):
     """product (2 points, m) = matrix Bz^T."""
     for k in range(product.shape[1]):
         for p in range(product.shape[0]):
             total = 0.0
-            for j in c.row_columns[k]:
-                if j >= 0:
-                    total += matrix[p, j] * cr.phi_z[k, j]
+            for e in range(s.row_start[k], s.row_start[k + 1]):
+                total += matrix[p, s.row_columns[e]] * cr.slopes[e]
             product[p, k] = total
 
 
@@ -67,10 +66,10 @@ def fill_stabilised(s, c, cr, w, cj, r, n, m):
             if cr.curvature[c.active[i], j] != 0.0:
                 add_row(c, cr, w, w.place[i], cr.curvature[c.active[i], j], j, m)
     for k in range(m):
-        for j in c.row_columns[k]:
-            if j >= 0:
-                add_row(c, cr, w, w.place[count + k], cr.phi_z[k, j], j, m)
-                add_row(c, cr, w, w.place[count + m + k], w.rate_z[k, j] + cj * cr.phi_z[k, j], j, m)
+        for e in range(s.links.row_start[k], s.links.row_start[k + 1]):
+            j = s.links.row_columns[e]
+            add_row(c, cr, w, w.place[count + k], cr.slopes[e], j, m)
+            add_row(c, cr, w, w.place[count + m + k], w.rate_slopes[e] + cj * cr.slopes[e], j, m)
     close_stabilised(s, c, cr, w, r, n, m, count)
 
 
@@ -98,15 +97,14 @@ def close_stabilised(s, c, cr, w, r, n, m, count):
         at = w.place[count + m + k]
         w.unknown[w.place[count + k]] -= r[2 * n + k]
         w.unknown[at] -= r[2 * n + m + k]
-        for p in c.row_columns[k]:
-            if p < 0:
-                continue
-            value = cr.phi_z[k, p]
+        for e in range(s.links.row_start[k], s.links.row_start[k + 1]):
+            p, value = s.links.row_columns[e], cr.slopes[e]
             w.unknown[at] -= value * w.moved[p // 2, p % 2]
             for o in range(m):
-                for q in c.row_columns[o]:
-                    if q >= 0 and q % 2 == p % 2:
-                        w.small[at, w.place[count + m + o]] -= value * w.own[p // 2, q // 2] * cr.phi_z[o, q]
+                for i in range(s.links.row_start[o], s.links.row_start[o + 1]):
+                    q = s.links.row_columns[i]
+                    if q % 2 == p % 2:
+                        w.small[at, w.place[count + m + o]] -= value * w.own[p // 2, q // 2] * cr.slopes[i]
 
 
 @part
@@ -118,10 +116,10 @@ def apply_border(s, c, cm, cr, w, cj, m):
     for i in range(count):
         cr.pull[c.active[i]] = w.unknown[w.place[i]]
     for k in range(m):
-        for p in c.row_columns[k]:
-            if p >= 0:
-                cr.pull[p] += cr.phi_z[k, p] * w.unknown[w.place[count + k]]
-                w.swing[p // 2, p % 2] += cr.phi_z[k, p] * w.unknown[w.place[count + m + k]]
+        for e in range(s.links.row_start[k], s.links.row_start[k + 1]):
+            p = s.links.row_columns[e]
+            cr.pull[p] += cr.slopes[e] * w.unknown[w.place[count + k]]
+            w.swing[p // 2, p % 2] += cr.slopes[e] * w.unknown[w.place[count + m + k]]
     for f in range(w.own.shape[0]):
         if s.links.point_mass[f] != 0.0:
             for e in range(w.own.shape[0]):

@@ -36,7 +36,7 @@ class Room(NamedTuple):
     dq: np.ndarray
     swing: np.ndarray
     moved: np.ndarray
-    rate_z: np.ndarray
+    rate_slopes: np.ndarray
     own: np.ndarray
     cross: np.ndarray
     hb: np.ndarray
@@ -50,18 +50,18 @@ def room(model):
     """Room for a model."""
     nodes, points, m = (model.n_nodes, 2), (model.n_points, 2), model.m
     active = corotated.active_components(model.arrays.links)
-    place = order_along_joints(active, corotated.row_columns(model.arrays.links, m))
+    place = order_along_joints(active, model.arrays.links)
     wide, size = 2 * model.n_points, len(place)
     return Room(np.empty(nodes), np.empty(nodes), np.empty(points), np.empty(points), np.empty(points), np.empty(m), np.empty(m),
                 np.empty(m), np.empty(m), np.empty(m), np.empty(nodes), np.empty(nodes), np.zeros(points), np.empty(points),
-                np.empty((m, wide)), overlap(model.arrays.links, model.n_points, model.n_nodes), np.empty((wide, wide)), np.empty((wide, m)),
+                np.empty(len(model.arrays.links.row_columns)), overlap(model.arrays.links, model.n_points, model.n_nodes), np.empty((wide, wide)), np.empty((wide, m)),
                 place, np.empty((size, size)),
                 np.empty(size), np.empty(size, np.int64))
 
 
-def order_along_joints(active, columns):
+def order_along_joints(active, links):
     """Place of the unknowns (active components, lam, mu): mu beside lam."""
-    m, single = len(columns), corotated.order_along_joints(active, columns)
+    m, single = len(links.row_constant), corotated.order_along_joints(active, links)
     before = np.argsort(np.argsort(single * 2.0))
     multipliers = single[len(active):]
     shift = np.array([(multipliers < at).sum() for at in before])
@@ -100,8 +100,7 @@ def residual(s, w, drives, y, yp, integrated, damp, res):
         res[n + 2 * i], res[n + 2 * i + 1] = w.right[i, 0], w.right[i, 1]
         w.right[i, 0], w.right[i, 1] = yp[2 * i] - y[n + 2 * i], yp[2 * i + 1] - y[n + 2 * i + 1]
     joints.point_values(s.links, w.dq, w.vz)
-    joints.joint_rates(s.links, drives, w.dz, w.vz, w.rate, w.bias)
-    joints.joint_velocities(s.links, drives, w.dz, w.vz, w.rate)
+    joints.joint_rates(s.links, drives, w.dz, w.vz, w.phi, w.rate, w.bias)
     w.forces[:] = 0.0
     joints.joint_forces(s.links, drives, w.dz, w.mu, w.phi, w.forces)
     joints.spread(s.links, w.forces, w.right)

@@ -4,14 +4,47 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polyida.body.material import vector2
 from polyida.errors import InputError
+from polyida.joint.formula import Piece, Vector, along
 
 
+@dataclass(frozen=True, eq=False)
 class Ground:
-    """The fixed frame. A joint to it holds the other side where it is in the reference configuration."""
+    """The fixed frame. A joint to `ground` itself holds the other side where it is in the reference configuration;
+    `ground.at(point)` is a place of its own.
+
+    point: (2,), m, direction: (2,), of length one; None of `ground` itself.
+    """
+
+    point: np.ndarray | None = None
+    direction: np.ndarray | None = None
+    has_direction = True
+    body = None
+
+    def at(self, point, direction=(1.0, 0.0)):
+        """A place of the ground, m, with a direction, of any length (the x axis where none is given). Raises InputError."""
+        place, along = vector2("ground.at", "point", point), vector2("ground.at", "direction", direction)
+        if not np.hypot(*along) > 0:
+            raise InputError(f"ground.at: direction = {direction!r} must not be zero")
+        return Ground(place, along / np.hypot(*along))
+
+    def facing(self, other):
+        """The place where `other` is in the reference configuration, unless it has one."""
+        return self if self.point is not None else Ground(other.point, other.direction)
+
+    @property
+    def x(self):
+        """Its place, a Vector of a joint's formula."""
+        return along(complex(*self.point))
+
+    @property
+    def d(self):
+        """Its direction, a Vector of a joint's formula."""
+        return along(complex(*self.direction))
 
     def __repr__(self):
-        return "ground"
+        return "ground" if self.point is None else f"ground at ({self.point[0]:.6g}, {self.point[1]:.6g})"
 
 
 ground = Ground()
@@ -41,6 +74,27 @@ class Attachment:
     def direction(self):
         """Reference direction, (2,), of length one, or None."""
         return None if self.turn_weights is None else self.turn_weights @ self.body.points[self.nodes]
+
+    @property
+    def has_direction(self):
+        """Whether there is a direction."""
+        return self.turn_weights is not None
+
+    @property
+    def x(self):
+        """Its point, a Vector of a joint's formula."""
+        return Vector((Piece(((self, "point", 1 + 0j),)),))
+
+    @property
+    def d(self):
+        """Its direction, a Vector of a joint's formula. Raises InputError where it has none."""
+        if not self.has_direction:
+            raise InputError(f"{self!r} has no direction; use a section of two nodes or more")
+        return Vector((Piece(((self, "direction", 1 + 0j),)),))
+
+    def each(self):
+        """Its nodes, each an attachment of its own."""
+        return [of_node(self.body, int(node)) for node in self.nodes]
 
     def __repr__(self):
         return f"{self.body.label} {self.name}"
@@ -87,10 +141,11 @@ def require_attachment(part, given):
 
 def require_sides(part, a, b):
     """Raise InputError unless both sides are attachments or ground, not both ground, not one body twice."""
-    for side in (a, b):
-        if side is not ground:
+    grounds = [isinstance(side, Ground) for side in (a, b)]
+    for side, fixed in zip((a, b), grounds):
+        if not fixed:
             require_attachment(part, side)
-    if a is ground and b is ground:
+    if all(grounds):
         raise InputError(f"{part}: both sides are ground; one must be an attachment of a body")
-    if a is not ground and b is not ground and a.body is b.body:
+    if not any(grounds) and a.body is b.body:
         raise InputError(f"{part}: both sides belong to {a.body.label}; they must be of two bodies, or one of them ground")

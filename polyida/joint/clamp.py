@@ -2,39 +2,33 @@
 
 from dataclasses import dataclass
 
-from polyida.errors import InputError
-from polyida.joint.attachment import ground, labelled, of_node, require_sides
-from polyida.joint.rows import LinearRows
+from polyida.joint.attachment import Ground, ground
+from polyida.joint.joint import Joint
 
 
 @dataclass(frozen=True, eq=False)
-class Clamp:
+class Clamp(Joint):
     """A section held fast.
 
-    To ground: every node of the section keeps its place, `phi = X_i - x_i` (2 rows a node, m).
+    To ground: every node of the section keeps its place, `phi = x_i - X_i` (2 rows a node, m).
     Between bodies: point and direction of both sections move as one, `phi = (x_A - x_B, d_A - Q d_B)` (4 rows), Q being the
     rotation between the directions in the reference configuration. phi_q is constant in both cases.
-    Raises InputError where a section between bodies is a single node, which has no direction.
+    Multipliers: force on b, N; of the direction a moment over length. Raises InputError where a section between bodies is a
+    single node, which has no direction.
     """
 
-    a: object
     b: object = ground
-    name: str | None = None
-    multiplier = "force on b, N (and moment over length for the direction)"
+    kind = "clamp"
 
     def __post_init__(self):
-        label = labelled("Clamp", self.name)
-        require_sides(label, self.a, self.b)
-        if self.a is ground or self.b is ground:
-            return
-        for side in (self.a, self.b):
-            if side.turn_weights is None:
-                raise InputError(f"{label}: {side!r} has no direction; use a section of two nodes or more")
+        super().__post_init__()
+        if not any(isinstance(side, Ground) for side in (self.a, self.b)):
+            self.require_directions()
 
     def rows(self):
-        """The constraint rows, as data."""
-        if self.b is ground:
-            return [LinearRows(of_node(self.a.body, int(node)), ground, "point") for node in self.a.nodes]
-        if self.a is ground:
-            return [LinearRows(ground, of_node(self.b.body, int(node)), "point") for node in self.b.nodes]
-        return [LinearRows(self.a, self.b, "point"), LinearRows(self.a, self.b, "direction")]
+        """`x_i - X_i` of every node, or `(x_A - x_B, d_A - Q d_B)`."""
+        if isinstance(self.b, Ground):
+            return [node.x - ground.at(node.point).x for node in self.a.each()]
+        if isinstance(self.a, Ground):
+            return [ground.at(node.point).x - node.x for node in self.b.each()]
+        return [self.a.x - self.b.x, self.a.d - self.b.d.onto(self.a.d)]

@@ -1,7 +1,7 @@
 """The saddle-point solve of a scene with a stale factor in the frame of the nodal rotations, constraints exact.
 
 ```
-[ S + A^T C A    A^T Bz^T ] [ dq   ]     [ r   ]     S = c_m M + K of the plates, A: q -> points, C = curvature of the motors
+[ S + A^T C A    A^T Bz^T ] [ dq   ]     [ r   ]     S = c_m M + K of the plates, A: q -> points, C = curvature of the rows
 [ Bz A           0        ] [ dlam ] = - [ phi ]         + c_m masses at points, Bz = phi_z
 ```
 `S^-1 ~ P S_ref^-1 P^T` with P = R(q) R(q_ref)^T node by node: elastic plates that turn keep their factor. All joints act through the
@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import joints
+from polyida.assembly.arrays import bilinear
 from polyida.compiled import entry, part
 from polyida.linear.dense import solve_small
 from polyida.linear.factor import BAND, FRONTS, Factor, factor
@@ -25,8 +26,7 @@ class Corotated(NamedTuple):
     """A factor with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
 
     point_body: first and last node of the body that each point is on; reach: X, (2 per point, nodes, 2), zero off the body;
-    active: the components of the points that curvature or mass can act on. row_columns: components that each row of phi touches
-    (-1: none). place: the order of the unknowns (active, multipliers) along the joints.
+    active: the components of the points that curvature or mass can act on. place: the order of the unknowns (active, multipliers) along the joints.
     """
 
     factor: Factor
@@ -34,7 +34,6 @@ class Corotated(NamedTuple):
     point_body: np.ndarray
     reach: np.ndarray
     active: np.ndarray
-    row_columns: np.ndarray
     place: np.ndarray
 
 
@@ -46,7 +45,7 @@ class Room(NamedTuple):
     spin: np.ndarray
     moved: np.ndarray
     g: np.ndarray
-    phi_z: np.ndarray
+    slopes: np.ndarray
     curvature: np.ndarray
     gb: np.ndarray
     small: np.ndarray
@@ -63,36 +62,27 @@ def corotated(model, blocks, rotation, backend="auto"):
     point_body = np.stack([body_node[bodies], body_node[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
     frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
     reach = np.zeros((2 * model.n_points, model.n_nodes, 2), np.float32)
-    active, columns = active_components(s), row_columns(s, model.m)
-    result = Corotated(made, frame, point_body, reach, active, columns, order_along_joints(active, columns))
+    active = active_components(s)
+    result = Corotated(made, frame, point_body, reach, active, order_along_joints(active, s))
     fill_reach(s, result, room(model, result))
     return result, name
 
 
 def active_components(s):
-    """Components of the points on which a mass or the curvature of a motor between bodies can act."""
-    acts = np.repeat(s.point_mass != 0, 2)
-    for j in np.flatnonzero((s.joint_kind == joints.MOTOR) & (s.joint_a >= 0) & (s.joint_b >= 0)):
-        for point in (s.joint_a[j], s.joint_b[j]):
-            acts[2 * point: 2 * point + 2] = True
-    return np.flatnonzero(acts)
+    """Components of the points on which a mass or the curvature of a row can act."""
+    acts = s.point_mass != 0
+    for p in np.flatnonzero(bilinear(s)):
+        for i in (s.product_first[p], s.product_second[p]):
+            acts[s.vector_points[s.vector_start[i]:s.vector_start[i + 1]]] = True
+    return np.flatnonzero(np.repeat(acts, 2))
 
 
-def row_columns(s, m):
-    """Components of the points that each row of phi touches, (m, 4), -1 where there is none."""
-    columns = np.full((m, 4), -1, np.int64)
-    for j, first in enumerate(s.joint_row):
-        sides = [(2 * side, 2 * side + 1) if side >= 0 else (-1, -1) for side in (s.joint_a[j], s.joint_b[j])]
-        for row in range(first, first + (2 if s.joint_kind[j] == joints.LINEAR else 1)):
-            columns[row] = sides[0] + sides[1]
-    return columns
-
-
-def order_along_joints(active, columns):
+def order_along_joints(active, s):
     """Place of each unknown (active components, then multipliers): every row of phi after the components it touches."""
-    number, order, m = {int(p): i for i, p in enumerate(active)}, [], len(columns)
+    number, order, m = {int(p): i for i, p in enumerate(active)}, [], len(s.row_constant)
     for row in range(m):
-        order += [number.pop(p) for p in columns[row].tolist() if p in number]
+        columns = s.row_columns[s.row_start[row]:s.row_start[row + 1]]
+        order += [number.pop(p) for p in columns.tolist() if p in number]
         order.append(len(active) + row)
     order += number.values()
     place = np.empty(len(active) + m, np.int64)
@@ -105,7 +95,7 @@ def room(model, system):
     points, m, size = 2 * model.n_points, model.m, len(system.active) + model.m
     width = system.factor.band.shape[1]
     return Room(np.zeros(model.n + width, np.float32), np.empty((model.n_nodes, 2)), np.empty((model.n_points, 2)),
-                np.empty((model.n_points, 2)), np.empty((points, points)), np.empty((m, points)), np.empty((points, points)),
+                np.empty((model.n_points, 2)), np.empty((points, points)), np.empty(len(model.arrays.links.row_columns)), np.empty((points, points)),
                 np.empty((points, m)), np.empty((size, size)), np.empty(size), np.empty(size, np.int64), np.empty(points))
 
 
@@ -209,7 +199,7 @@ def points_matrix(s, c, w):
 
 @part
 def fill_curvature(s, w, drives, lam, c_m):
-    """w.curvature = C: that of the motors and c_m times the masses at points."""
+    """w.curvature = C: that of the rows and c_m times the masses at points."""
     w.curvature[:] = 0.0
     joints.joint_curvature(s, drives, lam, w.curvature)
     for f in range(w.spin.shape[0]):
@@ -225,17 +215,16 @@ def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
     """
     points_matrix(s, c, w)
-    joints.joint_jacobian(s, drives, dz, w.phi_z)
+    joints.joint_jacobian(s, drives, dz, w.slopes)
     fill_curvature(s, w, drives, lam, c_m)
     joints.point_values(s, y, w.moved)
     for k in range(phi.shape[0]):
         for i in range(w.g.shape[0]):
             total = 0.0
-            for j in c.row_columns[k]:
-                if j >= 0:
-                    total += w.g[i, j] * w.phi_z[k, j]
+            for e in range(s.row_start[k], s.row_start[k + 1]):
+                total += w.g[i, s.row_columns[e]] * w.slopes[e]
             w.gb[i, k] = total
-    fill_small(c, w, phi)
+    fill_small(s, c, w, phi)
     if not solve_small(w.small, w.right, w.last):
         return False
     count = c.active.shape[0]
@@ -244,14 +233,13 @@ def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
         w.pull[c.active[i]] = w.right[c.place[i]]
     for k in range(phi.shape[0]):
         dlam[k] = w.right[c.place[count + k]]
-        for j in c.row_columns[k]:
-            if j >= 0:
-                w.pull[j] += w.phi_z[k, j] * dlam[k]
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            w.pull[s.row_columns[e]] += w.slopes[e] * dlam[k]
     return True
 
 
 @part
-def fill_small(c, w, phi):
+def fill_small(s, c, w, phi):
     """The system of `border`, its unknowns in the order of `place`: along the joints, so that chains give a band."""
     count = c.active.shape[0]
     w.small[:] = 0.0
@@ -265,9 +253,9 @@ def fill_small(c, w, phi):
     for k in range(phi.shape[0]):
         at = c.place[count + k]
         w.right[at] = phi[k]
-        for j in c.row_columns[k]:
-            if j >= 0 and w.phi_z[k, j] != 0.0:
-                add_row(c, w, at, w.phi_z[k, j], j, phi.shape[0])
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            if w.slopes[e] != 0.0:
+                add_row(c, w, at, w.slopes[e], s.row_columns[e], phi.shape[0])
 
 
 @part

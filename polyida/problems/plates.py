@@ -105,4 +105,4 @@ def _problem(name, scene):
 
 def tip_velocity(run):
     """Velocity of "tip" at the end of a run, (2,), m/s."""
-    return run.model.dz(run.v[-1])[run.model.points_of("tip")]
+    return run.model.displacement("tip", run.v[-1])

@@ -96,9 +96,8 @@ def watch(job):
     """Function q (n,) -> what is looked at: the place of the job's point, (2,), m, or q itself."""
     if job.point is None:
         return np.array
-    number = job.model.points_of(job.point)
-    rest = job.model.arrays.links.point_rest[number]
-    return lambda q: rest + job.model.dz(q)[number]
+    rest = job.model.attachment(job.point).point
+    return lambda q: rest + job.model.displacement(job.point, q)
 
 
 def warm_up(job, member):

@@ -115,9 +115,9 @@ def _default_point(made):
     """The mass "tip", else the last mass of a scene, else None."""
     from polyida.body.point_mass import PointMass
 
-    if hasattr(made, "points_of"):
+    if hasattr(made, "attachment"):
         try:
-            made.points_of("tip")
+            made.attachment("tip")
         except InputError:
             return None
         return "tip"

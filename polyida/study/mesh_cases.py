@@ -47,7 +47,7 @@ def elastica(kind, element, through, load, slenderness=50):
     modulus, height = 1e9, 1.0 / slenderness
     force = -load * modulus * height**3 / 12
     model, _ = clamped(mesh_of(kind, 1.0, height, through), Material(modulus, 0.0, 1000.0), element, load=(0.0, force))
-    moved = -model.dz(static(model, steps=8 if load > 2 else 2).q)[model.points_of("load")]
+    moved = -model.displacement("load", static(model, steps=8 if load > 2 else 2).q)
     return result(model, moved / ELASTICA[load] - 1)
 
 
@@ -79,7 +79,7 @@ def extrapolated(coarse, fine, clamp, order=2):
 def cantilever(kind, element, through, known=None):
     """Deflection of a short cantilever, L/H = 10, nu = 0.3, small load; `known` is that of a fine mesh."""
     model, _ = clamped(mesh_of(kind, 1.0, 0.1, through), Material(1e9, 0.3, 1000.0), element, load=(0.0, -1.0))
-    deflection = float(model.dz(linear_response(model))[model.points_of("load")][1])
+    deflection = float(model.displacement("load", linear_response(model))[1])
     return result(model, np.array([deflection / (known or deflection) - 1])) | {"deflection": deflection}
 
 
@@ -97,7 +97,7 @@ def compliance(kind, element, through, at):
     model, _ = clamped(
         mesh_of(kind, 1.0, 0.1, through), Material(1e9, 0.0, 1000.0), element, load=(-1.0, 0.0), at=place, clamp="right"
     )
-    ratio = float(-model.dz(linear_response(model))[model.points_of("load")][0] * 1e9 * 0.1)
+    ratio = float(-model.displacement("load", linear_response(model))[0] * 1e9 * 0.1)
     return result(model, np.array([ratio - 1])) | {"compliance": ratio}
 
 

@@ -62,7 +62,7 @@ class Wasteful(SceneModel):
         if self.again == "rates" or self.needs.driven:
             self.calls["rates"] += 1
             phi_t, bias = np.zeros((2, self.m))
-            joint_rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, bias)
+            joint_rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, np.zeros(self.m), bias)
             return phi_t, bias
         return super()._rates(t, q, v)
 

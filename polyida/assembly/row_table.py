@@ -1,0 +1,124 @@
+"""From the formulas of joints to the arrays that the row kernels read."""
+
+import numpy as np
+
+from polyida.assembly.arrays import starts
+from polyida.errors import InputError
+from polyida.joint.formula import rows_of
+
+CLOSED = 1e-6  # of the scene's size: sides that are apart by less at rest are taken to meet
+
+
+class RowTable:
+    """Collects rows of phi; `labels` says what to call each, `rows` which rows are whose, `joints` holds the joints.
+
+    points, drives: where attachments and profiles get their numbers. size: of the scene, m.
+    """
+
+    def __init__(self, points, drives, size):
+        self._points, self._drives, self._size = points, drives, size
+        self._products, self._vectors, self._constants = [], [], []
+        self.labels, self.units, self.rows, self.joints = [], [], {}, {}
+
+    def add(self, name, joint):
+        """Append the rows of a joint. Raises InputError where they are no rows, or do not hold at rest."""
+        first, faced = len(self.labels), joint.facing()
+        for row in rows_of(_given(name, faced)):
+            self._require_closed(name, faced, row)
+            self._row(row)
+            self.labels.append(row.label)
+            self.units.append(row.unit)
+        self.rows[name], self.joints[name] = slice(first, len(self.labels)), faced
+        self.labels[first:] = _called(name, self.labels[first:])
+
+    def _require_closed(self, name, joint, row):
+        driven = any(product.turning.profile is not None for product in row.products)
+        if not driven and abs(_at_rest(row)) > CLOSED * self._size:
+            a, b = joint.a, joint.b
+            raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; its sides are {a!r} at {_place(a)} and "
+                             f"{b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; place the bodies so that they meet")
+
+    def _row(self, row):
+        """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
+        driven = any(product.turning.profile is not None for product in row.products)
+        number = len(self._constants)
+        self._constants.append(row.constant if driven else row.constant - _at_rest(row))
+        for product in row.products:
+            profile = product.turning.profile
+            drive = -1 if profile is None else self._drives.add(profile)
+            self._products.append((number, self._vector(product.turning), self._vector(product.still), drive, product.one_way))
+
+    def _vector(self, piece):
+        """Number of a vector: its value at rest, and the weight of each point."""
+        weights = {}
+        for side, part, w in piece.terms:
+            point = self._points.add(side, part)
+            weights[point] = weights.get(point, 0j) + w
+        self._vectors.append((piece.rest, weights))
+        return len(self._vectors) - 1
+
+    def arrays(self):
+        """The fields of Links that describe the rows."""
+        row, first, second, drive, one_way = zip(*self._products) if self._products else [()] * 5
+        rest = np.array([value for value, _ in self._vectors], complex)
+        points = [list(weights) for _, weights in self._vectors]
+        weights = np.array([w for _, weights in self._vectors for w in weights.values()], complex)
+        touched = self._touched()
+        columns = [[2 * point + axis for point in row for axis in range(2)] for row in touched]
+        return {
+            "row_constant": np.array(self._constants, float), "row_start": starts(columns),
+            "row_columns": np.array([c for row in columns for c in row], np.int64),
+            "product_row": np.array(row, np.int64), "product_first": np.array(first, np.int64),
+            "product_second": np.array(second, np.int64), "product_drive": np.array(drive, np.int64),
+            "product_one_way": np.array(one_way, np.bool_),
+            "vector_rest": _pairs(rest), "vector_start": starts(points),
+            "vector_points": np.array([p for row in points for p in row], np.int64), "vector_weights": _pairs(weights),
+        }
+
+    def _touched(self):
+        """The points of each row, in the order of its formula."""
+        touched = [{} for _ in self._constants]
+        for row, first, second, *_ in self._products:
+            touched[row] |= dict.fromkeys([*self._vectors[first][1], *self._vectors[second][1]])
+        return touched
+
+
+class Drives:
+    """The profiles of a scene, each once."""
+
+    def __init__(self):
+        self.profiles = []
+
+    def add(self, profile):
+        """Number of the profile."""
+        for number, known in enumerate(self.profiles):
+            if known is profile:
+                return number
+        self.profiles.append(profile)
+        return len(self.profiles) - 1
+
+
+def _given(name, joint):
+    rows = joint.rows()
+    if not isinstance(rows, (list, tuple)) or not rows:
+        raise InputError(f"{name}: rows() of {type(joint).__name__} must give a list of rows, not {rows!r}")
+    return rows
+
+
+def _called(name, labels):
+    """Labels of a joint's rows: as they are named, or by number where they are not and there are several."""
+    many = len(labels) > 1
+    return [f"{name} {label or (number if many else '')}".rstrip() for number, label in enumerate(labels)]
+
+
+def _at_rest(row):
+    return row.constant + sum((p.turning.rest.conjugate() * p.still.rest).real for p in row.products)
+
+
+def _pairs(numbers):
+    return np.ascontiguousarray(np.stack([numbers.real, numbers.imag], axis=-1).reshape(-1, 2))
+
+
+def _place(attachment):
+    x, y = attachment.point
+    return f"({x:.6g}, {y:.6g})"

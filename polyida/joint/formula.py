@@ -1,0 +1,191 @@
+"""The formula language of joints: vectors of points and directions, and rows of phi made of their products.
+
+A `Vector` is linear in the coordinates, parts of it turned in time; `cross`, `dot`, sums and numbers make `Row`s of vectors.
+Everything here is data: the assembly compiles it, and one set of kernels evaluates it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.given import is_number
+from polyida.profile import Profile, difference
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """`R(theta(t)) (constant + sum_j w_j z_j)`, complex numbers for the plane: z_j the "point" or "direction" of an attachment.
+
+    terms: (attachment, "point" or "direction", w). profile: theta, rad, or None where nothing turns.
+    """
+
+    terms: tuple = ()
+    constant: complex = 0j
+    profile: Profile | None = None
+
+    def times(self, w):
+        """The piece turned and stretched by the complex number w."""
+        return replace(self, terms=tuple((side, part, w * u) for side, part, u in self.terms), constant=w * self.constant)
+
+    @property
+    def rest(self):
+        """Its value in the reference configuration, before it is turned."""
+        return self.constant + sum(w * _rest(side, part) for side, part, w in self.terms)
+
+
+@dataclass(frozen=True, eq=False)
+class Vector:
+    """A vector of the plane, m: a sum of pieces, linear in the coordinates. As a row of a joint it stands for its two components."""
+
+    pieces: tuple
+
+    def __add__(self, other):
+        return Vector(self.pieces + _vector(other).pieces)
+
+    def __sub__(self, other):
+        return self + -_vector(other)
+
+    def __neg__(self):
+        return self * -1.0
+
+    def __mul__(self, number):
+        if not is_number(number):
+            raise InputError(f"a vector of a joint is multiplied by {number!r}; use a number, pi.cross or pi.dot")
+        return self._times(complex(number))
+
+    __rmul__ = __mul__
+
+    def turned(self, angle):
+        """The vector turned by an angle in rad: a number, or a profile of time."""
+        if isinstance(angle, Profile):
+            if any(piece.profile is not None for piece in self.pieces):
+                raise InputError("turned: a part of the vector is turned by a profile already; use the profile of the whole angle")
+            return Vector(tuple(replace(piece, profile=angle) for piece in self.pieces))
+        if not is_number(angle):
+            raise InputError(f"turned: {angle!r} is neither a number in rad nor a profile")
+        return self._times(np.exp(1j * angle))
+
+    def onto(self, other):
+        """The vector turned by the constant angle that lays it along `other` in the reference configuration."""
+        here, there = self.rest, _vector(other).rest
+        if not (abs(here) > 0 and abs(there) > 0):
+            raise InputError("onto: one of the two vectors is zero at rest, which has no direction")
+        turn = there * here.conjugate()
+        return self._times(turn / abs(turn))
+
+    def _times(self, w):
+        return Vector(tuple(piece.times(w) for piece in self.pieces))
+
+    @property
+    def rest(self):
+        """Its value in the reference configuration, profiles at zero, as a complex number."""
+        return sum((piece.rest for piece in self.pieces), 0j)
+
+
+@dataclass(frozen=True)
+class Product:
+    """`E . F`: E a piece that a profile may turn, F one that none does. one_way: see `Row.one_way`."""
+
+    turning: Piece
+    still: Piece
+    one_way: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of phi: a constant and a sum of products. label, unit: of its multiplier, as in "angle", "N m"."""
+
+    products: tuple
+    constant: float = 0.0
+    label: str = ""
+    unit: str = ""
+
+    def __add__(self, other):
+        if is_number(other):
+            return replace(self, constant=self.constant + other)
+        other = _row(other)
+        return replace(self, products=self.products + other.products, constant=self.constant + other.constant)
+
+    __radd__ = __add__
+
+    def __sub__(self, other):
+        return self + (-other)
+
+    def __rsub__(self, other):
+        return -self + other
+
+    def __neg__(self):
+        return self * -1.0
+
+    def __mul__(self, number):
+        if not is_number(number):
+            raise InputError(f"a row of a joint is multiplied by {number!r}, which is no number; products of three vectors are not bilinear")
+        scaled = tuple(replace(p, still=p.still.times(complex(number))) for p in self.products)
+        return replace(self, products=scaled, constant=number * self.constant)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, number):
+        return self * (1.0 / number)
+
+    def named(self, label, unit=""):
+        """The row with the name and unit of its multiplier."""
+        return replace(self, label=label, unit=unit)
+
+    def one_way(self):
+        """The row of a `cross` that vanishes also with a vector turned by half a turn: states with that are not accepted."""
+        return replace(self, products=tuple(replace(p, one_way=True) for p in self.products))
+
+
+def cross(a, b):
+    """`a_x b_y - a_y b_x` of two vectors, a Row."""
+    return dot(_vector(a)._times(1j), b)
+
+
+def dot(a, b):
+    """`a . b` of two vectors, a Row."""
+    return Row(tuple(_product(e, f) for e in _vector(a).pieces for f in _vector(b).pieces))
+
+
+def rows_of(formula):
+    """The Rows of what a joint's `rows()` gives: Rows as they are, vectors as two."""
+    for item in formula:
+        if isinstance(item, Row):
+            yield item
+        else:
+            vector = _vector(item)
+            yield dot(along(1 + 0j), vector).named("x", "N")
+            yield dot(along(1j), vector).named("y", "N")
+
+
+def along(direction):
+    """A constant vector, from a complex number."""
+    return Vector((Piece(constant=complex(direction)),))
+
+
+def _product(e, f):
+    if e.profile is f.profile:
+        return Product(replace(e, profile=None), replace(f, profile=None))
+    if e.profile is None:
+        return Product(f, e)
+    if f.profile is None:
+        return Product(e, f)
+    return Product(replace(e, profile=difference(e.profile, f.profile)), replace(f, profile=None))
+
+
+def _rest(side, part):
+    x, y = side.point if part == "point" else side.direction
+    return complex(x, y)
+
+
+def _vector(given):
+    if isinstance(given, Vector):
+        return given
+    raise InputError(f"a joint's formula needs a vector here, the .x or .d of an attachment or a sum of them, not {given!r}")
+
+
+def _row(given):
+    if isinstance(given, Row):
+        return given
+    raise InputError(f"a row of a joint is added to {given!r}; use pi.cross, pi.dot and numbers")

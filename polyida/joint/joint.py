@@ -1,0 +1,49 @@
+"""What every joint is: two sides and the formula of its rows."""
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+from polyida.errors import InputError
+from polyida.joint.attachment import Ground, labelled, require_sides
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A holonomic constraint between attachments a and b of two bodies, or of a body and the ground.
+
+    A joint of one's own is a class with `rows()`, a list of rows made of `self.a.x`, `self.a.d`, `self.b.x`, `self.b.d` (place, m,
+    and direction of a side, without unit) by `pi.cross`, `pi.dot`, `+`, `-`, numbers and `.turned(profile)`; a vector stands for
+    its two components. Further fields (numbers, profiles, attachments) make it a frozen dataclass; they are saved with it.
+    A joint without driven rows must be closed in the reference configuration: what is apart by less than 1e-6 of the scene's size
+    counts as that.
+    """
+
+    a: object
+    b: object
+    name: str | None = field(default=None, kw_only=True)
+    kind: ClassVar[str | None] = None  # what a joint without a name is called with a number; the class's name where None
+
+    def __post_init__(self):
+        require_sides(labelled(type(self).__name__, self.name), self.a, self.b)
+
+    def rows(self):
+        """Rows of phi, a list of Row and Vector."""
+        raise NotImplementedError(f"{type(self).__name__} gives no rows()")
+
+    def reaction(self, lam, values):
+        """What it does to its side b, (frames, rows), from its multipliers (frames, rows); `values(vector)` gives (frames, 2)."""
+        return lam.copy()
+
+    def require_directions(self):
+        """Raise InputError unless both sides have a direction."""
+        for side in (self.a, self.b):
+            if not side.has_direction:
+                label = labelled(type(self).__name__, self.name)
+                raise InputError(f"{label}: {side!r} has no direction; use a section of two nodes or more")
+
+    def facing(self):
+        """The joint with plain `ground` put where its other side is in the reference configuration."""
+        a, b = (
+            side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a))
+        )
+        return replace(self, a=a, b=b)
