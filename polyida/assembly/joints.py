@@ -1,14 +1,14 @@
 """Rows of phi on the values dz of the scene's points: values, derivatives, and the forces of the multipliers.
 
-`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. A row is `constant + sum R(theta) E . F`; E and F are vectors
-`rest + sum_j W_j dz_j`, W_j a turn with a stretch, written as a complex number (2,). The chain rule with the constant A gives
+`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. A row is `constant + L dz + sum R(theta) E . F`; E and F are
+vectors `rest + sum_j W_j dz_j`, W_j a turn with a stretch, written as a complex number (2,). The chain rule with the constant A gives
 everything in q: `phi_q = phi_z A`. `slopes` holds phi_z at the columns (component `2 point + axis`) that each row touches,
 `row_columns[row_start[k]:row_start[k + 1]]`.
 """
 
 import numpy as np
 
-from polyida.compiled import entry, part
+from polyida.compiled import entry, leaf, part
 
 
 @entry
@@ -36,7 +36,7 @@ def spread(s, forces, r):
                 r[i, 1] += w * y
 
 
-@part
+@leaf
 def moved(s, i, dz):
     """`sum_j W_j dz_j` of vector i."""
     x = y = 0.0
@@ -47,13 +47,13 @@ def moved(s, i, dz):
     return x, y
 
 
-@part
+@leaf
 def rotated(c, n, x, y):
     """(x, y) turned by the angle of cosine c and sine n."""
     return c * x - n * y, n * x + c * y
 
 
-@part
+@leaf
 def turn(s, p, drives):
     """(cosine, sine, rate, second derivative) of the angle that turns E of product p."""
     d = s.product_drive[p]
@@ -62,7 +62,7 @@ def turn(s, p, drives):
     return np.cos(drives[d, 0]), np.sin(drives[d, 0]), drives[d, 1], drives[d, 2]
 
 
-@part
+@leaf
 def factors(s, p, c, n, dz):
     """R E and F of product p."""
     e, f = s.product_first[p], s.product_second[p]
@@ -72,7 +72,7 @@ def factors(s, p, c, n, dz):
     return ex, ey, s.vector_rest[f, 0] + x, s.vector_rest[f, 1] + y
 
 
-@part
+@leaf
 def push(s, i, x, y, forces):
     """forces += `W_j^T (x, y)`: the force (x, y) on vector i."""
     for k in range(s.vector_start[i], s.vector_start[i + 1]):
@@ -81,7 +81,7 @@ def push(s, i, x, y, forces):
         forces[p, 1] += c * y - n * x
 
 
-@part
+@leaf
 def slope(s, i, row, x, y, slopes):
     """`push` into the slopes of a row."""
     for k in range(s.vector_start[i], s.vector_start[i + 1]):
@@ -93,7 +93,17 @@ def slope(s, i, row, x, y, slopes):
         slopes[at + 1] += c * y - n * x
 
 
-@part
+@leaf
+def along_row(s, k, z):
+    """The linear part of row k on z (points, 2)."""
+    total = 0.0
+    for e in range(s.row_start[k], s.row_start[k + 1]):
+        i = s.row_columns[e]
+        total += s.row_slopes[e] * z[i // 2, i % 2]
+    return total
+
+
+@leaf
 def cosine(ex, ey, fx, fy):
     """Of the angle between E turned back by a right angle and F: of a `cross` between its two vectors."""
     return (ey * fx - ex * fy) / np.sqrt((ex * ex + ey * ey) * (fx * fx + fy * fy))
@@ -103,7 +113,11 @@ def cosine(ex, ey, fx, fy):
 def joint_forces(s, drives, dz, lam, phi, forces):
     """Fill phi; forces += phi_z^T lam. Returns the least cosine between the vectors of one-way products (1 without any)."""
     least = 1.0
-    phi[:] = s.row_constant
+    for k in range(phi.shape[0]):
+        phi[k] = s.row_constant[k] + along_row(s, k, dz)
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            i = s.row_columns[e]
+            forces[i // 2, i % 2] += lam[k] * s.row_slopes[e]
     for p in range(s.product_row.shape[0]):
         k = s.product_row[p]
         c, n, _, _ = turn(s, p, drives)
@@ -131,7 +145,7 @@ def flipped(s, drives, dz):
 @entry
 def joint_jacobian(s, drives, dz, slopes):
     """Fill slopes with phi_z."""
-    slopes[:] = 0.0
+    slopes[:] = s.row_slopes
     for p in range(s.product_row.shape[0]):
         k = s.product_row[p]
         c, n, _, _ = turn(s, p, drives)
@@ -169,9 +183,9 @@ def _couple(a, b, x, y, curvature):
 @entry
 def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
     """Fill phi_t, rate = phi_z vz + phi_t and the bias `(phi_q v)_q v + 2 phi_qt v + phi_tt`, each (m,)."""
-    phi_t[:] = 0.0
-    rate[:] = 0.0
-    bias[:] = 0.0
+    for k in range(rate.shape[0]):
+        phi_t[k] = bias[k] = 0.0
+        rate[k] = along_row(s, k, vz)
     for p in range(s.product_row.shape[0]):
         k = s.product_row[p]
         c, n, speed, second = turn(s, p, drives)
@@ -213,7 +227,8 @@ def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
     `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`.
     """
     for k in range(phi.shape[0]):
-        phi[k] += h * rate[k]
+        phi[k] += h * rate[k] + along_row(s, k, dd)
+        rate[k] += along_row(s, k, dv)
     for p in range(s.product_row.shape[0]):
         k, f = s.product_row[p], s.product_second[p]
         c, n, speed, _ = turn(s, p, drives)

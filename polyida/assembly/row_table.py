@@ -17,7 +17,7 @@ class RowTable:
 
     def __init__(self, points, drives, size):
         self._points, self._drives, self._size = points, drives, size
-        self._products, self._vectors, self._constants = [], [], []
+        self._products, self._vectors, self._constants, self._slopes = [], [], [], []
         self.labels, self.units, self.rows, self.joints = [], [], {}, {}
 
     def add(self, name, joint):
@@ -41,21 +41,32 @@ class RowTable:
     def _row(self, row):
         """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
         driven = any(product.turning.profile is not None for product in row.products)
+        linear = [product for product in row.products if product.linear]
+        slopes = {}
+        for product in linear:
+            for one, other in ((product.turning, product.still), (product.still, product.turning)):
+                for point, w in self._weights(one).items():
+                    slopes[point] = slopes.get(point, 0j) + w.conjugate() * other.constant
         number = len(self._constants)
-        self._constants.append(row.constant if driven else row.constant - _at_rest(row))
+        self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (0.0 if driven else _at_rest(row)))
+        self._slopes.append(slopes)
         for product in row.products:
-            profile = product.turning.profile
-            drive = -1 if profile is None else self._drives.add(profile)
-            self._products.append((number, self._vector(product.turning), self._vector(product.still), drive, product.one_way))
+            if not product.linear:
+                profile = product.turning.profile
+                drive = -1 if profile is None else self._drives.add(profile)
+                self._products.append((number, self._vector(product.turning), self._vector(product.still), drive, product.one_way))
 
     def _vector(self, piece):
         """Number of a vector: its value at rest, and the weight of each point."""
+        self._vectors.append((piece.rest, self._weights(piece)))
+        return len(self._vectors) - 1
+
+    def _weights(self, piece):
         weights = {}
         for side, part, w in piece.terms:
             point = self._points.add(side, part)
             weights[point] = weights.get(point, 0j) + w
-        self._vectors.append((piece.rest, weights))
-        return len(self._vectors) - 1
+        return weights
 
     def arrays(self):
         """The fields of Links that describe the rows."""
@@ -65,9 +76,10 @@ class RowTable:
         weights = np.array([w for _, weights in self._vectors for w in weights.values()], complex)
         touched = self._touched()
         columns = [[2 * point + axis for point in row for axis in range(2)] for row in touched]
+        slopes = np.array([row.get(point, 0j) for row, points in zip(self._slopes, touched) for point in points], complex)
         return {
             "row_constant": np.array(self._constants, float), "row_start": starts(columns),
-            "row_columns": np.array([c for row in columns for c in row], np.int64),
+            "row_columns": np.array([c for row in columns for c in row], np.int64), "row_slopes": _pairs(slopes).ravel(),
             "product_row": np.array(row, np.int64), "product_first": np.array(first, np.int64),
             "product_second": np.array(second, np.int64), "product_drive": np.array(drive, np.int64),
             "product_one_way": np.array(one_way, np.bool_),
@@ -77,7 +89,7 @@ class RowTable:
 
     def _touched(self):
         """The points of each row, in the order of its formula."""
-        touched = [{} for _ in self._constants]
+        touched = [dict.fromkeys(slopes) for slopes in self._slopes]
         for row, first, second, *_ in self._products:
             touched[row] |= dict.fromkeys([*self._vectors[first][1], *self._vectors[second][1]])
         return touched
@@ -112,7 +124,11 @@ def _called(name, labels):
 
 
 def _at_rest(row):
-    return row.constant + sum((p.turning.rest.conjugate() * p.still.rest).real for p in row.products)
+    return row.constant + sum(map(_value_at_rest, row.products))
+
+
+def _value_at_rest(product):
+    return (product.turning.rest.conjugate() * product.still.rest).real
 
 
 def _pairs(numbers):

@@ -28,6 +28,10 @@ class Piece:
         """The piece turned and stretched by the complex number w."""
         return replace(self, terms=tuple((side, part, w * u) for side, part, u in self.terms), constant=w * self.constant)
 
+    def plus(self, other):
+        """The sum with a piece that the same profile turns."""
+        return replace(self, terms=self.terms + other.terms, constant=self.constant + other.constant)
+
     @property
     def rest(self):
         """Its value in the reference configuration, before it is turned."""
@@ -41,7 +45,11 @@ class Vector:
     pieces: tuple
 
     def __add__(self, other):
-        return Vector(self.pieces + _vector(other).pieces)
+        pieces = {id(piece.profile): piece for piece in self.pieces}
+        for piece in _vector(other).pieces:
+            known = pieces.get(id(piece.profile))
+            pieces[id(piece.profile)] = piece if known is None else known.plus(piece)
+        return Vector(tuple(pieces.values()))
 
     def __sub__(self, other):
         return self + -_vector(other)
@@ -90,6 +98,11 @@ class Product:
     turning: Piece
     still: Piece
     one_way: bool = False
+
+    @property
+    def linear(self):
+        """Whether it is linear in the coordinates, and the same at all times."""
+        return self.turning.profile is None and not (self.turning.terms and self.still.terms)
 
 
 @dataclass(frozen=True)
