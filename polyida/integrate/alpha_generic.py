@@ -19,6 +19,8 @@ class Steps:
     verdict: "far" or "near" where adaptive steps should be shorter or longer.
     """
 
+    efforts = STALE, FRESH, FULL  # one after the other, where Newton fails
+
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts, self.c = settings, model, counts, settings.coefficients
         self.kept, self.verdict, self.kkt = {}, None, None
@@ -81,7 +83,7 @@ class Steps:
 
     def _step(self, before, t):
         """The state at t: with the matrix at hand, a fresh one, or one in every iteration. Raises StepFailure."""
-        for effort in (STALE, FRESH, FULL):
+        for effort in self.efforts:
             if effort != STALE:
                 self.kkt = None
             try:

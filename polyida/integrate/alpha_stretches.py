@@ -14,7 +14,6 @@ from polyida.integrate.step_control import calm_error
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 
-CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 LONGEST, ADAPTIVE = 256, 32  # steps of a stretch; of one whose step may change any time
 KEPT = 6  # factors that adaptive steps keep
 REASONS = {
@@ -32,6 +31,8 @@ class Stretches:
 
     verdict: "far" or "near" where adaptive steps should be shorter or longer.
     """
+
+    chunk_bytes = 4_000_000  # of frames that one compiled stretch fills
 
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts = settings, model, counts
@@ -77,7 +78,7 @@ class Stretches:
         """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
         done, self.verdict = grid.done, None
         most = ADAPTIVE if self.settings.adaptive else LONGEST
-        longest = int(max(1, min(most, CHUNK_BYTES // (48 * max(1, self.model.n)))))
+        longest = int(max(1, min(most, self.chunk_bytes // (48 * max(1, self.model.n)))))
         while done < grid.count and self.verdict is None:
             end = min(done + longest, grid.count)
             for state in self._stretch(np.array([grid.time(k) for k in range(done, end + 1)]), grid, done):
