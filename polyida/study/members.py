@@ -25,9 +25,9 @@ def ida(form, rtol, sizes=(1e-2, 10.0), max_num_steps=200_000):
     return IDA(rtol=rtol, atol=atol, form=form, max_num_steps=MAX_STEPS.get(form, max_num_steps))
 
 
-def adaptive(tolerance, h, sizes=(1e-2, 10.0), **settings):
+def adaptive(rtol, h, sizes=(1e-2, 10.0), **settings):
     """Generalized-alpha with error control of q, no step above h."""
-    return GeneralizedAlpha(h=h, rtol=tolerance, atol=tolerance * sizes[0], **settings)
+    return GeneralizedAlpha(h=h, rtol=rtol, atol=rtol * sizes[0], **settings)
 
 
 def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=None):

@@ -109,9 +109,9 @@ def sudden_blow(cells, t_end, duration=0.005, force=40.0):
     return scene.build()
 
 
-def blown(name, cells, t_end, sizes):
+def blown(name, cells, t_end, sizes, h):
     """The Case of `sudden_blow` against an explicit reference."""
-    return with_explicit(name, sudden_blow(cells, t_end), t_end, sizes, 1e-8, 2e-5)
+    return with_explicit(name, sudden_blow(cells, t_end), t_end, sizes, 1e-8, h)
 
 
 @lru_cache(maxsize=16)
@@ -130,6 +130,6 @@ def case(name, quick):
         "plate-chain": lambda: with_explicit(name, plates.plate_chain(3, cells).build(), scene, sizes),
         "rigid-limit": rigid_limit,
         "spin-up-beam": lambda: too_stiff_for_explicit(name, problems.get(name).model, 20.0, (1e-1, 1.0), 5e-4),
-        "sudden-blow": lambda: blown(name, 8 if quick else 20, 0.5 if quick else 2.0, sizes),
+        "sudden-blow": lambda: blown(name, 8, 0.5, sizes, 1e-4) if quick else blown(name, 20, 2.0, sizes, 2e-5),
     }
     return makers[name]()
