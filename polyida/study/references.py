@@ -68,7 +68,7 @@ def agreed(name, model, t_end, sizes, reference, other):
 
 
 def with_explicit(name, model, t_end, sizes, rtol=1e-9, h=5e-6):
-    """A case whose reference is an explicit run, known as well as generalized-alpha (h and h/2, extrapolated) agrees."""
+    """A case whose reference is an explicit run, known as well as extrapolated generalized-alpha (h, h/2) agrees."""
     exact = f"DOP853 on the index-1 equations, rtol {rtol:g}", by_explicit(model, t_end, rtol)
     return agreed(name, model, t_end, sizes, exact, _alpha(model, t_end, h))
 
