@@ -8,6 +8,7 @@ from polyida.assembly import equilibrium as compiled
 from polyida.assembly import joints as rows
 from polyida.assembly.build import assemble, bodies_of
 from polyida.assembly.damping import add_damping, damped_blocks
+from polyida.assembly.mass_system import MassSystem
 from polyida.element import kernels
 from polyida.joint.angle_motor import AngleMotor
 from polyida.model import Model, Needs
@@ -96,9 +97,13 @@ class SceneModel(Model):
         return (mass + self._points_s.T @ diags_array(s.links.point_mass) @ self._points_s).tocsc()
 
     def mass_inverse(self, b):
-        """M^-1 b, b (n, k); M is factored once."""
+        """M^-1 b, b (n,) or (n, k); M is factored once."""
         pairs = b.reshape(self.n_nodes, -1)
         return self._mass_factor.solve(np.ascontiguousarray(pairs)).reshape(b.shape)
+
+    def mass_system(self, t, q):
+        """`[[M, phi_q^T], [phi_q, 0]]` at (t, q), to be solved."""
+        return MassSystem(self, t, q)
 
     @cached_property
     def _mass_factor(self):
@@ -117,9 +122,13 @@ class SceneModel(Model):
     def _jacobian(self, t, q):
         from scipy.sparse import csr_array
 
+        return csr_array(csr_array(self.phi_z(t, q)) @ self._points_t.T)
+
+    def phi_z(self, t, q):
+        """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
         phi_z = np.empty((self.m, 2 * self.n_points))
         rows.joint_jacobian(self.arrays.links, self.drives(t), self.dz(q), phi_z)
-        return csr_array(csr_array(phi_z) @ self._points_t.T)
+        return phi_z
 
     def phi_t(self, t, q):
         """Partial derivative of phi in time, (m,)."""

@@ -14,7 +14,9 @@ from polyida.assembly.damping import damped_blocks
 from polyida.compiled import entry, part
 from polyida.element import kernels as elements
 from polyida.element import stabilisation, two_states
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.at_end import AtEnd
+from polyida.integrate.midpoint_velocity import bend, hold, hold_velocity
+from polyida.integrate.state import StepFailure
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 
@@ -121,7 +123,7 @@ def correct(h, w):
 
 
 @entry
-def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, extent, w, counts):
+def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, extent, w, held, counts):
     """Newton's iteration from w.u1, w.lam. Returns how it ended and the last |dq|."""
     before = 0.0
     for iteration in range(most):
@@ -129,6 +131,12 @@ def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, ext
         counts[0] += 1
         if not det > 0.0:
             return (INVERTED if det <= 0.0 else NOT_FINITE), before
+        if held.mu.shape[0] > 0:
+            if not hold_velocity(scene.links, drives_middle, drives_end, h, w.u0, w.v0, w.u1, held):
+                return SINGULAR, before
+            w.forces[:] = 0.0
+            bend(scene.links, drives_middle, held, w.forces)
+            joints.spread(scene.links, w.forces, w.r)
         joints.point_values(scene.links, w.u1, w.dz)
         w.forces[:] = 0.0
         cosine = joints.joint_forces(scene.links, drives_end, w.dz, w.lam, w.phi, w.forces)
@@ -147,12 +155,12 @@ def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, ext
 
 
 class Midpoint:
-    """Steps at one h; holds the factor between them."""
+    """Steps at one h; holds the factor between them. until: the time that motors and loads are held to, before a kink."""
 
-    def __init__(self, settings, model, h, counts, halvings=6):
-        self.halvings = halvings
+    def __init__(self, settings, model, h, counts, until=np.inf, halvings=6):
+        self.until, self.halvings = until, halvings
         self.settings, self.model, self.h, self.counts = settings, model, h, counts
-        self.room, self.system = room(model), None
+        self.room, self.held, self.system = room(model), hold(model), None
         self.extent = float(np.ptp(model.reference, axis=0).max())
 
     def step(self, state, t):
@@ -165,7 +173,11 @@ class Midpoint:
         if ended != DONE:
             return self._halved(state, t, ended, moved)
         v = 2.0 * (w.u1 - w.u0) / self.h - w.v0
-        return State(float(t), w.u1.ravel().copy(), v.ravel(), ((v - w.v0) / self.h).ravel(), w.lam.copy())
+        memory = {"a_middle": ((v - w.v0) / self.h).ravel(), "lam_middle": w.lam.copy()}
+        if len(self.held.mu):
+            hold_velocity(self.model.arrays.links, *self.drives, self.h, w.u0, w.v0, w.u1, self.held)
+            v = v - 2.0 * (self.held.reach @ self.held.push)
+        return AtEnd(self.model, float(t), w.u1.ravel().copy(), v.ravel(), memory, min(t, self.until))
 
     def _halved(self, state, t, ended, moved):
         """The state at t by two steps of half the size, each keeping energy by itself."""
@@ -175,22 +187,24 @@ class Midpoint:
             raise StepFailure(status, f"{reason}; the step in 2 to 64 parts fails too", t, **seen)
         self.system = None
         self.counts.rejected += 1
-        half = Midpoint(self.settings, self.model, self.h / 2, self.counts, self.halvings - 1)
+        half = Midpoint(self.settings, self.model, self.h / 2, self.counts, self.until, self.halvings - 1)
         return half.step(half.step(state, t - self.h / 2), t)
 
     def _solve(self, state, t):
         w, h, model = self.room, self.h, self.model
         for target, values in ((w.u0, state.q), (w.v0, state.v)):
             target[:] = values.reshape(-1, 2)
-        w.u1[:] = w.u0 + h * w.v0 + 0.5 * h * h * state.a.reshape(-1, 2)
-        w.lam[:] = state.lam
-        w.half_lam[:] = 0.5 * state.lam
-        at_middle, at_end, seen = model.drives(t - h / 2), model.drives(t), np.zeros(2, np.int64)
+        known = "a_middle" in state.memory
+        a, lam = (state.memory["a_middle"], state.memory["lam_middle"]) if known else (state.a, state.lam)
+        w.u1[:] = w.u0 + h * w.v0 + 0.5 * h * h * a.reshape(-1, 2)
+        w.lam[:] = lam
+        w.half_lam[:] = 0.5 * lam
+        self.drives, seen = [model.drives(min(s, self.until)) for s in (t - h / 2, t)], np.zeros(2, np.int64)
         self.fresh = self.system is None
         if self.fresh:
-            self._factor(at_middle, t)
-        ended = newton(model.arrays, self.system, self.scratch, at_middle, at_end, h, self.settings.tolerance, self.settings.max_iterations,
-                       self.extent, w, seen)
+            self._factor(self.drives[0], t)
+        ended = newton(model.arrays, self.system, self.scratch, *self.drives, h, self.settings.tolerance, self.settings.max_iterations,
+                       self.extent, w, self.held, seen)
         self.counts.residuals += int(seen[0])
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])
