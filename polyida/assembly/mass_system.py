@@ -22,6 +22,11 @@ class MassSystem:
         return y - (self._reach @ pull).ravel(), dlam
 
 
+def at_rest(model):
+    """The MassSystem of a scene without motors, always the same."""
+    return MassSystem(model, 0.0, np.zeros(model.n))
+
+
 def point_columns(model):
     """`M^-1 A^T` (nodes, points) and `A M^-1 A^T` (points, points) of one direction; the other's are the same."""
     points, s = model.n_points, model.arrays.links

@@ -8,7 +8,6 @@ from polyida.assembly import equilibrium as compiled
 from polyida.assembly import joints as rows
 from polyida.assembly.build import assemble, bodies_of
 from polyida.assembly.damping import add_damping, damped_blocks
-from polyida.assembly.mass_system import MassSystem
 from polyida.element import kernels
 from polyida.joint.angle_motor import AngleMotor
 from polyida.model import Model, Needs
@@ -23,7 +22,7 @@ class SceneModel(Model):
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
-        self.bodies, self._kept = bodies_of(parts), {}
+        self.bodies, self._kept, self._driven = bodies_of(parts), {}, (None, None)
         self.arrays, points, table, self.profiles, self._held = assemble(self.bodies, parts, gravity)
         self.labels, self.rows, self.joints = table.labels, table.rows, table.sides
         self.n_nodes = self.bodies[-1].nodes.stop
@@ -38,7 +37,11 @@ class SceneModel(Model):
 
     def drives(self, t):
         """Value, first and second derivative of every profile at time t, (profiles, 3)."""
-        return np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
+        at, table = self._driven
+        if at != t:
+            table = np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
+            self._driven = t, table
+        return table.copy()
 
     def kinks(self, t0, t1):
         """Times in (t0, t1) at which a profile is not smooth, sorted."""
@@ -101,10 +104,6 @@ class SceneModel(Model):
         pairs = b.reshape(self.n_nodes, -1)
         return self._mass_factor.solve(np.ascontiguousarray(pairs)).reshape(b.shape)
 
-    def mass_system(self, t, q):
-        """`[[M, phi_q^T], [phi_q, 0]]` at (t, q), to be solved."""
-        return MassSystem(self, t, q)
-
     @cached_property
     def _mass_factor(self):
         from scipy.sparse.linalg import splu
@@ -133,6 +132,10 @@ class SceneModel(Model):
     def phi_t(self, t, q):
         """Partial derivative of phi in time, (m,)."""
         return self._rates(t, q, np.zeros(self.n))[0]
+
+    def phi_rate(self, t, q, v):
+        """`phi_q v + phi_t`, (m,)."""
+        return self.phi_z(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
 
     def phi_bias(self, t, q, v):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from polyida.assembly.mass_system import MassSystem, at_rest
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.integrate.state import State
@@ -31,7 +32,7 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
         objection = getattr(model, "objection", lambda t, q: None)(t0, q)
         if objection:
             raise InputError(f"the start cannot be accepted: {objection}")
-        rate = model.phi_q(t0, q) @ v + model.phi_t(t0, q)
+        rate = model.phi_rate(t0, q, v)
         _require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
         v = on_velocity(model, t0, q, v)
     a, lam = consistent_acceleration(model, t0, q, v)
@@ -46,7 +47,7 @@ def consistent_acceleration(model, t, q, v):
 
 def on_velocity(model, t, q, v):
     """v moved in the metric of M onto the constraint `phi_q v + phi_t = 0` of time t."""
-    rate = model.phi_q(t, q) @ v + model.phi_t(t, q) if model.m else np.zeros(0)
+    rate = model.phi_rate(t, q, v) if model.m else np.zeros(0)
     return v + mass_system(model, t, q).solve(np.zeros(model.n), rate)[0] if rate.any() else v
 
 
@@ -111,8 +112,8 @@ def _project_position(model, t, q):
 
 def mass_system(model, t, q):
     """The factored `[[M, B^T], [B, 0]]` at (t, q); a constant M is factored once a model."""
-    if hasattr(model, "mass_system"):
-        return model.mass_system(t, q)
+    if hasattr(model, "arrays"):
+        return MassSystem(model, t, q) if model.needs.driven else model.once(at_rest)
     try:
         return KKT(model.mass(q), model.phi_q(t, q))
     except SingularSystem:
