@@ -17,7 +17,7 @@ class EnergyMomentum:
     `M (v_1 - v_0)/h + f_int + B^T lam = f_ext(t_m)`, `q_1 - q_0 = h (v_0 + v_1)/2`, `phi(q_1, t_1) = 0`. The stress is that of the mean
     of the strains at both ends on the mean F, B the constraint Jacobian of the mean q and mean time: without moving motors and damping
     the energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Velocities are on their
-    constraint at both ends. Second order in q, v, a and lam; a and lam of a frame follow from its q and v, which costs a third to two
+    constraint at both ends. Second order in q, v, a and lam; a and lam of a frame follow from its q and v, which costs half to two
     thirds of a step for each frame that is kept (integrate/at_end.py). Damping enters at the middle of the step and only takes energy.
 
     h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
