@@ -22,7 +22,7 @@ class SceneModel(Model):
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
-        self.bodies, self._kept = bodies_of(parts), {}
+        self.bodies, self._kept, self._driven = bodies_of(parts), {}, (None, None)
         self.arrays, points, table, self.profiles, self._held = assemble(self.bodies, parts, gravity)
         self.labels, self.rows, self.joints = table.labels, table.rows, table.sides
         self.n_nodes = self.bodies[-1].nodes.stop
@@ -37,7 +37,11 @@ class SceneModel(Model):
 
     def drives(self, t):
         """Value, first and second derivative of every profile at time t, (profiles, 3)."""
-        return np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
+        at, table = self._driven
+        if at != t:
+            table = np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
+            self._driven = t, table
+        return table.copy()
 
     def kinks(self, t0, t1):
         """Times in (t0, t1) at which a profile is not smooth, sorted."""
@@ -96,7 +100,7 @@ class SceneModel(Model):
         return (mass + self._points_s.T @ diags_array(s.links.point_mass) @ self._points_s).tocsc()
 
     def mass_inverse(self, b):
-        """M^-1 b, b (n, k); M is factored once."""
+        """M^-1 b, b (n,) or (n, k); M is factored once."""
         pairs = b.reshape(self.n_nodes, -1)
         return self._mass_factor.solve(np.ascontiguousarray(pairs)).reshape(b.shape)
 
@@ -117,13 +121,21 @@ class SceneModel(Model):
     def _jacobian(self, t, q):
         from scipy.sparse import csr_array
 
+        return csr_array(csr_array(self.phi_z(t, q)) @ self._points_t.T)
+
+    def phi_z(self, t, q):
+        """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
         phi_z = np.empty((self.m, 2 * self.n_points))
         rows.joint_jacobian(self.arrays.links, self.drives(t), self.dz(q), phi_z)
-        return csr_array(csr_array(phi_z) @ self._points_t.T)
+        return phi_z
 
     def phi_t(self, t, q):
         """Partial derivative of phi in time, (m,)."""
         return self._rates(t, q, np.zeros(self.n))[0]
+
+    def phi_rate(self, t, q, v):
+        """`phi_q v + phi_t`, (m,)."""
+        return self.phi_z(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
 
     def phi_bias(self, t, q, v):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""

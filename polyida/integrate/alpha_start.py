@@ -11,7 +11,7 @@ import numpy as np
 
 from polyida.integrate.alpha_increment import beside, start_values
 from polyida.integrate.segments import at_kink
-from polyida.integrate.start import consistent_acceleration, jerk, mass_system
+from polyida.integrate.start import consistent_acceleration, far_side, jerk, mass_system
 from polyida.integrate.state import State
 
 FAR_SHORTER = 2.5  # a step control's ladder stays below
@@ -27,7 +27,7 @@ def started(settings, model, state, h):
     memory = state.memory
     if "a_alg" not in memory:
         right = beside(state.t, h) if at_kink(model, state.t) else None
-        state = state if right is None else _on_the_right(model, state, right)
+        state = state if right is None else far_side(model, state, right)
         phi, rate = start_values(model, state, right)
         state = _with(state, a_alg=state.a, h=h, phi=phi, rate=rate)
         return state if settings.start == "plain" or "cut" in memory else beginning(settings, model, state, h, right)
@@ -81,16 +81,6 @@ def rescaled(settings, model, state, h):
     if model.m and settings.form == "index3":
         v = v + (1 - scale**2) * mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
     return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h, phi=phi, rate=scale**2 * rate)
-
-
-def _on_the_right(model, state, right):
-    """The state with v, a and lam of the right side, where a run begins at a kink."""
-    v = state.v
-    if model.m:
-        rate = model.phi_q(state.t, state.q) @ v + model.phi_t(right, state.q)
-        v = v + mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
-    a, lam = consistent_acceleration(model, right, state.q, v)
-    return _with(state, v=v, a=a, lam=lam)
 
 
 def _off_constraint(settings, model, state, h, third):

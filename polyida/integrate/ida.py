@@ -11,8 +11,9 @@ from polyida.integrate.ida_forms import FORMS, System
 from polyida.integrate.ida_linear import ReducedSolve
 from polyida.integrate.ida_quiet import error_lines_kept
 from polyida.integrate.ida_whole import SCALINGS, WholeSolve
-from polyida.integrate.segments import at_kink, segments
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.segments import at_kink, beside, segments
+from polyida.integrate.start import far_side
+from polyida.integrate.state import StepFailure
 
 LINEAR = ("auto", "kkt", "whole")
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where only the latter is given
@@ -102,10 +103,10 @@ class IDA:
         for begin, end in segments(model, state.t, t_end):
             limits = (-math.inf, math.inf)
             if at_kink(model, begin):
-                limits = (_beside(begin, 1), math.inf)
-                state = _far_side(model, state, limits[0])
+                limits = (beside(begin, 1), math.inf)
+                state = far_side(model, state, limits[0])
             if at_kink(model, end):
-                limits = (limits[0], _beside(end, -1))
+                limits = (limits[0], beside(end, -1))
             for state in run.piece(state, begin, end, limits):
                 yield state
 
@@ -113,22 +114,6 @@ class IDA:
 def _check(name, value, right, wanted):
     if not right:
         raise InputError(f"IDA: {name} {value} {wanted}")
-
-
-def _beside(t, side):
-    return t + side * 32 * math.ulp(max(abs(t), 1.0))
-
-
-def _far_side(model, state, t):
-    """The state just after a kink: v moved, in the metric of M, onto a velocity constraint that jumps; new a, lam."""
-    from polyida.integrate.start import consistent_acceleration
-    from polyida.linear.kkt import KKT
-
-    q, v = state.q, state.v
-    if model.m:
-        B = model.phi_q(t, q)
-        v = v + KKT(model.mass(q), B).solve(np.zeros(model.n), B @ v + model.phi_t(t, q))[0]
-    return State(state.t, q, v, *consistent_acceleration(model, t, q, v))
 
 
 def _callbacks(settings, model, counts):

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from polyida.assembly.mass_system import MassSystem, at_rest
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.integrate.state import State
-from polyida.linear.kkt import KKT, Bordered, SingularSystem, require_independent
+from polyida.linear.kkt import KKT, SingularSystem, require_independent
 from polyida.model import require_model, require_shapes
 
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
@@ -31,10 +32,9 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
         objection = getattr(model, "objection", lambda t, q: None)(t0, q)
         if objection:
             raise InputError(f"the start cannot be accepted: {objection}")
-        rate = model.phi_q(t0, q) @ v + model.phi_t(t0, q)
+        rate = model.phi_rate(t0, q, v)
         _require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
-        if np.abs(rate).max() > 0:
-            v = v + mass_system(model, t0, q).solve(np.zeros(model.n), rate)[0]
+        v = on_velocity(model, t0, q, v)
     a, lam = consistent_acceleration(model, t0, q, v)
     return State(float(t0), q, v, a, lam)
 
@@ -43,6 +43,19 @@ def consistent_acceleration(model, t, q, v):
     """(a, lam) from the equations of motion and the second derivative of phi."""
     bias = model.phi_bias(t, q, v) if model.m else np.zeros(0)
     return mass_system(model, t, q).solve(model.force(t, q, v), bias)
+
+
+def on_velocity(model, t, q, v):
+    """v moved in the metric of M onto the constraint `phi_q v + phi_t = 0` of time t."""
+    rate = model.phi_rate(t, q, v) if model.m else np.zeros(0)
+    return v + mass_system(model, t, q).solve(np.zeros(model.n), rate)[0] if rate.any() else v
+
+
+def far_side(model, state, t):
+    """The state behind a kink, t being a time just there: v on a constraint that has jumped, a and lam of the new loads and rates."""
+    v = on_velocity(model, t, state.q, state.v)
+    a, lam = consistent_acceleration(model, t, state.q, v)
+    return State(state.t, state.q, v, a, lam, state.memory)
 
 
 def jerk(model, state, h, begin=None):
@@ -99,8 +112,8 @@ def _project_position(model, t, q):
 
 def mass_system(model, t, q):
     """The factored `[[M, B^T], [B, 0]]` at (t, q); a constant M is factored once a model."""
-    if hasattr(model, "mass_inverse"):
-        return Bordered(model.mass_inverse, model.phi_q(t, q))
+    if hasattr(model, "arrays"):
+        return MassSystem(model, t, q) if model.needs.driven else model.once(at_rest)
     try:
         return KKT(model.mass(q), model.phi_q(t, q))
     except SingularSystem:

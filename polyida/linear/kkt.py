@@ -83,26 +83,6 @@ class KKT:
         return x[: self.n], self.scaling.column * x[self.n:]
 
 
-class Bordered:
-    """The same system through a solve with S alone: `S^-1 b`, b (n, k), and an (m, m) Schur complement."""
-
-    def __init__(self, inverse, phi_q):
-        self._inverse, self._border = inverse, phi_q
-        self.n = phi_q.shape[1]
-        if phi_q.shape[0]:
-            dense = phi_q.toarray() if hasattr(phi_q, "toarray") else np.asarray(phi_q)
-            self._columns = inverse(np.ascontiguousarray(dense.T))
-            self._schur = phi_q @ self._columns
-
-    def solve(self, r, phi):
-        """(dq, dlam) for the residuals r (n,) and phi (m,)."""
-        y = -self._inverse(r[:, None])[:, 0]
-        if not phi.size:
-            return y, np.zeros(0)
-        dlam = np.linalg.solve(self._schur, self._border @ y + phi)
-        return y - self._columns @ dlam, dlam
-
-
 class SingularSystem(Exception):
     """The system has no unique solution."""
 

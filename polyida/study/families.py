@@ -74,7 +74,7 @@ def _extrapolated(model, t_end, h, integrator):
     """(4 x(h/2) - x(h)) / 3 of both runs' ends. RuntimeError where one does not come there."""
     ends = []
     for chosen in (integrator(h), integrator(h / 2)):
-        run = solve(model, t_end, chosen, every=1 if at_middle(chosen) else 10**9)
+        run = solve(model, t_end, chosen, every=10**9)
         if not run.success:
             raise RuntimeError(f"reference with h = {chosen.h:g} s: {run.message}")
         ends.append(last_state(run))
@@ -86,18 +86,6 @@ def distance(one, other):
     return {part: float(np.abs(one[part] - other[part]).max()) for part in one if part in other}
 
 
-def at_middle(chosen):
-    """Whether an integrator's multipliers are of the middle of a step."""
-    return getattr(chosen, "multipliers_at_middle", False)
-
-
 def last_state(run):
-    """The end of a run, with lam at the end: that of the middle of a step is extended linearly from the last two.
-
-    Of such an integrator every step must be in the run.
-    """
-    lam = run.lam[-1]
-    if at_middle(run.integrator):
-        before, middle = (run.t[-3:-1] + run.t[-2:]) / 2
-        lam = lam + (run.t[-1] - middle) / (middle - before) * (lam - run.lam[-2])
-    return SimpleNamespace(q=run.q[-1], v=run.v[-1], lam=lam)
+    """q, v and lam at the end of a run."""
+    return SimpleNamespace(q=run.q[-1], v=run.v[-1], lam=run.lam[-1])

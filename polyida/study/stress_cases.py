@@ -148,7 +148,7 @@ def small_steps(h, name):
     """40 steps of the motor-driven plates: q and v against Taylor's series at the start, a and lam against the equations of motion.
 
     a, lam: distance from what M a + g + B^T lam = 0, phi'' = 0 give at the same q and v, relative; not for the energy-momentum
-    method, whose are those of the middle of a step, nor for IDA, which leaves them out of its error control. IDA is given h as its
+    method, which makes its own of just these equations, nor for IDA, which leaves them out of its error control. IDA is given h as its
     first and largest step; its q and v are allowed 500 times rtol |q| + atol.
     """
     from polyida.integrate.start import consistent_acceleration, consistent_state, jerk
