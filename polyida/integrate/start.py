@@ -33,10 +33,18 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
             raise InputError(f"the start cannot be accepted: {objection}")
         rate = model.phi_q(t0, q) @ v + model.phi_t(t0, q)
         _require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
-        if np.abs(rate).max() > 0:
-            v = v + mass_system(model, t0, q).solve(np.zeros(model.n), rate)[0]
+        v = _project_velocity(model, t0, q, v)
     a, lam = consistent_acceleration(model, t0, q, v)
     return State(float(t0), q, v, a, lam)
+
+
+def restarted(model, state):
+    """The State at the time of one that was interpolated, with its q and v put on the constraints, a and lam made anew."""
+    q, v = np.array(state.q, float), np.array(state.v, float)
+    if model.m:
+        q = _project_position(model, state.t, q)
+        v = _project_velocity(model, state.t, q, v)
+    return State(float(state.t), q, v, *consistent_acceleration(model, state.t, q, v))
 
 
 def consistent_acceleration(model, t, q, v):
@@ -80,6 +88,11 @@ def _require_near(model, name, required, violation, size):
         hint = ", or leave it out to have it made" if name == "v0" else ""
         raise InputError(f"{name} violates the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0; "
                          f"give a consistent {name}{hint}")
+
+
+def _project_velocity(model, t, q, v):
+    rate = model.phi_q(t, q) @ v + model.phi_t(t, q)
+    return v + mass_system(model, t, q).solve(np.zeros(model.n), rate)[0] if np.abs(rate).max() > 0 else v
 
 
 def _project_position(model, t, q):
