@@ -9,6 +9,7 @@ from polyida.errors import InputError
 from polyida.given import floats
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks
+from polyida.io.save import save
 
 
 @dataclass(frozen=True)
@@ -159,8 +160,6 @@ class Trajectory:
 
     def save(self, path, overwrite=False):
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""
-        from polyida.io.save import save
-
         save(self, path, overwrite)
 
 

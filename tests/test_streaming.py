@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.io.frames import StoredFrames
 from polyida.integrate.sampling import between
 from polyida.integrate.state import State
+from polyida.io.frames import StoredFrames
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")

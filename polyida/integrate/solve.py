@@ -19,7 +19,7 @@ from polyida.threads import one_blas_thread
 
 def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
           out=None, overwrite=False, flush_every=100, fsync=False, memory_limit=MEMORY_LIMIT):
-    """Run `integrator` on `model` from t0 (or from `state`, an earlier one) to t_end.
+    """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
 
     q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.
     every: keep each `every`-th accepted step (the first and last always). output: increasing times; the frames are then
@@ -28,12 +28,13 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
     last frame is there. progress: called with t at every accepted step.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
-    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, at
-    the first step from which the run can be resumed (generalized-alpha on a scene works in stretches of up to 256
-    steps). overwrite: replace an existing file, unless a process is writing it. fsync: have every flush on the disk before
-    the run goes on, so that it survives a power cut too; slow. Without `out`, frames beyond `memory_limit` bytes go to a file in the
-    folder for temporary files (TMPDIR); a trajectory with more of them than that leaves them in the file, see
-    Trajectory.
+    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s; resume
+    goes on from the last step by then whose memory is known (generalized-alpha on a scene works in stretches of up to
+    256 steps). overwrite: replace an existing file, unless a process is writing it. fsync: have every flush on the disk
+    before the run goes on, so that it survives a power cut too; slow. What comes back is what was written, also where
+    the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
+    `memory_limit` bytes go to a file in the folder for temporary files (TMPDIR); a trajectory with more of them than
+    that leaves them in the file, see Trajectory.
 
     Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with
     the frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the

@@ -55,7 +55,7 @@ class Checked:
         if node.is_virtual or node.external or kinds - {h5py.h5z.FILTER_FLETCHER32}:
             raise InputError(f"{name} is virtual, external or compressed")
         chunk = node.dtype.itemsize * int(np.prod(node.chunks or (0,), dtype=object))
-        if node.nbytes > self.size or chunk > self.size + BLOCK_BYTES:
+        if node.nbytes > self.size or chunk > 2 * self.size + BLOCK_BYTES:
             raise InputError(f"{name} claims {max(node.nbytes, chunk)} bytes, the file has {self.size}")
         return node
 

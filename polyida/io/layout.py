@@ -18,12 +18,12 @@ FORMAT = "polyida trajectory 3"
 HEAD = struct.Struct("<QII")  # of a slot: bytes behind it, their CRC-32, bytes of the record
 FRAMES = ("t", "q", "v", "a", "lam")
 BLOCK_BYTES = 500_000  # of frames that are read or written at once
-BLOCK_FRAMES = 1024
+FEW, BLOCK_FRAMES = 4, 1024  # frames of a block: single ones are slow to write, however long they are
 
 
 def frames_at_once(width):
     """How many frames of `width` numbers make a block."""
-    return int(np.clip(BLOCK_BYTES // (8 * max(1, width)), 1, BLOCK_FRAMES))
+    return int(np.clip(BLOCK_BYTES // (8 * max(1, width)), FEW, BLOCK_FRAMES))
 
 
 def shapes_of(n, m, drives=()):
