@@ -10,6 +10,7 @@ from polyida.trajectory import Trajectory
 
 STILL = "another process is still writing it; these are the frames up to its last flush"
 KILLED = "the process that ran it ended without closing the file; it holds the frames up to the last flush"
+TORN = "; the record of one flush is not whole: cut off by the end of the process, or damaged"
 INTEGRATORS = ("GeneralizedAlpha", "IDA", "EnergyMomentum")
 
 
@@ -37,7 +38,7 @@ def _trajectory(stored, memory_limit):
     model = model_of(stored, _drives(stored))
     status, message = str(record["status"]), str(record["message"])
     if status == "running":
-        status, message = ("running", STILL) if stored.live else ("interrupted", KILLED)
+        status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
     if damage:
         status, message = "damaged", damage
     return Trajectory(

@@ -80,7 +80,7 @@ def _h5(source):
 class Stored:
     """An open file, checked: plain data `about`, the last whole `record`, `restart`, where the run goes on, or None.
 
-    counts; seconds: (CPU, wall). n, m: of the model. count: frames that hold. arrays: the datasets. Raises InputError, or whatever a damaged file
+    torn: whether a slot is not whole. counts; seconds: (CPU, wall). n, m: of the model. count: frames that hold. arrays: the datasets. Raises InputError, or whatever a damaged file
     makes fail.
     """
 
@@ -110,15 +110,19 @@ class Stored:
         for _ in range(TRIES if self.live else 1):
             slots = [self._slot(f"slot {k}") for k in range(2)]
             if whole := [slot for slot in slots if slot]:
+                self.torn = any(slot is None for slot in slots)
                 return max(whole, key=lambda slot: int(slot[0]["commit"]))
             time.sleep(PAUSE * self.live)
         raise InputError("it has no whole record of a flush; nothing in it holds")
 
     def _slot(self, name):
+        """(record, numbers) of a slot, None where it is not whole, () where nothing was written yet."""
         dataset = self.arrays.dataset(name, (None,))
         if self.live:
             dataset.refresh()
         stored = dataset[()].astype(np.uint8).tobytes()
+        if not stored:
+            return ()
         if len(stored) < HEAD.size:
             return None
         length, check, text = HEAD.unpack_from(stored)

@@ -142,3 +142,25 @@ def test_a_file_without_a_whole_frame_is_refused(path):
         file["v"][0, 2] = np.inf
     with pytest.raises(pi.InputError, match="run.h5: all its frames are damaged: v"):
         pi.load(path)
+
+
+def test_a_damaged_flush_of_a_run_that_was_killed_is_told(model, tmp_path):
+    """The flush before it holds: fewer frames, and the message says why."""
+    path, copy = tmp_path / "run.h5", tmp_path / "copy.h5"
+
+    def progress(t):
+        if t > 0.6 and not copy.exists():
+            copy.write_bytes(path.read_bytes())
+
+    whole = pi.solve(model, 0.7, ALPHA, out=path, progress=progress)
+    good, before = copy.read_bytes(), pi.load(copy)
+    assert before.status == "interrupted" and "not whole" not in before.message
+    with h5py.File(path, "r") as file:
+        places = [file[f"slot {k}"].id.get_chunk_info(0).byte_offset for k in range(2)]
+    lengths = []
+    for at in places:
+        flipped(copy, good, at + 40)
+        run = pi.load(copy)
+        assert run.status == "interrupted" and "not whole" in run.message and same(run, whole, len(run))
+        lengths.append(len(run))
+    assert max(lengths) == len(before) > min(lengths) > 1
