@@ -45,7 +45,7 @@ class Writer:
         self.rows = frames_at_once(width_of(self.shapes))
         self._block = self.rows * 8 * width_of(self.shapes)
         self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
-        self.descriptor = os.open(path, os.O_RDWR)
+        self.descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
         try:
             lock(self.descriptor)
             self._file = h5py.File(path, "w", libver="v110", locking=False)
