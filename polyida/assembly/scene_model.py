@@ -45,8 +45,13 @@ class SceneModel(Model):
 
     def kinks(self, t0, t1):
         """Times in (t0, t1) at which a profile is not smooth, sorted."""
-        times = {float(kink) for profile in self.profiles for kink in profile.kinks}
-        return tuple(sorted(time for time in times if t0 < time < t1))
+        first, end = np.searchsorted(self._kinks, t0, side="right"), np.searchsorted(self._kinks, t1)
+        return tuple(self._kinks[first:end].tolist())
+
+    @cached_property
+    def _kinks(self):
+        """All of them, sorted: they are asked for at every one of them."""
+        return np.unique(np.array([kink for profile in self.profiles for kink in profile.kinks], float))
 
     def constraint_name(self, row):
         """The joint and axis of a row of phi."""

@@ -42,10 +42,14 @@ class Stretches:
         self.memory = Memory(*map(np.zeros, (nodes,) * 5 + (model.m,) * 3 + (MARKS,)))
         self.trial = trial(model.n_nodes, model.n_points, model.m)
         self.system = self.room = self.factored_at = self.verdict = None
-        self.kept = {}
+        self.kept, self.pause = {}, 0
 
     def begin(self, state, h):
-        """Go on from a state that `started` has made ready for steps of h."""
+        """Go on from a state that `started` has made ready for steps of h.
+
+        memory["pause"]: the number of steps (of counts) after which a stretch ends, for what it leaves in memory there.
+        """
+        self.pause = state.memory.get("pause", self.pause)
         s, c, y = self.settings, self.settings.coefficients, self.memory
         to_a, to_v = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)), c.gamma / (c.beta * h)
         self.method = Method(
@@ -80,7 +84,8 @@ class Stretches:
         most = ADAPTIVE if self.settings.adaptive else LONGEST
         longest = int(max(1, min(most, self.chunk_bytes // (48 * max(1, self.model.n)))))
         while done < grid.count and self.verdict is None:
-            end = min(done + longest, grid.count)
+            left = self.pause - self.counts.steps
+            end = min(done + (left if 0 < left < longest else longest), grid.count)
             for state in self._stretch(np.array([grid.time(k) for k in range(done, end + 1)]), grid, done):
                 done += 1
                 yield state

@@ -39,6 +39,15 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
     return State(float(t0), q, v, a, lam)
 
 
+def restarted(model, state):
+    """The State at the time of one that was interpolated, with its q and v put on the constraints, a and lam made anew."""
+    q, v = np.array(state.q, float), np.array(state.v, float)
+    if model.m:
+        q = _project_position(model, state.t, q)
+        v = on_velocity(model, state.t, q, v)
+    return State(float(state.t), q, v, *consistent_acceleration(model, state.t, q, v))
+
+
 def consistent_acceleration(model, t, q, v):
     """(a, lam) from the equations of motion and the second derivative of phi."""
     bias = model.phi_bias(t, q, v) if model.m else np.zeros(0)

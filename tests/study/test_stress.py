@@ -12,8 +12,8 @@ import polyida as pi
 from polyida.integrate.state import StepFailure
 from polyida.study import stress
 from polyida.study import stress_cases as cases
-from polyida.study import stress_scenes as scenes
 from polyida.study import stress_identities as identities
+from polyida.study import stress_scenes as scenes
 from polyida.study.stress import Check, Stop, judged, outcome_of
 from polyida.study.stress_axes import AXES, meanings, run, tasks
 from polyida.study.stress_kills import killed_runs
