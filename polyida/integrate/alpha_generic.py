@@ -31,12 +31,13 @@ class Steps:
         self.to_a = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f))
         self.to_v = c.gamma / (c.beta * h)
         self.extent, (self.phi, self.rate) = extent(self.model, state.q), start_values(self.model, state)
-        self.size, self.error, self.since, self.verdict = 0.0, 0.0, 0, None
+        self.least, self.most, self.share = self.settings.newton_tolerance(self.to_a * h * h)
+        self.size, self.change, self.error, self.since, self.verdict = 0.0, 0.0, 0.0, 0, None
         self.kkt, self.factored_at = self.kept.get(h, (None, None)) if self.settings.adaptive else (None, None)
 
     def recall(self, memory):
         """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
-        self.size = float(memory["size"])
+        self.size, self.change = float(memory["size"]), float(memory["change"])
         if len(memory["factored_at"]):
             n = self.model.n
             t, q, v, a, lam = np.split(memory["factored_at"], [1, 1 + n, 1 + 2 * n, 1 + 3 * n])
@@ -100,7 +101,7 @@ class Steps:
         dd, v, a, lam = self._predict()
         model, last, inner = self.model, 0.0, inner_side(self.model, t, self.h)
         phi_at = self._constraints(before, t)
-        self.size, self.mass = max(0.9 * self.size, _rms(a)), None
+        self.size, self.change, self.mass = max(0.9 * self.size, _rms(a)), 0.9 * self.change, None
         for iteration in range(self.settings.max_iterations):
             q = self._at(dd)
             r, phi = model.residual(inner, q, v, a, lam), phi_at(dd, a)[0]
@@ -150,7 +151,8 @@ class Steps:
         """Whether the error to be expected, and phi, are below the tolerance, or dq is round-off and no longer
         falls.
         """
-        tolerance = self.settings.tolerance * max(self.size, _rms(a)) / self.to_a
+        size, change = max(self.size, _rms(a)), max(self.change, _rms(a - self.last.a))
+        tolerance = min(max(self.least * size, self.share * change), self.most * size) / self.to_a
         coarse = 16 * EPS * (_rms(q) + self.extent)
         fine = 16 * EPS * _rms(dd) if self.carries else 0.25 * EPS * _rms(q)
         stalled = iteration and rate > SLOW and moved <= coarse
@@ -169,10 +171,10 @@ class Steps:
             off = model.phi_q(t, q) @ v + model.phi_t(inner_side(model, t, self.h), q)
             v = v + mass_system(model, t, q).solve(np.zeros(model.n), off)[0]
             rate = np.zeros(model.m)
-        self.size = max(self.size, _rms(a))
+        self.size, self.change = max(self.size, _rms(a)), max(self.change, _rms(a - self.last.a))
         made = np.zeros(0) if self.kkt is None else self.factored_at
-        memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "factored_at": made}
-        memory["grid"] = self.place
+        memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "change": self.change}
+        memory |= {"factored_at": made, "grid": self.place}
         if self.carries:
             memory |= {"phi": phi, "rate": rate}
         return State(float(t), q, v, a, lam, memory)

@@ -13,6 +13,8 @@ from polyida.linear.kkt import SCALINGS
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
 ABSOLUTE = 1e-3  # m: atol over rtol where only rtol is given, for a start at q = 0
 FORMS = ("index3", "stabilised")
+SHARE = 1e-3  # of the local error of a step that Newton may leave, where `tolerance` says nothing
+LEAST, MOST = 1e-7, 1e-4  # of the size of q'': bounds of that
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,8 @@ class GeneralizedAlpha:
     is 1e-3 rtol where only rtol is given); lam is not in it. h is then the largest step. extrapolate: give
     (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
 
-    tolerance: Newton's, of beta h^2 times the size of q''. max_iterations: of one Newton solve. max_halvings: a step
+    tolerance: Newton's, of beta h^2 times the size of q''; None: 1e-3 of the step's local error, but at least 1e-7 and at
+    most 1e-4 of that. max_iterations: of one Newton solve. max_halvings: a step
     whose Newton fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4,
     ... 2^max_halvings parts. scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from
     the first step) or "plain" (a_0 = q''). incremental_phi: carry phi of a scene by its increments, clean down to h =
@@ -41,7 +44,7 @@ class GeneralizedAlpha:
 
     h: float
     rho_inf: float = 0.9
-    tolerance: float = 1e-4
+    tolerance: float | None = None
     scaling: str = "physical"
     max_iterations: int = 25
     start: str = "consistent"
@@ -90,7 +93,8 @@ class GeneralizedAlpha:
         return (
             ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
             ("rho_inf", is_number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
-            ("tolerance", is_number(self.tolerance) and 0 < self.tolerance < 1, "between 0 and 1"),
+            ("tolerance", self.tolerance is None or (is_number(self.tolerance) and 0 < self.tolerance < 1),
+             "between 0 and 1, or None: by the local error"),
             ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
             ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
@@ -110,6 +114,15 @@ class GeneralizedAlpha:
     def coefficients(self):
         """The member's coefficients."""
         return Coefficients(*self.member) if self.member is not None else Coefficients.chung_hulbert(self.rho_inf)
+
+    def newton_tolerance(self, scale):
+        """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''.
+
+        scale: h^2 q'' over the q that goes with it.
+        """
+        if self.tolerance is not None:
+            return self.tolerance, self.tolerance, 0.0
+        return LEAST, MOST, SHARE * max(abs(self.coefficients.error), 1 / 12) * scale
 
     @property
     def adaptive(self):
@@ -136,14 +149,18 @@ class GeneralizedAlpha:
             for state in piece:
                 yield state
 
+    def by_points(self, model):
+        """Whether the linear algebra is that of a scene, whose joints act through a few points."""
+        return self.linear != "kkt" and hasattr(model, "arrays")
+
     def _engine(self, model, counts):
-        if self.linear == "kkt" or not hasattr(model, "arrays"):
-            from polyida.integrate.alpha_generic import Steps
+        if self.by_points(model):
+            from polyida.integrate.alpha_stretches import Stretches
 
-            return Steps(self, model, counts)
-        from polyida.integrate.alpha_stretches import Stretches
+            return Stretches(self, model, counts)
+        from polyida.integrate.alpha_generic import Steps
 
-        return Stretches(self, model, counts)
+        return Steps(self, model, counts)
 
 
 def _four(given):
