@@ -38,7 +38,8 @@ class Method(NamedTuple):
 class Memory(NamedTuple):
     """What goes from step to step: states in place, phi and rate = phi_q v + phi_t as they are carried, and `marks`.
 
-    change, earlier: of q'' in the last step and in the one before. RATE: contraction of Newton; AGE of it in steps;
+    change, earlier: of q'' in the last step and in the one before. weights: of coordinates in the
+    local error. RATE: contraction of Newton; AGE of it in steps;
     SIZE of q'' and CHANGE of it in a step; AHEAD, BEHIND: of change and earlier in the prediction; MOVED: the last
     |dq| of an iteration to go on with (0: a new step); ERROR: largest local error of the last SINCE steps.
     """
@@ -49,6 +50,7 @@ class Memory(NamedTuple):
     a_alg: np.ndarray
     change: np.ndarray
     earlier: np.ndarray
+    weights: np.ndarray
     lam: np.ndarray
     phi: np.ndarray
     rate: np.ndarray

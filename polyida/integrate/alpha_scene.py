@@ -92,14 +92,13 @@ def nearest(aa, ab, bb, ad, bd):
 
 @part
 def local_error(p, y, w):
-    """Local error of q over what is allowed, both root mean squares."""
+    """Local error of q over what is allowed, both root mean squares weighted with the masses."""
     change = size = 0.0
     for i in range(w.u.shape[0]):
         for k in range(2):
-            change += (w.a[i, k] - y.a[i, k]) ** 2
-            size += w.u[i, k] * w.u[i, k]
-    n = 2.0 * w.u.shape[0]
-    return p.control * np.sqrt(change / n) / max(p.atol + p.rtol * np.sqrt(size / n), 1e-300)
+            change += y.weights[i, k] * (w.a[i, k] - y.a[i, k]) ** 2
+            size += y.weights[i, k] * w.u[i, k] * w.u[i, k]
+    return p.control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
 
 
 @part

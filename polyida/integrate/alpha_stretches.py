@@ -10,13 +10,12 @@ from polyida.integrate.alpha_increment import drive_table, extent, gain_table, s
 from polyida.integrate.alpha_scene import FRESHEN
 from polyida.integrate.alpha_tie import tie
 from polyida.integrate.state import State, StepFailure
-from polyida.integrate.step_control import calm_error
+from polyida.integrate.step_control import Kept, calm_error, weights
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 
 CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 LONGEST, ADAPTIVE = 256, 32  # steps of a stretch; of one whose step may change any time
-KEPT = 6  # factors that adaptive steps keep
 REASONS = {
     compiled.REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
     compiled.INVERTED: ("inverted",
@@ -38,10 +37,10 @@ class Stretches:
         nodes = (model.n_nodes, 2)
         self.tie = tie(model) if settings.form == "stabilised" and model.m else None
         self.damp = np.zeros(nodes) if model.needs.velocity_forces else None
-        self.memory = Memory(*map(np.zeros, (nodes,) * 6 + (model.m,) * 3 + (MARKS,)))
+        self.memory = Memory(*map(np.zeros, (nodes,) * 7 + (model.m,) * 3 + (MARKS,)))
         self.trial = trial(model.n_nodes, model.n_points, model.m)
         self.system = self.room = self.factored_at = self.verdict = None
-        self.kept = {}
+        self.kept = Kept()
 
     def begin(self, state, h):
         """Go on from a state that `started` has made ready for steps of h."""
@@ -56,14 +55,14 @@ class Stretches:
         y.change[:] = y.earlier[:] = 0.0
         y.lam[:] = state.lam
         y.phi[:], y.rate[:] = start_values(self.model, state)
+        y.weights[:] = weights(self.model, state.q).reshape(y.weights.shape)
         y.marks[:] = 0.0
         self.verdict = None
         self._take(h)
 
     def _take(self, h):
         """The factor made at this step before, where adaptive steps return to it."""
-        found = self.kept.get(h) if self.settings.adaptive else None
-        self.system, self.room, self.factored_at = found or (None, None, None)
+        self.system, self.room, self.factored_at = self.kept.take(h) or (None, None, None)
         self.memory.marks[RATE], self.memory.marks[AGE] = 1.0, FRESHEN
 
     def recall(self, memory):
@@ -190,7 +189,4 @@ class Stretches:
         self.counts.solves += 2 * model.n_points
         self.memory.marks[RATE], self.memory.marks[AGE] = 1.0, FRESHEN
         if self.settings.adaptive:
-            self.kept.pop(p.h, None)
-            self.kept[p.h] = self.system, self.room, self.factored_at
-            while len(self.kept) > KEPT:
-                self.kept.pop(next(iter(self.kept)))
+            self.kept.keep(p.h, (self.system, self.room, self.factored_at))

@@ -28,8 +28,9 @@ class GeneralizedAlpha:
     beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
     form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
     have both. rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
-    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, m; atol
-    is 1e-3 rtol where only rtol is given); lam is not in it. h is then the largest step. extrapolate: give
+    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, each
+    coordinate weighted with its mass; m; atol is 1e-3 rtol where only rtol is given); lam is not in it. h is then the
+    largest step, and the run fails beyond max_num_steps steps, with those rejected. extrapolate: give
     (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
 
     tolerance: Newton's, of beta h^2 times the size of q''; None: 1e-3 of the step's local error, but at least 1e-7 and at
@@ -56,6 +57,7 @@ class GeneralizedAlpha:
     extrapolate: bool = False
     incremental_phi: bool = True
     max_halvings: int = 6
+    max_num_steps: int = 1_000_000
 
     @classmethod
     def hht(cls, h, alpha=-0.05, **settings):
@@ -107,6 +109,7 @@ class GeneralizedAlpha:
             ("extrapolate", self.extrapolate in (False, True) and not (self.extrapolate and self.adaptive),
              "True or False, and False where the step adapts"),
             ("incremental_phi", self.incremental_phi in (False, True), "True or False"),
+            ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
             ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
         )
 
@@ -139,10 +142,10 @@ class GeneralizedAlpha:
 
     def in_pieces(self, model, state, t_end, counts, split=1):
         """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
-        engine = self._engine(model, counts)
+        engine, most = self._engine(model, counts), counts.steps + counts.rejected + self.max_num_steps
         for begin, end in segments(model, state.t, t_end):
             if self.adaptive:
-                piece = adapt(engine, self, model, state, begin, end, counts)
+                piece = adapt(engine, self, model, state, begin, end, counts, most)
             else:
                 count = split * enough_steps(model, state, begin, end, self.h)
                 piece = march(engine, self, model, state, begin, end, count, counts)
