@@ -9,6 +9,7 @@ from polyida.integrate.step_control import PATIENCE, Kept, calm_error, weights
 from polyida.linear.kkt import KKT, SingularSystem, scaling_factors
 
 SLOW = 0.3  # contraction above which the matrix is made anew
+CAUTION = 0.5  # of the local error's share: a matrix that does not turn with the plates contracts ever slower in a step
 EPS = np.finfo(float).eps
 STALE, FRESH, FULL = range(3)
 
@@ -156,7 +157,7 @@ class Steps:
         falls.
         """
         size, change = max(self.size, self._size(a)), max(self.change, self._size(a - self.last.a))
-        tolerance = min(max(self.least * size, self.share * change), self.most * size) / self.to_a
+        tolerance = min(max(self.least * size, CAUTION * self.share * change), self.most * size) / self.to_a
         coarse = 16 * EPS * (self._size(q) + self.extent)
         fine = 16 * EPS * self._size(dd) if self.carries else 0.25 * EPS * self._size(q)
         stalled = iteration and rate > SLOW and moved <= coarse
