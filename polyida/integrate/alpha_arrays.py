@@ -38,10 +38,10 @@ class Method(NamedTuple):
 class Memory(NamedTuple):
     """What goes from step to step: states in place, phi and rate = phi_q v + phi_t as they are carried, and `marks`.
 
-    change, earlier: of q'' in the last step and in the one before. weights: of coordinates in the
-    local error. RATE: contraction of Newton; AGE of it in steps;
-    SIZE of q'' and CHANGE of it in a step; AHEAD, BEHIND: of change and earlier in the prediction; MOVED: the last
-    |dq| of an iteration to go on with (0: a new step); ERROR: largest local error of the last SINCE steps.
+    change, earlier: of q'' in the last step and in the one before. weights: of coordinates in the local error.
+    RATE: contraction of Newton; AGE of it in steps; SIZE of q'' and CHANGE of it in a step; AHEAD, BEHIND: of change and
+    earlier in the prediction; MOVED: the last |dq| of an iteration to go on with (0: a new step); ERROR: largest local
+    error of the last SINCE steps.
     """
 
     u: np.ndarray

@@ -28,7 +28,8 @@ class Steps:
     def begin(self, state, h):
         """Go on from a state that `started` has made ready for steps of h."""
         c = self.c
-        self.h, self.last, self.place, self.weights = h, state, None, weights(self.model, state.q)
+        self.h, self.last, self.place = h, state, None
+        self.weights = weights(self.model, state.q)
         self.to_a = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f))
         self.to_v = c.gamma / (c.beta * h)
         self.extent, (self.phi, self.rate) = extent(self.model, state.q), start_values(self.model, state)
@@ -39,6 +40,7 @@ class Steps:
     def recall(self, memory):
         """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
         self.size, self.change = float(memory["size"]), float(memory["change"])
+        self.weights, self.extent = np.array(memory["weights"], float), float(memory["extent"])
         if len(memory["factored_at"]):
             n = self.model.n
             t, q, v, a, lam = np.split(memory["factored_at"], [1, 1 + n, 1 + 2 * n, 1 + 3 * n])
@@ -179,7 +181,7 @@ class Steps:
         self.size, self.change = max(self.size, self._size(a)), max(self.change, self._size(a - self.last.a))
         made = np.zeros(0) if self.kkt is None else self.factored_at
         memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "change": self.change}
-        memory |= {"factored_at": made, "grid": self.place}
+        memory |= {"weights": self.weights, "extent": self.extent, "factored_at": made, "grid": self.place}
         if self.carries:
             memory |= {"phi": phi, "rate": rate}
         return State(float(t), q, v, a, lam, memory)

@@ -73,6 +73,7 @@ class Stretches:
             self.trial.u[:] = memory["factored_at"].reshape(-1, 2)
             self._factor(float("nan"), np.zeros((len(self.model.profiles), 3)))
         self.memory.marks[:] = memory["marks"]
+        self.method = self.method._replace(extent=float(memory["extent"]))
 
     def run(self, grid):
         """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
@@ -160,7 +161,8 @@ class Stretches:
         if place is not None or whole:
             made = np.zeros(0) if self.system is None else self.factored_at
             memory = {"a_alg": y.a_alg.ravel().copy(), "h": self.method.h, "change": y.change.ravel().copy(),
-                      "earlier": y.earlier.ravel().copy(), "marks": y.marks.copy(), "factored_at": made}
+                      "earlier": y.earlier.ravel().copy(), "marks": y.marks.copy(), "factored_at": made,
+                      "extent": self.method.extent}
             if self.method.incremental:
                 memory |= {"phi": y.phi.copy(), "rate": y.rate.copy()}
             if place is not None:
