@@ -20,10 +20,9 @@ IDA_FORMS = ("ggl2", "ggl1", "index2", "index1", "baumgarte", "index3")
 MAX_STEPS = {"index3": 2000}  # raw index 3 takes tens of thousands of tiny steps and fails
 
 
-def ida(form, rtol, sizes=(1e-2, 10.0), max_num_steps=200_000):
-    """IDA in a form, atol = rtol times the sizes of q and v; no more steps than `max_num_steps`."""
-    atol = tuple(rtol * size for size in sizes)
-    return IDA(rtol=rtol, atol=atol, form=form, max_num_steps=MAX_STEPS.get(form, max_num_steps))
+def ida(form, rtol, max_num_steps=200_000):
+    """IDA in a form, its absolute tolerances its own; no more steps than `max_num_steps`."""
+    return IDA(rtol=rtol, form=form, max_num_steps=MAX_STEPS.get(form, max_num_steps))
 
 
 def adaptive(tolerance, h, sizes=(1e-2, 10.0), newton=NEWTON):
@@ -34,7 +33,7 @@ def adaptive(tolerance, h, sizes=(1e-2, 10.0), newton=NEWTON):
 def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=NEWTON):
     """The integrator called `name` with step or tolerance x; InputError for an unknown name.
 
-    sizes: of q and v, for absolute tolerances. largest: step of one that adapts it. newton: tolerance of
+    sizes: of q and v, for the absolute tolerance of adaptive generalized-alpha. largest: step of one that adapts it. newton: tolerance of
     generalized-alpha's iteration.
     """
     if name in FIXED:
@@ -42,6 +41,6 @@ def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=NEWTON):
     if name == "alpha, adaptive":
         return adaptive(x, largest, sizes, newton)
     if name.startswith("IDA ") and name[4:] in IDA_FORMS:
-        return ida(name[4:], x, sizes)
+        return ida(name[4:], x)
     known = [*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS)]
     raise InputError(f"integrator {name!r} is unknown; there are {'; '.join(known)}")
