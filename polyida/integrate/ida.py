@@ -18,6 +18,7 @@ from polyida.integrate.state import State, StepFailure
 LINEAR = ("auto", "kkt", "whole")
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a number is given
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
+OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
 STATUS = {
     -2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve", -8: "residual",
@@ -209,6 +210,8 @@ class _Run:
             state.memory["sizes"] = self.sizes
             if objection := self.system.objection(t, state.q):
                 raise self._failure("objection", objection, before)
+            if opened := self.system.opened(state, OPEN * self.sizes[0]):
+                raise self._failure("drift", f"{opened}; a form that holds phi, or a tighter rtol, keeps it closed", before)
             self.refused = self.refused if self.standing else None
             yield state
 

@@ -293,3 +293,9 @@ def test_a_jump_of_driven_velocity_at_start_middle_and_end(form):
     where = {s.t: s for s in states}
     assert where[0.25].v[0] == pytest.approx(2.0, abs=1e-6) and where[0.75].v[0] == pytest.approx(-2.0, abs=1e-6)
     assert where[0.75].q == pytest.approx([-0.5, 0.75**2 / 2], abs=1e-6) and counts.rejected == 0
+
+
+@pytest.mark.parametrize("form", ["ggl2", "ggl1"])
+def test_a_scene_without_joints_falls(scenes, form):
+    states, _ = run(scenes.single()[0].build(), IDA(form=form), 0.1)
+    assert np.allclose(states[-1].q.reshape(-1, 2), [0.0, -0.5 * 9.81 * 0.1**2], rtol=0, atol=1e-6)
