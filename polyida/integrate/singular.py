@@ -1,9 +1,9 @@
 """Watches from state to state, the same for every integrator, whether the constraints stay independent of each other.
 
-Where phi_q loses rank a mechanism can branch: what comes behind follows from round-off. With the rows of phi_q made of length one, a
-state is singular where their smallest singular value s is zero. Between two states it was zero where s_0 + s_1 is not more than
-the way that the rows went (no singular value changes by more than the matrix) and their space came back reversed: then
-`det(B_0 B_1^T) < 0`, which no smooth step does.
+Where phi_q loses rank a mechanism can branch: what comes behind follows from round-off. With the rows of phi_q made of
+length one, a state is singular where their smallest singular value s is zero. Between two states it was zero where
+s_0 + s_1 is not more than the way that the rows went (no singular value changes by more than the matrix) and their space
+came back reversed: then `det(B_0 B_1^T) < 0`, which no smooth step does.
 """
 
 from polyida.integrate.state import StepFailure
@@ -12,7 +12,7 @@ from polyida.linear.independence import between, cosine, involved, least, rows_o
 ZERO = 1e-6  # a smallest singular value that counts as none
 NEAR = 1e-3  # one that is told beside a failure
 REVERSED = 0.5  # cosine of the turn of the rows' space below which the way between two states led through zero
-SCENE = 256  # states of a scene from one look to the next: its joints hold on to points of their own, only motors turn rows
+SCENE = 1024  # states of a scene from one look to the next: its joints hold on to points of their own, only motors turn rows
 
 
 class SingularPosition(StepFailure):
@@ -45,7 +45,7 @@ class Watch:
         self.t, self.rows, self.least = state.t, rows, now
 
     def _pace(self, now):
-        """How fast the square of the smallest singular value has fallen since the last look, 1/s: straight to where a mechanism ends."""
+        """How fast the square of the smallest singular value falls, 1/s, since the last look: straight to where a motion ends."""
         since = self.state.t - self.t
         return (self.least**2 - now**2) / since if since else self.pace
 

@@ -8,7 +8,7 @@ from polyida.integrate.state import State
 from polyida.linear.kkt import KKT, Bordered, SingularSystem, require_independent
 from polyida.model import require_model, require_shapes
 
-EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left of phi where round-off is larger than that
+EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
 
 
@@ -72,8 +72,7 @@ def given(model, name, value):
     return array.copy()
 
 
-def largest(x):
-    """The largest entry, 0 where there is none."""
+def _largest(x):
     return float(np.abs(x).max(initial=0.0))
 
 
@@ -89,12 +88,12 @@ def _require_near(model, name, required, violation, size):
 
 
 def _project_position(model, t, q):
-    """Newton on phi = 0 along M^-1 B^T; ends where it moves q by round-off of the size of the scene, or no longer by half as much."""
-    before, size = np.inf, largest(getattr(model, "reference", q)) or 1.0
+    """Newton on phi = 0 along M^-1 B^T; ends where it moves q by round-off of the scene's size, or no longer by half as much."""
+    before, size = np.inf, _largest(getattr(model, "reference", q)) or 1.0
     for _ in range(50):
         phi = model.phi(t, q)
         move = mass_system(model, t, q).solve(np.zeros(model.n), phi)[0] if phi.any() else phi
-        moved = largest(move)
+        moved = _largest(move)
         if moved <= EPS * size or 0.5 * before <= moved < STALLED * size:
             return q
         q, before = q + move, moved

@@ -116,5 +116,5 @@ def require_independent(model, phi_q):
         names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(rows.lengths > 0))[:MOST])
         raise InputError(f"constraints {names}: phi_q has a row of zeros there; a constraint must depend on q")
     if least(rows) < DEPENDENT:
-        raise InputError(f"constraints {involved(model, rows)} are redundant: one of them follows from the others (or contradicts them); "
-                         "remove it, or start elsewhere where only this position is singular")
+        raise InputError(f"constraints {involved(model, rows)} are redundant: one of them follows from the others (or "
+                         "contradicts them); remove it, or start elsewhere where only this position is singular")
