@@ -155,8 +155,10 @@ class Trajectory:
         worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
+        told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
+        told = told and f", {told}"
         return (f"{self.status}: {type(self.integrator).__name__} to {end}, {c.steps} steps ({c.rejected} rejected), "
-                f"{work}{worst}" + (f"; {self.message}" if self.message else ""))
+                f"{work}{worst}{told}" + (f"; {self.message}" if self.message else ""))
 
     def save(self, path, overwrite=False):
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""

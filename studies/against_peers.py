@@ -92,7 +92,7 @@ def run(scene, dof, solver, setting, fine, repeats):
         return {"n": model.n, "reference_doubt": doubt}
     if solver in ("alpha", "ida"):
         row, tip = ours(
-            model, GeneralizedAlpha(h=setting) if solver == "alpha" else IDA(rtol=setting, atol=setting / 100), repeats
+            model, GeneralizedAlpha(h=setting) if solver == "alpha" else IDA(rtol=setting), repeats
         )
     else:
         row = run_isolated(peer, {"scene": scene, "dof": dof, "solver": solver, "setting": setting}, 300.0)

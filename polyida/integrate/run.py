@@ -8,6 +8,7 @@ import numpy as np
 
 from polyida.integrate import ctrl_c
 from polyida.integrate.sampling import Sampler, Until
+from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, StepFailure
 from polyida.io.reader import read_open
 from polyida.io.save import commit
@@ -30,7 +31,7 @@ class Run:
         self.clocks, self.until, self.progress = clocks, until, progress
         self.streams, done = store.file is not None, store.count
         self.sampler = Sampler(store, counts, plan["every"], plan["output"], done)
-        self.last = self.restart = self.flushed = None
+        self.last = self.restart = self.flushed = self.watch = None
         self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
 
     def begin(self, state, overwrite):
@@ -52,7 +53,8 @@ class Run:
             with ctrl_c.noted() as heed:
                 status, message = self._steps(state, heed)
         except StepFailure as failure:
-            status, message = failure.status, str(failure)
+            beside = "" if isinstance(failure, SingularPosition) else self.watch.suspicion(failure.t)
+            status, message = failure.status, f"{failure}{beside}"
         except KeyboardInterrupt:
             status, message = "interrupted", f"interrupted after t = {self._reached(state):.9g} s"
         except NotWritten as error:
@@ -63,9 +65,11 @@ class Run:
         return self._end(status, message)
 
     def _steps(self, state, heed):
-        self.last, watch = state, Until(self.until, state) if self.until else None
+        self.last, until = state, Until(self.until, state) if self.until else None
+        self.watch = Watch(self.model, state)
         for after in self.integrator.steps(self.model, state, self.plan["t_end"], self.counts):
-            at_zero = watch.crossing(state, after) if watch else None
+            self.watch.step(after)
+            at_zero = until.crossing(state, after) if until else None
             if at_zero is not None:
                 self.sampler.step(state, at_zero)
                 self.last = at_zero

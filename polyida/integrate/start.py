@@ -9,6 +9,7 @@ from polyida.integrate.state import State
 from polyida.linear.kkt import KKT, SingularSystem, require_independent
 from polyida.model import require_model, require_shapes
 
+EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
 
 
@@ -93,6 +94,10 @@ def given(model, name, value):
     return array.copy()
 
 
+def _largest(x):
+    return float(np.abs(x).max(initial=0.0))
+
+
 def _require_near(model, name, required, violation, size):
     worst = int(np.argmax(np.abs(violation)))
     if not np.isfinite(violation).all():
@@ -105,15 +110,15 @@ def _require_near(model, name, required, violation, size):
 
 
 def _project_position(model, t, q):
-    """Newton on phi = 0 along M^-1 B^T; stops where phi no longer falls."""
-    before = np.inf
+    """Newton on phi = 0 along M^-1 B^T; ends where it moves q by round-off of the scene's size, or no longer by half as much."""
+    before, size = np.inf, _largest(getattr(model, "reference", q)) or 1.0
     for _ in range(50):
         phi = model.phi(t, q)
-        size = np.abs(phi).max()
-        if size == 0.0 or (size >= 0.5 * before and size < 1e-10):
+        move = mass_system(model, t, q).solve(np.zeros(model.n), phi)[0] if phi.any() else phi
+        moved = _largest(move)
+        if moved <= EPS * size or 0.5 * before <= moved < STALLED * size:
             return q
-        before = size
-        q = q + mass_system(model, t, q).solve(np.zeros(model.n), phi)[0]
+        q, before = q + move, moved
     worst = int(np.argmax(np.abs(phi)))
     raise InputError(f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "
                      "no configuration near q0 satisfies all of them")

@@ -19,10 +19,9 @@ IDA_FORMS = ("ggl2", "ggl1", "index2", "index1", "baumgarte", "index3")
 MAX_STEPS = {"index3": 2000}  # raw index 3 takes tens of thousands of tiny steps and fails
 
 
-def ida(form, rtol, sizes=(1e-2, 10.0), max_num_steps=200_000):
-    """IDA in a form, atol = rtol times the sizes of q and v; no more steps than `max_num_steps`."""
-    atol = tuple(rtol * size for size in sizes)
-    return IDA(rtol=rtol, atol=atol, form=form, max_num_steps=MAX_STEPS.get(form, max_num_steps))
+def ida(form, rtol, max_num_steps=200_000):
+    """IDA in a form, its absolute tolerances its own; no more steps than `max_num_steps`."""
+    return IDA(rtol=rtol, form=form, max_num_steps=MAX_STEPS.get(form, max_num_steps))
 
 
 def adaptive(rtol, h, sizes=(1e-2, 10.0), **settings):
@@ -33,8 +32,8 @@ def adaptive(rtol, h, sizes=(1e-2, 10.0), **settings):
 def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=None):
     """The integrator called `name` with step or tolerance x; InputError for an unknown name.
 
-    sizes: of q and v, for absolute tolerances. largest: step of one that adapts it. newton: tolerance of
-    generalized-alpha's iteration, None: its own default.
+    sizes: of q and v, for the absolute tolerance of adaptive generalized-alpha. largest: step of one that adapts it.
+    newton: tolerance of generalized-alpha's iteration, None: its own default.
     """
     settings = {} if newton is None else {"tolerance": newton}
     if name in FIXED:
@@ -42,6 +41,6 @@ def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=None):
     if name == "alpha, adaptive":
         return adaptive(x, largest, sizes, **settings)
     if name.startswith("IDA ") and name[4:] in IDA_FORMS:
-        return ida(name[4:], x, sizes)
+        return ida(name[4:], x)
     known = [*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS)]
     raise InputError(f"integrator {name!r} is unknown; there are {'; '.join(known)}")

@@ -48,7 +48,7 @@ class Stop:
 
 
 def integrator(name, h=1e-3, rtol=1e-5, **settings):
-    """An integrator of the table by its short name; `rtol` is for those that choose their step, with 0.01 m rtol for q."""
+    """An integrator of the table by its short name; `rtol` is for those that choose their step, alpha with 0.01 m rtol for q."""
     from polyida.integrate.energy_momentum import EnergyMomentum
     from polyida.integrate.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.ida import IDA
@@ -56,7 +56,7 @@ def integrator(name, h=1e-3, rtol=1e-5, **settings):
     if name == "energy":
         return EnergyMomentum(h=h, **settings)
     if name in ("ggl2", "ggl1"):
-        return IDA(rtol=rtol, atol=rtol / 100, form=name, **settings)
+        return IDA(rtol=rtol, form=name, **settings)
     form = "stabilised" if name == "stabilised" else "index3"
     adapts = {"rtol": rtol, "atol": rtol / 100} if name == "adaptive" else {}
     return GeneralizedAlpha(h=h, form=form, **adapts, **settings)
