@@ -8,7 +8,7 @@ _PLACES = {
     "PointLoad": "body.loads", "EdgeTraction": "body.loads",
     "Revolute": "joint.revolute", "AngleMotor": "joint.angle_motor", "Clamp": "joint.clamp", "ground": "joint.attachment",
     "Joint": "joint.joint", "cross": "joint.formula", "dot": "joint.formula",
-    "Scene": "scene", "solve": "integrate.solve", "resume": "integrate.resume", "Trajectory": "trajectory", "von_mises": "trajectory", "load": "trajectory_file",
+    "Scene": "scene", "solve": "integrate.solve", "resume": "integrate.resume", "Trajectory": "trajectory", "von_mises": "trajectory", "load": "io.load",
     "consistent_state": "integrate.start", "condition_number": "integrate.iteration_matrix", "static": "integrate.static",
     "GeneralizedAlpha": "integrate.generalized_alpha", "EnergyMomentum": "integrate.energy_momentum", "IDA": "integrate.ida",
 }

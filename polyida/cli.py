@@ -207,7 +207,7 @@ def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="N
 
 def _load(file):
     """A saved run; InputError where there is none."""
-    from polyida.trajectory_file import load
+    from polyida.io.load import load
 
     if not file.is_file():
         raise InputError(f"{file}: there is no such file")

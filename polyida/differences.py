@@ -37,10 +37,9 @@ def within(function, room, step, order=1):
 
 
 def around(kinks, t):
-    """The range of s in which t + s meets none of the kinks, sorted or not, behind one that is at t itself."""
-    edges = np.concatenate([[-np.inf], np.sort(kinks), [np.inf]])
-    k = np.searchsorted(edges, t, side="right")
-    return float(edges[k - 1] - t), float(edges[k] - t)
+    """The range of s in which t + s meets none of the kinks, which are sorted, behind one that is at t itself."""
+    k = np.searchsorted(kinks, t, side="right")
+    return float(kinks[k - 1] - t) if k else -np.inf, float(kinks[k] - t) if k < len(kinks) else np.inf
 
 
 def jacobian(function, x, rows):

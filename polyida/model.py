@@ -73,6 +73,10 @@ class Model:
             return np.zeros(self.m)
         return differences.along(lambda s: self.phi(t + s, q), room=self._smooth(t))
 
+    def phi_rate(self, t, q, v):
+        """`phi_q v + phi_t`, (m,): d phi/dt."""
+        return self.phi_q(t, q) @ v + self.phi_t(t, q)
+
     def phi_bias(self, t, q, v):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,), so that d2 phi/dt2 = phi_q a + phi_bias."""
         if not (self.needs.driven or self.needs.phi_q_varies):

@@ -118,6 +118,7 @@ def from_function(value, d1=None, d2=None, kinks=()):
     times = floats(kinks)
     if times is None or times.ndim != 1:
         raise InputError(f"profile.from_function: kinks = {kinks!r} must be finite times in s")
+    times = np.sort(times)
     given, order = (d1, 1) if d1 else (value, 2)
     return Profile(value, d1 or _derivative(value, 1, times), d2 or _derivative(given, order, times), tuple(times.tolist()))
 

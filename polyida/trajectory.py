@@ -2,22 +2,14 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.frames import blocks
 from polyida.given import floats
-from polyida.integrate.state import Counts, State
-
-
-class Restart(NamedTuple):
-    """Where a run goes on: an accepted state with its memory, the number of frames up to it, the counts at it."""
-
-    state: State
-    frames: int
-    counts: dict
+from polyida.integrate.state import Counts, Restart, State
+from polyida.io.frames import blocks
+from polyida.io.save import save
 
 
 @dataclass(frozen=True)
@@ -38,8 +30,8 @@ class Energy:
 class Trajectory:
     """t (frames,), q, v, a (frames, n), lam (frames, m), and how the run went.
 
-    status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "error" (in a
-    user's function), "disk full", or the kind of failure; message: where and why; success: it reached its end.
+    status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "damaged" (a
+    file; the frames before the damage), "error" (in a user's function), "disk full", or the kind of failure; message: where and why; success: it reached its end.
     counts: exact work. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
     read when asked for. Energies, drift, positions, reactions and stresses are computed from the motion when they are
     asked for, frame by frame.
@@ -63,10 +55,14 @@ class Trajectory:
 
     @property
     def state(self):
-        """The last state that the run can go on from: `solve(model, t_end, integrator, state=run.state)`."""
-        if self.restart:
+        """The state at which the run ended; `solve(model, t_end, integrator, state=run.state)` goes on from it.
+
+        An accepted one has the integrator's memory, so that generalized-alpha with constant steps goes on as if it had
+        not stopped. One that `until` found between two steps has none: solve starts anew from it, put on the constraints.
+        """
+        if self.restart and not (len(self) and self.t[-1] > self.restart.state.t):
             return self.restart.state
-        return State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1])
+        return State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1], restart=False)
 
     @property
     def memory(self):
@@ -155,13 +151,13 @@ class Trajectory:
         worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
+        told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
+        told = told and f", {told}"
         return (f"{self.status}: {type(self.integrator).__name__} to {end}, {c.steps} steps ({c.rejected} rejected), "
-                f"{work}{worst}" + (f"; {self.message}" if self.message else ""))
+                f"{work}{worst}{told}" + (f"; {self.message}" if self.message else ""))
 
     def save(self, path, overwrite=False):
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""
-        from polyida.trajectory_file import save
-
         save(self, path, overwrite)
 
 

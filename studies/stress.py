@@ -9,7 +9,7 @@ from polyida.study.stress import OUTCOMES, figures, limits, outcome_in
 from polyida.study.stress_axes import meanings, run, tasks
 
 COLUMNS = ("axis", "value", "integrator", "outcome", "checked", "deviation", "bound", "steps", "cpu_s", "status", "reason")
-COLOURS = {"right": "#0072B2", "stated_stop": "#E69F00", "wrong": "#D55E00", "crash": "#000000", "hang": "#CC79A7"}
+COLOURS = {"right": "#0072B2", "stated_stop": "#56B4E9", "unforeseen_stop": "#E69F00", "wrong": "#D55E00", "crash": "#000000", "hang": "#CC79A7"}
 
 
 def draw(rows, folder):

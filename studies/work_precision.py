@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from polyida.cli_study import main
+from polyida.study import tip_accuracy
 from polyida.study.drawing import drawn, legend, loglog, panels, saved
 from polyida.study.harness import Study
 from polyida.study.members import FIXED, IDA_FORMS
@@ -25,7 +26,13 @@ SI = ("m", "m/s", "N")
 LEVELS = (1e-6, 1e-8)
 
 
+def all_tasks(quick):
+    return tasks(quick) + tip_accuracy.tasks(quick)
+
+
 def run(problem, integrator, x, quick):
+    if problem in tip_accuracy.SCENES:
+        return tip_accuracy.measure(problem, integrator, x)
     return measure(problem, integrator, x, quick)
 
 
@@ -181,6 +188,8 @@ COLUMNS = (
     "error_q",
     "error_v",
     "error_lam",
+    "error_tip",
+    "newton_tip",
     "cpu_s",
     "steps",
     "residuals",
@@ -191,13 +200,20 @@ COLUMNS = (
 STUDY = Study(
     "work_precision",
     "work against precision; x is the step, s, or the tolerance; errors are the largest absolute ones at the end",
-    tasks,
+    all_tasks,
     run,
-    (best_errors, stops, ratios, adaptivity),
+    (best_errors, stops, ratios, adaptivity, tip_accuracy.newton_share, tip_accuracy.ida_error_slope),
     DRAW,
     COLUMNS,
-    notes=(stop_notes, reference_notes, selection_notes, reach_notes),
-    headline=("andrews_alpha_best_error", "andrews_ida_best_error", "car_axis_ida_error_q", "car_axis_ida_error_lam"),
+    notes=(stop_notes, reference_notes, selection_notes, reach_notes, tip_accuracy.notes),
+    headline=(
+        "andrews_alpha_best_error",
+        "andrews_ida_best_error",
+        "car_axis_ida_error_q",
+        "car_axis_ida_error_lam",
+        "newton_share",
+        "ida_error_slope",
+    ),
 )
 
 if __name__ == "__main__":

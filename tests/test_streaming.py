@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.frames import StoredFrames
 from polyida.integrate.sampling import between
 from polyida.integrate.state import State
+from polyida.io.frames import StoredFrames
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")
@@ -304,7 +304,7 @@ def test_an_existing_file_is_kept_unless_told(model, tmp_path):
 
 def test_a_file_that_came_during_the_start_is_kept(model, tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
-    monkeypatch.setattr("polyida.trajectory_file.require_free", lambda path, overwrite: path.write_text("theirs"))
+    monkeypatch.setattr("polyida.integrate.solve.free", lambda path, overwrite: path.write_text("theirs") and path)
     with pytest.raises(pi.InputError, match="run.h5"):
         pi.solve(model, 0.01, ALPHA, out=path)
     assert path.read_text() == "theirs" and os.listdir(tmp_path) == ["run.h5"]

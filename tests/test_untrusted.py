@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.io.layout import HEAD
+from polyida.io.source import checksum
 from polyida.problems import plates
-from polyida.unclosed import checksum
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,13 @@ def refused(path, *words):
 def replaced(file, name, values, **options):
     del file[name]
     file.create_dataset(name, data=values, **options)
+
+
+def chunked(file, name, rows):
+    """Claim that so many frames are in one piece, which nobody wrote."""
+    shape = file[name].shape
+    del file[name]
+    file.create_dataset(name, shape, "f8", chunks=(rows, *shape[1:]), maxshape=(None, *shape[1:]), fletcher32=True)
 
 
 @pytest.mark.parametrize(
@@ -79,14 +87,13 @@ def test_damaged_bytes_never_end_in_anything_else(path, good, seed):
 
 
 HOSTILE = {
-    "values that are not finite": lambda f: f["q"].__setitem__((3, 2), np.nan),
-    "not increase": lambda f: f["t"].__setitem__(3, -1.0),
     "does not hold numbers": lambda f: replaced(f, "q", np.full((21, f["q"].shape[1]), b"x", "S1")),
     "has the shape": lambda f: replaced(f, "v", np.zeros((21, 3))),
     "virtual, external or compressed": lambda f: replaced(f, "a", f["a"][()], compression="gzip"),
     "is not in the file": lambda f: f.__delitem__("t"),
     "frames, 21 are stated": lambda f: f["q"].resize(5, axis=0),
-    "no record": lambda f: [f[f"record {slot}"].resize(0, axis=0) for slot in range(2)],
+    "no whole record": lambda f: [f[f"slot {slot}"].resize(0, axis=0) for slot in range(2)],
+    "q claims": lambda f: chunked(f, "q", 1 << 20),
     "claims": lambda f: (
         replaced(f, "scene/mesh 0/points", np.zeros(1), maxshape=(None,))
         or f["scene/mesh 0/points"].resize(1 << 50, axis=0)
@@ -181,19 +188,38 @@ def test_nodes_and_weights_that_do_not_fit(path):
 def test_a_state_to_go_on_from_that_was_changed(path):
     with h5py.File(path, "r+") as file:
         for slot in range(2):
-            file[f"restart {slot}"][3] = 7.0
-    refused(path, "go on from is damaged")
+            length = HEAD.unpack(file[f"slot {slot}"][: HEAD.size].tobytes())[0]
+            file[f"slot {slot}"][HEAD.size + length - 3] ^= 1
+    refused(path, "no whole record")
 
 
-def test_a_record_that_was_changed_on_purpose(path):
+def rewritten(path, **changes):
+    """The record of both slots changed by somebody who knows how, what is behind it left."""
     with h5py.File(path, "r+") as file:
         for slot in range(2):
-            stored = file[f"record {slot}"][()].tobytes()
-            data = json.loads(stored[8 : 8 + struct.unpack("<I", stored[:4])[0]])
-            text = json.dumps(data | {"frames": 10**12, "counts": {"steps": "many"}}).encode()
-            file[f"record {slot}"].resize(len(text) + 8, axis=0)
-            file[f"record {slot}"][:] = np.frombuffer(struct.pack("<II", len(text), zlib.crc32(text)) + text, np.uint8)
-    refused(path, "are stated")
+            stored = file[f"slot {slot}"][()].tobytes()
+            length, _, text = HEAD.unpack_from(stored)
+            body = stored[HEAD.size : HEAD.size + length]
+            record = json.dumps(json.loads(body[:text]) | changes).encode()
+            body = record + body[text:]
+            new = HEAD.pack(len(body), zlib.crc32(body), len(record)) + body
+            file[f"slot {slot}"].resize(len(new), axis=0)
+            file[f"slot {slot}"][:] = np.frombuffer(new, np.uint8)
+
+
+CHANGES = {
+    "are stated": {"frames": 10**12},
+    "are damaged": {"frames": 10**12, "tail": 10**12},
+    "or the state to go on from": {"memory": [["a_alg", [10**9]]]},
+    "the count steps": {"counts": {"steps": "many"}},
+    "go on from is damaged": {"restart": {"frames": 22, "counts": {}}},
+}
+
+
+@pytest.mark.parametrize("words", CHANGES)
+def test_a_record_that_was_changed_on_purpose(path, words):
+    rewritten(path, **CHANGES[words])
+    refused(path, words)
 
 
 def test_the_mark_of_an_unclosed_file_is_taken_off_when_reading(path, good):

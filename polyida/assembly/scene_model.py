@@ -23,7 +23,7 @@ class SceneModel(Model):
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
-        self.bodies, self._kept = bodies_of(parts), {}
+        self.bodies, self._kept, self._driven = bodies_of(parts), {}, (None, None)
         self.arrays, points, table, self.profiles = assemble(self.bodies, parts, gravity)
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
         self.n_nodes = self.bodies[-1].nodes.stop
@@ -37,12 +37,21 @@ class SceneModel(Model):
 
     def drives(self, t):
         """Value, first and second derivative of every profile at time t, (profiles, 3)."""
-        return np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
+        at, table = self._driven
+        if at != t:
+            table = np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
+            self._driven = t, table
+        return table.copy()
 
     def kinks(self, t0, t1):
         """Times in (t0, t1) at which a profile is not smooth, sorted."""
-        times = {float(kink) for profile in self.profiles for kink in profile.kinks}
-        return tuple(sorted(time for time in times if t0 < time < t1))
+        first, end = np.searchsorted(self._kinks, t0, side="right"), np.searchsorted(self._kinks, t1)
+        return tuple(self._kinks[first:end].tolist())
+
+    @cached_property
+    def _kinks(self):
+        """All of them, sorted: they are asked for at every one of them."""
+        return np.unique(np.array([kink for profile in self.profiles for kink in profile.kinks], float))
 
     def constraint_name(self, row):
         """The joint and axis of a row of phi."""
@@ -96,7 +105,7 @@ class SceneModel(Model):
         return (mass + self._points_s.T @ diags_array(s.links.point_mass) @ self._points_s).tocsc()
 
     def mass_inverse(self, b):
-        """M^-1 b, b (n, k); M is factored once."""
+        """M^-1 b, b (n,) or (n, k); M is factored once."""
         pairs = b.reshape(self.n_nodes, -1)
         return self._mass_factor.solve(np.ascontiguousarray(pairs)).reshape(b.shape)
 
@@ -117,14 +126,27 @@ class SceneModel(Model):
     def _jacobian(self, t, q):
         from scipy.sparse import csr_array
 
+        return csr_array(self._slopes(t, q) @ self._points_t.T)
+
+    def _slopes(self, t, q):
+        from scipy.sparse import csr_array
+
         s = self.arrays.links
         slopes = np.empty(len(s.row_columns))
         rows.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
-        return csr_array(csr_array((slopes, s.row_columns, s.row_start), (self.m, 2 * self.n_points)) @ self._points_t.T)
+        return csr_array((slopes, s.row_columns, s.row_start), (self.m, 2 * self.n_points))
+
+    def phi_z(self, t, q):
+        """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
+        return self._slopes(t, q).toarray()
 
     def phi_t(self, t, q):
         """Partial derivative of phi in time, (m,)."""
         return self._rates(t, q, np.zeros(self.n))[0]
+
+    def phi_rate(self, t, q, v):
+        """`phi_q v + phi_t`, (m,)."""
+        return self.phi_z(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
 
     def phi_bias(self, t, q, v):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""

@@ -4,16 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-RATE, AGE, SIZE, FORWARD, MOVED, ERROR, SINCE = range(7)
-MARKS = 7
+RATE, AGE, SIZE, CHANGE, AHEAD, BEHIND, MOVED, ERROR, SINCE = range(9)
+MARKS = 9
 
 
 class Method(NamedTuple):
     """Numbers of the method at one h.
 
-    extent: of the coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control: |C|
-    h^2 of the local error (0: fixed steps), of which atol + rtol |q| is allowed; grow: the error below which the step
-    is too short.
+    least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over
+    to_a. extent: of the coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control: |C| h^2 of the local error (0: fixed
+    steps), of which atol + rtol |q| is allowed; grow: the error below which the step is too short.
     """
 
     h: float
@@ -23,7 +23,9 @@ class Method(NamedTuple):
     gamma: float
     to_a: float
     to_v: float
-    tolerance: float
+    least: float
+    most: float
+    share: float
     extent: float
     incremental: bool
     max_iterations: int
@@ -36,15 +38,19 @@ class Method(NamedTuple):
 class Memory(NamedTuple):
     """What goes from step to step: states in place, phi and rate = phi_q v + phi_t as they are carried, and `marks`.
 
-    RATE: contraction of Newton; AGE of it in steps; SIZE of q''; FORWARD: extrapolate q'' or not; MOVED: the last |dq|
-    of an iteration to go on with (0: a new step); ERROR: largest local error of the last SINCE steps.
+    change, earlier: of q'' in the last step and in the one before. weights: of coordinates in the local error.
+    RATE: contraction of Newton; AGE of it in steps; SIZE of q'' and CHANGE of it in a step; AHEAD, BEHIND: of change and
+    earlier in the prediction; MOVED: the last |dq| of an iteration to go on with (0: a new step); ERROR: largest local
+    error of the last SINCE steps.
     """
 
     u: np.ndarray
     v: np.ndarray
     a: np.ndarray
     a_alg: np.ndarray
-    a_before: np.ndarray
+    change: np.ndarray
+    earlier: np.ndarray
+    weights: np.ndarray
     lam: np.ndarray
     phi: np.ndarray
     rate: np.ndarray

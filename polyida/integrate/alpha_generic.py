@@ -5,10 +5,11 @@ import numpy as np
 from polyida.integrate.alpha_increment import Carried, extent, inner_side, start_values
 from polyida.integrate.start import mass_system
 from polyida.integrate.state import State, StepFailure
-from polyida.integrate.step_control import PATIENCE, calm_error
+from polyida.integrate.step_control import PATIENCE, Kept, calm_error, weights
 from polyida.linear.kkt import KKT, SingularSystem, scaling_factors
 
 SLOW = 0.3  # contraction above which the matrix is made anew
+CAUTION = 0.5  # of the local error's share: a matrix that does not turn with the plates contracts ever slower in a step
 EPS = np.finfo(float).eps
 STALE, FRESH, FULL = range(3)
 
@@ -19,24 +20,29 @@ class Steps:
     verdict: "far" or "near" where adaptive steps should be shorter or longer.
     """
 
+    efforts = STALE, FRESH, FULL  # one after the other, where Newton fails
+
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts, self.c = settings, model, counts, settings.coefficients
-        self.kept, self.verdict, self.kkt = {}, None, None
+        self.kept, self.verdict, self.kkt = Kept(), None, None
         self.carries = settings.incremental_phi and hasattr(model, "arrays")
 
     def begin(self, state, h):
         """Go on from a state that `started` has made ready for steps of h."""
         c = self.c
         self.h, self.last, self.place = h, state, None
+        self.weights = weights(self.model, state.q)
         self.to_a = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f))
         self.to_v = c.gamma / (c.beta * h)
         self.extent, (self.phi, self.rate) = extent(self.model, state.q), start_values(self.model, state)
-        self.size, self.error, self.since, self.verdict = 0.0, 0.0, 0, None
-        self.kkt, self.factored_at = self.kept.get(h, (None, None)) if self.settings.adaptive else (None, None)
+        self.least, self.most, self.share = self.settings.newton_tolerance(self.to_a * h * h)
+        self.size, self.change, self.error, self.since, self.verdict = 0.0, 0.0, 0.0, 0, None
+        self.kkt, self.factored_at = self.kept.take(h) or (None, None)
 
     def recall(self, memory):
         """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
-        self.size = float(memory["size"])
+        self.size, self.change = float(memory["size"]), float(memory["change"])
+        self.weights, self.extent = np.array(memory["weights"], float), float(memory["extent"])
         if len(memory["factored_at"]):
             n = self.model.n
             t, q, v, a, lam = np.split(memory["factored_at"], [1, 1 + n, 1 + 2 * n, 1 + 3 * n])
@@ -65,11 +71,15 @@ class Steps:
         return self.last
 
     def _error(self, state):
-        """Local error of q over what is allowed, both root mean squares."""
-        s = self.settings
-        error = abs(self.c.error) * self.h**2 * _rms(state.a - self.last.a) / max(s.atol + s.rtol * _rms(state.q), 1e-300)
+        """Local error of q over what is allowed."""
+        s, size = self.settings, self._size
+        error = abs(self.c.error) * self.h**2 * size(state.a - self.last.a) / max(s.atol + s.rtol * size(state.q), 1e-300)
         self.error = max(self.error, error) if np.isfinite(error) else np.inf
         return error if np.isfinite(error) else np.inf
+
+    def _size(self, x):
+        """Root mean square of coordinates, weighted with their masses."""
+        return float(np.sqrt(self.weights @ (x * x)))
 
     def _calm(self):
         self.since += 1
@@ -81,7 +91,7 @@ class Steps:
 
     def _step(self, before, t):
         """The state at t: with the matrix at hand, a fresh one, or one in every iteration. Raises StepFailure."""
-        for effort in (STALE, FRESH, FULL):
+        for effort in self.efforts:
             if effort != STALE:
                 self.kkt = None
             try:
@@ -100,7 +110,7 @@ class Steps:
         dd, v, a, lam = self._predict()
         model, last, inner = self.model, 0.0, inner_side(self.model, t, self.h)
         phi_at = self._constraints(before, t)
-        self.size, self.mass = max(0.9 * self.size, _rms(a)), None
+        self.size, self.change, self.mass = max(0.9 * self.size, self._size(a)), 0.9 * self.change, None
         for iteration in range(self.settings.max_iterations):
             q = self._at(dd)
             r, phi = model.residual(inner, q, v, a, lam), phi_at(dd, a)[0]
@@ -111,7 +121,7 @@ class Steps:
                 self._factor(inner, q, v, a, lam)
             x, dlam, slip = self._correction(inner, q, v, r, phi)
             dd, v, a, lam = dd + x + slip, v + self.to_v * x, a + self.to_a * x, lam + dlam
-            moved = _rms(x)
+            moved = self._size(x)
             rate = moved / last if last > 0 else 1.0
             if self._settled(moved, rate, dd, q, a, iteration, phi_at):
                 return self._accepted(t, dd, v, a, lam, phi_at)
@@ -150,9 +160,10 @@ class Steps:
         """Whether the error to be expected, and phi, are below the tolerance, or dq is round-off and no longer
         falls.
         """
-        tolerance = self.settings.tolerance * max(self.size, _rms(a)) / self.to_a
-        coarse = 16 * EPS * (_rms(q) + self.extent)
-        fine = 16 * EPS * _rms(dd) if self.carries else 0.25 * EPS * _rms(q)
+        size, change = max(self.size, self._size(a)), max(self.change, self._size(a - self.last.a))
+        tolerance = min(max(self.least * size, CAUTION * self.share * change), self.most * size) / self.to_a
+        coarse = 16 * EPS * (self._size(q) + self.extent)
+        fine = 16 * EPS * self._size(dd) if self.carries else 0.25 * EPS * self._size(q)
         stalled = iteration and rate > SLOW and moved <= coarse
         small = moved <= 1e-3 * tolerance or (iteration and rate < 1 and moved * rate / (1 - rate) <= tolerance)
         if not (small or stalled or moved <= fine):
@@ -169,10 +180,10 @@ class Steps:
             off = model.phi_q(t, q) @ v + model.phi_t(inner_side(model, t, self.h), q)
             v = v + mass_system(model, t, q).solve(np.zeros(model.n), off)[0]
             rate = np.zeros(model.m)
-        self.size = max(self.size, _rms(a))
+        self.size, self.change = max(self.size, self._size(a)), max(self.change, self._size(a - self.last.a))
         made = np.zeros(0) if self.kkt is None else self.factored_at
-        memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "factored_at": made}
-        memory["grid"] = self.place
+        memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "change": self.change}
+        memory |= {"weights": self.weights, "extent": self.extent, "factored_at": made, "grid": self.place}
         if self.carries:
             memory |= {"phi": phi, "rate": rate}
         return State(float(t), q, v, a, lam, memory)
@@ -188,7 +199,7 @@ class Steps:
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
         if self.settings.adaptive:
-            self.kept[self.h] = self.kkt, self.factored_at
+            self.kept.keep(self.h, (self.kkt, self.factored_at))
 
 
 class Divergence(Exception):
@@ -197,7 +208,3 @@ class Divergence(Exception):
     def __init__(self, reason, iterations, moved, phi):
         super().__init__(reason)
         self.seen = {"iterations": iterations, "last |dq|": float(moved), "|phi|": float(np.abs(phi).max(initial=0.0))}
-
-
-def _rms(x):
-    return float(np.sqrt(x @ x / max(1, x.size)))

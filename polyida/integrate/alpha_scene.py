@@ -7,7 +7,7 @@ from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
 from polyida.compiled import entry, part
 from polyida.integrate import alpha_tie
-from polyida.integrate.alpha_arrays import AGE, ERROR, FORWARD, MOVED, RATE, SINCE, SIZE
+from polyida.integrate.alpha_arrays import AGE, AHEAD, BEHIND, CHANGE, ERROR, MOVED, RATE, SINCE, SIZE
 from polyida.integrate.step_control import PATIENCE
 from polyida.linear import corotated
 
@@ -19,11 +19,11 @@ DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR = r
 
 @entry
 def predict(p, y, w):
-    """Fill the trial state: q'' constant or extrapolated, whichever was nearer in the last step, lam constant."""
-    forward = y.marks[FORWARD]
+    """Fill the trial state: q'' as would have been nearest in the last step, lam constant."""
+    ahead, behind = y.marks[AHEAD], y.marks[BEHIND]
     for i in range(y.u.shape[0]):
         for k in range(2):
-            a = y.a[i, k] + forward * (y.a[i, k] - y.a_before[i, k])
+            a = y.a[i, k] + ahead * y.change[i, k] + behind * y.earlier[i, k]
             a1 = ((1.0 - p.alpha_f) * a + p.alpha_f * y.a[i, k] - p.alpha_m * y.a_alg[i, k]) / (1.0 - p.alpha_m)
             w.a[i, k] = a
             w.v[i, k] = y.v[i, k] + p.h * ((1.0 - p.gamma) * y.a_alg[i, k] + p.gamma * a1)
@@ -34,9 +34,9 @@ def predict(p, y, w):
 
 
 @part
-def correct(p, w):
-    """Add dq and dlam to the trial state; root mean squares of dq, of dd, of q and of q''."""
-    moved = length = size = pull = 0.0
+def correct(p, y, w):
+    """Add dq and dlam to the trial state; root mean squares of dq, of dd, of q, of q'' and of its change."""
+    moved = length = size = pull = change = 0.0
     for i in range(w.u.shape[0]):
         for k in range(2):
             d = w.dq[i, k]
@@ -48,23 +48,29 @@ def correct(p, w):
             length += w.dd[i, k] * w.dd[i, k]
             size += w.u[i, k] * w.u[i, k]
             pull += w.a[i, k] * w.a[i, k]
+            change += (w.a[i, k] - y.a[i, k]) ** 2
     for k in range(w.lam.shape[0]):
         w.lam[k] += w.dlam[k]
     n = 2.0 * w.u.shape[0]
-    return np.sqrt(moved / n), np.sqrt(length / n), np.sqrt(size / n), np.sqrt(pull / n)
+    return np.sqrt(moved / n), np.sqrt(length / n), np.sqrt(size / n), np.sqrt(pull / n), np.sqrt(change / n)
 
 
 @part
 def accept(p, y, w):
-    """Move the trial state into memory; the better predictor for the next step; the algorithmic acceleration."""
-    constant = extrapolated = 0.0
+    """Move the trial state into memory; the algorithmic acceleration; the next step's predictor."""
+    aa = ab = bb = ad = bd = 0.0
     for i in range(y.u.shape[0]):
         for k in range(2):
             a, a0 = w.a[i, k], y.a[i, k]
-            constant += (a - a0) ** 2
-            extrapolated += (a - 2.0 * a0 + y.a_before[i, k]) ** 2
+            now, before, earlier = a - a0, y.change[i, k], y.earlier[i, k]
+            aa += before * before
+            ab += before * earlier
+            bb += earlier * earlier
+            ad += before * now
+            bd += earlier * now
             y.a_alg[i, k] = ((1.0 - p.alpha_f) * a + p.alpha_f * a0 - p.alpha_m * y.a_alg[i, k]) / (1.0 - p.alpha_m)
-            y.a_before[i, k] = a0
+            y.change[i, k] = now
+            y.earlier[i, k] = before
             y.a[i, k] = a
             y.u[i, k] = w.u[i, k]
             y.v[i, k] = w.v[i, k]
@@ -72,19 +78,27 @@ def accept(p, y, w):
         y.lam[k] = w.lam[k]
         y.phi[k] = w.phi[k]
         y.rate[k] = w.rate[k]
-    y.marks[FORWARD] = 1.0 if extrapolated < constant else 0.0
+    y.marks[AHEAD], y.marks[BEHIND] = nearest(aa, ab, bb, ad, bd)
+
+
+@part
+def nearest(aa, ab, bb, ad, bd):
+    """(x, y) for which x a + y b is nearest to d, from their products; y = 0 where a and b are as good as parallel."""
+    rest = aa * bb - ab * ab
+    if rest > 1e-8 * aa * bb:
+        return (ad * bb - bd * ab) / rest, (bd * aa - ad * ab) / rest
+    return (ad / aa if aa > 0.0 else 0.0), 0.0
 
 
 @part
 def local_error(p, y, w):
-    """Local error of q over what is allowed, both root mean squares."""
+    """Local error of q over what is allowed, both root mean squares weighted with the masses."""
     change = size = 0.0
     for i in range(w.u.shape[0]):
         for k in range(2):
-            change += (w.a[i, k] - y.a[i, k]) ** 2
-            size += w.u[i, k] * w.u[i, k]
-    n = 2.0 * w.u.shape[0]
-    return p.control * np.sqrt(change / n) / max(p.atol + p.rtol * np.sqrt(size / n), 1e-300)
+            change += y.weights[i, k] * (w.a[i, k] - y.a[i, k]) ** 2
+            size += y.weights[i, k] * w.u[i, k] * w.u[i, k]
+    return p.control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
 
 
 @part
@@ -123,7 +137,7 @@ def closed(s, p, before, drives, gains, y, w):
 
 
 @part
-def judge(p, marks, first, last, moved, length, size, pull):
+def judge(p, marks, first, last, moved, length, size, pull, change):
     """What an iteration that moved by dq after one by `last` tells: settled or not, hopeless or not, |phi| allowed.
 
     Settled: the error to be expected is below the tolerance, or dq is round-off and no longer falls.
@@ -132,7 +146,9 @@ def judge(p, marks, first, last, moved, length, size, pull):
     if measured:
         rate = moved / last
         marks[RATE], marks[AGE] = max(rate, (0.5 if first else 1.0) * marks[RATE]), 0.0
-    tolerance, coarse = p.tolerance * max(marks[SIZE], pull) / p.to_a, 16.0 * EPS * (size + p.extent)
+    pull, change = max(marks[SIZE], pull), max(marks[CHANGE], change)
+    tolerance = min(max(p.least * pull, p.share * change), p.most * pull) / p.to_a
+    coarse = 16.0 * EPS * (size + p.extent)
     fine = 16.0 * EPS * (length if p.incremental else size)
     small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance
     stalled = measured and rate > SLOW and moved <= coarse
@@ -147,6 +163,7 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
     if last == 0.0:
         predict(p, y, w)
         y.marks[SIZE] *= 0.9
+        y.marks[CHANGE] *= 0.9
     hold_points(s.links, y, w)
     for iteration in range(p.max_iterations):
         det, cosine = kernels.equilibrium(s, drives, w.u, w.a, w.lam, w.r, w.phi, w.rotation, w.dz, w.forces)
@@ -161,15 +178,15 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, w, counts):
             alpha_tie.part_constraints(s.links, drives, w, tie, p.to_v)
         good = corotated.solve(s.links, c, room, drives, w.rotation, w.dz, w.lam, w.r, w.phi, p.to_a, w.dq, w.dlam)
         counts[1] += 1
-        moved, length, size, pull = correct(p, w)
+        moved, length, size, pull, change = correct(p, y, w)
         if tie is not None:
             good = alpha_tie.slip(s.links, p, y, w, tie) and good
         if not good:
             return SINGULAR, last
-        settled, hopeless, allowed = judge(p, y.marks, iteration == 1, last, moved, length, size, pull)
+        settled, hopeless, allowed = judge(p, y.marks, iteration == 1, last, moved, length, size, pull, change)
         if settled and closed(s.links, p, before, drives, gains, y, w) <= allowed:
             y.marks[AGE] += 1.0
-            y.marks[SIZE] = max(y.marks[SIZE], pull)
+            y.marks[SIZE], y.marks[CHANGE] = max(y.marks[SIZE], pull), max(y.marks[CHANGE], change)
             if tie is not None:
                 alpha_tie.settle(s.links, drives, w, tie)
             return (DONE if cosine > 0.0 else HALF_TURN), moved

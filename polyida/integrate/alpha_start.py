@@ -4,14 +4,15 @@ The method's own state is (q, v, a_alg): a_alg is q'' at t + (alpha_m - alpha_f)
 constraint by
 `B l/h`, `l/h = (1 - 6 beta - 3 (alpha_m - alpha_f))/6 h^2 q'''`, what the local error of q must be along the
 constraints (Arnold, Bruels 2007). A start without them shows a first-order transient in lam. In the stabilised form v
-is on its constraint.
+is on its constraint. Of q'' and q''' a_alg and v take what a step resolves (alpha_resolved.py).
 """
 
 import numpy as np
 
 from polyida.integrate.alpha_increment import beside, start_values
+from polyida.integrate.alpha_resolved import resolution
 from polyida.integrate.segments import at_kink
-from polyida.integrate.start import consistent_acceleration, jerk, mass_system
+from polyida.integrate.start import consistent_acceleration, far_side, jerk, mass_system
 from polyida.integrate.state import State
 
 FAR_SHORTER = 2.5  # a step control's ladder stays below
@@ -27,7 +28,7 @@ def started(settings, model, state, h):
     memory = state.memory
     if "a_alg" not in memory:
         right = beside(state.t, h) if at_kink(model, state.t) else None
-        state = state if right is None else _on_the_right(model, state, right)
+        state = state if right is None else far_side(model, state, right)
         phi, rate = start_values(model, state, right)
         state = _with(state, a_alg=state.a, h=h, phi=phi, rate=rate)
         return state if settings.start == "plain" or "cut" in memory else beginning(settings, model, state, h, right)
@@ -41,9 +42,9 @@ def beginning(settings, model, state, h, right=None):
 
     right: the time behind a kink here.
     """
-    c, third = settings.coefficients, jerk(model, state, h, right)
+    ahead, third = _resolved(settings, model, state, h, state.a, jerk(model, state, h, right))
     off, rate = _off_constraint(settings, model, state, h, third)
-    return _with(state, v=state.v + off, a_alg=state.a + c.offset * h * third, rate=state.memory["rate"] + rate)
+    return _with(state, v=state.v + off, a_alg=ahead, rate=state.memory["rate"] + rate)
 
 
 def behind_kink(settings, model, state, h):
@@ -63,10 +64,10 @@ def behind_kink(settings, model, state, h):
     a, lam = state.a + after[0] - before[0], state.lam + after[1] - before[1]
     behind = _with(state, v=v, a=a, lam=lam)
     third = jerk(model, behind, h, right) - jerk(model, state, -h, left)
+    ahead, third = _resolved(settings, model, behind, h, a - state.a, third)
     phi, rate = start_values(model, state, left)
-    a_alg = state.memory["a_alg"] + a - state.a + settings.coefficients.offset * h * third
     off, more = _off_constraint(settings, model, state, h, third)
-    return _with(behind, v=v + off, a_alg=a_alg, h=h, phi=phi, rate=rate + more)
+    return _with(behind, v=v + off, a_alg=state.memory["a_alg"] + ahead, h=h, phi=phi, rate=rate + more)
 
 
 def rescaled(settings, model, state, h):
@@ -83,14 +84,11 @@ def rescaled(settings, model, state, h):
     return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h, phi=phi, rate=scale**2 * rate)
 
 
-def _on_the_right(model, state, right):
-    """The state with v, a and lam of the right side, where a run begins at a kink."""
-    v = state.v
-    if model.m:
-        rate = model.phi_q(state.t, state.q) @ v + model.phi_t(right, state.q)
-        v = v + mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
-    a, lam = consistent_acceleration(model, right, state.q, v)
-    return _with(state, v=v, a=a, lam=lam)
+def _resolved(settings, model, state, h, a, third):
+    """What a step resolves of q'' = a and q''' = third, or of their jumps: (q'' at t + (alpha_m - alpha_f) h, q''')."""
+    resolve = resolution(settings, model, state, h)
+    near, third = resolve(a), resolve(resolve(third))
+    return 2 * near - resolve(near) + settings.coefficients.offset * h * third, third
 
 
 def _off_constraint(settings, model, state, h, third):

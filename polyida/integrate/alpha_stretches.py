@@ -5,18 +5,16 @@ import numpy as np
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.damping import symmetric_blocks
 from polyida.integrate import alpha_scene as compiled
-from polyida.integrate.alpha_arrays import AGE, ERROR, FORWARD, MARKS, MOVED, RATE, Memory, Method, trial
+from polyida.integrate.alpha_arrays import AGE, AHEAD, BEHIND, ERROR, MARKS, MOVED, RATE, Memory, Method, trial
 from polyida.integrate.alpha_increment import drive_table, extent, gain_table, start_values
 from polyida.integrate.alpha_scene import FRESHEN
 from polyida.integrate.alpha_tie import tie
 from polyida.integrate.state import State, StepFailure
-from polyida.integrate.step_control import calm_error
+from polyida.integrate.step_control import Kept, calm_error, weights
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 
-CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 LONGEST, ADAPTIVE = 256, 32  # steps of a stretch; of one whose step may change any time
-KEPT = 6  # factors that adaptive steps keep
 REASONS = {
     compiled.REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
     compiled.INVERTED: ("inverted",
@@ -33,53 +31,63 @@ class Stretches:
     verdict: "far" or "near" where adaptive steps should be shorter or longer.
     """
 
+    chunk_bytes = 4_000_000  # of frames that one compiled stretch fills
+
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts = settings, model, counts
         nodes = (model.n_nodes, 2)
         self.tie = tie(model) if settings.form == "stabilised" and model.m else None
         self.damp = np.zeros(nodes) if model.needs.velocity_forces else None
-        self.memory = Memory(*map(np.zeros, (nodes,) * 5 + (model.m,) * 3 + (MARKS,)))
+        self.memory = Memory(*map(np.zeros, (nodes,) * 7 + (model.m,) * 3 + (MARKS,)))
         self.trial = trial(model.n_nodes, model.n_points, model.m)
         self.system = self.room = self.factored_at = self.verdict = None
-        self.kept = {}
+        self.kept, self.pause = Kept(), 0
 
     def begin(self, state, h):
-        """Go on from a state that `started` has made ready for steps of h."""
+        """Go on from a state that `started` has made ready for steps of h.
+
+        memory["pause"]: the number of steps (of counts) after which a stretch ends, for what it leaves in memory there.
+        """
+        self.pause = state.memory.get("pause", self.pause)
         s, c, y = self.settings, self.settings.coefficients, self.memory
         to_a, to_v = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)), c.gamma / (c.beta * h)
         self.method = Method(
-            h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, s.tolerance, extent(self.model, state.q),
+            h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, *s.newton_tolerance(to_a * h * h), extent(self.model, state.q),
             bool(s.incremental_phi), s.max_iterations, abs(c.error) * h * h if s.adaptive else 0.0, s.rtol or 0.0,
             s.atol or 0.0, calm_error(h, s.h))
-        for array, value in zip(y, (state.q, state.v, state.a, state.memory["a_alg"], state.a)):
+        for array, value in zip(y, (state.q, state.v, state.a, state.memory["a_alg"])):
             array[:] = np.reshape(value, array.shape)
+        y.change[:] = y.earlier[:] = 0.0
         y.lam[:] = state.lam
         y.phi[:], y.rate[:] = start_values(self.model, state)
+        y.weights[:] = weights(self.model, state.q).reshape(y.weights.shape)
         y.marks[:] = 0.0
         self.verdict = None
         self._take(h)
 
     def _take(self, h):
         """The factor made at this step before, where adaptive steps return to it."""
-        found = self.kept.get(h) if self.settings.adaptive else None
-        self.system, self.room, self.factored_at = found or (None, None, None)
+        self.system, self.room, self.factored_at = self.kept.take(h) or (None, None, None)
         self.memory.marks[RATE], self.memory.marks[AGE] = 1.0, FRESHEN
 
     def recall(self, memory):
         """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
-        self.memory.a_before[:] = memory["a_before"].reshape(-1, 2)
+        for name in ("change", "earlier"):
+            getattr(self.memory, name)[:] = memory[name].reshape(-1, 2)
         if len(memory["factored_at"]):
             self.trial.u[:] = memory["factored_at"].reshape(-1, 2)
             self._factor(float("nan"), np.zeros((len(self.model.profiles), 3)))
         self.memory.marks[:] = memory["marks"]
+        self.method = self.method._replace(extent=float(memory["extent"]))
 
     def run(self, grid):
         """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
         done, self.verdict = grid.done, None
         most = ADAPTIVE if self.settings.adaptive else LONGEST
-        longest = int(max(1, min(most, CHUNK_BYTES // (48 * max(1, self.model.n)))))
+        longest = int(max(1, min(most, self.chunk_bytes // (48 * max(1, self.model.n)))))
         while done < grid.count and self.verdict is None:
-            end = min(done + longest, grid.count)
+            left = self.pause - self.counts.steps
+            end = min(done + (left if 0 < left < longest else longest), grid.count)
             for state in self._stretch(np.array([grid.time(k) for k in range(done, end + 1)]), grid, done):
                 done += 1
                 yield state
@@ -114,7 +122,7 @@ class Stretches:
     def _refactor_or_fail(self, ended, stage, t, moved):
         if stage == 0 and ended not in (compiled.HALF_TURN, compiled.SINGULAR):
             self.system = None
-            self.memory.marks[FORWARD] = 0.0
+            self.memory.marks[AHEAD] = self.memory.marks[BEHIND] = 0.0
             return
         status, reason = REASONS[ended]
         phi = float(np.abs(self.trial.phi).max(initial=0))
@@ -132,7 +140,7 @@ class Stretches:
     def _full_newton(self, t, drives, gains, *frames):
         """One step with a matrix made anew in every iteration."""
         y, method = self.memory, self.method._replace(max_iterations=1)
-        y.marks[MOVED], y.marks[FORWARD] = 0.0, 0.0
+        y.marks[MOVED] = y.marks[AHEAD] = y.marks[BEHIND] = 0.0
         compiled.predict(method, y, self.trial)
         for _ in range(self.settings.max_iterations):
             self._factor(t, drives[1])
@@ -158,8 +166,9 @@ class Stretches:
         y, memory = self.memory, {}
         if place is not None or whole:
             made = np.zeros(0) if self.system is None else self.factored_at
-            memory = {"a_alg": y.a_alg.ravel().copy(), "h": self.method.h, "a_before": y.a_before.ravel().copy(),
-                      "marks": y.marks.copy(), "factored_at": made}
+            memory = {"a_alg": y.a_alg.ravel().copy(), "h": self.method.h, "change": y.change.ravel().copy(),
+                      "earlier": y.earlier.ravel().copy(), "marks": y.marks.copy(), "factored_at": made,
+                      "extent": self.method.extent}
             if self.method.incremental:
                 memory |= {"phi": y.phi.copy(), "rate": y.rate.copy()}
             if place is not None:
@@ -188,7 +197,4 @@ class Stretches:
         self.counts.solves += 2 * model.n_points
         self.memory.marks[RATE], self.memory.marks[AGE] = 1.0, FRESHEN
         if self.settings.adaptive:
-            self.kept.pop(p.h, None)
-            self.kept[p.h] = self.system, self.room, self.factored_at
-            while len(self.kept) > KEPT:
-                self.kept.pop(next(iter(self.kept)))
+            self.kept.keep(p.h, (self.system, self.room, self.factored_at))

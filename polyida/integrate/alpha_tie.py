@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import joints
+from polyida.assembly.mass_system import point_columns
 from polyida.compiled import part
 from polyida.linear.dense import solve_small
 
@@ -34,16 +35,9 @@ class Tie(NamedTuple):
 def tie(model):
     """The Tie of a scene."""
     points, m = model.n_points, model.m
-    s, both = model.arrays.links, np.zeros((model.n_nodes, 2, points))
-    for f in range(points):
-        at = slice(s.point_ptr[f], s.point_ptr[f + 1])
-        both[s.point_nodes[at], 0, f] = s.point_weights[at]
-    reach = np.ascontiguousarray(model.mass_inverse(both.reshape(model.n, points)).reshape(both.shape)[:, 0])
-    g = np.array([[s.point_weights[a:b] @ reach[s.point_nodes[a:b], f] for f in range(points)]
-                  for a, b in zip(s.point_ptr[:-1], s.point_ptr[1:])])
-    shapes = ((m, m), m, m, m, len(s.row_columns), (points, 2), (points, 2))
+    shapes = ((m, m), m, m, m, len(model.arrays.links.row_columns), (points, 2), (points, 2))
     matrix, eta, rate, bias, slopes, vz, pull = map(np.empty, shapes)
-    return Tie(reach, g, matrix, eta, np.empty(m, np.int64), rate, bias, slopes, vz, pull)
+    return Tie(*model.once(point_columns), matrix, eta, np.empty(m, np.int64), rate, bias, slopes, vz, pull)
 
 
 @part

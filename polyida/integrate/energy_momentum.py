@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.midpoint import Midpoint
-from polyida.integrate.segments import enough_steps, segments
+from polyida.integrate.segments import at_kink, beside, enough_steps, segments
+from polyida.integrate.start import on_velocity
+from polyida.integrate.state import State
 
 
 @dataclass(frozen=True)
@@ -13,9 +15,10 @@ class EnergyMomentum:
     """Constant steps that keep energy and momenta in the discrete sense.
 
     `M (v_1 - v_0)/h + f_int + B^T lam = f_ext(t_m)`, `q_1 - q_0 = h (v_0 + v_1)/2`, `phi(q_1, t_1) = 0`. The stress is that of the mean
-    of the strains at both ends on the mean F, B the constraint Jacobian of the mean q and mean time: without motors and damping the
-    energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Second order in q and v;
-    lam and a are those of the middle of the step. Damping enters at the middle of the step and only takes energy.
+    of the strains at both ends on the mean F, B the constraint Jacobian of the mean q and mean time: without moving motors and damping
+    the energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Velocities are on their
+    constraint at both ends. Second order in q, v, a and lam; a and lam of a frame follow from its q and v, which costs half to two
+    thirds of a step for each frame that is kept (integrate/at_end.py). Damping enters at the middle of the step and only takes energy.
 
     h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
     the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the
@@ -26,7 +29,6 @@ class EnergyMomentum:
     h: float
     tolerance: float = 1e-10
     max_iterations: int = 40
-    multipliers_at_middle = True
 
     def __post_init__(self):
         for name, good, want in (
@@ -45,9 +47,16 @@ class EnergyMomentum:
     def steps(self, model, state, t_end, counts):
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         for begin, end in segments(model, state.t, t_end):
+            state = _ready(model, state, begin)
             count = enough_steps(model, state, begin, end, self.h)
-            stepper = Midpoint(self, model, (end - begin) / count, counts)
+            stepper = Midpoint(self, model, (end - begin) / count, counts, beside(end, -1) if at_kink(model, end) else end)
             for k in range(1, count + 1):
                 state = stepper.step(state, begin + k * stepper.h if k < count else end)
                 counts.steps += 1
                 yield state
+
+
+def _ready(model, state, begin):
+    """The state with v on the constraint that holds from `begin` on: a motor's speed may have jumped. The rest is Newton's first guess."""
+    v = on_velocity(model, beside(begin, 1) if at_kink(model, begin) else begin, state.q, state.v)
+    return State(state.t, state.q, v, state.a, state.lam, state.memory)

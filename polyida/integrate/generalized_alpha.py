@@ -13,6 +13,8 @@ from polyida.linear.kkt import SCALINGS
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
 ABSOLUTE = 1e-3  # m: atol over rtol where only rtol is given, for a start at q = 0
 FORMS = ("index3", "stabilised")
+SHARE = 1e-3  # of the local error of a step that Newton may leave, where `tolerance` says nothing
+LEAST, MOST = 1e-7, 1e-4  # of the size of q'': bounds of that
 
 
 @dataclass(frozen=True)
@@ -26,11 +28,13 @@ class GeneralizedAlpha:
     beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
     form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
     have both. rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
-    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, m; atol
-    is 1e-3 rtol where only rtol is given); lam is not in it. h is then the largest step. extrapolate: give
+    `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, each
+    coordinate weighted with its mass; m; atol is 1e-3 rtol where only rtol is given); lam is not in it. h is then the
+    largest step, and the run fails beyond max_num_steps steps, with those rejected. extrapolate: give
     (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
 
-    tolerance: Newton's, of beta h^2 times the size of q''. max_iterations: of one Newton solve. max_halvings: a step
+    tolerance: Newton's, of beta h^2 times the size of q''; None: 1e-3 of the step's local error, but at least 1e-7 and at
+    most 1e-4 of that. max_iterations: of one Newton solve. max_halvings: a step
     whose Newton fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4,
     ... 2^max_halvings parts. scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from
     the first step) or "plain" (a_0 = q''). incremental_phi: carry phi of a scene by its increments, clean down to h =
@@ -41,7 +45,7 @@ class GeneralizedAlpha:
 
     h: float
     rho_inf: float = 0.9
-    tolerance: float = 1e-4
+    tolerance: float | None = None
     scaling: str = "physical"
     max_iterations: int = 25
     start: str = "consistent"
@@ -53,6 +57,7 @@ class GeneralizedAlpha:
     extrapolate: bool = False
     incremental_phi: bool = True
     max_halvings: int = 6
+    max_num_steps: int = 1_000_000
 
     @classmethod
     def hht(cls, h, alpha=-0.05, **settings):
@@ -90,7 +95,8 @@ class GeneralizedAlpha:
         return (
             ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
             ("rho_inf", is_number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
-            ("tolerance", is_number(self.tolerance) and 0 < self.tolerance < 1, "between 0 and 1"),
+            ("tolerance", self.tolerance is None or (is_number(self.tolerance) and 0 < self.tolerance < 1),
+             "between 0 and 1, or None: by the local error"),
             ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
             ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
@@ -103,6 +109,7 @@ class GeneralizedAlpha:
             ("extrapolate", self.extrapolate in (False, True) and not (self.extrapolate and self.adaptive),
              "True or False, and False where the step adapts"),
             ("incremental_phi", self.incremental_phi in (False, True), "True or False"),
+            ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
             ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
         )
 
@@ -110,6 +117,15 @@ class GeneralizedAlpha:
     def coefficients(self):
         """The member's coefficients."""
         return Coefficients(*self.member) if self.member is not None else Coefficients.chung_hulbert(self.rho_inf)
+
+    def newton_tolerance(self, scale):
+        """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''.
+
+        scale: h^2 q'' over the q that goes with it.
+        """
+        if self.tolerance is not None:
+            return self.tolerance, self.tolerance, 0.0
+        return LEAST, MOST, SHARE * max(abs(self.coefficients.error), 1 / 12) * scale
 
     @property
     def adaptive(self):
@@ -126,24 +142,28 @@ class GeneralizedAlpha:
 
     def in_pieces(self, model, state, t_end, counts, split=1):
         """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
-        engine = self._engine(model, counts)
+        engine, most = self._engine(model, counts), counts.steps + counts.rejected + self.max_num_steps
         for begin, end in segments(model, state.t, t_end):
             if self.adaptive:
-                piece = adapt(engine, self, model, state, begin, end, counts)
+                piece = adapt(engine, self, model, state, begin, end, counts, most)
             else:
                 count = split * enough_steps(model, state, begin, end, self.h)
                 piece = march(engine, self, model, state, begin, end, count, counts)
             for state in piece:
                 yield state
 
+    def by_points(self, model):
+        """Whether the linear algebra is that of a scene, whose joints act through a few points."""
+        return self.linear != "kkt" and hasattr(model, "arrays")
+
     def _engine(self, model, counts):
-        if self.linear == "kkt" or not hasattr(model, "arrays"):
-            from polyida.integrate.alpha_generic import Steps
+        if self.by_points(model):
+            from polyida.integrate.alpha_stretches import Stretches
 
-            return Steps(self, model, counts)
-        from polyida.integrate.alpha_stretches import Stretches
+            return Stretches(self, model, counts)
+        from polyida.integrate.alpha_generic import Steps
 
-        return Stretches(self, model, counts)
+        return Steps(self, model, counts)
 
 
 def _four(given):

@@ -11,12 +11,15 @@ from polyida.integrate.ida_forms import FORMS, System
 from polyida.integrate.ida_linear import ReducedSolve
 from polyida.integrate.ida_quiet import error_lines_kept
 from polyida.integrate.ida_whole import SCALINGS, WholeSolve
-from polyida.integrate.segments import at_kink, segments
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.segments import at_kink, beside, segments
+from polyida.integrate.sizes import typical_sizes
+from polyida.integrate.start import far_side
+from polyida.integrate.state import StepFailure
 
 LINEAR = ("auto", "kkt", "whole")
-VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where only the latter is given
+VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a number is given
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
+OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
 STATUS = {
     -2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve", -8: "residual",
@@ -28,8 +31,9 @@ STATUS = {
 class IDA:
     """Backward differentiation formulas of order 1 to 5 with error control, by SUNDIALS' IDA.
 
-    rtol: relative tolerance. atol: absolute tolerances; a number is that of q (m), with 1e3 1/s times it for v (m/s);
-    a pair is (of q, of v); 2n numbers are those of every entry of (q, v). Default (1e-7, 1e-4).
+    rtol: relative tolerance. atol: absolute tolerances; by default rtol times a length and a speed of the model, told from
+    its first state (integrate/sizes.py) and said in the run's summary. A number is that of q (m), with 1e3 1/s times it
+    for v (m/s); a pair is (of q, of v); 2n numbers are those of every entry of (q, v).
     Multipliers are not in the error estimate.
     max_order: 1 to 5; by default 2 where the model has flexible bodies (BDF of order 3 to 5 is unstable beside the
     imaginary axis, where their mesh modes lie; only with all of them well damped is 5 the faster) and 5 elsewhere.
@@ -71,22 +75,30 @@ class IDA:
         for name in ("max_step", "first_step", "rate"):
             value = getattr(self, name)
             _check(name, value, is_number(value) and value >= 0, "must be a finite number, not negative")
-        entries = self.atol if isinstance(self.atol, tuple) else (self._scalar_atol(),)
+        entries = self.atol if isinstance(self.atol, tuple) else (self.rtol if self.atol is None else self.atol,)
         positive = len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries)
         _check("atol", self.atol, positive, "must be positive")
 
-    def _scalar_atol(self):
-        return 1e-7 if self.atol is None else self.atol
+    def tolerances(self, n, sizes):
+        """Absolute tolerances (of q, of v) for n coordinates and a model's `sizes`, (length, speed).
 
-    def tolerances(self, n):
-        """Absolute tolerances (of q, of v) for n coordinates; InputError where their number does not fit."""
+        InputError where their number does not fit.
+        """
+        if self.atol is None:
+            return self.rtol * sizes[0], self.rtol * sizes[1]
         if not isinstance(self.atol, tuple):
-            return self._scalar_atol(), VELOCITY_ATOL * self._scalar_atol()
+            return self.atol, VELOCITY_ATOL * self.atol
         if len(self.atol) == 2:
             return self.atol
         _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n,
                f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}")
         return np.array(self.atol[:n]), np.array(self.atol[n:])
+
+    def told(self, memory):
+        """What a summary says of the absolute tolerances that a run took from its model; memory of one of its states."""
+        if self.atol is not None or "sizes" not in memory:
+            return ""
+        return "atol {:.1e} of q, {:.1e} of v".format(*self.tolerances(1, memory["sizes"]))
 
     def order(self, model):
         """The largest BDF order used on this model."""
@@ -96,16 +108,18 @@ class IDA:
         """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.
 
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
-        mu of the stabilised forms is in State.memory["mu"].
+        State.memory: "mu" of the stabilised forms, and "sizes", from which the tolerances came; a run that goes on keeps them.
         """
-        run = _Run(self, model, counts)
+        sizes = state.memory.get("sizes")
+        sizes = typical_sizes(model, state, t_end - state.t) if sizes is None else sizes
+        run = _Run(self, model, sizes, counts)
         for begin, end in segments(model, state.t, t_end):
             limits = (-math.inf, math.inf)
             if at_kink(model, begin):
-                limits = (_beside(begin, 1), math.inf)
-                state = _far_side(model, state, limits[0])
+                limits = (beside(begin, 1), math.inf)
+                state = far_side(model, state, limits[0])
             if at_kink(model, end):
-                limits = (limits[0], _beside(end, -1))
+                limits = (limits[0], beside(end, -1))
             for state in run.piece(state, begin, end, limits):
                 yield state
 
@@ -113,22 +127,6 @@ class IDA:
 def _check(name, value, right, wanted):
     if not right:
         raise InputError(f"IDA: {name} {value} {wanted}")
-
-
-def _beside(t, side):
-    return t + side * 32 * math.ulp(max(abs(t), 1.0))
-
-
-def _far_side(model, state, t):
-    """The state just after a kink: v moved, in the metric of M, onto a velocity constraint that jumps; new a, lam."""
-    from polyida.integrate.start import consistent_acceleration
-    from polyida.linear.kkt import KKT
-
-    q, v = state.q, state.v
-    if model.m:
-        B = model.phi_q(t, q)
-        v = v + KKT(model.mass(q), B).solve(np.zeros(model.n), B @ v + model.phi_t(t, q))[0]
-    return State(state.t, q, v, *consistent_acceleration(model, t, q, v))
 
 
 def _callbacks(settings, model, counts):
@@ -152,17 +150,17 @@ def _top_heavy(model):
 class _Run:
     """One run of IDA: the solver of the binding with its callbacks, and the counting of steps."""
 
-    def __init__(self, settings, model, counts):
+    def __init__(self, settings, model, sizes, counts):
         from sksundae.ida import IDA as Solver
         from sksundae.ida import IDAJacTimes, IDAPrecond
 
-        self.settings, self.model, self.counts = settings, model, counts
+        self.settings, self.model, self.sizes, self.counts = settings, model, sizes, counts
         self.system, linear = _callbacks(settings, model, counts)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
         self.refused = None  # where the residual was last not finite
         self.solver = Solver(
-            self._residual, rtol=float(settings.rtol), atol=self.system.tolerances(*settings.tolerances(model.n)),
+            self._residual, rtol=float(settings.rtol), atol=self.system.tolerances(*settings.tolerances(model.n, sizes)),
             max_order=settings.order(model), max_step=float(settings.max_step), first_step=float(settings.first_step),
             linsolver="gmres", krylov_dim=5,
             precond=IDAPrecond(linear.setup, linear.solve), jactimes=IDAJacTimes(None, linear.product))
@@ -194,8 +192,11 @@ class _Run:
             self._count_step(t, float(result.t))
             t = float(result.t)
             before, state = state, self.system.state(t, result.y, result.yp)
+            state.memory["sizes"] = self.sizes
             if objection := self.system.objection(t, state.q):
                 raise self._failure("objection", objection, before)
+            if opened := self.system.opened(state, OPEN * self.sizes[0]):
+                raise self._failure("drift", f"{opened}; a form that holds phi, or a tighter rtol, keeps it closed", before)
             self.refused = self.refused if self.standing else None
             yield state
 

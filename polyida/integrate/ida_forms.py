@@ -143,6 +143,15 @@ class System:
         """Why the model cannot stand at an accepted (t, q), or None."""
         return getattr(self.model, "objection", lambda t, q: None)(self.clamp(t), q)
 
+    def opened(self, state, allowed):
+        """What has drifted from phi = 0 by more than `allowed`, in q, at a State, or None; of a form that holds phi nothing has."""
+        if not self.model.m or 0 in self.form.rows and not self.form.combined:
+            return None
+        t, model = self.clamp(state.t), self.model
+        apart = np.abs(model.phi(t, state.q)) / np.linalg.norm(dense(model.phi_q(t, state.q)), axis=1)
+        worst = int(apart.argmax())
+        return None if apart[worst] <= allowed else f"{model.constraint_name(worst)} has drifted apart by {apart[worst]:.2g}"
+
     def clamp(self, t):
         """t held to `limits`."""
         return min(max(t, self.limits[0]), self.limits[1])

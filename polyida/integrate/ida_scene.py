@@ -64,7 +64,7 @@ def order_along_joints(active, links):
     m, single = len(links.row_constant), corotated.order_along_joints(active, links)
     before = np.argsort(np.argsort(single * 2.0))
     multipliers = single[len(active):]
-    shift = np.array([(multipliers < at).sum() for at in before])
+    shift = np.array([(multipliers < at).sum() for at in before], np.int64)
     place = before + shift
     return np.concatenate([place, place[len(active):] + 1]) if m else place
 

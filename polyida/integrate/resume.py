@@ -1,15 +1,18 @@
 """`resume`: go on with a run that is in a file."""
 
 import time
-from pathlib import Path
 
-from polyida import trajectory_file as files
 from polyida.errors import InputError
-from polyida.file_lock import being_written
-from polyida.frames import MEMORY_LIMIT, FrameStore
+from polyida.given import is_number
 from polyida.integrate.run import Run
 from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
+from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.layout import FRAMES
+from polyida.io.load import integrator_of, model_of
+from polyida.io.reader import named, naming, read
+from polyida.io.save import commit, create, free
+from polyida.io.store import FrameStore
 from polyida.threads import one_blas_thread
 
 
@@ -23,37 +26,56 @@ def resume(path, t_end=None, *, model=None, integrator=None, until=None, progres
     the file otherwise. until: as in `solve`, needed where the run had one (False: go on without). Raises InputError
     for a file that cannot be read or is being written, has nothing to go on from, or has reached t_end.
     """
-    with files.naming(path):
-        path = Path(path)
-        stored = files.read(path)
+    _require(t_end, until, progress, memory_limit)
+    stored = read(path)
+    with named(path):
         try:
-            if being_written(path):
-                raise InputError("another process is still writing it")
-            model, integrator = _parts(stored, model, integrator)
-            plan = _plan(stored, t_end, until)
-            require_run(model, plan["t_end"], stored.restart.state.t, integrator)
-            file = files.continuation(path, stored, model, integrator, plan)
+            model, integrator, plan = _asked(stored, t_end, model, integrator, until)
+            store = _continued(stored, model, integrator, plan, memory_limit)
         finally:
-            stored.file.close()
-    restart, record = stored.restart, stored.record
-    clocks = time.perf_counter() - float(record["wall_seconds"]), time.process_time() - float(record["cpu_seconds"])
-    store = FrameStore(model.n, model.m, memory_limit, file)
+            stored.close()
+    restart, (cpu, wall) = stored.restart, stored.seconds
+    clocks = time.perf_counter() - wall, time.process_time() - cpu
     run = Run(model, integrator, plan, store, Counts(**restart.counts), clocks, until or None, progress)
     run.restart = run.flushed = restart
     with one_blas_thread():
         return run.go(restart.state)
 
 
+def _require(t_end, until, progress, memory_limit):
+    for name, value, good, wanted in (
+        ("t_end", t_end, t_end is None or is_number(t_end), "a finite time in s"),
+        ("until", until, until is None or until is False or callable(until), "a function of t, q and v, or False"),
+        ("progress", progress, progress is None or callable(progress), "a function of t"),
+        ("memory_limit", memory_limit, is_number(memory_limit) and memory_limit >= 0, "a number of bytes"),
+    ):
+        if not good:
+            raise InputError(f"resume: {name} = {value!r} must be {wanted}")
+
+
+def _asked(stored, t_end, model, integrator, until):
+    """(model, integrator, plan): given, or from the file."""
+    if stored.live:
+        raise InputError("another process is still writing it")
+    with naming(stored.path):
+        if damage := stored.check():
+            raise InputError(f"{damage}; to go on from the last of them, load it and give its `state` to solve")
+        model, integrator = _parts(stored, model, integrator)
+        plan = _plan(stored, t_end, until)
+    require_run(model, plan["t_end"], stored.restart.state.t, integrator)
+    return model, integrator, plan
+
+
 def _parts(stored, model, integrator):
     """(model, integrator), from the file where they are not given."""
     about = stored.about
     if model is None and ("scene" not in about or about["drives"]):
-        named = ", ".join(map(repr, about["drives"])) or about["model"]
-        raise InputError(f"{named} has functions of the user's own, which no file holds; give model=")
-    model = files.model_of(stored, {}) if model is None else model
+        known = ", ".join(map(repr, about["drives"])) or about["model"]
+        raise InputError(f"{known} has functions of the user's own, which no file holds; give model=")
+    model = model_of(stored, {}) if model is None else model
     if (getattr(model, "n", None), getattr(model, "m", None)) != (stored.n, stored.m):
         raise InputError(f"the run has {stored.n} coordinates and {stored.m} constraints; the model is another")
-    return model, files.integrator_of(stored) if integrator is None else integrator
+    return model, integrator_of(stored) if integrator is None else integrator
 
 
 def _plan(stored, t_end, until):
@@ -65,7 +87,20 @@ def _plan(stored, t_end, until):
         raise InputError(
             "the run had a function `until`, which no file holds; give until=, or until=False to go on without"
         )
-    plan |= {"t_end": plan["t_end"] if t_end is None else t_end, "until": bool(until)}
+    plan |= {"t_end": plan["t_end"] if t_end is None else float(t_end), "until": bool(until)}
     if not restart.state.t < plan["t_end"]:
         raise InputError(f"the run has reached t = {restart.state.t:.9g} s; give a later t_end to go on")
     return plan
+
+
+def _continued(stored, model, integrator, plan, memory_limit):
+    """A FrameStore with a file in the place of the stored one, which has its frames up to where the run goes on."""
+    restart = stored.restart
+    file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, dict(stored.about["machine"]))
+    with file.publishing(True):
+        store = FrameStore(stored.n, stored.m, memory_limit, file)
+        for first in range(0, restart.frames, file.rows):
+            end = min(first + file.rows, restart.frames)
+            store.extend([stored.rows(name, first, end) for name in FRAMES])
+        commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart)
+    return store

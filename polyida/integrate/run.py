@@ -2,13 +2,19 @@
 
 import time
 from contextlib import suppress
+from itertools import islice
 
-from polyida.errors import InputError
+import numpy as np
+
 from polyida.integrate import ctrl_c
 from polyida.integrate.sampling import Sampler, Until
-from polyida.integrate.state import StepFailure
+from polyida.integrate.singular import SingularPosition, Watch
+from polyida.integrate.state import Counts, Restart, State, StepFailure
+from polyida.io.reader import read_open
+from polyida.io.save import commit
+from polyida.io.writer import NotWritten
 from polyida.machine import machine_info
-from polyida.trajectory import Restart, Trajectory
+from polyida.trajectory import Trajectory
 
 FLUSH_SECONDS = 2.0
 
@@ -25,35 +31,30 @@ class Run:
         self.clocks, self.until, self.progress = clocks, until, progress
         self.streams, done = store.file is not None, store.count
         self.sampler = Sampler(store, counts, plan["every"], plan["output"], done)
-        self.last = self.restart = self.flushed = None
+        self.last = self.restart = self.flushed = self.watch = None
         self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
 
     def begin(self, state, overwrite):
         """Keep the first state; a file gets it and comes to its place. Raises InputError where that cannot be done."""
-        from polyida.frame_file import NotWritten
-
-        self.sampler.start(state)
-        self._mark(state)
         if not self.streams:
+            self._start(state)
             return
-        try:
+        with self.store.file.publishing(overwrite):
+            self._start(state)
             self._flush()
-            self.store.file.publish(overwrite)
-        except NotWritten as error:
-            raise InputError(str(error)) from None
-        finally:
-            if self.store.file.path != self.store.file.shown:
-                self.store.file.discard()
+
+    def _start(self, state):
+        self.sampler.start(state)
+        self.last, self.restart = state, Restart(state, self.store.count, vars(self.counts).copy())
 
     def go(self, state):
         """Run to the end; returns the Trajectory. A user's exception goes on, with the Trajectory as an attribute."""
-        from polyida.frame_file import NotWritten
-
         try:
             with ctrl_c.noted() as heed:
                 status, message = self._steps(state, heed)
         except StepFailure as failure:
-            status, message = failure.status, str(failure)
+            beside = "" if isinstance(failure, SingularPosition) else self.watch.suspicion(failure.t)
+            status, message = failure.status, f"{failure}{beside}"
         except KeyboardInterrupt:
             status, message = "interrupted", f"interrupted after t = {self._reached(state):.9g} s"
         except NotWritten as error:
@@ -64,9 +65,11 @@ class Run:
         return self._end(status, message)
 
     def _steps(self, state, heed):
-        self.last, watch = state, Until(self.until, state) if self.until else None
+        self.last, until = state, Until(self.until, state) if self.until else None
+        self.watch = Watch(self.model, state)
         for after in self.integrator.steps(self.model, state, self.plan["t_end"], self.counts):
-            at_zero = watch.crossing(state, after) if watch else None
+            self.watch.step(after)
+            at_zero = until.crossing(state, after) if until else None
             if at_zero is not None:
                 self.sampler.step(state, at_zero)
                 self.last = at_zero
@@ -74,16 +77,16 @@ class Run:
                 return "stopped", f"until changed its sign at t = {at_zero.t:.9g} s"
             self.sampler.step(state, after)
             self.last = state = after
-            if after.restart:
-                self._mark(after)
+            self._keep(after)
             if self.progress is not None:
                 self.progress(after.t)
             heed()
         return "done", ""
 
-    def _mark(self, state):
-        """The run can go on from here; a flush where it is due."""
-        self.restart = Restart(state, self.store.count, vars(self.counts).copy())
+    def _keep(self, state):
+        """Note where the run can go on; a flush where it is due."""
+        if state.restart:
+            self.restart = Restart(state, self.store.count, vars(self.counts).copy())
         if self.streams and (
             self.counts.steps - self.flushed_steps >= self.plan["flush_every"]
             or time.monotonic() - self.flushed_at >= FLUSH_SECONDS
@@ -91,14 +94,11 @@ class Run:
             self._flush()
 
     def _flush(self):
-        self.store.put_away()
         self._commit("running", "", self.restart)
         self.flushed_steps, self.flushed_at = self.counts.steps, time.monotonic()
 
-    def _commit(self, status, message, restart):
-        from polyida.trajectory_file import commit
-
-        commit(self.store.file, status, message, self.counts, self._seconds(), restart)
+    def _commit(self, status, message, restart, last=False):
+        commit(self.store, status, message, self.counts, self._seconds(), restart, last)
         self.flushed = restart
 
     def _seconds(self):
@@ -118,30 +118,43 @@ class Run:
 
     def _end(self, status, message):
         """The Trajectory, and the file closed."""
-        from polyida.frame_file import NotWritten
-
         try:
+            if status != "stopped":
+                self._settle()
             self.sampler.end(self.last)
             if self.store.file:
                 self.store.put_away()
             if self.streams:
-                self._commit(status, message, self.restart)
+                self._commit(status, message, self.restart, last=True)
         except NotWritten as error:
             status, message = self._cut_off(error, f"{status} {message}")
         return self._result(status, message)
 
+    def _settle(self):
+        """Have the run go on from its last accepted state, also where that is in the middle of a compiled stretch."""
+        begin, last = self.restart, self.last
+        if begin is None or last.restart or not begin.state.t < last.t:
+            return
+        counts = Counts(**begin.counts)
+        with suppress(Exception, KeyboardInterrupt):
+            found = _again(self, begin.state, counts)
+            if found.restart and _same(found, last, begin.state):
+                state = State(last.t, last.q, last.v, last.a, last.lam, found.memory)
+                self.restart = Restart(state, self.store.count, vars(counts).copy())
+
     def _cut_off(self, error, detail):
         """(status, message) where the disk takes no more: the frames in the file are those that hold."""
-        from polyida.frame_file import NotWritten
-
         status, message = error.status, f"{error}; {detail}"
         with suppress(NotWritten):
             if self.streams:
-                self._commit(status, message, self.flushed)
+                self._commit(status, message, self.flushed, last=True)
         return status, message
 
     def _result(self, status, message):
         cpu, wall = self._seconds()
+        if self.streams and not self.store.file.in_place():
+            gone = f"{self.store.file.shown} was removed or replaced: these frames are in no file"
+            message = f"{message}; {gone}" if message else gone
         frames = self._close() if self.streams else self.store.arrays()
         return Trajectory(
             self.model,
@@ -158,12 +171,22 @@ class Run:
         )
 
     def _close(self):
-        """The frames, read from the closed file."""
-        from polyida.frame_file import NotWritten
-        from polyida.trajectory_file import naming, read
-
+        """The frames, read from the closed file, by whatever name it goes."""
         file = self.store.file
         with suppress(NotWritten):
             file.close()
-        with naming(file.shown):
-            return read(file.shown).frames(self.store.limit)
+        return read_open(file.descriptor, file.shown).frames(self.store.limit)
+
+
+def _again(run, state, counts):
+    """The State after the steps of a run from `state` to its last, taken anew, with what the integrator goes on from."""
+    end = run.counts.steps
+    state = State(state.t, state.q, state.v, state.a, state.lam, state.memory | {"pause": end})
+    steps = run.integrator.steps(run.model, state, run.plan["t_end"], counts)
+    return next(islice(steps, end - counts.steps - 1, None))
+
+
+def _same(found, last, begin):
+    """Whether two States are one, up to the round-off of steps that begin at another place of the grid."""
+    near = abs(found.t - last.t) <= 1e-9 * (last.t - begin.t)
+    return near and np.abs(found.q - last.q).max() <= 1e-6 * np.abs(last.q).max()

@@ -20,7 +20,8 @@ def between(before, after, t):
     move = after.q - before.q
     q = before.q + s * s * (3 - 2 * s) * move + h * s * (1 - s) * ((1 - s) * before.v - s * after.v)
     v = 6 * s * (1 - s) / h * move + (1 - s) * (1 - 3 * s) * before.v + s * (3 * s - 2) * after.v
-    return State(float(t), q, v, before.a + s * (after.a - before.a), before.lam + s * (after.lam - before.lam))
+    a, lam = before.a + s * (after.a - before.a), before.lam + s * (after.lam - before.lam)
+    return State(float(t), q, v, a, lam, restart=False)
 
 
 class Sampler:

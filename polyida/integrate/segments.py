@@ -1,5 +1,7 @@
 """Pieces of a run between the kinks of its loads and motors, so that no step crosses one."""
 
+import math
+
 import numpy as np
 
 PULSE = 4  # steps in which a piece is taken at least where its loads are no straight lines
@@ -30,6 +32,11 @@ def at_kink(model, t):
     """Whether a load or motor has a kink at t."""
     near = 1e-12 * max(abs(t), 1e-300)
     return bool(model.kinks(t - near, t + near))
+
+
+def beside(t, side):
+    """A time next to t, later where side is 1 and earlier where it is -1."""
+    return t + side * 32 * math.ulp(max(abs(t), 1.0))
 
 
 def _bent(model, state, begin, end):

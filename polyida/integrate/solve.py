@@ -1,24 +1,25 @@
 """`solve`: run an integrator over a model and collect a trajectory, whatever happens."""
 
 import time
-from pathlib import Path
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.frames import MEMORY_LIMIT, FrameStore
 from polyida.given import floats, is_number, is_whole
 from polyida.integrate.run import Run
-from polyida.integrate.start import consistent_state
+from polyida.integrate.start import consistent_state, restarted
 from polyida.integrate.state import Counts
+from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.save import create, free
+from polyida.io.store import FrameStore
 from polyida.machine import machine_info
 from polyida.model import Model
 from polyida.threads import one_blas_thread
 
 
 def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
-          out=None, overwrite=False, flush_every=100, memory_limit=MEMORY_LIMIT):
-    """Run `integrator` on `model` from t0 (or from `state`, an earlier one) to t_end.
+          out=None, overwrite=False, flush_every=100, fsync=False, memory_limit=MEMORY_LIMIT):
+    """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
 
     q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.
     every: keep each `every`-th accepted step (the first and last always). output: increasing times; the frames are then
@@ -27,11 +28,13 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
     last frame is there. progress: called with t at every accepted step.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
-    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, at
-    the first step from which the run can be resumed (generalized-alpha on a scene works in stretches of up to 256
-    steps). overwrite: replace an existing file. Without `out`, frames beyond `memory_limit` bytes go to a file in the
-    folder for temporary files (TMPDIR); a trajectory with more of them than that leaves them in the file, see
-    Trajectory.
+    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s; resume
+    goes on from the last step by then whose memory is known (generalized-alpha on a scene works in stretches of up to
+    256 steps). overwrite: replace an existing file, unless a process is writing it. fsync: have every flush on the disk
+    before the run goes on, so that it survives a power cut too; slow. What comes back is what was written, also where
+    the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
+    `memory_limit` bytes go to a file in the folder for temporary files (TMPDIR); a trajectory with more of them than
+    that leaves them in the file, see Trajectory.
 
     Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with
     the frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the
@@ -42,16 +45,25 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
         raise InputError(f"solve: progress = {progress!r} must be a function of t")
     begin = t0 if state is None else state.t
     require_run(model, t_end, begin, integrator)
-    plan = _plan(begin, t_end, every, output, until, flush_every)
-    path = None if out is None else _free(out, overwrite)
+    plan = _plan(begin, t_end, every, output, until, flush_every, fsync)
+    limit, path = _limit(memory_limit), None if out is None else free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
-        state = consistent_state(model, t0, q0, v0) if state is None else state
-        file = None if path is None else _file(path, model, integrator, plan)
-        store = FrameStore(model.n, model.m, _limit(memory_limit), file)
+        state = _first(model, t0, state, q0, v0)
+        file = None
+        if path is not None:
+            file = create(path, model, integrator, model.n, model.m, plan, machine_info())
+        store = FrameStore(model.n, model.m, limit, file)
         run = Run(model, integrator, plan, store, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
         return run.go(state)
+
+
+def _first(model, t0, state, q0, v0):
+    """The state to begin with; one that is not known to be accepted is put on the constraints."""
+    if state is None:
+        return consistent_state(model, t0, q0, v0)
+    return state if getattr(state, "restart", True) else restarted(model, state)
 
 
 def require_run(model, t_end, begin, integrator):
@@ -86,11 +98,13 @@ def _require_start(model, t0, state, q0, v0):
         )
 
 
-def _plan(begin, t_end, every, output, until, flush_every):
+def _plan(begin, t_end, every, output, until, flush_every, fsync):
     """What was asked for, as plain data that a file can hold."""
     for name, value in (("every", every), ("flush_every", flush_every)):
         if not is_whole(value):
             raise InputError(f"solve: {name} = {value!r} must be a whole number of at least 1")
+    if not isinstance(fsync, bool):
+        raise InputError(f"solve: fsync = {fsync!r} must be True or False")
     if until is not None and not callable(until):
         raise InputError(f"solve: until = {until!r} must be a function of t, q and v")
     times = None if output is None else _times(output, begin, t_end)
@@ -100,6 +114,7 @@ def _plan(begin, t_end, every, output, until, flush_every):
         "output": times,
         "until": until is not None,
         "flush_every": int(flush_every),
+        "fsync": fsync,
     }
 
 
@@ -116,22 +131,3 @@ def _limit(value):
     if not (is_number(value) and value >= 0):
         raise InputError(f"solve: memory_limit = {value!r} must be a number of bytes")
     return value
-
-
-def _free(out, overwrite):
-    from polyida.trajectory_file import require_free
-
-    try:
-        path = Path(out)
-        if "\0" in str(path):
-            raise ValueError("it holds a null character")
-    except (TypeError, ValueError) as error:
-        raise InputError(f"solve: out = {out!r} must be the path of a file ({error})") from None
-    require_free(path, overwrite)
-    return path
-
-
-def _file(path, model, integrator, plan):
-    from polyida.trajectory_file import create
-
-    return create(path, model, integrator, model.n, model.m, plan, machine_info())

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from polyida.assembly.mass_system import MassSystem, at_rest
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.integrate.state import State
-from polyida.linear.kkt import KKT, Bordered, SingularSystem, require_independent
+from polyida.linear.kkt import KKT, SingularSystem, require_independent
 from polyida.model import require_model, require_shapes
 
+EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
 
 
@@ -31,18 +33,39 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
         objection = getattr(model, "objection", lambda t, q: None)(t0, q)
         if objection:
             raise InputError(f"the start cannot be accepted: {objection}")
-        rate = model.phi_q(t0, q) @ v + model.phi_t(t0, q)
+        rate = model.phi_rate(t0, q, v)
         _require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
-        if np.abs(rate).max() > 0:
-            v = v + mass_system(model, t0, q).solve(np.zeros(model.n), rate)[0]
+        v = on_velocity(model, t0, q, v)
     a, lam = consistent_acceleration(model, t0, q, v)
     return State(float(t0), q, v, a, lam)
+
+
+def restarted(model, state):
+    """The State at the time of one that was interpolated, with its q and v put on the constraints, a and lam made anew."""
+    q, v = np.array(state.q, float), np.array(state.v, float)
+    if model.m:
+        q = _project_position(model, state.t, q)
+        v = on_velocity(model, state.t, q, v)
+    return State(float(state.t), q, v, *consistent_acceleration(model, state.t, q, v))
 
 
 def consistent_acceleration(model, t, q, v):
     """(a, lam) from the equations of motion and the second derivative of phi."""
     bias = model.phi_bias(t, q, v) if model.m else np.zeros(0)
     return mass_system(model, t, q).solve(model.force(t, q, v), bias)
+
+
+def on_velocity(model, t, q, v):
+    """v moved in the metric of M onto the constraint `phi_q v + phi_t = 0` of time t."""
+    rate = model.phi_rate(t, q, v) if model.m else np.zeros(0)
+    return v + mass_system(model, t, q).solve(np.zeros(model.n), rate)[0] if rate.any() else v
+
+
+def far_side(model, state, t):
+    """The state behind a kink, t being a time just there: v on a constraint that has jumped, a and lam of the new loads and rates."""
+    v = on_velocity(model, t, state.q, state.v)
+    a, lam = consistent_acceleration(model, t, state.q, v)
+    return State(state.t, state.q, v, a, lam, state.memory)
 
 
 def jerk(model, state, h, begin=None):
@@ -71,6 +94,10 @@ def given(model, name, value):
     return array.copy()
 
 
+def _largest(x):
+    return float(np.abs(x).max(initial=0.0))
+
+
 def _require_near(model, name, required, violation, size):
     worst = int(np.argmax(np.abs(violation)))
     if not np.isfinite(violation).all():
@@ -83,15 +110,15 @@ def _require_near(model, name, required, violation, size):
 
 
 def _project_position(model, t, q):
-    """Newton on phi = 0 along M^-1 B^T; stops where phi no longer falls."""
-    before = np.inf
+    """Newton on phi = 0 along M^-1 B^T; ends where it moves q by round-off of the scene's size, or no longer by half as much."""
+    before, size = np.inf, _largest(getattr(model, "reference", q)) or 1.0
     for _ in range(50):
         phi = model.phi(t, q)
-        size = np.abs(phi).max()
-        if size == 0.0 or (size >= 0.5 * before and size < 1e-10):
+        move = mass_system(model, t, q).solve(np.zeros(model.n), phi)[0] if phi.any() else phi
+        moved = _largest(move)
+        if moved <= EPS * size or 0.5 * before <= moved < STALLED * size:
             return q
-        before = size
-        q = q + mass_system(model, t, q).solve(np.zeros(model.n), phi)[0]
+        q, before = q + move, moved
     worst = int(np.argmax(np.abs(phi)))
     raise InputError(f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "
                      "no configuration near q0 satisfies all of them")
@@ -99,8 +126,8 @@ def _project_position(model, t, q):
 
 def mass_system(model, t, q):
     """The factored `[[M, B^T], [B, 0]]` at (t, q); a constant M is factored once a model."""
-    if hasattr(model, "mass_inverse"):
-        return Bordered(model.mass_inverse, model.phi_q(t, q))
+    if hasattr(model, "arrays"):
+        return MassSystem(model, t, q) if model.needs.driven or model.needs.phi_q_varies else model.once(at_rest)
     try:
         return KKT(model.mass(q), model.phi_q(t, q))
     except SingularSystem:

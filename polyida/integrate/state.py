@@ -1,6 +1,7 @@
 """What an integrator takes and yields: a state, the counts of the work done, and how it says that it cannot go on."""
 
 from dataclasses import asdict, dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ class State:
 
     `memory` is what the integrator that yielded the state needs besides to go on from it as if it had not stopped
     (generalized-alpha: the algorithmic acceleration `a_alg` and its step; IDA: nothing). Another integrator ignores it.
-    restart: False where the integrator cannot tell its memory at this state, in the middle of a compiled stretch.
+    restart: False where nothing tells that memory: in the middle of a compiled stretch, between two accepted instants.
     """
 
     t: float
@@ -42,6 +43,14 @@ class Counts:
     def as_dict(self):
         """The counts as a plain dictionary."""
         return asdict(self)
+
+
+class Restart(NamedTuple):
+    """Where a run goes on: an accepted state with its memory, the number of frames up to it, the counts at it."""
+
+    state: State
+    frames: int
+    counts: dict
 
 
 class StepFailure(Exception):

@@ -1,11 +1,16 @@
 """Static equilibrium: `g(t, q, 0) + phi_q^T lam = 0`, `phi(t, q) = 0`, by Newton's method along a growing load."""
 
+import warnings
+from dataclasses import dataclass
+
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
+from polyida.integrate.ida_forms import dense
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
+from polyida.linear.inertia import falling
 from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
 from polyida.model import require_model
 
@@ -13,8 +18,31 @@ FREE = "the structure can move freely, or nearly so: hold it by joints or a clam
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
 
 
+@dataclass(frozen=True)
+class Equilibrium(State):
+    """A State at rest in equilibrium, and what it is worth.
+
+    falling: number of independent directions that the constraints allow and in which the potential energy falls; None where there
+    is no potential (dr/dq is not symmetric) or its matrix breaks down.
+    """
+
+    falling: int | None = None
+
+    @property
+    def stable(self):
+        """True where the energy is least here, False where the structure would leave at a touch, None where it cannot be told."""
+        return None if self.falling is None else self.falling == 0
+
+    def summary(self):
+        """The time and the kind of equilibrium, in one line."""
+        unknown = "of unknown stability: its forces have no potential, or its matrix breaks down"
+        ways = f"{self.falling} direction{'s' if self.falling != 1 else ''}"
+        kinds = {True: "stable", False: f"UNSTABLE: the energy falls in {ways}", None: unknown}
+        return f"equilibrium at t = {self.t:.9g} s, {kinds[self.stable]}"
+
+
 def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
-    """The State at rest in equilibrium at time t.
+    """The Equilibrium at time t: a State at rest with `stable`; one that is not stable comes with a warning.
 
     The load grows in `steps` equal parts: part s solves `g(q) + phi_q^T lam = (1 - s) g(0)`, g(0) being the load at q = 0.
     Converged where |dq| <= tolerance max(1, |q|) (largest entries). Raises InputError for a wrong setting and for redundant
@@ -29,15 +57,30 @@ def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
     if not (is_number(tolerance) and 0 < tolerance < 1):
         raise InputError(f"static: tolerance = {tolerance!r} must be between 0 and 1")
     q = given(model, "q0", q0)
+    rest = np.zeros(model.n)
+    load, lam = model.force(t, rest, rest), np.zeros(model.m)
     if model.m:
-        require_independent(model, model.phi_q(t, q))
-    rest, load, lam = np.zeros(model.n), model.force(t, np.zeros(model.n), np.zeros(model.n)), np.zeros(model.m)
+        B = model.phi_q(t, q)
+        require_independent(model, B)
+        open_load = (1 - 1 / steps) * load - model.force(t, q, rest)
+        lam = np.linalg.solve(dense(B @ B.T), B @ open_load)  # not zero: it may be all that gives stiffness
     for part in range(1, steps + 1):
         q, lam = _newton(model, t, q, lam, (1 - part / steps) * load, tolerance, max_iterations)
     objection = getattr(model, "objection", lambda t, q: None)(t, q)
     if objection:
         raise StepFailure("objection", objection, t)
-    return State(float(t), q, rest.copy(), rest.copy(), lam)
+    found = Equilibrium(float(t), q, rest.copy(), rest.copy(), lam, falling=_falling(model, t, q, lam))
+    if found.stable is False:
+        warnings.warn(f"static: {found.summary()}; look for another from a disturbed q0", stacklevel=2)
+    return found
+
+
+def _falling(model, t, q, lam):
+    still = np.zeros(model.n)
+    try:
+        return falling(model.tangent(t, q, still, still, lam, 0.0, 0.0, 1.0), model.phi_q(t, q))
+    except SingularSystem:
+        return None
 
 
 def _newton(model, t, q, lam, offset, tolerance, max_iterations):

@@ -13,6 +13,7 @@ SAFETY = 0.85
 ORDER = 3  # the local error is of that order in h
 CUT = 2 * RUNGS  # rungs down where Newton fails
 LOWEST = 30 * RUNGS
+KEPT = 6  # factors that are kept, of the steps h used last
 
 
 class Ladder:
@@ -41,23 +42,61 @@ class Ladder:
         return RUNGS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / ORDER))
 
 
+class Kept:
+    """The factors of the few steps h that were used last: adaptive steps come back to them."""
+
+    def __init__(self):
+        self.factors = {}
+
+    def take(self, h):
+        """What is kept of this h, or None."""
+        found = self.factors.pop(h, None)
+        if found is not None:
+            self.factors[h] = found
+        return found
+
+    def keep(self, h, factor):
+        """Keep a factor, in place of that of the h that has not been used for the longest time."""
+        self.factors.pop(h, None)
+        self.factors[h] = factor
+        while len(self.factors) > KEPT:
+            self.factors.pop(next(iter(self.factors)))
+
+
+def weights(model, q):
+    """Shares (n,) of the coordinates in a mean square, `M_ii / sum M_ii`: whatever the unit that each is in.
+
+    So the local errors of unlike coordinates, a length, an angle, another length in other units, add up to one number.
+    """
+    masses = np.abs(model.mass(q).diagonal())
+    total = masses.sum()
+    return masses / total if total > 0 else np.full(model.n, 1.0 / model.n)
+
+
 def calm_error(h, largest, rungs=2):
     """The error below which the step h may grow by so many rungs; 0 where it is the largest."""
     return (SAFETY / 2.0 ** (rungs / RUNGS)) ** ORDER if h < 0.99 * largest else 0.0
 
 
-def adapt(engine, settings, model, state, begin, end, counts):
-    """Yield states from begin to end, h as the local error allows. Raises StepFailure below the lowest rung."""
+def adapt(engine, settings, model, state, begin, end, counts, most_steps):
+    """Yield states from begin to end, h as the local error allows.
+
+    Raises StepFailure below the lowest rung, where h is round-off of t, and where the steps counted, with those
+    rejected, would be more than most_steps.
+    """
     most = (end - begin) / enough_steps(model, state, begin, end, settings.h)
     ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0)), most), begin, []
     while t < end:
         grid, moved = _piece(t, end, ladder.h), False
+        _require_progress(t, grid.h, settings, counts, most_steps)
         engine.begin(started(settings, model, state, grid.h), grid.h)
         try:
             for state in engine.run(grid):
                 t, moved = state.t, True
                 counts.steps += 1
                 yield State(state.t, state.q, state.v, state.a, state.lam, state.memory, restart=bool(state.memory))
+                if counts.steps + counts.rejected >= most_steps:
+                    break
             failures = []
         except StepFailure as failure:
             failures.append(failure)
@@ -80,6 +119,13 @@ def _piece(t, end, h):
         return Grid(t, end, max(1, int(np.ceil(rest - 1e-9))))
     count = int(rest) - 1
     return Grid(t, t + count * h, count)
+
+
+def _require_progress(t, h, settings, counts, most_steps):
+    if counts.steps + counts.rejected >= most_steps:
+        raise StepFailure("too many steps", f"more than {settings.max_num_steps} steps (max_num_steps)", t, step=h)
+    if h < 16 * np.spacing(abs(t)):
+        raise StepFailure("step too small", "the step has shrunk to the round-off of t", t, step=h)
 
 
 def _require_room(ladder, down, failures):

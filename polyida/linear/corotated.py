@@ -26,7 +26,8 @@ class Corotated(NamedTuple):
     """A factor with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
 
     point_body: first and last node of the body that each point is on; reach: X, (2 per point, nodes, 2), zero off the body;
-    active: the components of the points that curvature or mass can act on. place: the order of the unknowns (active, multipliers) along the joints.
+    active: the components of the points that curvature or mass can act on. place: the order of the unknowns (active, multipliers) along
+    the joints. turns: whether the factor turns with the nodes, P, or stays as it was made, P = I, which is there to be compared with.
     """
 
     factor: Factor
@@ -35,6 +36,7 @@ class Corotated(NamedTuple):
     reach: np.ndarray
     active: np.ndarray
     place: np.ndarray
+    turns: bool = True
 
 
 class Room(NamedTuple):
@@ -158,6 +160,9 @@ def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
 @part
 def turn_frames(s, c, w, rotation):
     """turn = R(q) R(q_ref)^T at the nodes, spin = its mean at the points, as (cos, sin)."""
+    if not c.turns:
+        w.turn[:, 0], w.turn[:, 1], w.spin[:, 0], w.spin[:, 1] = 1.0, 0.0, 1.0, 0.0
+        return
     for i in range(rotation.shape[0]):
         x, y = rotation[i, 0], rotation[i, 1]
         size = 1.0 / np.sqrt(x * x + y * y)

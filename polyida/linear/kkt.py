@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.linear.independence import MOST, involved, least, rows_of
 
+DEPENDENT = 1e-6  # smallest singular value of the rows of phi_q, made of length one, below which they are
 SCALINGS = ("none", "bottasso", "physical")
 
 
@@ -83,40 +85,16 @@ class KKT:
         return x[: self.n], self.scaling.column * x[self.n:]
 
 
-class Bordered:
-    """The same system through a solve with S alone: `S^-1 b`, b (n, k), and an (m, m) Schur complement."""
-
-    def __init__(self, inverse, phi_q):
-        self._inverse, self._border = inverse, phi_q
-        self.n = phi_q.shape[1]
-        if phi_q.shape[0]:
-            dense = phi_q.toarray() if hasattr(phi_q, "toarray") else np.asarray(phi_q)
-            self._columns = inverse(np.ascontiguousarray(dense.T))
-            self._schur = phi_q @ self._columns
-
-    def solve(self, r, phi):
-        """(dq, dlam) for the residuals r (n,) and phi (m,)."""
-        y = -self._inverse(r[:, None])[:, 0]
-        if not phi.size:
-            return y, np.zeros(0)
-        dlam = np.linalg.solve(self._schur, self._border @ y + phi)
-        return y - self._columns @ dlam, dlam
-
-
 class SingularSystem(Exception):
     """The system has no unique solution."""
 
 
 def require_independent(model, phi_q):
     """Raise InputError naming the constraints where the rows of phi_q (m, n) are linearly dependent."""
-    rows = phi_q.toarray() if hasattr(phi_q, "toarray") else np.asarray(phi_q)
-    sizes = np.linalg.norm(rows, axis=1)
-    if not np.all(sizes > 0):
-        names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(sizes > 0)))
+    rows = rows_of(phi_q)
+    if not np.all(rows.lengths > 0):
+        names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(rows.lengths > 0))[:MOST])
         raise InputError(f"constraints {names}: phi_q has a row of zeros there; a constraint must depend on q")
-    unit = rows / sizes[:, None]
-    values, vectors = np.linalg.eigh(unit @ unit.T)
-    if values.size and values[0] < 1e-12 * values[-1]:
-        involved = np.flatnonzero(np.abs(vectors[:, 0]) > 0.05 * np.abs(vectors[:, 0]).max())
-        names = ", ".join(model.constraint_name(int(k)) for k in involved)
-        raise InputError(f"constraints {names} are redundant: one of them follows from the others (or contradicts them); remove it")
+    if least(rows) < DEPENDENT:
+        raise InputError(f"constraints {involved(model, rows)} are redundant: one of them follows from the others (or "
+                         "contradicts them); remove it, or start elsewhere where only this position is singular")

@@ -36,8 +36,11 @@ def outlines(model, positions):
 
 
 def frames_at(run, times):
-    """Index of the frame nearest to each time, (times,)."""
-    return np.abs(run.t[None, :] - np.asarray(times, float)[:, None]).argmin(axis=1)
+    """Index of the frame nearest to each time, (times,); the first of those that are."""
+    times, t = np.asarray(times, float), run.t
+    after = np.clip(np.searchsorted(t, times), 1, max(1, len(t) - 1)).clip(max=len(t) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.searchsorted(t, np.where(times - t[before] <= t[after] - times, t[before], t[after]))
 
 
 def spread(run, count):

@@ -23,10 +23,9 @@ def vtu(run, folder, overwrite=False, frames=None):
     chosen = np.asarray(range(len(run.t)) if frames is None else frames)
     chosen = plates.spread(run, frames) if chosen.ndim == 0 else chosen
     _prepare(folder, overwrite)
-    names = [f"frame-{i:05d}.vtu" for i in range(len(chosen))]
-    for name, k in zip(names, chosen):
-        blocks.mesh(run, int(k)).write(folder / name, file_format="vtu")
-    _write_collection(folder / COLLECTION, run.t[chosen], names)
+    for i, k in enumerate(chosen):
+        blocks.mesh(run, int(k)).write(folder / _name(i), file_format="vtu")
+    _write_collection(folder / COLLECTION, run.t[chosen])
     return folder / COLLECTION
 
 
@@ -42,10 +41,15 @@ def _prepare(folder, overwrite):
         path.unlink()
 
 
-def _write_collection(path, times, names):
-    lines = "\n".join(f'    <DataSet timestep="{float(t)!r}" part="0" file="{name}"/>' for t, name in zip(times, names))
-    path.write_text('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
-                    f"  <Collection>\n{lines}\n  </Collection>\n</VTKFile>\n", encoding="utf-8")
+def _name(i):
+    return f"frame-{i:05d}.vtu"
+
+
+def _write_collection(path, times):
+    with open(path, "w", encoding="utf-8") as file:
+        file.write('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n')
+        file.writelines(f'    <DataSet timestep="{float(t)!r}" part="0" file="{_name(i)}"/>\n' for i, t in enumerate(times))
+        file.write("  </Collection>\n</VTKFile>\n")
 
 
 class _Blocks:

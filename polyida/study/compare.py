@@ -59,11 +59,11 @@ def heeded(run):
 
 
 def integrators(job, rtol=None):
-    """{label: integrator}: generalized-alpha with the job's step; IDA, where rtol is given with 0.01 m rtol for q."""
+    """{label: integrator}: generalized-alpha with the job's step; IDA, with rtol where it is given."""
     from polyida.integrate.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.ida import IDA
 
-    ida = IDA() if rtol is None else IDA(rtol=rtol, atol=rtol / 100)
+    ida = IDA() if rtol is None else IDA(rtol=rtol)
     return {"generalized-alpha": GeneralizedAlpha(h=job.step), "IDA": ida}
 
 

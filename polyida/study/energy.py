@@ -6,7 +6,7 @@ import numpy as np
 def motor_work(run):
     """Work of all angle motors up to every frame, `sum int torque theta' dt`, (frames,), J.
 
-    By the trapezoidal rule; by torque times turn where the integrator's multipliers are those of the middle of a step.
+    By the trapezoidal rule.
     """
     from polyida.joint.angle_motor import AngleMotor
 
@@ -14,9 +14,6 @@ def motor_work(run):
     for name, joint in getattr(run.model, "joints", {}).items():
         if isinstance(joint, AngleMotor):
             torque = run.reaction(name)[:, 0]
-            if getattr(run.integrator, "multipliers_at_middle", False):
-                work[1:] += np.cumsum(torque[1:] * np.diff([joint.angle(t) for t in run.t]))
-                continue
             power = torque * [joint.angle.d1(t) for t in run.t]
             work[1:] += np.cumsum(np.diff(run.t) * (power[1:] + power[:-1]) / 2)
     return work

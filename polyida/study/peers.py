@@ -15,6 +15,7 @@ from polyida.errors import InputError
 from polyida.integrate.ida import IDA
 from polyida.integrate.ida_forms import System
 from polyida.integrate.ida_scene import SceneSystem
+from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import consistent_state
 from polyida.linear.triangular import fill_band
 
@@ -144,9 +145,10 @@ def sparse_ida(model, t_end, settings=IDA()):
     from sksundae.ida import IDA as Solver
 
     system, jacobian = SceneSystem(model, "ggl2", settings.rate), WholeJacobian(model)
+    sizes = typical_sizes(model, consistent_state(model, 0.0, None, None), t_end)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own
         solver = Solver(
-            system.residual, rtol=settings.rtol, atol=system.tolerances(*settings.tolerances(model.n)), jacfn=jacobian,
+            system.residual, rtol=settings.rtol, atol=system.tolerances(*settings.tolerances(model.n, sizes)), jacfn=jacobian,
             max_order=settings.order(model), linsolver="sparse", sparsity=csc_matrix(jacobian.pattern), nthreads=1)
     begin, t, steps = time.process_time(), 0.0, 0
     solver.init_step(0.0, *system.pack(consistent_state(model, 0.0, None, None)))
@@ -192,15 +194,16 @@ class FirstOrder:
 def radau(model, times, rtol, look):
     """solve_dae's Radau IIA of order 5 on form ggl1: (row of CPU seconds and counts, look(q) at `times`).
 
-    Absolute tolerances: rtol / 100 m, 1e3 1/s times that for v, 1e4 times for the integrated multipliers.
+    Absolute tolerances: those of IDA, ten times that of v for the integrated multipliers.
     """
     try:
         from solve_dae.integrate import solve_dae
     except ImportError:
         raise Missing("solve_dae is not installed (extra peers)") from None
     first, n = FirstOrder(model), model.n
-    y, yp = first.system.pack(consistent_state(model, 0.0, None, None))
-    atol = np.repeat([rtol * 1e-2, rtol * 10, rtol * 100], [n, n, 2 * model.m])
+    start = consistent_state(model, 0.0, None, None)
+    (y, yp), (length, speed) = first.system.pack(start), typical_sizes(model, start, times[-1])
+    atol = rtol * np.repeat([length, speed, 10 * speed], [n, n, 2 * model.m])
     begin = time.process_time()
     found = solve_dae(first.residual, (0.0, times[-1]), y, yp, method="Radau", rtol=rtol, atol=atol, t_eval=times,
                       jac=first.jacobians)

@@ -1,12 +1,11 @@
 """What each saving is worth: the same run with it and without it, its counts and CPU seconds.
 
-A saving is switched off by a model that does the work again, by a setting, or by driving the same code step by step.
+A saving is switched off by a model that does the work again, by a setting, or by an engine of the same code with a switch turned.
+Both sides of a row differ in that one thing.
 """
 
 from collections import Counter
-from contextlib import ExitStack
-from dataclasses import replace
-from unittest.mock import patch
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +14,8 @@ from polyida.assembly import joints as joint_rows
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.loads import PointLoad
 from polyida.body.plate import Plate
-from polyida.integrate import alpha_generic, alpha_stretches
+from polyida.integrate import alpha_generic
+from polyida.integrate.alpha_stretches import Stretches
 from polyida.integrate.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida import IDA
 from polyida.integrate.solve import solve
@@ -117,31 +117,60 @@ def again(what, integrator):
     return measure
 
 
-def settings(count, on, off, *patches):
-    """A saving of the integrator: one setting against another, the latter under patches (object, name, value)."""
+def settings(count, on, off):
+    """A saving of the integrator: one setting or engine against another."""
     def measure(cells, t_end, repeats):
         model = plates.double_plate(cells).build()
 
-        def side(integrator, changes):
-            def run():
-                with ExitStack() as stack:
-                    for target, name, value in changes:
-                        stack.enter_context(patch.object(target, name, value))
-                    return getattr(done(solve(model, t_end, integrator, every=NO_FRAMES)).counts, count)
+        def side(integrator):
+            return lambda: getattr(done(solve(model, t_end, integrator, every=NO_FRAMES)).counts, count)
 
-            return run
-
-        return sides(side(on, ()), side(off, patches), repeats)
+        return sides(side(on), side(off), repeats)
 
     return measure
 
 
-class Forgetful(alpha_stretches.Stretches):
-    """Compiled stretches that make a new factor at the beginning of each; with stretches of one step, in every step."""
+def engines(saving, count="factorizations"):
+    """A saving that is a switch of an engine."""
+    return lambda *size: settings(count, *ENGINES[saving])(*size)
+
+
+@dataclass(frozen=True)
+class Driven(GeneralizedAlpha):
+    """Generalized-alpha by another engine: the class of its steps."""
+
+    engine: type = Stretches
+
+    def _engine(self, model, counts):
+        return self.engine(self, model, counts)
+
+
+class OneByOne(Stretches):
+    """Compiled stretches of one step."""
+
+    chunk_bytes = 1
+
+
+class Forgetful(OneByOne):
+    """The same with a new factor in every step."""
 
     def _stretch(self, *place):
         self.system = None
         yield from super()._stretch(*place)
+
+
+class Unturned(Stretches):
+    """Compiled stretches whose factor stays in the frame in which it was made."""
+
+    def _factor(self, *place):
+        super()._factor(*place)
+        self.system = self.system._replace(turns=False)
+
+
+class FullNewton(alpha_generic.Steps):
+    """The general path with a matrix made anew in every iteration."""
+
+    efforts = (alpha_generic.FULL,)
 
 
 def no_border(cells, t_end, repeats):
@@ -228,8 +257,12 @@ def no_frames(cells, t_end, repeats):
 
 
 ALPHA, KKT, GENERAL_IDA = GeneralizedAlpha(h=H), GeneralizedAlpha(h=H, linear="kkt"), IDA(linear="kkt")
-ONE_STEP = (alpha_stretches, "CHUNK_BYTES", 1)
-EVERY_ITERATION = tuple((alpha_generic, name, alpha_generic.FULL) for name in ("STALE", "FRESH"))
+ENGINES = {  # saving: with it, without it
+    "co-rotated factor": (ALPHA, Driven(H, engine=Unturned)),
+    "stale matrix": (Driven(H, engine=alpha_generic.Steps), Driven(H, engine=FullNewton)),
+    "factor kept": (Driven(H, engine=OneByOne), Driven(H, engine=Forgetful)),
+    "compiled stretches": (ALPHA, Driven(H, engine=OneByOne)),
+}
 SAVINGS = {  # name: (what is counted, how it is switched off, measure)
     "constant mass": ("assemblies of M", "assembled at every residual, general path", again("mass", KKT)),
     "linear joints": ("evaluations of phi_q", "rebuilt whenever asked for, general IDA", again("phi_q", GENERAL_IDA)),
@@ -237,22 +270,10 @@ SAVINGS = {  # name: (what is counted, how it is switched off, measure)
     "no motors: reaction_q": ("evaluations", "Needs.phi_q_varies set, general path", again("reaction_q", KKT)),
     "no damping: dg/dv": ("evaluations", "Needs.velocity_forces set, general IDA", again("velocity", GENERAL_IDA)),
     "no border": ("solves", "a load of zero on a free plate", no_border),
-    "co-rotated factor": (
-        "factorizations",
-        "modified Newton on the whole matrix",
-        settings("factorizations", ALPHA, KKT),
-    ),
-    "stale matrix": (
-        "factorizations",
-        "full Newton on the whole matrix",
-        settings("factorizations", KKT, KKT, *EVERY_ITERATION),
-    ),
-    "factor kept": (
-        "factorizations",
-        "a new one every step, compiled",
-        settings("factorizations", ALPHA, ALPHA, ONE_STEP, (alpha_stretches, "Stretches", Forgetful)),
-    ),
-    "compiled stretches": ("steps", "back to Python after every step", settings("steps", ALPHA, ALPHA, ONE_STEP)),
+    "co-rotated factor": ("factorizations", "the factor stays in its frame, compiled", engines("co-rotated factor")),
+    "stale matrix": ("factorizations", "full Newton on the whole matrix", engines("stale matrix")),
+    "factor kept": ("factorizations", "a new one every step; both back in Python after each", engines("factor kept")),
+    "compiled stretches": ("steps", "back to Python after every step", engines("compiled stretches", "steps")),
     "compiled IDA callbacks": ("residuals", "general callbacks", settings("residuals", IDA(), GENERAL_IDA)),
     "single precision": ("bytes of the factor", "kept in double", single_precision),
     "shared operator": ("bytes of element arrays", "two equal meshes", shared_operator),
@@ -262,7 +283,6 @@ SAVINGS = {  # name: (what is counted, how it is switched off, measure)
 FIXED = (
     "not switched off: M, phi_q of linear joints and dg/dv in the compiled steps, which have no code "
     "for it; the general path stands for them",
-    "not switched off: the turning of a kept factor in compiled steps; modified Newton of the general path has none",
     "not switched off: tangents of plates that are undeformed or only turn: with one factor a run there are none",
 )
 

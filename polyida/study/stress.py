@@ -8,17 +8,22 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.study.energy import unbalanced
 
-OUTCOMES = ("right", "stated_stop", "wrong", "crash", "hang")
+OUTCOMES = ("right", "stated_stop", "unforeseen_stop", "wrong", "crash", "hang")
+COLLAPSED = ("turned inside out", "has collapsed")  # words of a stop at the limit of St. Venant-Kirchhoff
 INTEGRATORS = ("alpha", "adaptive", "stabilised", "energy", "ggl2", "ggl1")
 
 
 @dataclass(frozen=True)
 class Check:
-    """A deviation from what must hold, the bound up to which the run is right, and what it is measured against."""
+    """A deviation from what must hold, the bound up to which the run is right, and what it is measured against.
+
+    at_stop: whether it must hold of a run that stops as foreseen, too.
+    """
 
     name: str
     deviation: float
     bound: float
+    at_stop: bool = False
 
     @property
     def share(self):
@@ -27,8 +32,23 @@ class Check:
         return float(share) if np.isfinite(share) else float("inf")
 
 
+@dataclass(frozen=True)
+class Stop:
+    """The stop that is right for a row, foreseen before any run: its statuses ("refused": by InputError), and words of which its
+    message has one. only: a run that comes to its end all the same is wrong.
+    """
+
+    statuses: tuple
+    words: tuple
+    only: bool = True
+
+    def covers(self, status, message):
+        """Whether a stop is this one."""
+        return status in self.statuses and any(word in message for word in self.words)
+
+
 def integrator(name, h=1e-3, rtol=1e-5, **settings):
-    """An integrator of the table by its short name; `rtol` is for those that choose their step, with 0.01 m rtol for q."""
+    """An integrator of the table by its short name; `rtol` is for those that choose their step, alpha with 0.01 m rtol for q."""
     from polyida.integrate.energy_momentum import EnergyMomentum
     from polyida.integrate.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.ida import IDA
@@ -36,32 +56,37 @@ def integrator(name, h=1e-3, rtol=1e-5, **settings):
     if name == "energy":
         return EnergyMomentum(h=h, **settings)
     if name in ("ggl2", "ggl1"):
-        return IDA(rtol=rtol, atol=rtol / 100, form=name, **settings)
+        return IDA(rtol=rtol, form=name, **settings)
     form = "stabilised" if name == "stabilised" else "index3"
     adapts = {"rtol": rtol, "atol": rtol / 100} if name == "adaptive" else {}
     return GeneralizedAlpha(h=h, form=form, **adapts, **settings)
 
 
-def outcome_of(case, *arguments):
-    """The row of a case: case(*arguments) -> (Trajectory, checks).
+def outcome_of(case, *arguments, foreseen=None):
+    """The row of a case: case(*arguments) -> (Trajectory, checks). foreseen: the Stop that is right for it, or None.
 
-    "right": the run came to its end, its frames are finite and every check holds. "stated_stop": it ended before, with a
-    status and a message and sound frames, or the input was refused in clear words. "wrong" is everything else, also a run
-    whose error cannot be told.
+    "right": the run came to its end, its frames are finite and every check holds. "stated_stop": it ended before, with sound
+    frames, or the input was refused, as foreseen. "unforeseen_stop": another stop with a status and a message and sound frames,
+    or another refusal. "wrong" is everything else, also a run whose error cannot be told.
     """
     begin = time.process_time()
     try:
         run, checks = case(*arguments)
     except InputError as error:
-        return {"outcome": "stated_stop", "status": "refused", "reason": str(error), "cpu_s": time.process_time() - begin}
-    row = judged(run, checks)
+        row = {"outcome": _kind("refused", str(error), foreseen), "status": "refused", "reason": str(error)}
+        return row | {"cpu_s": time.process_time() - begin}
+    row = judged(run, checks, foreseen)
     if run is None:
         return row | {"cpu_s": time.process_time() - begin}
     counts = {"steps": run.counts.steps, "rejected": run.counts.rejected, "factorizations": run.counts.factorizations}
     return row | counts | {"t_end": float(run.t[-1]), "cpu_s": time.process_time() - begin}
 
 
-def judged(run, checks):
+def _kind(status, message, foreseen):
+    return "stated_stop" if foreseen and foreseen.covers(status, message) else "unforeseen_stop"
+
+
+def judged(run, checks, foreseen=None):
     """Outcome, status and reason of a run, and the check that is nearest to its bound; run None: the checks alone."""
     if run is None:
         return {"status": "done"} | _by_checks(checks)
@@ -70,10 +95,19 @@ def judged(run, checks):
     if not kept:
         return row | {"outcome": "wrong", "reason": "the frames hold values that are not finite"}
     if not run.success:
-        drift = Check("drift at the stop", run.drift.max(), 1e-6 * extent(run.model))
-        stated = run.message and drift.share <= 1
-        return row | {"outcome": "stated_stop" if stated else "wrong"} | ({} if stated else {"checked": drift.name})
-    return row | _by_checks(checks)
+        return row | _stopped(run, [check for check in checks if check.at_stop], foreseen)
+    if foreseen and foreseen.only:
+        return row | {"outcome": "wrong", "reason": f"it came to its end; a stop was foreseen: {' or '.join(foreseen.words)}"}
+    return row | _by_checks([check for check in checks if not check.at_stop])
+
+
+def _stopped(run, checks, foreseen):
+    """Outcome of a run that stopped: its frames must be sound, its message must say why, the checks of a stop must hold."""
+    drift = Check("drift at the stop", run.drift.max(), 1e-6 * extent(run.model))
+    found = _by_checks([drift, *checks])
+    if found["outcome"] == "wrong" or not run.message:
+        return found | {"outcome": "wrong"}
+    return {"outcome": _kind(run.status, run.message, foreseen)}
 
 
 def _by_checks(checks):

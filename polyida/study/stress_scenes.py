@@ -14,9 +14,10 @@ from polyida.joint.revolute import Revolute
 from polyida.problems import plates
 from polyida.scene import Scene
 
-CELLS, PLATE_MASS = 12, 1.1  # polygons and kg of a plate of the row
+CELLS, PLATE_MASS, TIP = 12, 1.1, 0.01  # polygons and kg of a plate of the row; kg at the tip of a single plate
 STIFF = Material(E=5e9, nu=0.3, rho=1100.0)
 DOWN = (0.0, -9.81)
+PRESSING, SLOW = profile.ramp(0.0, 1.0, duration=0.5), 2e-3  # load on a pressed block over time; its viscosity, s
 
 
 def rubber(modulus, **options):
@@ -40,7 +41,7 @@ def _hinged(of, material, gravity):
     scene = Scene(gravity)
     board = scene.add(Plate(of, material, thickness=0.01, name="board"))
     scene.add(Revolute(ground, board.section("left"), name="hinge"))
-    scene.add(PointMass(board.section("right"), 0.01, name="tip"))
+    scene.add(PointMass(board.section("right"), TIP, name="tip"))
     return scene, board
 
 
@@ -162,10 +163,9 @@ def pressed(pressure):
     bears, `E / (3 sqrt 3) = 0.19245 E` at s = 0.577.
     """
     scene = Scene()
-    board = scene.add(Plate(mesh.quads(0.05, 0.1, 2, 4), Material(1e6, 0.0, 1100.0, viscosity=2e-3), 0.01, name="board"))
+    board = scene.add(Plate(mesh.quads(0.05, 0.1, 2, 4), Material(1e6, 0.0, 1100.0, viscosity=SLOW), 0.01, name="board"))
     scene.add(Clamp(board.section("left"), name="wall"))
-    load = profile.ramp(0.0, 1.0, duration=0.5)
-    scene.add(EdgeTraction(board.section("right"), (-1e6 * pressure, 0.0), load, name="press"))
+    scene.add(EdgeTraction(board.section("right"), (-1e6 * pressure, 0.0), PRESSING, name="press"))
     scene.add(PointMass(board.section("right"), 1e-3, name="tip"))
     return scene.build()
 
@@ -197,3 +197,9 @@ def zigzag(rate, h):
         lambda t: -12 * rate / h * s(t) * (1 - s(t)),
         (t0, t0 + h),
     )
+
+
+def backwards(angle, t_end):
+    """The angle profile run backwards from t_end."""
+    kinks = tuple(sorted(t_end - t for t in angle.kinks if t < t_end))
+    return profile.Profile(lambda t: angle(t_end - t), lambda t: -angle.d1(t_end - t), lambda t: angle.d2(t_end - t), kinks)

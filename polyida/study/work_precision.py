@@ -1,11 +1,11 @@
 """One run of work against precision: an integrator at one step or tolerance on one case."""
 
 from functools import lru_cache
-from types import SimpleNamespace
 
 import numpy as np
 
 from polyida.integrate.solve import solve
+from polyida.study.families import last_state
 from polyida.study.members import integrator
 from polyida.study.references import case
 
@@ -31,28 +31,10 @@ def measure(name, member, x, quick):
     given = case(name, quick)
     warm(name, member, quick)
     chosen = integrator(member, x, given.sizes, given.t_end / 20, given.newton)
-    every = 1 if at_middle(chosen) else 10**9
-    run = solve(given.model, given.t_end, chosen, q0=given.q0, v0=given.v0, every=every)
+    run = solve(given.model, given.t_end, chosen, q0=given.q0, v0=given.v0, every=10**9)
     outcome = {"outcome": "done" if run.success else run.message, "t": float(run.t[-1]), "cpu_s": run.cpu_seconds}
     outcome |= {key: getattr(run.counts, key) for key in COUNTS} | {"reference": given.how, "known": given.known}
     return (given.errors(last_state(run)) if run.success else {}) | outcome
-
-
-def at_middle(chosen):
-    """Whether an integrator's multipliers are of the middle of a step."""
-    return getattr(chosen, "multipliers_at_middle", False)
-
-
-def last_state(run):
-    """The end of a run, with lam at the end: that of the middle of a step is extended linearly from the last two.
-
-    Of such an integrator every step must be in the run.
-    """
-    lam = run.lam[-1]
-    if at_middle(run.integrator):
-        before, middle = (run.t[-3:-1] + run.t[-2:]) / 2
-        lam = lam + (run.t[-1] - middle) / (middle - before) * (lam - run.lam[-2])
-    return SimpleNamespace(q=run.q[-1], v=run.v[-1], lam=lam)
 
 
 def cheapest(rows, error, level):

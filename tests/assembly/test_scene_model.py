@@ -56,6 +56,28 @@ def test_needs(scenes, kind, driven, varies):
     assert needs == pi.Needs(mass_varies=False, velocity_forces=False, driven=driven, phi_q_varies=varies)
 
 
+class Counted(tuple):
+    """Kinks that count how often somebody goes through all of them."""
+
+    passes = 0
+
+    def __iter__(self):
+        Counted.passes += 1
+        return super().__iter__()
+
+
+def test_thousands_of_kinks_are_sorted_once(scenes):
+    """A run asks for them at every kink: going through all of them there would take quadratic time."""
+    times = Counted(np.arange(1, 41) * 1e-3)
+    scene, upper = scenes.hinged(cells=4)
+    straight = pi.profile.Profile(lambda t: 0.1 * t, lambda t: 0.1, lambda t: 0.0, times)
+    scene.add(pi.PointLoad(upper.section("right"), (0.0, 1.0), straight))
+    model, Counted.passes = scene.build(), 0
+    for integrator in (pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3)):
+        assert pi.solve(model, 0.04, integrator).success
+    assert Counted.passes <= 2
+
+
 def test_kinks_are_those_of_all_profiles(scenes):
     scene = scenes.jointed("motor between", pi.profile.quintic(0.0, 1.0, duration=0.5, begin=0.1))
     scene.add(pi.PointLoad(scene.parts["lower"].section("right"), (1.0, 0.0), pi.profile.ramp(0, 1, duration=0.3)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.step_control import LOWEST, RUNGS, Ladder, calm_error
+from polyida.integrate.step_control import KEPT, LOWEST, RUNGS, Kept, Ladder, calm_error
 
 FROM, TO, PULSE = 9.4, 10.0, 9.5
 
@@ -82,6 +82,77 @@ def test_a_tolerance_that_no_step_meets_is_told(scenes):
     model = pi.problems.get("pendulum").model
     run = pi.solve(model, 1.0, pi.GeneralizedAlpha(h=0.1, atol=1e-300), q0=[-1.0, 0.0])
     assert run.status == "step size" and "rtol and atol" in run.message
+
+
+class Unlike(pi.Model):
+    """A four-bar of three bars of 1 kg and its ground of 2 m by the joints' places, each coordinate in a unit of its own:
+    the model's q is `units` times metres.
+    """
+
+    n, m = 4, 3
+
+    def __init__(self, units):
+        self.units = np.array(units)
+        self.start = np.array([0.0, 1.0, 2.0, 1.0]) * self.units
+
+    def mass(self, q):
+        one = np.array([[4.0, 0, 1, 0], [0, 4, 0, 1], [1, 0, 4, 0], [0, 1, 0, 4]]) / 6
+        return one / np.outer(self.units, self.units)
+
+    def force(self, t, q, v):
+        return np.array([-9.81, 9.81, 0.0, 9.81]) / self.units
+
+    def phi(self, t, q):
+        a, b = (q / self.units).reshape(2, 2)
+        return np.array([a @ a - 1.0, (b - a) @ (b - a) - 4.0, (b - [2.0, 0.0]) @ (b - [2.0, 0.0]) - 1.0])
+
+    def phi_q(self, t, q):
+        (a, b), no = (q / self.units).reshape(2, 2), [0.0, 0.0]
+        rows = [[*a, *no], [*(a - b), *(b - a)], [*no, *(b - [2.0, 0.0])]]
+        return 2 * np.array(rows) / self.units
+
+
+@pytest.mark.parametrize("units", [(1.0, 1.0, 1e4, 1e4), (1e-4, 1.0, 1e-4, 1e4)])
+def test_units_of_the_coordinates_do_not_matter(units):
+    """The same steps and errors; by a plain root mean square only the coordinates in large numbers were looked at."""
+    runs = []
+    for model in (Unlike((1.0,) * 4), Unlike(units)):
+        settings = pi.GeneralizedAlpha(h=0.1, rtol=1e-5, atol=0.0)
+        runs.append(pi.solve(model, 1.0, settings, q0=model.start))
+        assert runs[-1].success, runs[-1].message
+    assert len(runs[0]) == len(runs[1]) > 50 and np.allclose(runs[0].t, runs[1].t)
+    assert np.abs(runs[1].q / runs[1].model.units - runs[0].q).max() < 1e-6
+
+
+@pytest.mark.parametrize("linear", ["auto", "kkt"])
+def test_gives_up_with_a_reason(scenes, linear):
+    model = scenes.jointed("revolute").build()
+    run = pi.solve(model, 10.0, pi.GeneralizedAlpha(h=0.01, rtol=1e-5, linear=linear, max_num_steps=30))
+    assert run.status == "too many steps" and "more than 30 steps (max_num_steps)" in run.message
+    assert run.counts.steps + run.counts.rejected == 30 and len(run) == run.counts.steps + 1
+
+
+def test_as_many_steps_as_allowed_are_done():
+    model, start = pi.problems.get("pendulum").model, dict(q0=[-1.0, 0.0])
+    whole = pi.solve(model, 0.2, pi.GeneralizedAlpha(h=0.01, rtol=1e-3), **start)
+    most = whole.counts.steps + whole.counts.rejected
+    runs = [pi.solve(model, 0.2, pi.GeneralizedAlpha(h=0.01, rtol=1e-3, max_num_steps=n), **start) for n in (most, most - 1)]
+    assert runs[0].success and runs[1].status == "too many steps"
+
+
+def test_a_step_at_the_round_off_of_t_is_told():
+    """At t = 1e12 s neighbouring numbers are 1e-4 s apart."""
+    model = pi.problems.get("pendulum").model
+    run = pi.solve(model, 1e12 + 1.0, pi.GeneralizedAlpha(h=0.1, atol=1e-9), t0=1e12, q0=[-1.0, 0.0])
+    assert run.status == "step too small" and "round-off of t" in run.message
+
+
+def test_few_factors_are_kept():
+    kept = Kept()
+    for h in range(20):
+        kept.keep(float(h), h)
+        assert kept.take(0.0) == 0
+    assert len(kept.factors) == KEPT and kept.take(1.0) is None and kept.take(19.0) == 19
 
 
 def test_ladder():

@@ -56,6 +56,60 @@ def test_second_order(scenes):
         assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.1)
 
 
+def turning(scenes, **options):
+    """Two plates that a motor between them bends smoothly."""
+    return scenes.jointed("motor between", pi.profile.ramp(0.0, 0.6, duration=0.25), gravity=(0.0, 0.0), **options).build()
+
+
+def test_forces_are_of_second_order_too(scenes):
+    """At the ends of steps and between them, against another family of integrators."""
+    model, times, steps = turning(scenes, cells=8), [0.0413, 0.0871, 0.1], np.array([4e-3, 2e-3, 1e-3])
+    exact = pi.solve(model, 0.1, pi.GeneralizedAlpha(h=5e-5, tolerance=1e-8), output=times)
+    runs = [pi.solve(model, 0.1, pi.EnergyMomentum(h=h), output=times) for h in steps]
+    for part in (slice(0, 2), slice(2, 3)):
+        for name in ("v", "a", "lam"):
+            errors = [np.abs(getattr(run, name)[part] - getattr(exact, name)[part]).max() for run in runs]
+            assert scenes.slope(steps, errors) == pytest.approx(2.0, abs=0.25), name
+
+
+def test_torque_converges_behind_a_jump_of_a_motor_s_speed(scenes):
+    """With an odd number of steps behind the jump, the worst for a velocity that alternates; some damping, as it would ring for ever."""
+    scene, plate = scenes.hinged(cells=8, material={"viscosity": 1e-3})
+    angle = pi.profile.linear(0.0, 0.15, duration=0.05, begin=0.02)
+    scene.add(pi.AngleMotor(pi.ground, plate.section("left"), angle=angle, name="drive"))
+    model, steps = scene.build(), 0.04 / np.array([33, 67, 133])
+    exact = pi.solve(model, 0.06, pi.IDA(rtol=1e-6, atol=1e-8))
+    runs = [pi.solve(model, 0.06, pi.EnergyMomentum(h=h)) for h in steps]
+    assert all(run.velocity_drift[-1] < 1e-11 for run in runs)
+    errors = [abs(run.reaction("drive")[-1] - exact.reaction("drive")[-1])[0] for run in runs]
+    assert errors[-1] < 0.02 and scenes.slope(steps, errors) > 1.5
+
+
+def test_a_motor_that_stands_takes_no_energy_and_leaves_velocities_on_their_constraint(scenes):
+    run = pi.solve(scenes.jointed("motor between", angle=0.0).build(), 0.5, pi.EnergyMomentum(h=4e-3))
+    assert np.ptp(run.energy.total) < ENERGY * np.ptp(run.energy.potential)
+    assert run.velocity_drift.max() < 1e-10
+
+
+def test_a_start_off_the_velocity_constraint_is_mended(scenes):
+    """Generalized-alpha leaves v off it by the square of its step."""
+    model = turning(scenes)
+    start = pi.solve(model, 0.1, pi.GeneralizedAlpha(h=2e-3)).state
+    run = pi.solve(model, 0.15, pi.EnergyMomentum(h=2e-3), state=start)
+    assert run.velocity_drift[0] > 1e-6 and run.velocity_drift[1:].max() < 1e-11
+
+
+def test_a_run_in_two_parts_is_the_same(scenes, tmp_path):
+    """To Newton's tolerance: it starts from the forces that the last step had at its middle, which the file keeps."""
+    model, integrator = turning(scenes), pi.EnergyMomentum(h=2e-3)
+    whole = pi.solve(model, 0.1, integrator)
+    pi.solve(model, 0.05, integrator, out=tmp_path / "run.h5")
+    rest = pi.resume(tmp_path / "run.h5", 0.1)
+    assert rest.counts.steps == whole.counts.steps and rest.state.memory.keys() == {"a_middle", "lam_middle"}
+    for name, bound in (("q", 1e-13), ("v", 1e-10), ("lam", 1e-9)):
+        assert np.abs(getattr(rest, name)[-1] - getattr(whole, name)[-1]).max() < bound * max(1.0, np.abs(getattr(whole, name)).max())
+
+
 @pytest.mark.parametrize("damping", [{"viscosity": 1e-3}, {"mass_damping": 5.0}])
 def test_damping_only_takes_energy(scenes, damping):
     scene, _ = scenes.cantilever((0.0, -9.81), material=damping)

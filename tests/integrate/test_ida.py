@@ -85,13 +85,14 @@ def test_wrong_settings_are_named(settings, named):
 
 
 def test_absolute_tolerances():
-    assert IDA().tolerances(2) == pytest.approx((1e-7, 1e-4))
-    assert IDA(atol=1e-8).tolerances(2) == pytest.approx((1e-8, 1e-5))
-    assert IDA(atol=[1e-8, 1e-6]).tolerances(3) == (1e-8, 1e-6)
-    of_q, of_v = IDA(atol=np.arange(1.0, 7.0)).tolerances(3)
+    sizes = (2.0, 30.0)
+    assert IDA(rtol=1e-4).tolerances(2, sizes) == pytest.approx((2e-4, 3e-3))
+    assert IDA(atol=1e-8).tolerances(2, sizes) == pytest.approx((1e-8, 1e-5))
+    assert IDA(atol=[1e-8, 1e-6]).tolerances(3, sizes) == (1e-8, 1e-6)
+    of_q, of_v = IDA(atol=np.arange(1.0, 7.0)).tolerances(3, sizes)
     assert of_q.tolist() == [1, 2, 3] and of_v.tolist() == [4, 5, 6]
     with pytest.raises(InputError, match="atol of 5 entries must be a number, a pair .* or 6 entries"):
-        IDA(atol=np.ones(5)).tolerances(3)
+        IDA(atol=np.ones(5)).tolerances(3, sizes)
 
 
 def test_order_follows_the_model():
@@ -292,3 +293,9 @@ def test_a_jump_of_driven_velocity_at_start_middle_and_end(form):
     where = {s.t: s for s in states}
     assert where[0.25].v[0] == pytest.approx(2.0, abs=1e-6) and where[0.75].v[0] == pytest.approx(-2.0, abs=1e-6)
     assert where[0.75].q == pytest.approx([-0.5, 0.75**2 / 2], abs=1e-6) and counts.rejected == 0
+
+
+@pytest.mark.parametrize("form", ["ggl2", "ggl1"])
+def test_a_scene_without_joints_falls(scenes, form):
+    states, _ = run(scenes.single()[0].build(), IDA(form=form), 0.1)
+    assert np.allclose(states[-1].q.reshape(-1, 2), [0.0, -0.5 * 9.81 * 0.1**2], rtol=0, atol=1e-6)

@@ -128,6 +128,20 @@ def test_constraints_that_cannot_be_met_are_named():
         pi.consistent_state(Apart(), q0=[1.0, 0.0])
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e6])
+def test_a_start_with_round_off_about_zero_is_taken_as_it_is(unit):
+    """The cosine of a right angle is 6e-17: where phi_q is a little off, Newton would halve that for ever."""
+    class Crank(type(pi.problems.get("pendulum").model)):
+        def phi(self, t, q):
+            return q[:1]
+
+        def phi_q(self, t, q):
+            return np.array([[1.25, 0.0]])
+
+    start = unit * np.array([np.cos(np.pi / 2), 1.0])
+    assert (pi.consistent_state(Crank(), q0=start).q == start).all()
+
+
 @pytest.mark.filterwarnings("ignore::scipy.linalg.LinAlgWarning")
 def test_a_coordinate_without_mass_or_constraint_is_refused():
     class Massless(type(pi.problems.get("pendulum").model)):

@@ -89,6 +89,73 @@ def test_csm1():
     assert (4 * fine - coarse) / 3 == pytest.approx([-7.2225, -66.280], rel=1e-3)
 
 
+class Rod(pi.Model):
+    """A mass of 1 kg on a rod of 1 m about the origin, held upright by a torsion spring or by nothing."""
+
+    n, m = 2, 1
+
+    def __init__(self, spring=0.0):
+        self.spring = spring
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([self.spring * q[0], 9.81])
+
+    def phi(self, t, q):
+        return np.array([q @ q - 1.0])
+
+    def phi_q(self, t, q):
+        return 2 * q[None]
+
+
+@pytest.mark.parametrize("spring, start, stable", [(0.0, -1.0, True), (0.0, 1.0, False), (9.8, 1.0, False), (9.82, 1.0, True)])
+@pytest.mark.filterwarnings("ignore:static")
+def test_a_pendulum_hangs_stably_and_stands_where_its_spring_bears_the_weight(spring, start, stable):
+    """On the constraint the stiffness is spring - g upright, spring + g hanging."""
+    found = pi.static(Rod(spring), q0=[0.0, start])
+    assert found.stable is stable and found.falling == (0 if stable else 1)
+
+
+def test_an_upright_plate_on_a_hinge_is_unstable_and_said_so(scenes):
+    model = scenes.hinged(angle=np.pi / 2)[0].build()
+    with pytest.warns(UserWarning, match="static.*UNSTABLE.*falls in 1 direction;"):
+        found = pi.static(model)
+    assert not found.stable and "UNSTABLE" in found.summary()
+    assert pi.solve(model, 2e-3, pi.GeneralizedAlpha(h=1e-3), state=found).success
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_hanging_plate_is_stable(scenes):
+    found = pi.static(scenes.hinged(angle=-np.pi / 2)[0].build())
+    assert found.stable and "stable" in found.summary()
+
+
+@pytest.mark.filterwarnings("ignore:static")
+def test_a_column_under_its_weight_is_stable_up_to_greenhill_s_height(scenes):
+    """q L^3 = 7.837 E I (Greenhill 1881), of a slender cantilever; beyond the second, 55.98, energy falls in two directions."""
+    height, length = 0.1, 1.0
+    weight = scenes.RUBBER["rho"] * 9.81 * height
+    for share, ways in ((0.9, 0), (1.1, 1), (55.98 / 7.837 * 1.15, 2)):
+        E = weight * length**3 * 12 / height**3 / (7.837 * share)
+        scene, plate = scenes.single(angle=np.pi / 2, cells=80, material={"E": E, "nu": 0.0})
+        scene.add(pi.Clamp(pi.ground, plate.section("left")))
+        assert pi.static(scene.build(), steps=2).falling == ways
+
+
+class Follower(Rod):
+    """A force that turns with the rod has no potential."""
+
+    def force(self, t, q, v):
+        return np.array([q[1], 9.81 - q[0] + q[1]])
+
+
+def test_forces_without_potential_are_not_judged():
+    found = pi.static(Follower(), q0=[0.0, -1.0])
+    assert found.stable is None and "no potential" in found.summary()
+
+
 def test_load_steps_do_not_change_the_answer(scenes):
     model = scenes.cantilever((0.0, -9.81))[0].build()
     one, many = (pi.static(model, steps=steps).q for steps in (1, 5))

@@ -62,6 +62,22 @@ def test_equal_figures_give_equal_files(runs, tmp_path):
     assert first == second
 
 
+def test_the_nearest_frame_is_found_without_looking_at_all_pairs():
+    import tracemalloc
+    from types import SimpleNamespace
+
+    draw = np.random.default_rng(0)
+    for count in range(1, 9):
+        t, at = np.sort(draw.integers(0, 8, count) / 2), draw.integers(-4, 24, 40) / 4  # equal times, ties, beyond the ends
+        assert np.array_equal(plates.frames_at(SimpleNamespace(t=t), at), np.abs(t[None] - at[:, None]).argmin(axis=1))
+    t = np.linspace(0.0, 1.0, 20_000)
+    tracemalloc.start()
+    plates.spread(SimpleNamespace(t=t), 5_000)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2_000_000
+
+
 def test_frames_are_spread_in_time_and_come_once(run):
     frames = plates.spread(run, 5)
     assert frames[0] == 0 and frames[-1] == len(run.t) - 1 and len(frames) == 5

@@ -1,6 +1,7 @@
 """The performance studies: their counts, what they compare, and how figures follow from rows. No times are judged."""
 
 import importlib.util
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,23 @@ SAVED = {"constant mass", "linear joints", "no motors: phi_t, bias", "no motors:
 def test_a_saving_that_is_switched_off_is_counted(saving):
     row = skip.measure(saving, 6, 0.01, 1)
     assert row["count_off"] > row["count_on"] if saving in SAVED else row["count_off"] >= row["count_on"] > 0
+
+
+@pytest.mark.parametrize("saving", ["co-rotated factor", "stale matrix", "factor kept", "compiled stretches"])
+def test_a_row_of_an_engine_differs_in_one_switch(saving):
+    """Both sides are the same settings, and their motions agree to Newton's tolerance: what is switched off is work alone."""
+    on, off = skip.ENGINES[saving]
+    one, other = (replace(side, engine=skip.Stretches) if isinstance(side, skip.Driven) else side for side in (on, off))
+    assert all(getattr(one, field.name) == getattr(other, field.name) for field in fields(skip.GeneralizedAlpha))
+    model = plates.double_plate(6).build()
+    ends = [solve(model, 0.1, side, every=10**9).position("tip")[-1] for side in (on, off)]
+    assert np.abs(ends[0] - ends[1]).max() < 1e-6
+
+
+def test_a_factor_that_does_not_turn_is_made_anew():
+    model = plates.double_plate(6).build()
+    turned, fixed = (solve(model, 0.4, side, every=10**9).counts for side in skip.ENGINES["co-rotated factor"])
+    assert turned.factorizations == 1 < fixed.factorizations
 
 
 def work_precision(solver, scale):

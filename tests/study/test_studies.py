@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from polyida import cli_study
-from polyida.study import drawing, findings
+from polyida.study import drawing, findings, tip_accuracy
 from polyida.study.work_selection import left_out, not_run, tasks
 
 FOLDER = Path(__file__).parents[2] / "studies"
@@ -20,6 +20,8 @@ REQUIRED = {
         "andrews_ida_best_error",
         "car_axis_ida_error_q",
         "car_axis_ida_error_lam",
+        "newton_share",
+        "ida_error_slope",
     },
     "step_size_sensitivity": {"order_q", "order_v", "order_lam", "lam_error_h1e-9", "acceleration_error_h1e-9"},
     "conditioning": {"slope_unscaled", "scaled_condition_max"},
@@ -42,6 +44,9 @@ def made_up(name, task):
         "factorizations": 2,
         "dof": int(task.get("through", 4)) ** 2,
     }
+    if name == "work_precision" and task["problem"] in tip_accuracy.SCENES:
+        tip = {"error_tip": size, "known_tip": 1e-12, "newton_tip": 1e-3 * size}
+        return work | tip | {"known": {"tip": 1e-12}, "reference": "made up"}
     if name == "work_precision":
         return errors | work | {"known": {"q": 1e-9}, "reference": "made up"}
     if name == "step_size_sensitivity":

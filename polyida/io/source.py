@@ -1,4 +1,4 @@
-"""An HDF5 file whose writer was killed, read as if it had been closed.
+"""An HDF5 file read through its descriptor: by whatever name it goes, and as if its writer had closed it.
 
 HDF5 marks a file that is open for writing and opens it afterwards only in SWMR mode, in which it reads a damaged spot
 again and again for hours. Here the mark is taken off in what is read, not in the file: the flags of the superblock
@@ -6,48 +6,59 @@ again and again for hours. Here the mark is taken off in what is read, not in th
 (bytes 44 to 47) made to fit. Source: HDF5 File Format Specification 3.0; checksum: Bob Jenkins, lookup3.
 """
 
+import os
 import struct
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 LENGTH = 48  # of the superblock
 
 
-def is_marked(head):
-    """Whether these first bytes are those of an HDF5 file that its writer did not close."""
-    return head[:8] == SIGNATURE and len(head) >= LENGTH and head[8] == 3 and head[9] == 8 and head[11] != 0
+class Source:
+    """A readable file object on a descriptor, which it owns; position and reads are its own, also after a fork."""
 
+    def __init__(self, descriptor):
+        self._descriptor, self._at, self.size = descriptor, 0, os.fstat(descriptor).st_size
+        head = _read_at(descriptor, LENGTH, 0)
+        self.marked = head[:8] == SIGNATURE and len(head) == LENGTH and head[8:10] == b"\3\x08" and head[11] != 0
+        self._head = _unmarked(head, self.size) if self.marked else head
 
-class Unclosed:
-    """A readable file object in place of a marked file."""
-
-    def __init__(self, path):
-        self._file = open(path, "rb")
-        head, size = self._file.read(LENGTH), self._file.seek(0, 2)
-        body = head[:11] + b"\0" + head[12:28] + struct.pack("<Q", size) + head[36:44]
-        self._head = body + struct.pack("<I", checksum(body))
+    def __del__(self):
+        os.close(self._descriptor)
 
     def seek(self, offset, whence=0):
         """As of a file."""
-        return self._file.seek(offset, whence)
+        self._at = offset + (0, self._at, self.size)[whence]
+        return self._at
 
     def tell(self):
         """As of a file."""
-        return self._file.tell()
+        return self._at
 
     def read(self, size=-1):
         """As of a file, the superblock repaired."""
-        begin = self._file.tell()
-        data = self._file.read(size)
-        return data if begin >= LENGTH else (self._head[begin : begin + len(data)] + data[LENGTH - begin :])
+        begin = self._at
+        data = _read_at(self._descriptor, self.size - begin if size < 0 else size, begin)
+        self._at += len(data)
+        return data if begin >= LENGTH else self._head[begin : begin + len(data)] + data[LENGTH - begin :]
 
     def readinto(self, buffer):
         """As of a file, the superblock repaired."""
-        begin = self._file.tell()
-        count = self._file.readinto(buffer)
-        if begin < LENGTH:
-            part = self._head[begin : begin + count]
-            memoryview(buffer).cast("B")[: len(part)] = part
-        return count
+        view = memoryview(buffer).cast("B")
+        data = self.read(len(view))
+        view[: len(data)] = data
+        return len(data)
+
+
+def _read_at(descriptor, size, begin):
+    if hasattr(os, "pread"):
+        return os.pread(descriptor, size, begin)
+    os.lseek(descriptor, begin, os.SEEK_SET)
+    return os.read(descriptor, size)
+
+
+def _unmarked(head, size):
+    body = head[:11] + b"\0" + head[12:28] + struct.pack("<Q", size) + head[36:44]
+    return body + struct.pack("<I", checksum(body))
 
 
 def checksum(data):

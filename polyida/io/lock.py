@@ -9,25 +9,33 @@ try:
 except ImportError:  # not on this system
     fcntl = None
 
+CAN_TELL = hasattr(fcntl, "F_OFD_GETLK")
 LAYOUT = "hhqqi4x"  # struct flock
 
 
 def lock(descriptor):
-    """Mark an open file until the process ends or closes it; nothing where the system has no such locks."""
-    if hasattr(fcntl, "F_OFD_SETLK"):
+    """Mark an open file until the process ends, closes or unlocks it; nothing where the system has no such locks."""
+    if CAN_TELL:
         with suppress(OSError):
             fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, _request(fcntl.F_WRLCK))
 
 
+def unlock(descriptor):
+    """Take the mark off."""
+    if CAN_TELL:
+        with suppress(OSError):
+            fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, _request(fcntl.F_UNLCK))
+
+
 def being_written(path):
-    """Whether a process that lives is writing the file; False where the system cannot tell."""
-    if not hasattr(fcntl, "F_OFD_GETLK"):
+    """Whether a process that lives is writing the file; False where there is none, or the system cannot tell."""
+    if not CAN_TELL:
         return False
-    with open(path, "rb") as file:
-        try:
+    try:
+        with open(path, "rb") as file:
             answer = fcntl.fcntl(file, fcntl.F_OFD_GETLK, _request(fcntl.F_RDLCK))
-        except OSError:
-            return False
+    except OSError:
+        return False
     return struct.unpack(LAYOUT, answer)[0] != fcntl.F_UNLCK
 
 

@@ -1,0 +1,79 @@
+"""Watches from state to state, the same for every integrator, whether the constraints stay independent of each other.
+
+Where phi_q loses rank a mechanism can branch: what comes behind follows from round-off. With the rows of phi_q made of
+length one, a state is singular where their smallest singular value s is zero. Between two states it was zero where
+s_0 + s_1 is not more than the way that the rows went (no singular value changes by more than the matrix) and their space
+came back reversed: then `det(B_0 B_1^T) < 0`, which no smooth step does.
+"""
+
+from polyida.integrate.state import StepFailure
+from polyida.linear.independence import between, cosine, involved, least, rows_of, way
+
+ZERO = 1e-6  # a smallest singular value that counts as none
+NEAR = 1e-3  # one that is told beside a failure
+REVERSED = 0.5  # cosine of the turn of the rows' space below which the way between two states led through zero
+SCENE = 1024  # states of a scene from one look to the next: its joints hold on to points of their own, only motors turn rows
+
+
+class SingularPosition(StepFailure):
+    """The constraints of a state, or on the way to it, were not independent of each other."""
+
+
+class Watch:
+    """Begins at a state; `step` looks at the next one. Of rows that do not vary nothing is looked at.
+
+    Of a model of one's own it looks again when the rows, at the pace they had, will have gone a quarter of the way to zero.
+    """
+
+    def __init__(self, model, state):
+        varies = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
+        self.model, self.steps, self.state, self.h, self.pace = model, 0, state, 0.0, 0.0
+        self.every = 0 if not varies else SCENE if hasattr(model, "arrays") else 1
+        if varies:
+            self.t = self.due = state.t
+            self.rows, self.least = self._look(state)
+
+    def step(self, state):
+        """Look at the next accepted state. Raises StepFailure where it is singular, or the way to it was."""
+        self.steps, self.state, self.h = self.steps + 1, state, state.t - self.state.t
+        if not self.every or self.steps % self.every or state.t < self.due:
+            return
+        rows, now = self._look(state)
+        if self.every == 1:
+            self._require_no_passage(state.t, rows, now)
+        self.pace = self._pace(now)
+        self.t, self.rows, self.least = state.t, rows, now
+
+    def _pace(self, now):
+        """How fast the square of the smallest singular value falls, 1/s, since the last look: straight to where a motion ends."""
+        since = self.state.t - self.t
+        return (self.least**2 - now**2) / since if since else self.pace
+
+    def _look(self, state):
+        rows = rows_of(self.model.phi_q(state.t, state.q))
+        size = least(rows)
+        if size <= ZERO:
+            raise self._failure(rows, state.t)
+        return rows, size
+
+    def _require_no_passage(self, t, rows, now):
+        before, products = self.least, between(self.rows, rows)
+        gone, since = way(products), t - self.t
+        if now + before <= gone and cosine(self.rows, rows, products) < REVERSED:
+            raise self._failure(rows if now < before else self.rows, self.t + since * before / (before + now))
+        self.due = t + since * min(2.0, 0.25 * now / max(gone, 1e-300))
+
+    def suspicion(self, t):
+        """What to say beside a failure at t where phi_q was about to lose its rank, or nothing."""
+        if not self.every:
+            return ""
+        rows = rows_of(self.model.phi_q(self.state.t, self.state.q))
+        now, left = least(rows), 2.0 * max(t - self.state.t, self.h)  # s: within the next two steps
+        if now < NEAR or now**2 < left * self._pace(now):
+            return f"; the constraints {involved(self.model, rows)} are near a singular position"
+        return ""
+
+    def _failure(self, rows, t):
+        names = involved(self.model, rows)
+        reason = f"a singular position: there the constraints {names} are not independent of each other and the motion can branch"
+        return SingularPosition("singular", reason, t)

@@ -1,0 +1,101 @@
+"""`load`: a Trajectory from a file; the scene and the integrator that made it are built again from the file's data."""
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.reader import naming, read
+from polyida.io.scene_data import from_data
+from polyida.trajectory import Trajectory
+
+STILL = "another process is still writing it; these are the frames up to its last flush"
+KILLED = "the process that ran it ended without closing the file; it holds the frames up to the last flush"
+TORN = "; the record of one flush is not whole: cut off by the end of the process, or damaged"
+INTEGRATORS = ("GeneralizedAlpha", "IDA", "EnergyMomentum")
+
+
+def load(path, memory_limit=MEMORY_LIMIT):
+    """Read a trajectory. Raises InputError naming the file where it is missing, truncated or of another kind.
+
+    Frames beyond `memory_limit` bytes stay in the file and are read when asked for. A file of a run that was killed
+    holds the frames up to the last flush, with status "interrupted"; one that is still written, those up to now, with
+    status "running". All frames are looked at: where some are damaged, those before them come back, with status
+    "damaged" and a message that says which and why. The scene is built again from the file's data. A motor or load
+    whose profile was a function of the user's own follows the values that the run saw, which are in the file.
+    """
+    stored = read(path)
+    with naming(path):
+        try:
+            return _trajectory(stored, memory_limit)
+        except BaseException:
+            stored.close()
+            raise
+
+
+def _trajectory(stored, memory_limit):
+    about, record = stored.about, stored.record
+    damage = stored.check()
+    model = model_of(stored, _drives(stored))
+    status, message = str(record["status"]), str(record["message"])
+    if status == "running":
+        status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
+    if damage:
+        status, message = "damaged", damage
+    return Trajectory(
+        model,
+        integrator_of(stored),
+        **stored.frames(memory_limit),
+        status=status,
+        message=message,
+        counts=stored.counts,
+        cpu_seconds=stored.seconds[0],
+        wall_seconds=stored.seconds[1],
+        machine=dict(about["machine"]),
+        restart=stored.restart,
+        plan=dict(about["plan"]),
+    )
+
+
+def integrator_of(stored):
+    """The integrator with its settings, or its name where it is none of polyida's."""
+    import polyida
+
+    kind, settings = stored.about["integrator"]["kind"], stored.about["integrator"]["settings"]
+    return getattr(polyida, kind)(**settings) if kind in INTEGRATORS else str(kind)
+
+
+def model_of(stored, drives):
+    """The scene's model built from data, None for a model of a user's own; drives: {part: profile}."""
+    from polyida.scene import Scene
+
+    if "scene" not in stored.about:
+        return None
+    parts, gravity = from_data(stored.about["scene"], stored.arrays.group("scene"), drives.get)
+    scene = Scene(gravity)
+    for part in parts.values():
+        scene.add(part)
+    model = scene.build()
+    if (model.n, model.m) != (stored.n, stored.m):
+        raise InputError(
+            f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; "
+            "the file is damaged"
+        )
+    return model
+
+
+def _drives(stored):
+    """{part: profile through the values that the run saw}."""
+    times = stored.rows("t", 0, stored.count)
+    return {name: _interpolated(times, stored.rows(key, 0, stored.count)) for name, key in stored.about["drives"].items()}
+
+
+def _interpolated(times, samples):
+    from scipy.interpolate import CubicHermiteSpline
+
+    from polyida.profile import Profile, constant
+
+    times, chosen = np.unique(times, return_index=True)
+    if len(times) < 2:
+        return constant(float(samples[0, 0]))
+    curve = CubicHermiteSpline(times, samples[chosen, 0], samples[chosen, 1])
+    return Profile(curve, curve.derivative(1), curve.derivative(2))

@@ -1,0 +1,89 @@
+"""What of a run goes into a file: integrator, scene and plan before it, how it stands at every flush."""
+
+import os
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.io.layout import FRAMES
+from polyida.io.scene_data import to_data
+from polyida.io.store import FrameStore
+from polyida.io.writer import Writer, require_unwritten
+
+
+def save(run, path, overwrite=False):
+    """Write a trajectory; the file appears whole or not at all. Raises InputError where it must not be overwritten."""
+    path, n, m = free(path, overwrite), run.q.shape[1], run.lam.shape[1]
+    file = create(path, run.model, run.integrator, n, m, run.plan, run.machine)
+    with file.publishing(overwrite):
+        store, step = FrameStore(n, m, file=file), file.rows
+        for first in range(0, len(run), step):
+            store.extend([getattr(run, name)[first : first + step] for name in FRAMES])
+        store.put_away()
+        commit(store, run.status, run.message, run.counts, (run.cpu_seconds, run.wall_seconds), run.restart, last=True)
+        file.close()
+    os.close(file.descriptor)
+
+
+def free(given, overwrite):
+    """The absolute path where a file can be written, symbolic links followed.
+
+    Raises InputError where one is in the way that must not be overwritten or is being written, or no file can be.
+    """
+    try:
+        path = Path(given).resolve()
+        folder, file, there, home = path.is_dir(), path.is_file(), path.exists(), path.parent.is_dir()
+    except (TypeError, ValueError, OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{given!r} must be the path of a file ({reason})") from None
+    if folder:
+        raise InputError(f"{given} is a folder; give the name of a file")
+    if there and not file:
+        raise InputError(f"{given} is no regular file; frames cannot be written there")
+    if there and not overwrite:
+        raise InputError(f"{given} exists; pass overwrite=True (--overwrite) to replace it, or give another name")
+    if not home:
+        raise InputError(f"{given}: the folder {path.parent} does not exist")
+    if there:
+        require_unwritten(path)
+    return path
+
+
+def create(path, model, integrator, n, m, plan, machine):
+    """A Writer with what is known before the run: integrator, scene, what was asked for, on what machine."""
+    about, arrays, drives = describe(model, integrator)
+    about |= {"plan": plan, "machine": machine}
+    return Writer.create(path, n, m, about, arrays, drives, fsync=bool(plan.get("fsync")))
+
+
+def describe(model, integrator):
+    """(plain data, {key: array}, {dataset: profile that has no formula}) of a model and an integrator."""
+    kind = integrator if isinstance(integrator, str) else type(integrator).__name__
+    settings = asdict(integrator) if is_dataclass(integrator) else {}
+    about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "drives": {}}
+    if not hasattr(model, "parts"):
+        return about, {}, {}
+    about["scene"], arrays = to_data(model.parts, model.gravity)
+    drives = {}
+    for number, (name, part) in enumerate(model.parts.items()):
+        profile = getattr(part, "angle", None) if hasattr(part, "a") else getattr(part, "profile", None)
+        if profile is not None and not profile.formula:
+            about["drives"][name] = f"drive {number}"
+            drives[f"drive {number}"] = profile
+    return about, {f"scene/{key}": array for key, array in arrays.items()}, drives
+
+
+def commit(store, status, message, counts, seconds, restart, last=False):
+    """Make the frames so far hold, with how the run stands and where it goes on. last: for good."""
+    record = {"status": status, "message": message, "counts": counts.as_dict(), "cpu_seconds": seconds[0],
+              "wall_seconds": seconds[1], "restart": None, "memory": []}
+    numbers = []
+    if restart:
+        s = restart.state
+        memory = {name: np.asarray(value, float) for name, value in s.memory.items()}
+        record |= {"restart": {"frames": restart.frames, "counts": restart.counts},
+                   "memory": [[name, list(value.shape)] for name, value in memory.items()]}
+        numbers = [s.t, s.q, s.v, s.a, s.lam, *memory.values()]
+    store.file.commit(record, numbers, store.waiting(), last)

@@ -1,0 +1,265 @@
+"""The HDF5 file that frames of a run are appended to, readable at every moment, also after the process was killed."""
+
+import errno
+import json
+import os
+import tempfile
+import time
+import zlib
+from contextlib import contextmanager, suppress
+from uuid import uuid4
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.io.frames import held
+from polyida.io.layout import FORMAT, HEAD, frames_at_once, shapes_of, width_of
+from polyida.io.lock import CAN_TELL, being_written, lock, unlock
+
+ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is known to be needed
+SLOT_CHUNK = 1 << 16
+YOUNG = 60.0  # s: a file of that age that nobody has locked may be about to be
+FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
+
+
+class NotWritten(Exception):
+    """The disk did not take what was to be written; `status` says in two words why."""
+
+    def __init__(self, path, error):
+        number = getattr(error, "errno", None)
+        self.status = "disk full" if number in FULL else "not written"
+        super().__init__(f"{path}: {os.strerror(number) if number else error}")
+
+
+class Writer:
+    """A file under construction, held open by its descriptor; made by `create` or `temporary`. Methods raise NotWritten.
+
+    path: where it lies; shown: where it is to be. count: frames in whole blocks. drives: {name: profile}.
+    """
+
+    def __init__(self, path, n, m, about=None, arrays=None, drives=None, fsync=False):
+        import h5py
+
+        self.path, self.shown, self.count, self.commits = path, path, 0, 0
+        self.drives, self.fsync, self.shapes = drives or {}, fsync, shapes_of(n, m, drives or {})
+        self.rows = frames_at_once(width_of(self.shapes))
+        self._block = self.rows * 8 * width_of(self.shapes)
+        self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
+        self.descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        try:
+            lock(self.descriptor)
+            self._file = h5py.File(path, "w", libver="v110", locking=False)
+            self._make(about, arrays or {})
+            self._file.flush()
+            self._start = self._file.id.get_filesize()
+        except OSError as error:
+            os.close(self.descriptor)
+            raise NotWritten(path, error) from None
+
+    @classmethod
+    def create(cls, path, *contents, **options):
+        """A file beside `path` that comes to its place by `publish`."""
+        hidden = path.with_name(f".polyida-{uuid4().hex}.part")
+        try:
+            _remove_leftovers(path.parent)
+            hidden.touch(exist_ok=False)
+            file = cls(hidden, *contents, **options)
+        except (OSError, NotWritten) as error:
+            with suppress(OSError):
+                hidden.unlink(missing_ok=True)
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"{path}: no file can be written there ({reason})") from None
+        file.shown = path
+        return file
+
+    @classmethod
+    def temporary(cls, n, m):
+        """A file without a name in the folder for temporary files; it is gone when nobody reads it any more."""
+        handle, path = tempfile.mkstemp(prefix="polyida-", suffix=".h5")
+        os.close(handle)
+        try:
+            return cls(path, n, m)
+        finally:
+            os.unlink(path)
+
+    def _make(self, about, arrays):
+        for name, shape in self.shapes.items():
+            if shape != (0,):
+                self._datasets[name] = self._file.create_dataset(
+                    name, (0, *shape), "f8", maxshape=(None, *shape), chunks=(self.rows, *shape), fletcher32=True
+                )
+        if about is None:
+            return
+        self._file.attrs["format"] = FORMAT
+        text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
+        for key, values in {"about": text, **arrays}.items():
+            checked = {"chunks": values.shape, "fletcher32": True} if values.size else {}
+            self._file.create_dataset(key, data=values, **checked)
+        for slot in range(2):
+            self._file.create_dataset(f"slot {slot}", (0,), "u1", maxshape=(None,), chunks=(SLOT_CHUNK,))
+        self._file.flush()
+        self._file.swmr_mode = True
+
+    def append(self, block):
+        """Append frames, a list of arrays in the order of `shapes`: as many as a chunk holds, or the run's last ones."""
+        end = self.count + len(block[0])
+        try:
+            self._reserve(end)
+            for name, values in zip(self.shapes, block):
+                if name in self._datasets:
+                    self._datasets[name].resize(end, axis=0)
+                    self._datasets[name][self.count : end] = values
+        except (OSError, RuntimeError) as error:
+            raise NotWritten(self.shown, error) from None
+        self.count = end
+
+    def commit(self, record, numbers, tail, last=False):
+        """Make all frames so far hold: flush them, then `record` (plain data), the state `numbers` and the frames `tail`.
+
+        last: into both slots, so that damage to one of them does no harm.
+        """
+        record |= {"frames": self.count + len(tail[0]), "tail": len(tail[0])}
+        numbers = np.concatenate([np.ravel(x) for x in (*numbers, *tail)])
+        for _ in range(1 + last):
+            text = json.dumps(record | {"commit": self.commits}, default=_listed).encode()
+            body = text + numbers.tobytes()
+            slot = np.frombuffer(HEAD.pack(len(body), zlib.crc32(body), len(text)) + body, np.uint8)
+            try:
+                self._slots = max(self._slots, 2 * (len(slot) + SLOT_CHUNK))
+                self._reserve(self.count)
+                self._flush()
+                self._put(self._file[f"slot {self.commits % 2}"], slot)
+                self._flush()
+            except (OSError, RuntimeError) as error:
+                raise NotWritten(self.shown, error) from None
+            self.commits += 1
+
+    def _put(self, dataset, values):
+        if len(dataset) < len(values):
+            dataset.resize(len(values), axis=0)
+        dataset[: len(values)] = values
+
+    def _flush(self):
+        self._file.flush()
+        if self.fsync:
+            os.fsync(self.descriptor)
+
+    def _reserve(self, count):
+        """Have the disk promise room for `count` frames before HDF5 gets them: a file that it could not write it cannot close.
+
+        HDF5 gives chunks their place late, so what is needed is counted here: whole chunks, their checksums and index.
+        """
+        chunks = -(-count // self.rows) * (self._block + 4 * len(self.shapes))
+        need = self._start + chunks + chunks // 32 + self._slots + ABOVE
+        if need > self._reserved and hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(self.descriptor, 0, need)
+            self._reserved = need
+
+    @contextmanager
+    def publishing(self, overwrite):
+        """Context for what is written before the file is moved to its place; where that fails it is removed.
+
+        Raises InputError, also where a file came there meanwhile that must not be overwritten.
+        """
+        try:
+            yield
+            self._publish(overwrite)
+        except NotWritten as error:
+            raise InputError(str(error)) from None
+        finally:
+            if self.path != self.shown:
+                self._discard()
+
+    def _publish(self, overwrite):
+        try:
+            if overwrite:
+                require_unwritten(self.shown)
+                os.replace(self.path, self.shown)
+            else:
+                _move_new(self.path, self.shown)
+        except OSError as error:
+            raise InputError(f"{self.shown}: the file cannot be put there ({error.strerror})") from None
+        self.path = self.shown
+        if self.fsync:
+            _sync_folder(self.shown.parent)
+
+    def in_place(self):
+        """Whether the file is still where it was published."""
+        try:
+            return os.path.samestat(os.stat(self.shown), os.fstat(self.descriptor))
+        except OSError:
+            return False
+
+    def frames(self, limit):
+        """{name: frames} of a temporary file, to which nothing is added any more."""
+        os.close(self.descriptor)
+        tail = {name: np.zeros((0, *shape)) for name, shape in self.shapes.items()}
+        return held(self._file, self.shapes, self.count, tail, limit, self.shown)
+
+    def close(self):
+        """Close the file; it holds what was committed. Its descriptor stays open, to be read from and closed."""
+        try:
+            self._file.close()
+            _trim(self.descriptor)
+        except (OSError, RuntimeError) as error:
+            raise NotWritten(self.shown, error) from None
+        finally:
+            unlock(self.descriptor)
+
+    def _discard(self):
+        with suppress(NotWritten):
+            self.close()
+        os.close(self.descriptor)
+        with suppress(OSError):
+            os.unlink(self.path)
+
+
+def require_unwritten(path):
+    """Raise InputError where a living process writes the file."""
+    if being_written(path):
+        raise InputError(f"{path}: another process is still writing it; it is not replaced")
+
+
+def _remove_leftovers(folder):
+    """Remove files that a process has made here and was killed before it published them, where that can be told."""
+    for path in folder.glob(".polyida-*.part"):
+        with suppress(OSError):
+            if CAN_TELL and time.time() - path.stat().st_mtime > YOUNG and not being_written(path):
+                path.unlink()
+
+
+def _sync_folder(folder):
+    """Bring the names in a folder to the disk, where the system can."""
+    with suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _move_new(source, target):
+    """Move a file to a name that is free, or fail."""
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if os.path.exists(target):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
+        os.rename(source, target)
+    else:
+        os.unlink(source)
+
+
+def _trim(descriptor):
+    """Give back what was reserved beyond the end that the closed file states (superblock 3: bytes 28 to 35)."""
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    head = os.read(descriptor, 36)
+    end = int.from_bytes(head[28:36], "little")
+    if head[8] == 3 and 0 < end < os.fstat(descriptor).st_size:
+        os.ftruncate(descriptor, end)
+
+
+def _listed(value):
+    return value.tolist() if hasattr(value, "tolist") else str(value)

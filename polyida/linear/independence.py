@@ -1,0 +1,57 @@
+"""How far the rows of phi_q are from being linearly dependent, and which constraints would be it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+MOST = 3  # constraints that a message names
+
+
+class Rows(NamedTuple):
+    """phi_q, (m, n), the lengths of its rows and the Gram matrix of the rows made of length one, (m, m), of lengths above 0."""
+
+    phi_q: object
+    lengths: np.ndarray
+    gram: np.ndarray
+
+
+def rows_of(phi_q):
+    """The Rows of a dense or sparse phi_q."""
+    gram = _dense(phi_q @ phi_q.T)
+    lengths = np.sqrt(np.diag(gram))
+    divisor = np.where(lengths > 0, lengths, 1.0)
+    return Rows(phi_q, lengths, gram / np.outer(divisor, divisor))
+
+
+def least(rows):
+    """The smallest singular value of the unit rows, 0 to 1; nan where they are not finite."""
+    if not np.isfinite(rows.gram).all():
+        return float("nan")
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(rows.gram)[0])))
+
+
+def involved(model, rows):
+    """Names of the constraints, three at most, that weigh most in the nearest linear dependence, in their order."""
+    weights = np.abs(np.linalg.eigh(rows.gram)[1][:, 0])
+    heaviest = [int(k) for k in np.argsort(-weights)[:MOST] if weights[k] > 0.05 * weights.max()]
+    return ", ".join(model.constraint_name(k) for k in sorted(heaviest))
+
+
+def between(before, after):
+    """The products of the unit rows of two Rows, (m, m)."""
+    return _dense(before.phi_q @ after.phi_q.T) / np.outer(before.lengths, after.lengths)
+
+
+def way(products):
+    """Frobenius norm of the change of the unit rows, from their products."""
+    return float(np.sqrt(max(0.0, 2.0 * (len(products) - np.trace(products)))))
+
+
+def cosine(before, after, products):
+    """Of the angle by which the space of the rows has turned; -1 where a combination of them came back reversed."""
+    (sign, size), sizes = np.linalg.slogdet(products), [np.linalg.slogdet(rows.gram)[1] for rows in (before, after)]
+    return float(sign * np.exp(size - 0.5 * sum(sizes)))
+
+
+def _dense(matrix):
+    return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix)

@@ -1,0 +1,91 @@
+"""The end of a motion by methods of unlike families, for references: what two of them agree on is known so well.
+
+`explicit`: DOP853 on the index-1 equations; `alpha`: generalized-alpha, extrapolated; `energy_momentum`: Simo and
+Tarnow's method, extrapolated. They share the model, its consistent accelerations and no formula of a step.
+"""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from polyida.integrate.energy_momentum import EnergyMomentum
+from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.solve import solve
+from polyida.integrate.start import consistent_acceleration, consistent_state
+from polyida.threads import one_blas_thread
+
+PARTS = ("q", "v", "lam")
+NEWTON = 1e-8  # Newton's tolerance where generalized-alpha is a reference
+
+
+def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None):
+    """[(q, v, a, lam)] at the increasing `times` (default t_end alone), by DOP853 on (q, v)' = (v, a) with a of the
+    index-1 equations.
+
+    It shares the model's equations and the consistent start with the integrators, no formula of a step. Pieces end at
+    the kinks of loads and motors.
+    """
+    state, wanted, found = consistent_state(model, t0, q0, v0), np.atleast_1d(t_end if times is None else times), []
+    y, t = np.concatenate([state.q, state.v]), t0
+    with one_blas_thread():
+        for end in [*model.kinks(t0, wanted[-1]), wanted[-1]]:
+            within = (wanted > t) & (wanted <= end) | (wanted == t0) & (t == t0)
+            values, y = _piece(model, t, end, y, wanted[within], rtol)
+            found, t = found + values, end
+    return found
+
+
+def _piece(model, t, end, y, wanted, rtol):
+    """States at the wanted times in (t, end], and y at the end."""
+    from scipy.integrate import solve_ivp
+
+    n = model.n
+
+    def rate(t, y):
+        return np.concatenate([y[n:], consistent_acceleration(model, t, y[:n], y[n:])[0]])
+
+    at = np.union1d(wanted, [end])
+    run = solve_ivp(
+        rate, (t, end), y, method="DOP853", t_eval=at, rtol=rtol, atol=rtol * 1e-3, first_step=min(1e-6, end - t)
+    )
+    known = dict(zip(at, run.y.T))
+    return [
+        (known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in wanted
+    ], run.y[:, -1]
+
+
+def by_explicit(model, t_end, rtol):
+    """{"q", "v", "lam"} at t_end by `explicit`."""
+    q, v, _, lam = explicit(model, t_end, rtol)[0]
+    return {"q": q, "v": v, "lam": lam}
+
+
+def by_alpha(model, t_end, h, **settings):
+    """{"q", "v", "lam"} at t_end by generalized-alpha with steps h and h/2, extrapolated at the end alone."""
+    return _extrapolated(model, t_end, h, lambda step: GeneralizedAlpha(h=step, tolerance=NEWTON, **settings))
+
+
+def by_energy_momentum(model, t_end, h):
+    """{"q", "v", "lam"} at t_end by the energy-momentum method with steps h and h/2, extrapolated at the end alone."""
+    return _extrapolated(model, t_end, h, lambda step: EnergyMomentum(h=step))
+
+
+def _extrapolated(model, t_end, h, integrator):
+    """(4 x(h/2) - x(h)) / 3 of both runs' ends. RuntimeError where one does not come there."""
+    ends = []
+    for chosen in (integrator(h), integrator(h / 2)):
+        run = solve(model, t_end, chosen, every=10**9)
+        if not run.success:
+            raise RuntimeError(f"reference with h = {chosen.h:g} s: {run.message}")
+        ends.append(last_state(run))
+    return {part: (4 * getattr(ends[1], part) - getattr(ends[0], part)) / 3 for part in PARTS}
+
+
+def distance(one, other):
+    """{part: the largest absolute difference} of what both know."""
+    return {part: float(np.abs(one[part] - other[part]).max()) for part in one if part in other}
+
+
+def last_state(run):
+    """q, v and lam at the end of a run."""
+    return SimpleNamespace(q=run.q[-1], v=run.v[-1], lam=run.lam[-1])
