@@ -5,7 +5,7 @@ translations cost no digits. Its tangent, factor S on the diagonal of each 2 x 2
 counterpart: S v is not zero in the rigid spin of a warped cell and would brake it.
 """
 
-from polyida.element.kernels import kernel
+from polyida.compiled import entry
 from polyida.element.lanes import add_pair, load_float, load_integer, load_pair, pair, traced, zero_pair
 from polyida.element.material import add_product, scaled
 
@@ -21,7 +21,7 @@ def _add_pull(total, weight, other, own):
     return total + weight * (other - own)
 
 
-@kernel
+@entry
 def force(indptr, indices, stabilisation, factor, node_offset, u, f):
     """f (N, 2) += factor (stabilisation (x) I2) u of a body's nodes."""
     for row in range(indptr.shape[0] - 1):
@@ -32,7 +32,7 @@ def force(indptr, indices, stabilisation, factor, node_offset, u, f):
         add_pair(f, 2 * (row + node_offset), scaled(factor, total))
 
 
-@kernel
+@entry
 def inertia_and_force(indptr, indices, mass, scale, stabilisation, factor, node_offset, a, u, r):
     """r (N, 2) += scale (mass (x) I2) a + factor (stabilisation (x) I2) u in one walk over the pattern."""
     for row in range(indptr.shape[0] - 1):
@@ -44,7 +44,7 @@ def inertia_and_force(indptr, indices, mass, scale, stabilisation, factor, node_
         add_pair(r, 2 * (row + node_offset), add_product(scaled(scale, inertia), factor, total))
 
 
-@kernel
+@entry
 def energy(indptr, indices, stabilisation, factor, node_offset, u):
     """factor u . (stabilisation (x) I2) u / 2 in J: compensated sum of -factor S_ij |u_i - u_j|^2 / 2, i < j."""
     total, lost = 0.0, 0.0

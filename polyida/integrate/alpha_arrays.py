@@ -6,6 +6,7 @@ import numpy as np
 
 RATE, AGE, SIZE, FORWARD, MOVED, ERROR, SINCE = range(7)
 MARKS = 7
+PATIENCE = 6  # steps with a small error before the step grows
 
 
 class Method(NamedTuple):
