@@ -122,8 +122,9 @@ class Trajectory:
         """
         nodes, weights = self._nodes_of(name)
         rest = self.model.reference[nodes]
-        moved = (q.reshape(len(q), -1, 2)[:, nodes] + rest for q in blocks(self.q))
-        return np.concatenate([np.einsum("k,fkx->fx", weights, x) for x in moved])
+        place = rest[0] + weights @ (rest - rest[0])
+        moves = (q.reshape(len(q), -1, 2)[:, nodes] for q in blocks(self.q))
+        return np.concatenate([place + np.einsum("k,fkx->fx", weights, u) for u in moves])
 
     def _nodes_of(self, name):
         if not hasattr(self.model, "points_of"):
