@@ -16,7 +16,7 @@ from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.sections import automatic
 from polyida.mesh.walls import meet, project
 
-FARTHEST = 2e6  # sizes from the origin: beyond, the walls' round-off is that of the mesher's tolerances
+FARTHEST = 1e6  # sizes from the origin: beyond, the walls' round-off is that of the mesher's tolerances
 
 
 def whole(value, what, least, most=10**9):
@@ -45,13 +45,16 @@ def polygonize(domain, cells, seed=0, iterations=40):
 
 
 def at_origin(domain):
-    """(domain moved by whole sizes to where its coordinates have all their digits, where it was): Voronoi's squares need them."""
-    size = np.max(domain.upper - domain.lower)
-    places = np.round(domain.lower / size)
-    if np.abs(places).max() > FARTHEST:
-        raise InputError(f"polygonize: the domain lies {np.abs(places).max():.2g} times its size from the origin, too far for the "
-                         "digits of its walls; mesh it at the origin and move the plate by its origin=")
-    return (Moved(domain, -size * places), size * places) if places.any() else (domain, 0.0)
+    """(domain moved to where its coordinates have all their digits, by how much): Voronoi's squares need them.
+
+    It moves by whole powers of two, without round-off; a domain near the origin stays.
+    """
+    size = 2.0 ** np.ceil(np.log2(np.max(domain.upper - domain.lower)))
+    place = size * np.round(domain.lower / size)
+    if np.abs(place).max() > FARTHEST * size:
+        raise InputError(f"polygonize: the domain begins at {domain.lower.tolist()}, more than {FARTHEST:g} of its sizes from the origin, "
+                         "too far for the digits of its walls; mesh it at the origin and move the plate by its origin=")
+    return (Moved(domain, -place), place) if place.any() else (domain, 0.0)
 
 
 def raw_polygons(domain, cells, seed, iterations):

@@ -178,9 +178,10 @@ def test_a_domain_far_away_gives_the_mesh_at_the_origin_moved(make):
     far = np.array([1e6, -1e6])
     near, moved = (polygonize(make(at), 40, seed=1) for at in (np.zeros(2), far))
     assert (moved.n_cells, moved.n_nodes, list(moved.sections)) == (near.n_cells, near.n_nodes, list(near.sections))
-    assert cKDTree(near.points).query(moved.points - far)[0].max() < 1e-9, "numbers of nodes side by side may differ"
+    away = cKDTree(near.points).query(moved.points - far)[0]  # numbers of nodes side by side may differ
+    assert away.max() < 1e-6, "Lloyd's sweeps amplify the round-off of the walls"
 
 
 def test_a_domain_beyond_the_digits_of_its_walls_is_refused():
-    with pytest.raises(InputError, match="times its size from the origin"):
+    with pytest.raises(InputError, match="move the plate by its origin="):
         polygonize(Rectangle(1.0, 1.0, (1e9, 0.0)), 10)
