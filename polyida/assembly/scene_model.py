@@ -242,6 +242,11 @@ class SceneModel(Model):
             parts.append(out)
         return np.concatenate(parts)
 
+    def stress_across(self, stress):
+        """Stress zz across the plane, (cells,), Pa, from that of every element: nu (xx + yy) in plane strain, 0 in plane stress."""
+        ratio = [body.plate.material.across for body in self.bodies]
+        return np.repeat(ratio, [body.mesh.n_cells for body in self.bodies]) * (stress[:, 0] + stress[:, 1])
+
     def reactions(self, name, q, lam):
         """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""
         if not isinstance(self.joints[name], AngleMotor):

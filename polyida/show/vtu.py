@@ -6,7 +6,6 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.show import plates
-from polyida.trajectory import von_mises
 
 COLLECTION = "run.pvd"
 
@@ -66,7 +65,7 @@ class _Blocks:
 
         positions, stress = run.node_positions(k), run.stress(k)
         displacement, velocity = (np.asarray(frames[k])[: positions.size].reshape(-1, 2) for frames in (run.q, run.v))
-        cell_data = {"von Mises": von_mises(stress), "stress": stress, "plate": self.plate}
+        cell_data = {"von Mises": run.von_mises(k), "stress": stress, "plate": self.plate}
         return meshio.Mesh(_flat(positions), self.cells,
                            point_data={"displacement": _flat(displacement), "velocity": _flat(velocity)},
                            cell_data={name: [values[of] for of in self.order] for name, values in cell_data.items()})
