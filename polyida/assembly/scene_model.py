@@ -4,6 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
+from polyida.assembly import collapse
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly import joints as rows
 from polyida.assembly.build import assemble, bodies_of
@@ -166,7 +167,8 @@ class SceneModel(Model):
         """Why a state cannot be accepted, or None: an element turned inside out, or a motor on the wrong half-turn."""
         _, _, _, det, cosine = self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))
         if not det > 0:
-            return f"an element is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
+            where = collapse.deepest(self.bodies, self._nodal(q))
+            return f"{where} is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
         return None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
 
     def _flipped(self, t, q):

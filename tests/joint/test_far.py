@@ -61,3 +61,9 @@ def test_round_off_of_phi_is_that_of_distances_within_the_model(scenes):
     near, far = (scenes.jointed("motor between", origin=origin).build() for origin in ((0.0, 0.0), FAR))
     q = np.zeros(near.n)
     assert extent(far, q) == pytest.approx(extent(near, q))
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.3, -2.7, np.pi / 2])
+def test_phi_at_rest_is_zero_to_the_last_bit(kind, bend, scenes, uneven):
+    model = scenes.jointed(kind, bend=bend, origin=FAR, mesh=uneven).build()
+    assert not model.phi(0.0, np.zeros(model.n)).any()
