@@ -15,6 +15,15 @@ def factor(c1, nu):
     return c1 * (5.0 - nu) / 2.0
 
 
+def of_plate(plate):
+    """The factor of a plate, N/m: t tr(C) of plane stress in both planes, `t G (5 - nu) / (1 - nu)`.
+
+    Plane strain's own tr(C) grows without bound towards nu = 1/2 and would lock the corners' modes, which change no volume.
+    """
+    material = plate.material
+    return factor(plate.thickness * material.E / (1 - material.nu**2), material.nu)
+
+
 @traced(1, pair)
 def _add_pull(total, weight, other, own):
     """total + weight (other - own)."""
