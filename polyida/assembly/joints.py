@@ -40,8 +40,9 @@ def spread(s, forces, r):
 @part
 def turned_sides(s, j, drives, dz):
     """(w, d): the direction of a turned by theta + theta0, and the direction of b."""
-    a, b, rest = s.joint_a[j], s.joint_b[j], s.joint_rest[j]
-    ax, ay, bx, by = rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1]
+    a, b = s.joint_a[j], s.joint_b[j]
+    ax, ay = s.joint_rest[j, 0, 0], s.joint_rest[j, 0, 1]
+    bx, by = s.joint_rest[j, 1, 0], s.joint_rest[j, 1, 1]
     if a >= 0:
         ax, ay = ax + dz[a, 0], ay + dz[a, 1]
     if b >= 0:
