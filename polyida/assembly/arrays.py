@@ -45,7 +45,7 @@ class Links(NamedTuple):
 
     Points: weighted sums of nodal positions in CSR form (`dz = A u`), their value at rest, the mass they carry.
     Joints: kind (0 linear pair, 1 motor), first row, points a and b (-1: ground), drive number, matrix Q (linear) or R(theta0) (motor),
-    vector of the ground side (motor).
+    directions of a and b at rest (motor), that of b being R(theta0) a to the last bit.
     """
 
     point_ptr: np.ndarray
@@ -60,7 +60,7 @@ class Links(NamedTuple):
     joint_b: np.ndarray
     joint_drive: np.ndarray
     joint_matrix: np.ndarray
-    joint_ground: np.ndarray
+    joint_rest: np.ndarray
 
 
 class SceneArrays(NamedTuple):

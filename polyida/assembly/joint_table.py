@@ -38,22 +38,21 @@ class JointTable:
                 if gap > 1e-6 * self._size:
                     raise InputError(f"{name}: its sides are {gap:.3g} m apart at rest, {row.a!r} at {_place(row.a)} and "
                                      f"{row.b!r} at {_place(row.b)}; place the bodies so that they meet")
-        return a, b, -1, matrix, np.zeros(2)
+        return a, b, -1, matrix, np.zeros((2, 2))
 
     def _motor(self, row):
         a, b = (-1 if side is ground else self._points.add(side, "direction") for side in (row.a, row.b))
-        fixed = row.b.direction if a < 0 else row.a.direction
-        rest_a = fixed if a < 0 else row.a.direction
-        rest_b = fixed if b < 0 else row.b.direction
-        return a, b, self._drives.add(row.angle), _rotation(rest_a, rest_b), fixed
+        rest = row.b.direction if a < 0 else row.a.direction
+        turn = _rotation(rest, rest if b < 0 else row.b.direction)
+        return a, b, self._drives.add(row.angle), turn, (rest, _turned(turn, rest))
 
     def arrays(self):
         """The fields of SceneArrays that describe the joints."""
-        kind, row, a, b, drive, matrix, fixed = zip(*self._entries) if self._entries else [()] * 7
+        kind, row, a, b, drive, matrix, rest = zip(*self._entries) if self._entries else [()] * 7
         return {
             "joint_kind": np.array(kind, np.int64), "joint_row": np.array(row, np.int64),
             "joint_a": np.array(a, np.int64), "joint_b": np.array(b, np.int64), "joint_drive": np.array(drive, np.int64),
-            "joint_matrix": np.array(matrix, float).reshape(-1, 2, 2), "joint_ground": np.array(fixed, float).reshape(-1, 2),
+            "joint_matrix": np.array(matrix, float).reshape(-1, 2, 2), "joint_rest": np.array(rest, float).reshape(-1, 2, 2),
         }
 
 
@@ -76,6 +75,12 @@ def _rotation(start, end):
     """The rotation matrix that turns direction `start` into direction `end`."""
     c, s = start @ end, start[0] * end[1] - start[1] * end[0]
     return np.array([[c, -s], [s, c]]) / np.hypot(c, s)
+
+
+def _turned(matrix, d):
+    """The rotation of a direction, each product rounded as the kernels do: a motor's phi at rest is zero, not of round-off."""
+    (c, _), (s, _) = matrix.tolist()
+    return np.array([c * d[0] - s * d[1], s * d[0] + c * d[1]])
 
 
 def _place(attachment):

@@ -1,7 +1,7 @@
 """Joints on the values dz of the scene's points: phi, its derivatives, and the forces of the multipliers.
 
-`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. All of phi is a function of dz and of the
-drives (value, first and second derivative of each motor's angle). The chain rule with the constant A gives everything
+`dz = A u` are the displacements (2,) of the points and directions that joints hold on to. All of phi is a function of dz
+and of the drives (value, first and second derivative of each motor's angle), zero where both are. The chain rule with the constant A gives everything
 in q: `phi_q = phi_z A`.
 """
 
@@ -41,15 +41,12 @@ def spread(s, forces, r):
 def turned_sides(s, j, drives, dz):
     """(w, d): the direction of a turned by theta + theta0, and the direction of b."""
     a, b = s.joint_a[j], s.joint_b[j]
-    ex, ey = s.joint_ground[j, 0], s.joint_ground[j, 1]
+    ax, ay = s.joint_rest[j, 0, 0], s.joint_rest[j, 0, 1]
+    bx, by = s.joint_rest[j, 1, 0], s.joint_rest[j, 1, 1]
     if a >= 0:
-        ax, ay = s.point_rest[a, 0] + dz[a, 0], s.point_rest[a, 1] + dz[a, 1]
-    else:
-        ax, ay = ex, ey
+        ax, ay = ax + dz[a, 0], ay + dz[a, 1]
     if b >= 0:
-        bx, by = s.point_rest[b, 0] + dz[b, 0], s.point_rest[b, 1] + dz[b, 1]
-    else:
-        bx, by = ex, ey
+        bx, by = bx + dz[b, 0], by + dz[b, 1]
     c, n = turn(s, j, drives)
     return c * ax - n * ay, n * ax + c * ay, bx, by
 

@@ -21,7 +21,7 @@ class Points:
             self._index[key] = len(self.nodes)
             self.nodes.append(attachment.nodes + self._first_node[attachment.body])
             self.weights.append(weights)
-            self.rest.append(weights @ attachment.body.points[attachment.nodes])
+            self.rest.append(getattr(attachment, part))
             self.mass.append(0.0)
         return self._index[key]
 
