@@ -3,7 +3,7 @@
 from importlib import import_module
 
 _PLACES = {
-    "InputError": "errors", "Model": "model", "Needs": "model", "check_derivatives": "model",
+    "InputError": "errors", "LockingWarning": "errors", "Model": "model", "Needs": "model", "check_derivatives": "model",
     "Material": "body.material", "Plate": "body.plate", "PointMass": "body.point_mass",
     "PointLoad": "body.loads", "EdgeTraction": "body.loads",
     "Revolute": "joint.revolute", "AngleMotor": "joint.angle_motor", "Clamp": "joint.clamp", "ground": "joint.attachment",

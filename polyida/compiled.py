@@ -2,11 +2,22 @@
 
 import numba
 
-# what Python calls: cached, releases the GIL, divides by zero as numpy does
-entry = numba.njit(cache=True, nogil=True, error_model="numpy")
+from polyida import kernel_cache
 
-# what only compiled code calls: cached within its callers. It has no wrapper for Python: a call from there crashes
-part = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_COMMON = {"nogil": True, "error_model": "numpy"}  # releases the GIL, divides by zero as numpy does
 
-# leaves of inner loops that take a scene's arrays: handing these over costs more than the work
-leaf = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+
+def entry(function, **options):
+    """What Python calls: cached in `kernel_cache.folder()`."""
+    with kernel_cache.kept() as cached:
+        return numba.njit(cache=cached, **_COMMON, **options)(function)
+
+
+def part(function, **options):
+    """What only compiled code calls: cached within its callers. It has no wrapper for Python: a call from there crashes."""
+    return numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_COMMON, **options)(function)
+
+
+def leaf(function):
+    """A part that inner loops call with a scene's arrays: handing these over would cost more than the work."""
+    return part(function, forceinline=True)

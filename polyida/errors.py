@@ -1,4 +1,4 @@
-"""The one exception that a user's mistake raises."""
+"""The one exception that a user's mistake raises, and the warning of what is right but far from converged."""
 
 
 class InputError(ValueError):
@@ -10,3 +10,7 @@ class InputError(ValueError):
     def __init__(self, message):
         line = " ".join(str(message).split())
         super().__init__(line if len(line) <= 600 else f"{line[:300]} ... {line[-295:]}")
+
+
+class LockingWarning(UserWarning):
+    """Elements that are far too stiff for their material: the answer converges, but slowly."""

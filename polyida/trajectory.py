@@ -118,8 +118,9 @@ class Trajectory:
         """
         nodes, weights = self._nodes_of(name)
         rest = self.model.reference[nodes]
-        moved = (q.reshape(len(q), -1, 2)[:, nodes] + rest for q in blocks(self.q))
-        return np.concatenate([np.einsum("k,fkx->fx", weights, x) for x in moved])
+        place = rest[0] + weights @ (rest - rest[0])
+        moves = (q.reshape(len(q), -1, 2)[:, nodes] for q in blocks(self.q))
+        return np.concatenate([place + np.einsum("k,fkx->fx", weights, u) for u in moves])
 
     def _nodes_of(self, name):
         if not hasattr(self.model, "attachment"):
@@ -145,6 +146,11 @@ class Trajectory:
         """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
         return self.model.stress(self.q[frame])
 
+    def von_mises(self, frame):
+        """Von Mises stress of every element in a frame, (cells,), Pa, with the stress across the plane where a plate is in plane strain."""
+        stress = self.stress(frame)
+        return von_mises(stress, self.model.stress_across(stress))
+
     def summary(self):
         """One line: how it ended, what it cost, how well it held."""
         c = self.counts
@@ -165,10 +171,17 @@ def _largest(values):
     return float(np.abs(values).max(initial=0.0))
 
 
-def von_mises(stress):
-    """Von Mises stress of plane stress components (..., 3): `sqrt(xx^2 - xx yy + yy^2 + 3 xy^2)`, same unit."""
-    given = floats(stress)
+def von_mises(stress, zz=0.0):
+    """Von Mises stress of Cauchy components (..., 3), xx, yy, xy, and zz (...), same unit:
+
+        sqrt(((xx - yy)^2 + (yy - zz)^2 + (zz - xx)^2) / 2 + 3 xy^2)
+
+    zz is 0 in plane stress; in plane strain it is not, `run.von_mises(frame)` knows it.
+    """
+    given, out = floats(stress), floats(zz)
     if given is None or not given.ndim or given.shape[-1] != 3:
         raise InputError(f"von_mises: stress = {stress!r} must be finite numbers (..., 3): xx, yy, xy")
+    if out is None or out.shape not in ((), given.shape[:-1]):
+        raise InputError(f"von_mises: zz = {zz!r} must be a finite number, or one for each of the stresses {given.shape[:-1]}")
     xx, yy, xy = np.moveaxis(given, -1, 0)
-    return np.sqrt(xx * xx - xx * yy + yy * yy + 3 * xy * xy)
+    return np.sqrt(((xx - yy) ** 2 + (yy - out) ** 2 + (out - xx) ** 2) / 2 + 3 * xy * xy)

@@ -58,10 +58,11 @@ def hinged(gravity=GRAVITY, cells=20, **options):
     return scene, upper
 
 
-def pair(gravity=GRAVITY, cells=20, bend=0.0, **options):
-    """(scene, upper, lower): two plates end to end, the lower one turned by `bend`; no joint."""
-    scene, upper = single(gravity, cells, **options)
-    return scene, upper, scene.add(plate("lower", cells, origin=(LENGTH, 0.0), angle=bend, **options))
+def pair(gravity=GRAVITY, cells=20, bend=0.0, origin=(0.0, 0.0), **options):
+    """(scene, upper, lower): two plates end to end from the origin, the lower one turned by `bend`; no joint."""
+    scene, upper = single(gravity, cells, origin=origin, **options)
+    end = (origin[0] + LENGTH, origin[1])
+    return scene, upper, scene.add(plate("lower", cells, origin=end, angle=bend, **options))
 
 
 def cantilever(gravity=(0.0, 0.0), cells=20, **options):

@@ -135,7 +135,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "problems.get": (pi.problems.get, {"name": CHOICE}),
     "double_plate": (plates.double_plate, {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE}),
     "plate_chain": (plates.plate_chain, {"links": COUNT}),
-    "von_mises": (pi.von_mises, {"stress": NOTHING + [1.0, [1.0], np.zeros((3, 2))]}),
+    "von_mises": (made(pi.von_mises, stress=[1.0, 0.0, 0.0]), {"stress": NOTHING + [1.0, [1.0], np.zeros((3, 2))], "zz": NUMBER + [[1.0, 2.0]]}),
 }
 CASES = [(name, key, number) for name, (_, wrong) in CALLS.items() for key, values in wrong.items() for number in range(len(values))]
 

@@ -44,9 +44,9 @@ class Links(NamedTuple):
     """The points that joints and masses hold on to, and the rows of phi.
 
     Points: weighted sums of nodal positions in CSR form (`dz = A u`), the mass they carry.
-    Rows: constant; the components of the points that each touches, in CSR form, and the slopes of its linear part. Products `R(theta) E . F`: their row, the vectors E
-    and F, the drive of theta (-1: none), whether only one of two positions half a turn apart is accepted. Vectors: value at rest, and
-    in CSR form their points with a complex weight each.
+    Rows: constant; the components of the points that each touches, in CSR form, and the slopes of its linear part. Products
+    `R(theta) E . F`: their row, the vectors E and F, the drive of theta (-1: none), whether only one of two positions half a turn apart
+    is accepted. Vectors: value at rest, and in CSR form their points with a complex weight each.
     """
 
     point_ptr: np.ndarray

@@ -1,5 +1,6 @@
 """From the parts of a scene to its arrays."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,10 @@ from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.element import stabilisation
 from polyida.element.wachspress import reference_operator
+from polyida.errors import LockingWarning
 from polyida.joint.joint import Joint
+
+LOCKING = 0.45  # Poisson's ratio in plane strain above which cells of full integration lock
 
 
 @dataclass(frozen=True)
@@ -44,12 +48,22 @@ def bodies_of(parts):
     """Bodies in order; plates on one mesh share one reference operator."""
     operators, bodies, first = {}, [], 0
     for name, plate in of_kind(parts, Plate).items():
+        warn_of_locking(name, plate)
         key = (id(plate.placed), plate.element, plate.tau)
         if key not in operators:
             operators[key] = operator_of(plate)
         bodies.append(Body(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
         first += plate.mesh.n_nodes
     return bodies
+
+
+def warn_of_locking(name, plate):
+    """LockingWarning where cells keep their volume at the cost of bending: plane strain, nu near 1/2, too few corners a cell."""
+    material, corners = plate.material, len(plate.mesh.nodes) / plate.mesh.n_cells
+    if material.plane == "strain" and material.nu > LOCKING and (plate.element == "wachspress" or corners < 4):
+        warnings.warn(f"{name}: nu = {material.nu:g} in plane strain with {plate.element} elements of {corners:.2g} corners: they lock, bending comes "
+                      'out much too stiff; use element="virtual" on quadrilaterals or polygons, which does not',
+                      LockingWarning, stacklevel=5)
 
 
 def operator_of(plate):
@@ -105,7 +119,7 @@ def body_arrays(bodies, gravity):
         modulus, nu = plate.material.in_plane
         c1.append(plate.thickness * modulus / (1 - nu**2))
         ratio.append(nu)
-        factor.append(0.0 if operator.stabilisation is None else stabilisation.factor(c1[-1], nu))
+        factor.append(0.0 if operator.stabilisation is None else stabilisation.of_plate(plate))
         density.append(plate.material.rho * plate.thickness)
         lumped = np.add.reduceat(operator.mass, operator.indptr[:-1]) * density[-1]
         weight.append(np.outer(lumped, gravity))

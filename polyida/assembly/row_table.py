@@ -6,6 +6,7 @@ from polyida.assembly.arrays import starts
 from polyida.errors import InputError
 from polyida.joint.formula import rows_of
 
+ROUND = 1e-12  # of the scene's size: what the round-off of a formula leaves at rest
 CLOSED = 1e-6  # of the scene's size: sides that are apart by less at rest are taken to meet
 
 
@@ -41,6 +42,7 @@ class RowTable:
     def _row(self, row):
         """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
         driven = any(product.turning.profile is not None for product in row.products)
+        small = abs(_at_rest(row)) <= ROUND * self._size
         linear = [product for product in row.products if product.linear]
         slopes = {}
         for product in linear:
@@ -48,7 +50,7 @@ class RowTable:
                 for point, w in self._weights(one).items():
                     slopes[point] = slopes.get(point, 0j) + w.conjugate() * other.constant
         number = len(self._constants)
-        self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (0.0 if driven else _at_rest(row)))
+        self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (_at_rest(row) if small or not driven else 0.0))
         self._slopes.append(slopes)
         for product in row.products:
             if not product.linear:

@@ -4,6 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
+from polyida.assembly import collapse
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly import joints as rows
 from polyida.assembly.arrays import bilinear
@@ -189,7 +190,8 @@ class SceneModel(Model):
         """Why a state cannot be accepted, or None: an element turned inside out, or a motor on the wrong half-turn."""
         _, _, _, det, cosine = self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))
         if not det > 0:
-            return f"an element is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
+            where = collapse.deepest(self.bodies, self._nodal(q))
+            return f"{where} is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
         return None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
 
     def _flipped(self, t, q):
@@ -261,6 +263,11 @@ class SceneModel(Model):
                            modulus / (1 - nu**2), nu, self._nodal(q), out)
             parts.append(out)
         return np.concatenate(parts)
+
+    def stress_across(self, stress):
+        """Stress zz across the plane, (cells,), Pa, from that of every element: nu (xx + yy) in plane strain, 0 in plane stress."""
+        ratio = [body.plate.material.across for body in self.bodies]
+        return np.repeat(ratio, [body.mesh.n_cells for body in self.bodies]) * (stress[:, 0] + stress[:, 1])
 
     def reactions(self, name, q, lam):
         """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""

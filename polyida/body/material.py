@@ -59,6 +59,11 @@ class Material:
             return self.E, self.nu
         return self.E / (1 - self.nu**2), self.nu / (1 - self.nu)
 
+    @property
+    def across(self):
+        """Ratio of the stress across the plane to xx + yy: Hooke's nu in plane strain, which is St. Venant-Kirchhoff's at small strains."""
+        return self.nu if self.plane == "strain" else 0.0
+
 
 def positive(part, name, value, unit):
     """The value as a float; raises InputError naming part and value where it is not a finite number above zero."""

@@ -22,7 +22,7 @@ class Plate:
 
     mesh: PolygonMesh, m. thickness: m. origin: where the mesh's (0, 0) lies, m. angle: turn about it, rad. name: how
     joints, tables and files call it (given by the scene where it is None). element: "wachspress", or "virtual" (virtual
-    element of first order, which takes any simple polygon).
+    element of first order, which takes any simple polygon and does not lock in plane strain as nu goes to 1/2).
     tau: of virtual elements alone, no unit, > 0, usually 0.1: the stiffness, as a part of t tr(C), of the deformations
     that a cell's constant F does not see. Larger is stiffer and smaller softer in bending, most on coarse meshes (a
     cantilever of 2 cells through the thickness: its tip moves 3.5 % too far with 0.1 and 43 % too little with 0.5).

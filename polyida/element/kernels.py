@@ -4,14 +4,13 @@
 
 Arguments: the packed arrays of a ReferenceOperator; `node_offset`, where the body's nodes begin in u; c1 = t E_mod /
 (1 - nu^2) in N/m; u (N, 2) displacements in m of all bodies. Arrays are contiguous, writeable float64. Results are
-added to the arrays given. numba's cache compares this file alone: after a change in lanes.py or material.py, touch it
-or delete __pycache__. Differences to the last corner replace displacements, so that the forces of a cell sum to zero
-and large translations cost no digits.
+added to the arrays given. Differences to the last corner replace displacements, so that the forces of a cell sum to
+zero and large translations cost no digits.
 """
 
 import numpy as np
-from numba import njit
 
+from polyida.compiled import entry, part
 from polyida.element.lanes import (
     LANES,
     add_pair,
@@ -54,9 +53,6 @@ from polyida.element.material import (
     watch,
 )
 
-kernel = njit(nogil=True, cache=True, error_model="numpy")
-part = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
 
 @part
 def _room(layout, per_corner, per_corner_point):
@@ -85,7 +81,7 @@ def _gradient(gradients, start, differences, m):
     return h
 
 
-@kernel
+@entry
 def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, f, rotation):
     """Add the internal force to f (N, 2); return the least det F, nan where a displacement is not finite.
 
@@ -123,7 +119,7 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
     return low if np.isfinite(total) else np.nan
 
 
-@kernel
+@entry
 def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, blocks):
     """Add scale * K to blocks (M, 2, 2), the node pattern's 2 x 2 blocks, the body's own beginning at pair_offset."""
     room = _room(layout, 6, 8)
@@ -177,7 +173,7 @@ def _add_last(m, pairs, start, pair_offset, blocks, sums):
     scatter_add(blocks, pairs, start + (m * (m + 1) + m) * LANES, pair_offset, symmetric(total))
 
 
-@kernel
+@entry
 def strain_energy(layout, corners, gradients, weights, node_offset, c1, nu, u):
     """Strain energy in J, summed with compensation."""
     room = _room(layout, 2, 0)
@@ -194,7 +190,7 @@ def strain_energy(layout, corners, gradients, weights, node_offset, c1, nu, u):
     return energy
 
 
-@kernel
+@entry
 def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, c, nu, u, out):
     """Cauchy stress (sxx, syy, sxy) in Pa, mean over the reference area of each cell, into out (cells, 3).
 
@@ -217,7 +213,7 @@ def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, 
             out[cell, 2] += lane(state[2], k) / areas[cell]
 
 
-@kernel
+@entry
 def mass_product(indptr, indices, mass, scale, node_offset, a, r):
     """r (N, 2) += scale * (mass (x) I2) a for a body's node pattern; scale = rho * thickness in kg/m^2."""
     for row in range(indptr.shape[0] - 1):

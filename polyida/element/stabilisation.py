@@ -5,7 +5,7 @@ translations cost no digits. Its tangent, factor S on the diagonal of each 2 x 2
 counterpart: S v is not zero in the rigid spin of a warped cell and would brake it.
 """
 
-from polyida.element.kernels import kernel
+from polyida.compiled import entry
 from polyida.element.lanes import add_pair, load_float, load_integer, load_pair, pair, traced, zero_pair
 from polyida.element.material import add_product, scaled
 
@@ -15,13 +15,22 @@ def factor(c1, nu):
     return c1 * (5.0 - nu) / 2.0
 
 
+def of_plate(plate):
+    """The factor of a plate, N/m: t tr(C) of plane stress in both planes, `t G (5 - nu) / (1 - nu)`.
+
+    Plane strain's own tr(C) grows without bound towards nu = 1/2 and would lock the corners' modes, which change no volume.
+    """
+    material = plate.material
+    return factor(plate.thickness * material.E / (1 - material.nu**2), material.nu)
+
+
 @traced(1, pair)
 def _add_pull(total, weight, other, own):
     """total + weight (other - own)."""
     return total + weight * (other - own)
 
 
-@kernel
+@entry
 def force(indptr, indices, stabilisation, factor, node_offset, u, f):
     """f (N, 2) += factor (stabilisation (x) I2) u of a body's nodes."""
     for row in range(indptr.shape[0] - 1):
@@ -32,7 +41,7 @@ def force(indptr, indices, stabilisation, factor, node_offset, u, f):
         add_pair(f, 2 * (row + node_offset), scaled(factor, total))
 
 
-@kernel
+@entry
 def inertia_and_force(indptr, indices, mass, scale, stabilisation, factor, node_offset, a, u, r):
     """r (N, 2) += scale (mass (x) I2) a + factor (stabilisation (x) I2) u in one walk over the pattern."""
     for row in range(indptr.shape[0] - 1):
@@ -44,7 +53,7 @@ def inertia_and_force(indptr, indices, mass, scale, stabilisation, factor, node_
         add_pair(r, 2 * (row + node_offset), add_product(scaled(scale, inertia), factor, total))
 
 
-@kernel
+@entry
 def energy(indptr, indices, stabilisation, factor, node_offset, u):
     """factor u . (stabilisation (x) I2) u / 2 in J: compensated sum of -factor S_ij |u_i - u_j|^2 / 2, i < j."""
     total, lost = 0.0, 0.0

@@ -4,13 +4,13 @@
     midpoint  f_i = int t F_m S_m G_i, F_m = (F_0 + F_1) / 2, S_m = D : (E_0 + E_1) / 2 (Simo, Tarnow 1992), so that
               f . (u_1 - u_0) = W_1 - W_0; with viscosity, plus tau_v / h int t (E_1 - E_0) : D : (E_1 - E_0)
 
-Arguments as in kernels.py. numba's cache compares this file alone: after a change in kernels.py, lanes.py or the
-material files, touch it or delete __pycache__.
+Arguments as in kernels.py.
 """
 
 import numpy as np
 
-from polyida.element.kernels import _gradient, _room, kernel, part
+from polyida.compiled import entry, part
+from polyida.element.kernels import _gradient, _room
 from polyida.element.lanes import (
     LANES,
     gather,
@@ -41,7 +41,7 @@ MEAN_AND_HALF = (0.5, 0.5, -0.5, 0.5)
 """State = mean of the fields, direction = half their difference."""
 
 
-@kernel
+@entry
 def internal_force_viscous(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, f, rotation):
     """Add elastic and viscous force at displacements u and velocities v to f; return the least det F, nan if undefined.
 
@@ -52,7 +52,7 @@ def internal_force_viscous(layout, corners, gradients, weights, node_offset, c1,
                   f, rotation)
 
 
-@kernel
+@entry
 def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, tau_v, u, v,
                     c_q, c_v, blocks):
     """Add c_q dg/dq + c_v dg/dv of internal_force_viscous to blocks (M, 2, 2) in one pass.
@@ -64,7 +64,7 @@ def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pai
              (c_q, c_q + c_v * tau_v, c_q * tau_v), SECOND_ALONE, u, v, blocks)
 
 
-@kernel
+@entry
 def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1, nu, viscosity, u0, u1, f, rotation):
     """Add the energy-momentum force of the step from u0 to u1 to f; return the least det F(u1), nan if undefined.
 
@@ -75,7 +75,7 @@ def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1
                   u0, u1, f, rotation)
 
 
-@kernel
+@entry
 def tangent_midpoint(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, viscosity, u0, u1,
                      scale, blocks):
     """Add scale df/du1 of internal_force_midpoint to blocks (M, 2, 2): unsymmetric where u1 differs from u0.

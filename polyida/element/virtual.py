@@ -31,7 +31,8 @@ def reference_operator(mesh, tau=0.1):
     converge to the same limit for every tau. The error of a cantilever's tip, 2 / 3 / 5 cells through the thickness, is
     +3.5 / +0.2 / +0.3 % with 0.1 and -43 / -19 / -8 % with 0.5 (means over six meshes of 40 / 90 / 250 cells).
     The stabilisation has no unit. Its energy is factor u . (stabilisation (x) I) u / 2 with factor = t tr(C)
-    = c1 (5 - nu) / 2 in N/m, c1 = t E / (1 - nu^2) (`stabilisation.factor`). Triangles have none.
+    = c1 (5 - nu) / 2 in N/m, c1 = t E / (1 - nu^2) (`stabilisation.factor`), in plane strain too: one volume a cell and
+    a stabilisation that stays bounded do not lock as nu goes to 1/2. Triangles have none.
     Raises InputError for tau <= 0, a cell of no area or clockwise, a side of zero length, a node without a cell.
     """
     if not (np.isfinite(tau) and tau > 0):

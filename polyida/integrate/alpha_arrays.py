@@ -6,6 +6,7 @@ import numpy as np
 
 RATE, AGE, SIZE, CHANGE, AHEAD, BEHIND, MOVED, ERROR, SINCE = range(9)
 MARKS = 9
+PATIENCE = 6  # steps with a small error before the step grows
 
 
 class Method(NamedTuple):

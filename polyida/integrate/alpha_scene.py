@@ -7,8 +7,7 @@ from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
 from polyida.compiled import entry, part
 from polyida.integrate import alpha_tie
-from polyida.integrate.alpha_arrays import AGE, AHEAD, BEHIND, CHANGE, ERROR, MOVED, RATE, SINCE, SIZE
-from polyida.integrate.step_control import PATIENCE
+from polyida.integrate.alpha_arrays import AGE, AHEAD, BEHIND, CHANGE, ERROR, MOVED, PATIENCE, RATE, SINCE, SIZE
 from polyida.linear import corotated
 
 EPS = 2.0**-52

@@ -19,7 +19,7 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
     1. q0 (zeros where None) is freed of round-off in phi, v0 (made where None) put on the velocity constraint, both in the metric of M.
     2. `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`.
     Raises InputError for wrong shapes or values, of q0 and v0 or of what the model's functions return, for a start (or a given v0)
-    that violates its constraint by more than 1e-6 of its size, and for redundant or inconsistent constraints.
+    that violates its constraint by more than 1e-6 of its size, that the model objects to, and for redundant or inconsistent constraints.
     """
     require_model("consistent_state", model)
     q, v = given(model, "q0", q0), given(model, "v0", v0)
@@ -30,9 +30,10 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
         require_independent(model, model.phi_q(t0, q))
         _require_near(model, "q0", True, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
         q = _project_position(model, t0, q)
-        objection = getattr(model, "objection", lambda t, q: None)(t0, q)
-        if objection:
-            raise InputError(f"the start cannot be accepted: {objection}")
+    objection = getattr(model, "objection", lambda t, q: None)(t0, q)
+    if objection:
+        raise InputError(f"the start cannot be accepted: {objection}")
+    if model.m:
         rate = model.phi_rate(t0, q, v)
         _require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
         v = on_velocity(model, t0, q, v)

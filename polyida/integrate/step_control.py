@@ -8,7 +8,6 @@ from polyida.integrate.segments import enough_steps
 from polyida.integrate.state import State, StepFailure
 
 RUNGS = 4  # a factor of two
-PATIENCE = 6  # steps with a small error before the step grows
 SAFETY = 0.85
 ORDER = 3  # the local error is of that order in h
 CUT = 2 * RUNGS  # rungs down where Newton fails

@@ -8,6 +8,8 @@ from polyida.body.material import vector2
 from polyida.errors import InputError
 from polyida.joint.formula import Piece, Vector, along
 
+ROUND = 1e-6  # second moments that differ by less are equal: which is the larger would be up to round-off
+
 
 @dataclass(frozen=True, eq=False)
 class Ground:
@@ -24,10 +26,10 @@ class Ground:
 
     def at(self, point, direction=(1.0, 0.0)):
         """A place of the ground, m, with a direction, of any length (the x axis where none is given). Raises InputError."""
-        place, along = vector2("ground.at", "point", point), vector2("ground.at", "direction", direction)
-        if not np.hypot(*along) > 0:
+        place, way = vector2("ground.at", "point", point), vector2("ground.at", "direction", direction)
+        if not np.hypot(*way) > 0:
             raise InputError(f"ground.at: direction = {direction!r} must not be zero")
-        return Ground(place, along / np.hypot(*along))
+        return Ground(place, way / np.hypot(*way))
 
     def facing(self, other):
         """The place where `other` is in the reference configuration, unless it has one."""
@@ -67,13 +69,13 @@ class Attachment:
 
     @property
     def point(self):
-        """Reference position of the point, (2,), m."""
-        return self.weights @ self.body.points[self.nodes]
+        """Reference position of the point, (2,), m: to the round-off of one place."""
+        return self.body.points[self.nodes[0]] + self.weights @ _arms(self.body, self.nodes)
 
     @property
     def direction(self):
-        """Reference direction, (2,), of length one, or None."""
-        return None if self.turn_weights is None else self.turn_weights @ self.body.points[self.nodes]
+        """Reference direction, (2,), of length one, or None: the same wherever the body lies."""
+        return None if self.turn_weights is None else self.turn_weights @ _arms(self.body, self.nodes)
 
     @property
     def has_direction(self):
@@ -105,10 +107,17 @@ def of_node(body, node):
     return Attachment(body, np.array([node], np.int32), np.ones(1), None, 0.0, f"node {node}")
 
 
+def _arms(body, nodes):
+    """Reference positions of the nodes against the first of them, (k, 2), m: free of where the body lies."""
+    places = body.placed.points[nodes]
+    return places - places[0]
+
+
 def of_section(body, section, name):
     """Mean of a section: weights by tributary length l; `w'_i = l_i (eta_i - mean) / sum l (eta - mean)^2`, eta along its main axis.
 
-    The main axis is that of the largest second moment, so that the direction has length one on straight and round sections alike.
+    The main axis is that of the largest second moment, x where the two are one but for round-off, so that the direction has length
+    one on straight and round sections alike.
     """
     nodes, lengths = np.asarray(section.nodes, np.int32), np.asarray(section.lengths, float)
     total = lengths.sum()
@@ -117,12 +126,22 @@ def of_section(body, section, name):
             return of_node(body, int(nodes[0]))
         lengths, total = np.ones(len(nodes)), 0.0
     weights = lengths / lengths.sum()
-    offset = body.points[nodes] - weights @ body.points[nodes]
-    moments, axes = np.linalg.eigh((weights[:, None] * offset).T @ offset)
-    axis = axes[:, 1] * (1.0 if axes[np.argmax(np.abs(axes[:, 1])), 1] > 0 else -1.0)
+    offset = _arms(body, nodes)
+    offset = offset - weights @ offset
+    axis = _main_axis((weights[:, None] * offset).T @ offset)
     eta = offset @ axis
-    turn = weights * eta / moments[1] if moments[1] > 0 else None
-    return Attachment(body, nodes, weights, turn, float(total), name)
+    eta = eta - weights @ eta
+    moment = weights @ eta**2
+    turn = weights * eta / moment if moment > 0 else None
+    return Attachment(body, nodes, weights, None if turn is None else turn - turn.mean(), float(total), name)
+
+
+def _main_axis(moments):
+    """Axis of the larger second moment, towards growing x or y."""
+    sizes, axes = np.linalg.eigh(moments)
+    if sizes[0] > (1.0 - ROUND) * sizes[1]:
+        return np.array([1.0, 0.0])
+    return axes[:, 1] * (1.0 if axes[np.argmax(np.abs(axes[:, 1])), 1] > 0 else -1.0)
 
 
 def labelled(kind, name):

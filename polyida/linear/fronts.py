@@ -5,12 +5,15 @@ eliminated, rows of `U` (S = U^T U) go to the panel and the Schur complement to 
 at a time, from their diagonal block on, with reciprocal diagonal: a solve runs through it once forward, once backward.
 """
 
-import numba
+from functools import partial
+
 import numpy as np
 
+from polyida import compiled
+
 FAST = {"contract", "reassoc", "nsz"}
-entry = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-part = numba.njit(nogil=True, error_model="numpy", fastmath=FAST, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+entry = partial(compiled.entry, fastmath=FAST)
+part = partial(compiled.part, fastmath=FAST)
 
 
 def factorize(symbolic, blocks):

@@ -3,13 +3,14 @@
 A Newton correction needs two or three digits; half the bytes are half the time, for the solves stream the factor and do little else.
 """
 
-import numba
+from functools import partial
+
 import numpy as np
 
-from polyida.compiled import entry
+from polyida.compiled import entry, part
 
 FAST = {"contract", "reassoc", "nsz"}
-fast = numba.njit(nogil=True, error_model="numpy", fastmath=FAST, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+fast = partial(part, fastmath=FAST)
 
 
 @entry

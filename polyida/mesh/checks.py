@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.mesh import topology
+from polyida.mesh.overlap import overlapping_cells
 
 
 def _frozen(array, dtype):
@@ -75,7 +76,7 @@ def _place(mesh, cell):
 
 
 def require_valid_cells(mesh):
-    """InputError unless every node is used, every cell counter-clockwise and simple, no edge used twice one way."""
+    """InputError unless every node is used, every cell counter-clockwise and simple, and no two cells overlap."""
     unused = np.flatnonzero(np.bincount(mesh.nodes, minlength=mesh.n_nodes) == 0)
     if unused.size:
         raise InputError(f"node {unused[0]} at {mesh.points[unused[0]].tolist()} belongs to no cell "
@@ -95,6 +96,9 @@ def require_valid_cells(mesh):
                          f"with positive area ({bad.size} such cells)")
     _require_simple(mesh)
     _require_single_edges(mesh)
+    if cells := overlapping_cells(mesh):
+        raise InputError(f"{_place(mesh, cells[0])} and {_place(mesh, cells[1])} overlap: a mesh covers no place twice; "
+                         "what lies on another part is a plate of its own")
 
 
 def _require_simple(mesh):

@@ -141,6 +141,18 @@ class Difference(Domain):
         return np.maximum(self.first.distance(points), -self.second.distance(points))
 
 
+class Moved(Domain):
+    """A domain moved by an offset (x, y), m."""
+
+    def __init__(self, domain, offset):
+        self.domain, self.offset, self.convex = domain, offset, domain.convex
+        self.lower, self.upper = domain.lower + offset, domain.upper + offset
+        self.walls = [wall.moved(offset) for wall in domain.walls]
+
+    def distance(self, points):
+        return self.domain.distance(points - self.offset)
+
+
 class Link(Domain):
     """Bar with rounded ends and a pin hole in each: the pins' centres are (0, 0) and (length, 0) from origin.
 

@@ -216,7 +216,7 @@ def counter_clockwise(points, nodes, offsets):
 def _named_nodes(data, n_points):
     """name -> node indices from point sets, cell sets and physical groups of lines and vertices, and stored masks."""
     named = {}
-    for name, index in (data.point_sets or {}).items():
+    for name, index in _of_user(data.point_sets):
         named.setdefault(name, []).append(np.asarray(index).ravel())
     for name, mask in (data.point_data or {}).items():
         if name.startswith(PREFIX):
@@ -224,13 +224,17 @@ def _named_nodes(data, n_points):
     for name, block, chosen in _named_blocks(data):
         named.setdefault(name, []).append(np.asarray(block.data)[chosen].ravel())
     named = {name: np.unique(np.concatenate(parts).astype(np.int64)) for name, parts in named.items()}
-    own = {name: index for name, index in named.items() if not name.startswith("gmsh:")}
-    return {name: index[(index >= 0) & (index < n_points)] for name, index in own.items()}
+    return {name: index[(index >= 0) & (index < n_points)] for name, index in named.items()}
+
+
+def _of_user(sets):
+    """(name, members) of the sets that a user named: what meshio calls gmsh:... holds numbers of other things than cells."""
+    return [(name, members) for name, members in (sets or {}).items() if not name.startswith("gmsh:")]
 
 
 def _named_blocks(data):
     """(name, block of lines or vertices, chosen rows) of every cell set and physical group."""
-    for name, rows in (data.cell_sets or {}).items():
+    for name, rows in _of_user(data.cell_sets):
         for block, chosen in zip(data.cells, rows, strict=False):
             if block.type in LOWER and chosen is not None and len(chosen):
                 yield name, block, np.asarray(chosen, dtype=np.int64)

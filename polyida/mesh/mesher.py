@@ -10,11 +10,13 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_whole
 from polyida.mesh import cleanup, concave, topology, voronoi
-from polyida.mesh.domains import Domain
+from polyida.mesh.domains import Domain, Moved
 from polyida.mesh.numbering import renumber
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.sections import automatic
 from polyida.mesh.walls import meet, project
+
+FARTHEST = 1e6  # sizes from the origin: beyond, the walls' round-off is that of the mesher's tolerances
 
 
 def whole(value, what, least, most=10**9):
@@ -35,10 +37,24 @@ def polygonize(domain, cells, seed=0, iterations=40):
     if not isinstance(domain, Domain):
         raise InputError(f"polygonize needs a domain such as Rectangle or Link, not {domain!r}")
     cells, seed = whole(cells, "polygonize cells", 1), whole(seed, "polygonize seed", 0)
+    domain, place = at_origin(domain)
     polygons = raw_polygons(domain, cells, seed, whole(iterations, "polygonize iterations", 1))
     points, nodes, offsets, _ = renumber(polygons.points, polygons.nodes, polygons.offsets)
     rim = topology.boundary_edges(nodes, offsets, len(points))
-    return PolygonMesh(points, nodes, offsets, automatic(points, rim))
+    return PolygonMesh(points + place, nodes, offsets, automatic(points, rim))
+
+
+def at_origin(domain):
+    """(domain moved to where its coordinates have all their digits, by how much): Voronoi's squares need them.
+
+    It moves by whole powers of two, without round-off; a domain near the origin stays.
+    """
+    size = 2.0 ** np.ceil(np.log2(np.max(domain.upper - domain.lower)))
+    place = size * np.round(domain.lower / size)
+    if np.abs(place).max() > FARTHEST * size:
+        raise InputError(f"polygonize: the domain begins at {domain.lower.tolist()}, more than {FARTHEST:g} of its sizes from the origin, "
+                         "too far for the digits of its walls; mesh it at the origin and move the plate by its origin=")
+    return (Moved(domain, -place), place) if place.any() else (domain, 0.0)
 
 
 def raw_polygons(domain, cells, seed, iterations):

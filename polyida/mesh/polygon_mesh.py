@@ -19,7 +19,7 @@ class PolygonMesh:
     offsets (n_cells + 1): cell i has the corners nodes[offsets[i]:offsets[i + 1]]; sections: name -> node indices.
 
     Raises InputError for points that are not finite, nodes out of range, repeated in a cell or used by no cell, cells
-    with fewer than three corners, clockwise or crossing themselves, and cells that overlap along an edge.
+    with fewer than three corners, clockwise or crossing themselves, and cells that overlap.
     Convexity is a need of some elements only: see require_convex.
     """
 

@@ -136,7 +136,7 @@ def automatic(points, boundary):
     """Sections any mesh has: left, right, top, bottom where boundary edges lie on the bounding box; the rims
     'hole 0', 'hole 1', ... ordered by x, then y."""
     lower, upper = points.min(axis=0), points.max(axis=0)
-    near = 1e-9 * float((upper - lower).max())
+    near = 1e-9 * float((upper - lower).max()) + 4 * np.finfo(float).eps * float(np.abs(points).max())
     found = {}
     for name, axis, value in (("left", 0, lower), ("right", 0, upper), ("top", 1, upper), ("bottom", 1, lower)):
         on_side = np.abs(points[:, axis] - value[axis]) <= near

@@ -35,6 +35,10 @@ class Line:
         """The same wall with its inside outside."""
         return replace(self, sign=-self.sign)
 
+    def moved(self, offset):
+        """The wall moved by (x, y), m."""
+        return replace(self, value=self.value + offset[self.axis])
+
 
 @dataclass(frozen=True, eq=False)
 class Capsule:
@@ -71,6 +75,10 @@ class Capsule:
     def flipped(self):
         """The same wall with its inside outside."""
         return replace(self, sign=-self.sign)
+
+    def moved(self, offset):
+        """The wall moved by (x, y), m."""
+        return replace(self, start=self.start + offset, end=self.end + offset)
 
 
 def project(points, wall):

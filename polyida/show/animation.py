@@ -7,7 +7,6 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.show import plates
 from polyida.show.style import INK, box, colour_top, equal, figure, height_for, settings
-from polyida.trajectory import von_mises
 
 
 def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress=None):
@@ -43,7 +42,7 @@ def _draw(run, chosen, width):
     from PIL import Image
 
     places = [run.node_positions(k) for k in chosen]
-    stress = [von_mises(run.stress(k)) / 1e3 for k in chosen]
+    stress = [run.von_mises(k) / 1e3 for k in chosen]
     low, high = box(np.concatenate(places))
     with settings():
         made, axes = figure(width, height_for(low, high, 0.82 * width, 0.6))

@@ -8,7 +8,6 @@ import numpy as np
 from polyida.show import plates
 from polyida.show.style import INK, PALETTE, box, colour_top, equal, figure, height_for, line, settings
 from polyida.study.energy import unbalanced
-from polyida.trajectory import von_mises
 
 
 def mesh(model):
@@ -39,7 +38,7 @@ def deformed(run, times=None, snapshots=6, width=6.4):
     with settings():
         frames = plates.spread(run, snapshots) if times is None else plates.frames_at(run, times)
         shapes = [plates.polygons(run.model, run.node_positions(k)) for k in frames]
-        stress = [von_mises(run.stress(k)) / 1e3 for k in frames]
+        stress = [run.von_mises(k) / 1e3 for k in frames]
         low, high = box(np.concatenate([run.node_positions(k) for k in frames]))
         made, axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
         top = colour_top(stress)

@@ -6,7 +6,6 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.show import plates
-from polyida.trajectory import von_mises
 
 COLLECTION = "run.pvd"
 
@@ -58,7 +57,6 @@ class _Blocks:
     def __init__(self, model):
         nodes, offsets = plates.connectivity(model)
         corners = np.diff(offsets)
-        self.reference = model.reference
         self.order = [np.flatnonzero(corners == count) for count in np.unique(corners)]
         self.cells = [(_kind(count), nodes[offsets[of][:, None] + np.arange(count)])
                       for count, of in zip(np.unique(corners), self.order)]
@@ -70,10 +68,10 @@ class _Blocks:
         import meshio
 
         positions, stress = run.node_positions(k), run.stress(k)
-        velocity = np.asarray(run.v[k])[: positions.size].reshape(-1, 2)
-        cell_data = {"von Mises": von_mises(stress), "stress": stress, "plate": self.plate}
+        displacement, velocity = (np.asarray(frames[k])[: positions.size].reshape(-1, 2) for frames in (run.q, run.v))
+        cell_data = {"von Mises": run.von_mises(k), "stress": stress, "plate": self.plate}
         return meshio.Mesh(_flat(positions), self.cells,
-                           point_data={"displacement": _flat(positions - self.reference), "velocity": _flat(velocity)},
+                           point_data={"displacement": _flat(displacement), "velocity": _flat(velocity)},
                            cell_data={name: [values[of] for of in self.order] for name, values in cell_data.items()})
 
 

@@ -118,3 +118,17 @@ def test_equal_plates_share_an_operator(scenes):
 
 def test_von_mises():
     assert np.allclose(pi.von_mises([[3.0, 0.0, 0.0], [0.0, 0.0, 2.0], [1.0, 1.0, 0.0]]), [3.0, 2 * np.sqrt(3.0), 1.0])
+    assert pi.von_mises([2.0, 2.0, 0.0], 2.0) == 0.0, "pressure alone"
+
+
+def test_von_mises_of_a_run_knows_the_plane_of_each_plate(scenes):
+    """Both plates stretched by a small strain e along x, held along y: sxx = C11 e, syy = C12 e in either plane's Hooke."""
+    scene, upper = scenes.single((0.0, 0.0), material={"nu": 0.4})
+    scene.add(scenes.plate("lower", material={"nu": 0.4, "plane": "strain"}))
+    model, e, nu, modulus = scene.build(), 1e-7, 0.4, scenes.RUBBER["E"]
+    q = (model.reference * [e, 0.0]).ravel()
+    run = pi.Trajectory(model, None, np.zeros(1), q[None], 0 * q[None], 0 * q[None], np.zeros((1, model.m)))
+    found = np.split(run.von_mises(0), [upper.mesh.n_cells])
+    thin = modulus * e / (1 - nu**2) * np.sqrt(1 - nu + nu**2)
+    assert found[0] == pytest.approx(thin, rel=1e-5)
+    assert found[1] == pytest.approx(modulus * e / (1 + nu), rel=1e-5), "2 mu e: syy = szz, their difference to sxx is all"

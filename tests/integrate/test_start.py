@@ -187,3 +187,18 @@ def test_initial_values_beside_a_state_are_refused(scenes):
     model = scenes.hinged()[0].build()
     with pytest.raises(pi.InputError, match="q0"):
         pi.solve(model, 0.1, STEP, state=pi.consistent_state(model), q0=np.zeros(model.n))
+
+
+@pytest.mark.parametrize("held", [False, True], ids=["free", "held"])
+def test_a_start_with_a_cell_turned_inside_out_is_refused_by_name(held, scenes):
+    scene, upper = scenes.single()
+    if held:
+        scene.add(pi.Revolute(pi.ground, upper.section("left")))
+    model, cell = scene.build(), 7
+    q = np.zeros((model.n_nodes, 2))
+    corners = upper.mesh.cell(cell)
+    inner = next(node for node in corners if node not in upper.mesh.boundary_nodes)
+    middle = upper.points[corners].mean(axis=0)
+    q[inner] = 3.0 * (middle - upper.points[inner])
+    with pytest.raises(pi.InputError, match=r"start cannot be accepted: cell \d+ of 'upper' at .* is turned inside out"):
+        pi.consistent_state(model, q0=q.ravel())

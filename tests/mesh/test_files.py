@@ -14,6 +14,48 @@ def flat(points):
     return np.column_stack([points, np.zeros(len(points))])
 
 
+GMSH41 = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+{names}$Entities
+4 4 1 0
+1 0 0 0 0
+2 1 0 0 0
+3 1 1 0 0
+4 0 1 0 0
+1 0 0 0 1 0 0 0 2 1 -2
+2 1 0 0 1 1 0 0 2 2 -3
+3 0 1 0 1 1 0 0 2 3 -4
+4 0 0 0 0 1 0 {root} 2 4 -1
+1 0 0 0 1 1 0 {body} 4 1 2 3 4
+$EndEntities
+$Nodes
+1 5 1 5
+2 1 0 5
+1
+2
+3
+4
+5
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+0.5 0.5 0
+$EndNodes
+$Elements
+2 5 1 5
+1 4 1 1
+1 4 1
+2 1 2 4
+2 1 2 5
+3 2 3 5
+4 3 4 5
+5 4 1 5
+$EndElements
+"""  # a square of four triangles as gmsh writes it: lines 1 to 4 bound surface 1, line 4 is the left side
+
+
 def gmsh(path, points, cells, **more):
     meshio.Mesh(points, cells, **more).write(path, file_format="gmsh22")
     return path
@@ -62,6 +104,15 @@ class TestRoundTrip:
 
 
 class TestRepair:
+    @pytest.mark.parametrize("named", [True, False])
+    def test_gmsh_4_1_with_and_without_named_groups(self, tmp_path, named):
+        path, names = tmp_path / "square.msh", '$PhysicalNames\n2\n1 7 "root"\n2 8 "body"\n$EndPhysicalNames\n'
+        path.write_text(GMSH41.format(names=names, root="1 7", body="1 8") if named else GMSH41.format(names="", root=0, body=0))
+        mesh = read(path)
+        assert mesh.n_cells == 4 and mesh.area == pytest.approx(1.0)
+        assert set(mesh.sections) == {"left", "right", "top", "bottom"} | ({"root"} if named else set())
+        assert np.array_equal(mesh.sections.get("root", mesh.sections["left"]), mesh.sections["left"])
+
     def test_mixed_gmsh_file(self, tmp_path):
         cells = [("quad", [[0, 1, 4, 3]]), ("triangle", [[1, 2, 5], [1, 5, 4]])]
         mesh = read(gmsh(tmp_path / "mixed.msh", flat(SQUARES), cells))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from polyida.errors import InputError
 from polyida.mesh import Circle, Difference, Intersection, Link, Rectangle, Union, polygonize, rectangle
@@ -166,3 +167,21 @@ class TestDomains:
     def test_bad_values(self, make, message):
         with pytest.raises(InputError, match=message):
             make()
+
+
+@pytest.mark.parametrize("make", [
+    lambda at: Link(1.0, 0.2, 0.04, origin=at),
+    lambda at: Rectangle(1.0, 1.0, at) - Circle(0.2, np.add(at, 0.5)),
+    lambda at: Rectangle(1.0, 1.0, at) - Rectangle(0.5, 0.5, at),
+])
+def test_a_domain_far_away_gives_the_mesh_at_the_origin_moved(make):
+    far = np.array([1e6, -1e6])
+    near, moved = (polygonize(make(at), 40, seed=1) for at in (np.zeros(2), far))
+    assert (moved.n_cells, moved.n_nodes, list(moved.sections)) == (near.n_cells, near.n_nodes, list(near.sections))
+    away = cKDTree(near.points).query(moved.points - far)[0]  # numbers of nodes side by side may differ
+    assert away.max() < 1e-6, "Lloyd's sweeps amplify the round-off of the walls"
+
+
+def test_a_domain_beyond_the_digits_of_its_walls_is_refused():
+    with pytest.raises(InputError, match="move the plate by its origin="):
+        polygonize(Rectangle(1.0, 1.0, (1e9, 0.0)), 10)

@@ -174,3 +174,49 @@ class TestBadInput:
     def test_bad_sections(self, nodes, message):
         with pytest.raises(InputError, match=message):
             PolygonMesh(SQUARE, [0, 1, 2, 3], [0, 4], {"grip": nodes})
+
+
+def square(x=0.0, y=0.0, side=1.0):
+    return np.add((x, y), side * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]))
+
+
+def apart(*cells):
+    """Cells that share no node."""
+    return np.concatenate(cells), np.arange(4 * len(cells)), np.arange(0, 4 * len(cells) + 1, 4)
+
+
+def winding_strip(turn, cells=16):
+    """One row of cells around the origin by `turn` rad."""
+    angle = np.linspace(0.0, turn, cells + 1)
+    ray = np.column_stack([np.cos(angle), np.sin(angle)])
+    k = np.arange(cells)
+    corners = np.stack([k, k + cells + 1, k + cells + 2, k + 1], axis=1)
+    return np.concatenate([ray, 2 * ray]), corners.ravel(), np.arange(0, 4 * cells + 1, 4)
+
+
+@pytest.mark.parametrize("far", [0.0, 1e6])
+class TestOverlap:
+    @pytest.mark.parametrize("given", [
+        apart(square(), square(0.7, 0.4)),
+        apart(square(), square()),
+        apart(square(), square(0.25, 0.25, 0.5)),
+        apart(square(), square(0.5, 0.0)),
+        apart(square(), square(1.5), square(0.999, 0.5)),
+        winding_strip(6.5),
+        winding_strip(12.0),
+    ], ids=["corner", "twice", "inside", "half", "a little", "around", "around twice"])
+    def test_cells_that_share_no_edge_but_lie_on_each_other_are_named(self, given, far):
+        points, nodes, offsets = given
+        with pytest.raises(InputError, match=r"cell \d+ at \(.*\) and cell \d+ at \(.*\) overlap") as error:
+            PolygonMesh(points + [far, -far], nodes, offsets)
+        first, second = (int(word.split()[0]) for word in str(error.value).split("cell ")[1:3])
+        assert first != second
+
+    @pytest.mark.parametrize("given", [
+        apart(square(), square(1.0), square(0.5, 1.0)),
+        apart(square(), square(1.0, 1.0), square(-3.0, 0.3, 2.0)),
+        winding_strip(6.2),
+    ], ids=["touching", "at a corner", "around"])
+    def test_parts_that_touch_are_welcome(self, given, far):
+        points, nodes, offsets = given
+        assert PolygonMesh(points + [far, -far], nodes, offsets).quality().pieces in (1, 3)

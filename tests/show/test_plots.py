@@ -7,7 +7,6 @@ from polyida.errors import InputError
 from polyida.model import Model
 from polyida.show import plates, plots
 from polyida.show.style import save
-from polyida.trajectory import von_mises
 
 
 def drawn(figure, kind=PolyCollection):
@@ -22,7 +21,7 @@ def test_mesh_draws_every_polygon(model):
 def test_deformed_plates_stand_where_the_run_has_them_in_the_colour_of_their_stress(run):
     cells = drawn(plots.deformed(run, times=[0.0, 0.021, 0.04]))
     assert len(cells) == 3
-    assert np.asarray(cells[-1].get_array()) == pytest.approx(von_mises(run.stress(-1)) / 1e3)
+    assert np.asarray(cells[-1].get_array()) == pytest.approx(run.von_mises(-1) / 1e3)
     corners = np.concatenate([path.vertices[:-1] for path in cells[-1].get_paths()])
     nodes, _ = plates.connectivity(run.model)
     assert corners == pytest.approx(run.node_positions(-1)[nodes])

@@ -1,0 +1,108 @@
+"""Where compiled kernels are kept: a folder named after all that they were made from.
+
+numba looks for changes in the file of an entry alone; what the entry calls in other files it takes as it was. So the
+folder's name carries a hash of every file that makes compiled code, and of numba's version: a change anywhere begins
+an empty folder.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import tempfile
+import threading
+import time
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+import numba
+
+PREFIX = "kernels-"
+KEPT = 4  # folders of other sources that stay: going back and forth between versions compiles nothing
+UNUSED = 3600.0  # s: a younger folder may be that of a process that is just starting
+
+# a file that compiles, or whose formulas are traced into compiled code, or whose tuples compiled code takes apart by place
+_MAKES_KERNELS = re.compile(
+    rb"^(?:from|import) (?:numba|polyida import compiled|polyida\.(?:compiled|element\.lanes))\b|^class \w+\(NamedTuple\)",
+    re.MULTILINE,
+)
+_lock = threading.Lock()
+
+
+def sources(folder):
+    """(path, content) of every file below the folder that makes compiled code, sorted."""
+    for place in sorted(os.scandir(folder), key=lambda place: place.name):
+        if place.is_dir() and place.name != "__pycache__":
+            yield from sources(place.path)
+        elif place.name.endswith(".py"):
+            with open(place.path, "rb") as file:
+                content = file.read()
+            if _MAKES_KERNELS.search(content):
+                yield place.path, content
+
+
+@cache
+def folder():
+    """The folder of this version's kernels, made where it is missing; None where there is none that can be written.
+
+    It lies in the first of NUMBA_CACHE_DIR, the package's own `__pycache__` and the user's cache that takes files.
+    """
+    package = Path(__file__).parent
+    try:
+        name = PREFIX + _digest(package)
+    except OSError:
+        return None
+    user = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or os.path.expanduser("~/.cache")
+    given = numba.config.CACHE_DIR
+    for parent in [*([Path(given)] if given else []), package / "__pycache__", Path(user) / "polyida"]:
+        if _taken(parent / name):
+            _remove_old(parent, name)
+            return parent / name
+    return None
+
+
+def _digest(package):
+    """Hash of the kernels' sources and of numba's version."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path, content in sources(package):
+        digest.update(f"\n{os.path.relpath(path, package)} {len(content)}\n".encode() + content)
+    return digest.hexdigest()[:16]
+
+
+def _taken(folder):
+    """Whether the folder is there and can be written; its time is that of its last use."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _remove_old(parent, name):
+    """Of the other folders the KEPT last used stay, and those that were used within UNUSED seconds."""
+    used = []
+    for other in parent.glob(PREFIX + "*"):
+        try:
+            used.append((other.stat().st_mtime, other))
+        except OSError:
+            continue  # another process removed it
+    others = sorted((item for item in used if item[1].name != name), reverse=True)
+    for last, other in others[KEPT:]:
+        if time.time() - last > UNUSED:
+            shutil.rmtree(other, ignore_errors=True)
+
+
+@contextmanager
+def kept():
+    """Within this, numba keeps what is decorated in `folder()`; yields whether there is one."""
+    with _lock:
+        before = numba.config.CACHE_DIR
+        place = folder()
+        numba.config.CACHE_DIR = str(place or "")
+        try:
+            yield place is not None
+        finally:
+            numba.config.CACHE_DIR = before

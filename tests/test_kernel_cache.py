@@ -1,0 +1,123 @@
+"""Compiled kernels are never older than what they were made from, whatever file that is in."""
+
+import ast
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from polyida import kernel_cache
+
+PACKAGE = Path(kernel_cache.__file__).parent
+CALLED = "from polyida.compiled import part\n\n\n@part\ndef called(x):\n    return x + {}\n"
+CALLER = (
+    "from polyida.called import called\nfrom polyida.compiled import entry\n\n\n@entry\ndef call(x):\n    return called(x)\n"
+)
+SAY = "import polyida.caller as c; print(c.call(1), sum(c.call.stats.cache_hits.values()), c.call._cache.cache_path)"
+
+
+@pytest.fixture
+def chain(tmp_path):
+    """(package, say): a package of one entry that calls a part in another file; say() runs it in new processes."""
+    package = tmp_path / "polyida"
+    package.mkdir()
+    for name in ("compiled.py", "kernel_cache.py"):
+        shutil.copy(PACKAGE / name, package)
+    (package / "__init__.py").write_text("")
+    (package / "caller.py").write_text(CALLER)
+    (package / "called.py").write_text(CALLED.format(1))
+
+    def say(processes=1, **environment):
+        own = {"PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "user"), "PYTHONDONTWRITEBYTECODE": "1"}
+        settings = os.environ | own | environment
+        started = [
+            subprocess.Popen([sys.executable, "-c", SAY], env=settings, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+            for _ in range(processes)
+        ]
+        answers = [process.communicate(timeout=60)[0].split() for process in started]
+        return [(int(value), int(hits), Path(path)) for value, hits, path in answers]
+
+    return package, say
+
+
+def test_a_kernel_edited_in_another_file_is_compiled_anew_and_the_old_one_is_kept(chain):
+    package, say = chain
+    assert [value for value, _, _ in say(processes=2)] == [2, 2], "at once with an empty cache, whoever fills it"
+    (package / "called.py").write_text(CALLED.format(2))
+    assert say()[0][:2] == (3, 0)
+    (package / "called.py").write_text(CALLED.format(1))
+    assert say()[0][:2] == (2, 1), "back at the first sources: nothing is compiled"
+
+
+def test_the_folder_is_where_numba_was_told_or_where_files_can_be_written(chain, tmp_path):
+    package, say = chain
+    assert say(NUMBA_CACHE_DIR=str(tmp_path / "own"))[0][2].is_relative_to(tmp_path / "own")
+    shutil.rmtree(package / "__pycache__", ignore_errors=True)
+    (package / "__pycache__").write_text("no folder")
+    assert say()[0][2].is_relative_to(tmp_path / "user")
+
+
+def test_without_any_folder_kernels_are_compiled_but_not_kept(monkeypatch):
+    monkeypatch.setattr(kernel_cache, "folder", lambda: None)
+    from polyida.compiled import entry
+
+    assert entry(lambda x: x + 1.0)(1.0) == 2.0
+
+
+def test_numba_itself_and_the_sources_change_the_name(monkeypatch, tmp_path):
+    (tmp_path / "a.py").write_text("import numba\n")
+    (tmp_path / "b.py").write_text("import os\n")
+    first = kernel_cache._digest(tmp_path)
+    (tmp_path / "b.py").write_text("import sys\n")
+    assert kernel_cache._digest(tmp_path) == first, "b.py makes no kernel"
+    (tmp_path / "a.py").write_text("import numba \n")
+    second = kernel_cache._digest(tmp_path)
+    monkeypatch.setattr(kernel_cache.numba, "__version__", "0.0")
+    assert len({first, second, kernel_cache._digest(tmp_path)}) == 3
+
+
+def test_old_folders_go_but_not_those_just_used(tmp_path):
+    now, ages = time.time(), [0.0, 10.0, *(kernel_cache.UNUSED * k for k in range(2, 9))]
+    for k, age in enumerate(ages):
+        (tmp_path / f"kernels-{k}").mkdir()
+        os.utime(tmp_path / f"kernels-{k}", (now - age, now - age))
+    kernel_cache._remove_old(tmp_path, "kernels-0")
+    kept = sorted(path.name for path in tmp_path.iterdir())
+    assert kept == [f"kernels-{k}" for k in range(kernel_cache.KEPT + 1)]
+
+
+def test_every_file_that_kernels_are_made_of_is_in_the_hash():
+    """Names that a decorated function uses come from its own file or from another one of the hash."""
+    hashed = {Path(path) for path, _ in kernel_cache.sources(PACKAGE)}
+    found = [_foreign(path, hashed) for path in hashed]
+    assert sum(count for count, _ in found) > 100, "the decorated functions"
+    assert [name for _, names in found for name in names] == []
+
+
+def _foreign(path, hashed):
+    """(number of decorated functions, names that they take from files of the package that are not hashed)."""
+    tree, sources = ast.parse(path.read_text()), {}
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("polyida"):
+            sources |= {(alias.asname or alias.name): _file(node.module, alias.name) for alias in node.names}
+    kernels = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.decorator_list]
+    used = {name for kernel in kernels for name in _used(kernel)}
+    return len(kernels), [(path.name, name) for name in used & set(sources) if sources[name] not in hashed]
+
+
+def _used(kernel):
+    """Names that a function has from outside."""
+    own = {argument.arg for argument in kernel.args.args}
+    return {name.id for name in ast.walk(kernel) if isinstance(name, ast.Name)} - own
+
+
+def _file(module, name):
+    """The file that `from module import name` reads."""
+    if (PACKAGE.parent / Path(*module.split("."), f"{name}.py")).exists():
+        module = f"{module}.{name}"
+    return Path(importlib.import_module(module).__file__)
