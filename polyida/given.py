@@ -43,7 +43,15 @@ def floats(value):
     """The value as an array of finite floats, or None where it is anything else: text, ragged lists, complex numbers, nan."""
     try:
         array = np.asarray(value)
-        array = array.astype(float) if array.dtype.kind in "iufO" else None
+        numbers = array.dtype.kind in "iuf" or (array.dtype.kind == "O" and all(map(is_number, array.flat)))
+        array = array.astype(float) if numbers else None
     except (TypeError, ValueError, OverflowError):
         return None
     return array if array is not None and np.isfinite(array).all() else None
+
+
+def read_only(array):
+    """An array as a view that nobody can write through."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -9,6 +9,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.frames import blocks
 from polyida.given import floats
+from polyida.guarded_model import guard
 from polyida.integrate.state import Counts, State
 
 
@@ -113,7 +114,7 @@ class Trajectory:
     def _known_model(self, what):
         if self.model is None:
             raise InputError(f"{what}: no file holds a model of a user's own; the run that was loaded has frames only")
-        return self.model
+        return guard(self.model)
 
     def position(self, name):
         """Path of a mass, load or joint, by name or itself, or of an attachment, (frames, 2), m.

@@ -160,7 +160,7 @@ class _Run:
         self.system, linear = _callbacks(settings, model, counts)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
-        self.refused = None  # where the residual was last not finite
+        self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
         self.solver = Solver(
             self._residual, rtol=float(settings.rtol), atol=self.system.tolerances(*settings.tolerances(model.n)),
             max_order=settings.order(model), max_step=float(settings.max_step), first_step=float(settings.first_step),
@@ -172,8 +172,8 @@ class _Run:
         if t != self.tried:
             self.attempts, self.tried = self.attempts + 1, t
         self.system.residual(t, y, yp, res)
-        if math.isnan(res[self.model.n]):
-            self.refused = t, np.array(y[:self.model.n])
+        if not (math.isfinite(res.dot(res)) or np.isfinite(res).all()):
+            self.refused, self.blamed = (t, np.array(y[:self.model.n])), getattr(self.model, "not_finite", "")
 
     def piece(self, state, begin, end, limits):
         """Accepted States on the smooth piece from begin to end, the model's time held to `limits`."""
@@ -210,7 +210,7 @@ class _Run:
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
         if self.refused:
             why = getattr(self.model, "objection", lambda t, q: None)(*self.refused)
-            status, reason = ("objection", f"{why}; {reason}") if why else (status, f"the residual is not finite; {reason}")
+            status, reason = ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
         phi = np.abs(self.model.phi(state.t, state.q))
         tried = float(self.tried - state.t)
         seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}

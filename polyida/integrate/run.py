@@ -4,7 +4,9 @@ import time
 from contextlib import suppress
 
 from polyida.errors import InputError
+from polyida.guarded_model import guard
 from polyida.integrate import ctrl_c
+from polyida.integrate.accepted import accepted
 from polyida.integrate.sampling import Sampler, Until
 from polyida.integrate.state import StepFailure
 from polyida.machine import machine_info
@@ -65,7 +67,7 @@ class Run:
 
     def _steps(self, state, heed):
         self.last, watch = state, Until(self.until, state) if self.until else None
-        for after in self.integrator.steps(self.model, state, self.plan["t_end"], self.counts):
+        for after in accepted(self.integrator, guard(self.model), state, self.plan["t_end"], self.counts):
             at_zero = watch.crossing(state, after) if watch else None
             if at_zero is not None:
                 self.sampler.step(state, at_zero)

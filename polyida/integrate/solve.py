@@ -8,11 +8,11 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.frames import MEMORY_LIMIT, FrameStore
 from polyida.given import floats, is_number, is_whole
+from polyida.guarded_model import guard, require_functions
 from polyida.integrate.run import Run
-from polyida.integrate.start import consistent_state
+from polyida.integrate.start import consistent_state, require_state
 from polyida.integrate.state import Counts
 from polyida.machine import machine_info
-from polyida.model import Model
 from polyida.threads import one_blas_thread
 
 
@@ -46,7 +46,7 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
     path = None if out is None else _free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
-        state = consistent_state(model, t0, q0, v0) if state is None else state
+        state = consistent_state(model, t0, q0, v0) if state is None else _going_on(model, state)
         file = None if path is None else _file(path, model, integrator, plan)
         store = FrameStore(model.n, model.m, _limit(memory_limit), file)
         run = Run(model, integrator, plan, store, Counts(), clocks, until, progress)
@@ -56,9 +56,7 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
 
 def require_run(model, t_end, begin, integrator):
     """Raise InputError unless these can make a run from `begin`."""
-    if not isinstance(model, Model):
-        hint = "; call its build()" if hasattr(model, "build") else ""
-        raise InputError(f"solve: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
+    guard(model)
     if not hasattr(integrator, "steps") or isinstance(integrator, type):
         raise InputError(
             f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)"
@@ -75,15 +73,14 @@ def _require_start(model, t0, state, q0, v0):
         return
     if q0 is not None or v0 is not None:
         raise InputError("solve: give either a state or q0 and v0; the state holds both")
-    if not is_number(getattr(state, "t", None)):
-        raise InputError(f"solve: state = {state!r} must be a State, the `state` of an earlier run")
-    arrays = {name: floats(getattr(state, name, None)) for name in ("q", "v", "a", "lam")}
-    sizes = {name: None if array is None else array.shape for name, array in arrays.items()}
-    n, m = getattr(model, "n", 0), getattr(model, "m", 0)
-    if isinstance(model, Model) and sizes != {"q": (n,), "v": (n,), "a": (n,), "lam": (m,)}:
-        raise InputError(
-            f"solve: the state is of another model: its shapes are {sizes}, this model has n = {n}, m = {m}"
-        )
+    require_state("solve", guard(model), state)
+
+
+def _going_on(model, state):
+    """The given state as floats, once the model's functions are known to work there."""
+    state = require_state("solve", model, state)
+    require_functions(guard(model), state.t, state.q, state.v)
+    return state
 
 
 def _plan(begin, t_end, every, output, until, flush_every):

@@ -4,10 +4,10 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
+from polyida.guarded_model import guard, require_functions
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
-from polyida.model import require_model
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
@@ -20,7 +20,7 @@ def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
     Converged where |dq| <= tolerance max(1, |q|) (largest entries). Raises InputError for a wrong setting and for redundant
     constraints, StepFailure where Newton does not converge or the structure can move freely.
     """
-    require_model("static", model)
+    model = guard(model, "static")
     for name, value in (("steps", steps), ("max_iterations", max_iterations)):
         if not is_whole(value):
             raise InputError(f"static: {name} = {value!r} must be a whole number of at least 1")
@@ -29,6 +29,7 @@ def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
     if not (is_number(tolerance) and 0 < tolerance < 1):
         raise InputError(f"static: tolerance = {tolerance!r} must be between 0 and 1")
     q = given(model, "q0", q0)
+    require_functions(model, float(t), q, np.zeros(model.n))
     if model.m:
         require_independent(model, model.phi_q(t, q))
     rest, load, lam = np.zeros(model.n), model.force(t, np.zeros(model.n), np.zeros(model.n)), np.zeros(model.m)

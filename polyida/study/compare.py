@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from polyida.guarded_model import guard
+from polyida.integrate.accepted import accepted
 from polyida.integrate.state import Counts, StepFailure
 from polyida.study.energy import motor_work, unbalanced
 from polyida.threads import one_blas_thread
@@ -156,7 +158,7 @@ def refine(job, integrator, tell):
         start = consistent_state(job.model, 0.0, job.q0, job.v0)
         times, watched = [start.t], [look(start.q)]
         try:
-            for state in fine.steps(job.model, start, job.time, counts):
+            for state in accepted(fine, guard(job.model), start, job.time, counts):
                 times.append(state.t)
                 watched.append(look(state.q))
                 tell(REFINED, state.t / job.time)
