@@ -30,6 +30,7 @@ class SceneModel(Model):
         self.n_points = len(points.nodes)
         links = self.arrays.links
         motors = links.joint_kind == rows.MOTOR
+        self.motor_profiles = np.unique(links.joint_drive[motors])
         both = motors & (links.joint_a >= 0) & (links.joint_b >= 0)
         damped, self.flexible = any(body.plate.material.damped for body in self.bodies), True
         self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool(motors.any()), phi_q_varies=bool(both.any()))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.midpoint import Midpoint
-from polyida.integrate.segments import enough_steps, segments
+from polyida.integrate.segments import enough_steps, stretches
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class EnergyMomentum:
 
     def steps(self, model, state, t_end, counts):
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
-        for begin, end in segments(model, state.t, t_end):
-            count = enough_steps(model, state, begin, end, self.h)
+        for begin, end, most in stretches(model, state.t, t_end, self.h):
+            count = enough_steps(model, state, begin, end, min(self.h, most))
             stepper = Midpoint(self, model, (end - begin) / count, counts)
             for k in range(1, count + 1):
                 state = stepper.step(state, begin + k * stepper.h if k < count else end)

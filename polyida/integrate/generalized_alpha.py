@@ -6,7 +6,8 @@ from polyida.errors import InputError
 from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.alpha_family import Coefficients, require_damping
 from polyida.integrate.alpha_march import march
-from polyida.integrate.segments import enough_steps, segments
+from polyida.integrate.moves import cells_of
+from polyida.integrate.segments import enough_steps, stretches
 from polyida.integrate.step_control import adapt
 from polyida.linear.kkt import SCALINGS
 
@@ -21,7 +22,8 @@ class GeneralizedAlpha:
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
     h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly,
-    and four at least behind a kink where the loads are no straight lines (motors are not looked at).
+    four at least behind a kink where loads and motors are no straight lines, and as many as it needs where a load or
+    motor moves too fast for h (integrate/moves.py).
     rho_inf: spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f,
     beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
     form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
@@ -127,11 +129,12 @@ class GeneralizedAlpha:
     def in_pieces(self, model, state, t_end, counts, split=1):
         """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
         engine = self._engine(model, counts)
-        for begin, end in segments(model, state.t, t_end):
+        look = cells_of(self.h, t_end - state.t) if self.adaptive else (self.h,)
+        for begin, end, most in stretches(model, state.t, t_end, *look):
             if self.adaptive:
-                piece = adapt(engine, self, model, state, begin, end, counts)
+                piece = adapt(engine, self, model, state, begin, end, min(self.h, most), counts)
             else:
-                count = split * enough_steps(model, state, begin, end, self.h)
+                count = split * enough_steps(model, state, begin, end, min(self.h, most))
                 piece = march(engine, self, model, state, begin, end, count, counts)
             for state in piece:
                 yield state

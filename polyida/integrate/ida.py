@@ -11,7 +11,8 @@ from polyida.integrate.ida_forms import FORMS, System
 from polyida.integrate.ida_linear import ReducedSolve
 from polyida.integrate.ida_quiet import error_lines_kept
 from polyida.integrate.ida_whole import SCALINGS, WholeSolve
-from polyida.integrate.segments import at_kink, segments
+from polyida.integrate.moves import cells_of
+from polyida.integrate.segments import at_kink, segments, stops
 from polyida.integrate.state import State, StepFailure
 
 LINEAR = ("auto", "kkt", "whole")
@@ -98,7 +99,7 @@ class IDA:
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
         mu of the stabilised forms is in State.memory["mu"].
         """
-        run = _Run(self, model, counts)
+        run, look = _Run(self, model, counts), cells_of(math.inf, t_end - state.t)
         for begin, end in segments(model, state.t, t_end):
             limits = (-math.inf, math.inf)
             if at_kink(model, begin):
@@ -106,7 +107,7 @@ class IDA:
                 state = _far_side(model, state, limits[0])
             if at_kink(model, end):
                 limits = (limits[0], _beside(end, -1))
-            for state in run.piece(state, begin, end, limits):
+            for state in run.piece(state, begin, stops(model, state, begin, end, *look), limits):
                 yield state
 
 
@@ -175,11 +176,20 @@ class _Run:
         if not (math.isfinite(res.dot(res)) or np.isfinite(res).all()):
             self.refused, self.blamed = (t, np.array(y[:self.model.n])), getattr(self.model, "not_finite", "")
 
-    def piece(self, state, begin, end, limits):
-        """Accepted States on the smooth piece from begin to end, the model's time held to `limits`."""
+    def piece(self, state, begin, times, limits):
+        """Accepted States on the smooth piece from begin to the last of `times`, all of which it hits.
+
+        The model's time is held to `limits`.
+        """
         self.system.limits = limits
         self.solver.init_step(begin, *self.system.pack(state))
         t = begin
+        for end in times:
+            for state in self._up_to(end, t, state):
+                yield state
+            t = end
+
+    def _up_to(self, end, t, state):
         while t < end:
             if self.steps >= self.settings.max_num_steps:
                 raise self._failure("too many steps", f"more than {self.steps} steps (max_num_steps)", state)

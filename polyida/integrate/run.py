@@ -7,6 +7,7 @@ from polyida.errors import InputError
 from polyida.guarded_model import guard
 from polyida.integrate import ctrl_c
 from polyida.integrate.accepted import accepted
+from polyida.integrate.moves import unseen
 from polyida.integrate.sampling import Sampler, Until
 from polyida.integrate.state import StepFailure
 from polyida.machine import machine_info
@@ -81,7 +82,7 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        return "done", ""
+        return "done", "" if getattr(self.integrator, "adaptive", False) else unseen(self.model, getattr(self.integrator, "h", 0.0))
 
     def _mark(self, state):
         """The run can go on from here; a flush where it is due."""

@@ -46,10 +46,14 @@ def calm_error(h, largest, rungs=2):
     return (SAFETY / 2.0 ** (rungs / RUNGS)) ** ORDER if h < 0.99 * largest else 0.0
 
 
-def adapt(engine, settings, model, state, begin, end, counts):
-    """Yield states from begin to end, h as the local error allows. Raises StepFailure below the lowest rung."""
-    most = (end - begin) / enough_steps(model, state, begin, end, settings.h)
+def adapt(engine, settings, model, state, begin, end, largest, counts):
+    """Yield states from begin to end, h as the local error allows, but no step above `largest`.
+
+    Raises StepFailure below the lowest rung.
+    """
+    most = (end - begin) / enough_steps(model, state, begin, end, largest)
     ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0)), most), begin, []
+    lowest = 0 if largest == settings.h else int(np.ceil(RUNGS * np.log2(settings.h / largest) - 1e-9))
     while t < end:
         grid, moved = _piece(t, end, ladder.h), False
         engine.begin(started(settings, model, state, grid.h), grid.h)
@@ -70,6 +74,7 @@ def adapt(engine, settings, model, state, begin, end, counts):
             _require_room(ladder, 0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
         elif engine.verdict == "near":
             ladder.up(engine.error)
+            ladder.rung = max(ladder.rung, lowest)
         state = engine.state(t) if moved else state  # not what the method started from: that is behind a kink already
 
 
