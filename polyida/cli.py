@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from polyida.errors import InputError
+from polyida.terminal import tolerate_letters, writable
 
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
 HELP = "Flexible multibody dynamics with polygonal finite elements. Start with: polyida compare double-plate"
@@ -43,15 +44,27 @@ Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 def main(args=None):
     """Run the command line; returns the exit code."""
     args = sys.argv[1:] if args is None else list(args)
+    tolerate_letters()
+    try:
+        with writable():
+            return _run(args)
+    except SystemExit as stop:
+        return stop.code or 0
+    except InputError as error:
+        _error(" ".join(str(error).split()), getattr(error, "trace", ""))
+        return 2
+
+
+def _run(args):
+    """The exit code of a command."""
+    if empty := [arg for arg in args if arg == "" or (arg.startswith("--") and arg.endswith("="))]:
+        raise InputError(f"{shlex.join(['polyida', *args])}: the argument {empty[0]!r} is empty")
     try:
         app(args, prog_name="polyida", obj=shlex.join(["polyida", *args]))
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
             _error("interrupted")
         return stop.code or 0
-    except InputError as error:
-        _error(" ".join(str(error).split()), getattr(error, "trace", ""))
-        return 2
     return 0
 
 
@@ -217,6 +230,7 @@ def _load(file):
 def _free(given, default, overwrite):
     """Where to write: a given path must be free unless `overwrite`; the default gets a number where it is taken."""
     path, number = given or default, 2
+    path = path.resolve() if path.is_symlink() else path
     if overwrite or not _taken(path):
         return path
     if given:

@@ -160,6 +160,7 @@ class SceneModel(Model):
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
         """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n) sparse."""
+        c_m, c_v, c_q = map(float, (c_m, c_v, c_q))
         result = self._plates_q(q, v, c_v, c_q) + c_m * self._mass
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
 

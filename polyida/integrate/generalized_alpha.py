@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_one_of, is_whole
+from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.alpha_family import Coefficients, require_damping
 from polyida.integrate.alpha_march import march
 from polyida.integrate.moves import cells_of
@@ -102,9 +102,9 @@ class GeneralizedAlpha:
             ("rtol", allowed(self.rtol), "a number in [0, 1) or None"),
             ("atol", allowed(self.atol) and (not self.adaptive or self.rtol or self.atol),
              "a length below 1 m or None, and not zero beside rtol = 0"),
-            ("extrapolate", self.extrapolate in (False, True) and not (self.extrapolate and self.adaptive),
+            ("extrapolate", is_flag(self.extrapolate) and not (self.extrapolate and self.adaptive),
              "True or False, and False where the step adapts"),
-            ("incremental_phi", self.incremental_phi in (False, True), "True or False"),
+            ("incremental_phi", is_flag(self.incremental_phi), "True or False"),
             ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
         )
 

@@ -62,7 +62,7 @@ def parts(model, begin, end, h, fine=PARTS):
 def cells_of(h, span):
     """(longest step, samples in each) for an integrator whose steps are h, or which chooses them up to h."""
     h = min(h, span / PARTS)
-    return h, max(PARTS, int(np.ceil(SAMPLES * h / span)))
+    return h, max(PARTS, int(np.ceil(SAMPLES * (h / span))))
 
 
 def unseen(model, h):

@@ -15,6 +15,8 @@ from polyida.integrate.state import Counts
 from polyida.machine import machine_info
 from polyida.threads import one_blas_thread
 
+MOST_STEPS = 1e12
+
 
 def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
           out=None, overwrite=False, flush_every=100, memory_limit=MEMORY_LIMIT):
@@ -64,6 +66,9 @@ def require_run(model, t_end, begin, integrator):
     getattr(integrator, "require", lambda model: None)(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
+    h = getattr(integrator, "h", None)
+    if is_number(h) and t_end - begin > MOST_STEPS * h:
+        raise InputError(f"solve: t_end = {t_end:g} s is more than {MOST_STEPS:g} steps of {h:g} s away, which no computer takes")
 
 
 def _require_start(model, t0, state, q0, v0):
@@ -122,8 +127,13 @@ def _free(out, overwrite):
         path = Path(out)
         if "\0" in str(path):
             raise ValueError("it holds a null character")
-    except (TypeError, ValueError) as error:
-        raise InputError(f"solve: out = {out!r} must be the path of a file ({error})") from None
+        path.exists()
+    except (TypeError, ValueError, OSError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"solve: out = {repr(out)[:80]} must be the path of a file ({why})") from None
+    path = path.resolve() if path.is_symlink() else path
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InputError(f"solve: out = {path} is a device, give the name of a file")
     require_free(path, overwrite)
     return path
 

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
@@ -41,16 +42,18 @@ class Comparison:
     def figures(self):
         """{name: number}, names as `alpha_error_max`; only what is a finite number."""
         short = {"generalized-alpha": "alpha", "IDA": "ida", REFINED: "refined"}
-        numbers = {f"{short[row['run']]}_{key}": value for row in self.rows for key, value in row.items()}
+        numbers = {f"{short.get(row['run'], row['run'])}_{key}": value for row in self.rows for key, value in row.items()}
         numbers["gap_end"] = self.gap
         return {key: value for key, value in numbers.items()
                 if isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)}
 
     @property
     def gap(self):
-        """Distance between the two integrators at the end, or NaN where one of them did not get there."""
+        """Largest distance between two integrators at the end, or NaN where one of them did not get there."""
         ends = [watch(self.job)(run.q[-1]) for run in self.runs.values() if run.success]
-        return float(_size(ends[0] - ends[1])) if len(ends) == 2 else float("nan")
+        if len(ends) < max(2, len(self.runs)):
+            return float("nan")
+        return max(float(_size(one - other)) for one, other in combinations(ends, 2))
 
 
 def heeded(run):
@@ -62,23 +65,30 @@ def heeded(run):
 
 def integrators(job, rtol=None):
     """{label: integrator}: generalized-alpha with the job's step; IDA, where rtol is given with 0.01 m rtol for q."""
+    from dataclasses import replace
+
     from polyida.integrate.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.ida import IDA
 
-    ida = IDA() if rtol is None else IDA(rtol=rtol, atol=rtol / 100)
+    ida = IDA() if rtol is None else replace(IDA(rtol=rtol), atol=rtol / 100)
     return {"generalized-alpha": GeneralizedAlpha(h=job.step), "IDA": ida}
 
 
-def compare(job, rtol=None, progress=None):
+def compare(job, rtol=None, progress=None, others=None):
     """Run generalized-alpha, IDA and the refined run of a Job; returns a Comparison.
 
+    others: {label: integrator}, more of them.
     The refined run is generalized-alpha with a step eight times shorter; an error is the distance of the watched point
     (or of all coordinates, for a model without points) from it. rtol: of IDA. progress: callable(label, fraction done),
     fraction None while kernels compile. Failures of a run do not raise: they are in `notes`. InputError is raised
     before the first run.
     """
+    from polyida.integrate.solve import require_run
+
     tell = progress or (lambda label, fraction: None)
-    members = integrators(job, rtol)
+    members = integrators(job, rtol) | (others or {})
+    for member in members.values():
+        require_run(job.model, job.time, 0.0, member)
     tell("preparing kernels", None)
     for member in members.values():
         warm_up(job, member)
