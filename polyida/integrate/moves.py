@@ -96,21 +96,20 @@ def _fast(looks, begin, end, h, fine):
         stop = min(k + CHUNK, last)
         edges = h * np.arange(k, min(stop + AHEAD, last) + 1)
         edges[0], edges[-1] = max(edges[0], begin) if k > first else begin, min(edges[-1], end) if stop < last else end
-        cells = [(look, look.values(_inside(edges, begin, end, fine))) for look in looks]
+        near = max(1e-9 * h, 4 * np.spacing(max(abs(begin), abs(end))))
+        inside = begin + near, end - near
+        cells = [(look, look.values(_times(edges, fine, inside))) for look in looks]
         scales = [_scale(values) for _, values in cells]
         wanted = np.any([_sharp(look, values, scale) for (look, values), scale in zip(cells, scales)], axis=0)
         for i in np.flatnonzero(wanted[: stop - k]):
-            found = list(_split(looks, [scale[i] for scale in scales], edges[i], edges[i + 1], fine, DEPTH))
+            found = list(_split(looks, [scale[i] for scale in scales], edges[i], edges[i + 1], fine, inside, DEPTH))
             jumps = [part.jump for part in found if part.jump]
             yield from [Part(edges[i], edges[i + 1], np.inf, jumps[0])] if jumps else found
 
 
-def _inside(edges, begin, end, fine):
-    """The times (cells, fine + 1) at which cells are sampled, the first and last next to kinks."""
-    size = np.diff(edges)
-    times = edges[:-1, None] + size[:, None] * (np.arange(fine + 1) / fine)
-    near = 1e-6 * size.min()
-    return np.clip(times, begin + near, end - near)
+def _times(edges, fine, inside):
+    """The times (cells, fine + 1) at which cells are sampled; those at a kink, next to it."""
+    return np.clip(edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(fine + 1) / fine), *inside)
 
 
 def _scale(values):
@@ -129,15 +128,15 @@ def _sharp(look, values, scale):
     return sharp | (np.abs(np.diff(values)).sum(axis=1) > TURN) if look.motor else sharp
 
 
-def _split(looks, scales, begin, end, fine, depth):
+def _split(looks, scales, begin, end, fine, inside, depth):
     """Parts of a cell that is too fast for one step, each slow enough, or as short as it goes."""
     edges, fine = np.linspace(begin, end, PARTS + 1), max(PARTS, fine // PARTS)
-    cells = [look.values(_inside(edges, begin, end, fine)) for look in looks]
+    cells = [look.values(_times(edges, fine, inside)) for look in looks]
     sharp = [_sharp(look, values, scale) for look, values, scale in zip(looks, cells, scales)]
     for i in range(PARTS):
         too_fast = [k for k in range(len(looks)) if sharp[k][i]]
         if too_fast and depth > 1:
-            yield from _split(looks, scales, edges[i], edges[i + 1], fine, depth - 1)
+            yield from _split(looks, scales, edges[i], edges[i + 1], fine, inside, depth - 1)
         else:
             jumps = [_jump(looks[k], cells[k][i], edges[i + 1]) for k in too_fast if looks[k].motor]
             yield Part(edges[i], edges[i + 1], edges[i + 1] - edges[i], "; ".join(jumps))

@@ -23,7 +23,7 @@ def positive(value, what):
 def finite(value, what):
     """value as a finite float, else InputError."""
     given = reals(value)
-    if given is None or given.size != 1:
+    if given is None or given.ndim:
         raise InputError(f"{what} is {value!r}; it must be a number")
     number = float(given.item())
     if not np.isfinite(number):
