@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from polyida.cli_places import free, made, make
 from polyida.errors import InputError
 from polyida.terminal import tolerate_letters, writable
 
@@ -87,8 +88,8 @@ def compare(context: typer.Context, scene: Scene,
     from polyida.study.job import load
 
     job = load(scene, time=time, step=step, cells=cells)
-    folder = _free(out, Path(f"{job.name}-compare"), overwrite)
-    with _made(folder), _progress() as tell:
+    folder = free(out, Path(f"{job.name}-compare"), overwrite, _lines)
+    with made(folder), _progress() as tell:
         found = run_all(job, rtol, tell)
         written = report.write(found, folder, context.obj, lambda what: tell("writing the report", None, what))
     headings, rows = page.table(found)
@@ -117,8 +118,8 @@ def run(scene: SceneOrNone = None, integrator: Integrator = "alpha", cells: Cell
 
     job = load(scene, time=time, step=step, cells=cells)
     member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
-    path = _free(out, Path(f"{job.name}-{integrator}.h5"), overwrite)
-    _make(path.parent)
+    path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, _lines)
+    make(path.parent)
     with _progress() as tell, job.code():
         tell("preparing kernels", None)
         warm_up(job, member)
@@ -187,8 +188,8 @@ def animate(file: RunFile, out: _option(Path, "GIF file; beside the run by defau
     """Draw the plates of a saved run as an animated GIF, coloured by von Mises stress."""
     from polyida.show.animation import gif
 
-    loaded, path = _load(file), _free(out, file.with_suffix(".gif"), overwrite)
-    _make(path.parent)
+    loaded, path = _load(file), free(out, file.with_suffix(".gif"), overwrite, _lines)
+    make(path.parent)
     total = min(frames, len(loaded.t))
     with _progress() as tell:
         gif(loaded, path, frames=frames, overwrite=overwrite, progress=lambda done: tell("drawing", done / total))
@@ -202,7 +203,7 @@ def export(file: RunFile, vtu: Annotated[Path, typer.Option(metavar="FOLDER", he
     from polyida.show.vtu import vtu as write
 
     loaded = _load(file)
-    _make(vtu.parent)
+    make(vtu.parent)
     _lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
 
 
@@ -225,43 +226,6 @@ def _load(file):
     if not file.is_file():
         raise InputError(f"{file}: there is no such file")
     return load(file)
-
-
-def _free(given, default, overwrite):
-    """Where to write: a given path must be free unless `overwrite`; the default gets a number where it is taken."""
-    path, number = given or default, 2
-    path = path.resolve() if path.is_symlink() else path
-    if overwrite or not _taken(path):
-        return path
-    if given:
-        raise InputError(f"{given} exists: choose another name, or say --overwrite to replace it")
-    while _taken(path):
-        path = default.with_name(f"{default.stem}-{number}{default.suffix}")
-        number += 1
-    _lines(f"{default} exists and is kept; writing {path}")
-    return path
-
-
-def _taken(path):
-    return path.exists() and not (path.is_dir() and not any(path.iterdir()))
-
-
-def _make(folder):
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: the folder cannot be made ({error.strerror})") from error
-
-
-@contextmanager
-def _made(folder):
-    """A folder made before the run, so that it is known at once if it cannot be; removed if nothing came into it."""
-    _make(folder)
-    try:
-        yield
-    finally:
-        if not any(folder.iterdir()):
-            folder.rmdir()
 
 
 def _description(function):

@@ -17,6 +17,7 @@ from polyida.profile import Profile
 PARTS, DEPTH = 8, 4
 SHARP, NOISE = 0.3, 1e-6
 TURN = 1.5  # rad in a step
+CONTINUOUS = 1e-6  # of an angle and 1 rad: less than that from one side of a kink to the other is round-off
 AHEAD, CHUNK = 5, 256  # cells that a bend is compared with; that are looked at together
 SAMPLES = 4096  # of a run, at least, where an integrator chooses its own steps, of cells an eighth of it
 
@@ -47,6 +48,15 @@ class Look(NamedTuple):
 def parts(model, begin, end, h, fine=PARTS):
     """Yield the Parts of the time between two kinks, for steps of h and shorter; `fine` samples in each."""
     looks = _looks(model, h)
+    jump = _jump_at(model, looks, end)
+    if jump:
+        yield from _smooth_parts(looks, begin, max(begin, end - h), h, fine)
+        yield Part(max(begin, end - h), end, np.inf, jump)
+    else:
+        yield from _smooth_parts(looks, begin, end, h, fine)
+
+
+def _smooth_parts(looks, begin, end, h, fine):
     if end - begin <= h:  # what is left of a load's pulse between two kinks is `enough_steps`' to see
         looks = [look for look in looks if look.motor]
     done = begin
@@ -57,6 +67,18 @@ def parts(model, begin, end, h, fine=PARTS):
         done = part.end
     if done < end:
         yield Part(done, end, np.inf)
+
+
+def _jump_at(model, looks, t):
+    """In words, what motor does not have the same angle on both sides of a kink at t; empty where none."""
+    near = 4 * np.spacing(abs(t))
+    if not (looks and model.kinks(t - near, t + near)):
+        return ""
+    for look in looks:
+        before, after = look.values(np.array([t - near, t + near]))
+        if look.motor and abs(after - before) > CONTINUOUS * (1 + abs(after)):
+            return _jump(look, np.array([before, after]), t)
+    return ""
 
 
 def cells_of(h, span):

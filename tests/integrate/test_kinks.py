@@ -203,10 +203,11 @@ def test_a_pulse_that_nobody_declares_is_felt(scenes, integrator, name):
 
 
 @movers
-@pytest.mark.parametrize("jump", [2 * np.pi, 0.3])
-def test_a_motor_that_jumps_stops_the_run_and_is_named(scenes, integrator, jump):
+@pytest.mark.parametrize("jump, kinks", [(2 * np.pi, ()), (0.3, ()), (2 * np.pi, (0.0312,))])
+def test_a_motor_that_jumps_stops_the_run_and_is_named(scenes, integrator, jump, kinks):
     """A full turn leaves phi as it is: nothing but the profile knows of it."""
-    run = pi.solve(motor(scenes, lambda t: jump * (t > 0.0312)), 0.06, integrator)
+    angle = pi.profile.from_function(lambda t: jump * (t > 0.0312), kinks=kinks)
+    run = pi.solve(motor(scenes, angle), 0.06, integrator)
     assert run.status == "jump" and "motor 'drive' jumps" in run.message and "t = 0.0312" in run.message
     assert len(run) >= 1 and run.t[-1] <= 0.0312 and np.isfinite(run.q).all()
 
