@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import floats
+from polyida.given import floats, is_one_of
+from polyida.guarded_model import guard
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks
 from polyida.io.save import save
@@ -109,7 +110,7 @@ class Trajectory:
     def _known_model(self, what):
         if self.model is None:
             raise InputError(f"{what}: no file holds a model of a user's own; the run that was loaded has frames only")
-        return self.model
+        return guard(self.model)
 
     def position(self, name):
         """Path of a mass, load or joint, by name or itself, or of an attachment, (frames, 2), m.
@@ -131,6 +132,8 @@ class Trajectory:
                 raise InputError(f"position({name!r}): its body is not in the scene of this run")
             return name.nodes + body.nodes.start, name.weights
         name = next((known for known, part in self.model.parts.items() if part is name), name)
+        if not isinstance(name, str):
+            raise InputError(f"position({name!r}): give the name of a mass, load or joint, the part itself, or an attachment")
         s, point = self.model.arrays.links, self.model.points_of(name)
         part = slice(s.point_ptr[point], s.point_ptr[point + 1])
         return s.point_nodes[part], s.point_weights[part]
@@ -138,7 +141,7 @@ class Trajectory:
     def reaction(self, name):
         """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""
         rows = getattr(self.model, "rows", {})
-        if name not in rows:
+        if not is_one_of(name, rows):
             raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, rows))}")
         return self.model.reactions(name, self.q, self.lam[:, rows[name]])
 
