@@ -3,13 +3,14 @@
 from importlib import import_module
 
 _PLACES = {
-    "InputError": "errors", "LockingWarning": "errors", "Model": "model", "Needs": "model", "check_derivatives": "model",
+    "InputError": "errors", "LockingWarning": "errors", "Model": "model", "Needs": "model", "check_derivatives": "derivative_check",
     "Material": "body.material", "Plate": "body.plate", "PointMass": "body.point_mass",
     "PointLoad": "body.loads", "EdgeTraction": "body.loads",
     "Revolute": "joint.revolute", "AngleMotor": "joint.angle_motor", "Clamp": "joint.clamp", "ground": "joint.attachment",
     "Joint": "joint.joint", "cross": "joint.formula", "dot": "joint.formula",
     "Scene": "scene", "solve": "integrate.solve", "resume": "integrate.resume", "Trajectory": "trajectory", "von_mises": "trajectory", "load": "io.load",
     "consistent_state": "integrate.start", "condition_number": "integrate.iteration_matrix", "static": "integrate.static",
+    "State": "integrate.state", "Counts": "integrate.state",
     "GeneralizedAlpha": "integrate.generalized_alpha", "EnergyMomentum": "integrate.energy_momentum", "IDA": "integrate.ida",
 }
 _MODULES = {"mesh": "mesh", "profile": "profile", "problems": "problems", "export": "show.vtu", "study": "study", "show": "show"}

@@ -11,7 +11,9 @@ from typing import Annotated
 
 import typer
 
+from polyida.cli_places import free, made, make
 from polyida.errors import InputError
+from polyida.terminal import tolerate_letters, writable
 
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
 HELP = "Flexible multibody dynamics with polygonal finite elements. Start with: polyida compare double-plate"
@@ -43,15 +45,27 @@ Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 def main(args=None):
     """Run the command line; returns the exit code."""
     args = sys.argv[1:] if args is None else list(args)
+    tolerate_letters()
+    try:
+        with writable():
+            return _run(args)
+    except SystemExit as stop:
+        return stop.code or 0
+    except InputError as error:
+        _error(" ".join(str(error).split()), getattr(error, "trace", ""))
+        return 2
+
+
+def _run(args):
+    """The exit code of a command."""
+    if empty := [arg for arg in args if arg == "" or (arg.startswith("--") and arg.endswith("="))]:
+        raise InputError(f"{shlex.join(['polyida', *args])}: the argument {empty[0]!r} is empty")
     try:
         app(args, prog_name="polyida", obj=shlex.join(["polyida", *args]))
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
             _error("interrupted")
         return stop.code or 0
-    except InputError as error:
-        _error(" ".join(str(error).split()), getattr(error, "trace", ""))
-        return 2
     return 0
 
 
@@ -74,8 +88,8 @@ def compare(context: typer.Context, scene: Scene,
     from polyida.study.job import load
 
     job = load(scene, time=time, step=step, cells=cells)
-    folder = _free(out, Path(f"{job.name}-compare"), overwrite)
-    with _made(folder), _progress() as tell:
+    folder = free(out, Path(f"{job.name}-compare"), overwrite, _lines)
+    with made(folder), _progress() as tell:
         found = run_all(job, rtol, tell)
         written = report.write(found, folder, context.obj, lambda what: tell("writing the report", None, what))
     headings, rows = page.table(found)
@@ -104,8 +118,8 @@ def run(scene: SceneOrNone = None, integrator: Integrator = "alpha", cells: Cell
 
     job = load(scene, time=time, step=step, cells=cells)
     member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
-    path = _free(out, Path(f"{job.name}-{integrator}.h5"), overwrite)
-    _make(path.parent)
+    path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, _lines)
+    make(path.parent)
     with _progress() as tell, job.code():
         tell("preparing kernels", None)
         warm_up(job, member)
@@ -174,8 +188,8 @@ def animate(file: RunFile, out: _option(Path, "GIF file; beside the run by defau
     """Draw the plates of a saved run as an animated GIF, coloured by von Mises stress."""
     from polyida.show.animation import gif
 
-    loaded, path = _load(file), _free(out, file.with_suffix(".gif"), overwrite)
-    _make(path.parent)
+    loaded, path = _load(file), free(out, file.with_suffix(".gif"), overwrite, _lines)
+    make(path.parent)
     total = min(frames, len(loaded.t))
     with _progress() as tell:
         gif(loaded, path, frames=frames, overwrite=overwrite, progress=lambda done: tell("drawing", done / total))
@@ -189,7 +203,7 @@ def export(file: RunFile, vtu: Annotated[Path, typer.Option(metavar="FOLDER", he
     from polyida.show.vtu import vtu as write
 
     loaded = _load(file)
-    _make(vtu.parent)
+    make(vtu.parent)
     _lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
 
 
@@ -212,42 +226,6 @@ def _load(file):
     if not file.is_file():
         raise InputError(f"{file}: there is no such file")
     return load(file)
-
-
-def _free(given, default, overwrite):
-    """Where to write: a given path must be free unless `overwrite`; the default gets a number where it is taken."""
-    path, number = given or default, 2
-    if overwrite or not _taken(path):
-        return path
-    if given:
-        raise InputError(f"{given} exists: choose another name, or say --overwrite to replace it")
-    while _taken(path):
-        path = default.with_name(f"{default.stem}-{number}{default.suffix}")
-        number += 1
-    _lines(f"{default} exists and is kept; writing {path}")
-    return path
-
-
-def _taken(path):
-    return path.exists() and not (path.is_dir() and not any(path.iterdir()))
-
-
-def _make(folder):
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: the folder cannot be made ({error.strerror})") from error
-
-
-@contextmanager
-def _made(folder):
-    """A folder made before the run, so that it is known at once if it cannot be; removed if nothing came into it."""
-    _make(folder)
-    try:
-        yield
-    finally:
-        if not any(folder.iterdir()):
-            folder.rmdir()
 
 
 def _description(function):

@@ -11,6 +11,7 @@ from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.study.findings import findings
 from polyida.study.harness import of_other_code, plain, results, write_whole
+from polyida.terminal import tolerate_letters, writable
 
 CELL = 40  # characters of a table's cell
 
@@ -22,6 +23,7 @@ def main(study, arguments=None):
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
     kept.
     """
+    tolerate_letters()
     options = parser(study).parse_args(arguments)
     out = Path(options.out or f"{study.name}{'-quick' if options.quick else ''}")
     tasks = out / "tasks"
@@ -36,11 +38,20 @@ def main(study, arguments=None):
         sys.exit(f"stopped; what is done is in {tasks}, the same command goes on from there")
     except OSError as error:
         sys.exit(f"error: {error}; what is done is in {tasks}, the same command goes on from there")
-    _print(study, rows, found, out)
     other = of_other_code(study, options.quick, tasks)
+    try:
+        with writable():
+            _print(study, rows, found, out)
+            _print_age(other, rows)
+    except InputError as error:
+        print(f"error: {error}; the figures are in {out}", file=sys.stderr)
+        sys.exit(2)
+    return data
+
+
+def _print_age(other, rows):
     if other:
         print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
-    return data
 
 
 def _results(study, options, out):

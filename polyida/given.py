@@ -39,11 +39,29 @@ def settle(part, **values):
         object.__setattr__(part, name, value)
 
 
-def floats(value):
-    """The value as an array of finite floats, or None where it is anything else: text, ragged lists, complex numbers, nan."""
+def reals(value):
+    """The value as an array of floats, finite or not, or None where it is anything else: text, ragged lists, complex numbers."""
     try:
         array = np.asarray(value)
-        array = array.astype(float) if array.dtype.kind in "iufO" else None
+        numbers = array.dtype.kind in "iuf" or (array.dtype.kind == "O" and all(isinstance(x, Real) for x in array.flat))
+        return array.astype(float) if numbers else None
     except (TypeError, ValueError, OverflowError):
         return None
+
+
+def floats(value):
+    """The same, and None where a number is not finite."""
+    array = reals(value)
     return array if array is not None and np.isfinite(array).all() else None
+
+
+def is_flag(value):
+    """Whether it is True or False."""
+    return isinstance(value, (bool, np.bool_))
+
+
+def read_only(array):
+    """An array as a view that nobody can write through."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

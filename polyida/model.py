@@ -6,7 +6,6 @@ import numpy as np
 
 from polyida import differences
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_whole
 
 
 @dataclass(frozen=True)
@@ -122,63 +121,3 @@ def require_model(part, model):
     if not isinstance(model, Model):
         hint = "; call its build()" if hasattr(model, "build") else ""
         raise InputError(f"{part}: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
-
-
-def _vector(name, value, size):
-    array = floats(value)
-    if array is None or array.shape != (size,):
-        raise InputError(f"check_derivatives: {name} = {value!r} must be {size} finite numbers")
-    return array
-
-
-def require_shapes(model, t, q, v):
-    """Raise InputError naming the function of the model whose result has the wrong shape or is no array of numbers."""
-    n, m = getattr(model, "n", None), getattr(model, "m", None)
-    if not (isinstance(n, (int, np.integer)) and n >= 1 and isinstance(m, (int, np.integer)) and m >= 0):
-        raise InputError(f"{type(model).__name__}: n = {n!r} and m = {m!r} must be whole numbers, n >= 1 and m >= 0")
-    calls = {"mass": (lambda: model.mass(q), (n, n)), "force": (lambda: model.force(t, q, v), (n,)),
-             "phi": (lambda: model.phi(t, q), (m,)), "phi_q": (lambda: model.phi_q(t, q), (m, n))}
-    if m == 0:
-        calls = {name: calls[name] for name in ("mass", "force")}
-    for name, (call, shape) in calls.items():
-        found = getattr(call(), "shape", None)
-        if found != shape:
-            raise InputError(f"{type(model).__name__}.{name} must return an array of shape {shape}, not {found or 'another type'}")
-
-
-def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
-    """Compare every derivative of a model with differences of what it is the derivative of.
-
-    States that are not given are drawn at random (q of size 1, v of size 1). Returns {name: relative error}, the largest
-    deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong.
-    """
-    require_model("check_derivatives", model)
-    if not (is_number(t) and is_whole(seed, 0)):
-        raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
-    random = np.random.default_rng(seed)
-    q, v, a = (random.standard_normal(model.n) if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a)))
-    lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
-    n, m = model.n, model.m
-    pairs = {
-        "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
-        "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
-        "mass_a_q": (model.mass_a_q(q, a), differences.jacobian(lambda x: model.mass(x) @ a, q, n)),
-        "tangent": (model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0),
-                    differences.jacobian(lambda x: Model.residual(model, t, x, v, a, lam), q, n)),
-        "tangent, v": (model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0),
-                       differences.jacobian(lambda x: Model.residual(model, t, q, x, a, lam), v, n)),
-    }
-    if m:
-        pairs |= {
-            "phi_q": (model.phi_q(t, q), differences.jacobian(lambda x: model.phi(t, x), q, m)),
-            "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
-            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), room=model._smooth(t))),
-            "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
-        }
-    return {name: _deviation(*pair) for name, pair in pairs.items()}
-
-
-def _deviation(exact, difference):
-    exact = exact.toarray() if hasattr(exact, "toarray") else np.asarray(exact)
-    size = max(np.abs(exact).max(initial=0), np.abs(difference).max(initial=0))
-    return float(np.abs(exact - difference).max(initial=0) / size) if size > 1e-12 else 0.0

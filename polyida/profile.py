@@ -1,6 +1,7 @@
 """Time profiles of motors and loads: a value with its first and second derivative in time, and the times of its kinks."""
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Callable
 
 import numpy as np
@@ -17,6 +18,7 @@ class Profile:
     """A function of time `value(t)` with `d1(t)`, `d2(t)` and the times `kinks` at which it is not smooth.
 
     `formula` describes a profile made by this module as plain data (kind, numbers), so that it can be stored in a file.
+    `shortest`: the shortest time in which it moves and comes to rest or turns back, s; None where nobody says: solvers look.
     """
 
     value: Callable
@@ -24,6 +26,7 @@ class Profile:
     d2: Callable
     kinks: tuple = ()
     formula: tuple = ()
+    shortest: float | None = None
 
     def __call__(self, t):
         return self.value(t)
@@ -46,7 +49,7 @@ def polynomial(coefficients):
         raise InputError(f"profile.polynomial: coefficients = {coefficients!r} must be finite numbers, at least one")
     c = np.polynomial.Polynomial(given)
     first, second = c.deriv(1), c.deriv(2)
-    return Profile(c, first, second, formula=("polynomial", *map(float, coefficients)))
+    return Profile(c, first, second, formula=("polynomial", *map(float, coefficients)), shortest=np.inf)
 
 
 def quintic(start, end, duration, begin=0.0):
@@ -94,7 +97,7 @@ def _move(start, end, duration, begin, kind, coefficients):
         return evaluate
 
     formula = (kind, start, end, duration, begin)
-    return Profile(derivative(0), derivative(1), derivative(2), (begin, begin + duration), formula)
+    return Profile(derivative(0), derivative(1), derivative(2), (begin, begin + duration), formula, duration)
 
 
 def sine(amplitude, frequency, phase=0.0):
@@ -104,13 +107,15 @@ def sine(amplitude, frequency, phase=0.0):
     w = 2 * np.pi * frequency
     return Profile(lambda t: amplitude * np.sin(w * t + phase), lambda t: amplitude * w * np.cos(w * t + phase),
                    lambda t: -amplitude * w * w * np.sin(w * t + phase),
-                   formula=("sine", amplitude, frequency, phase))
+                   formula=("sine", amplitude, frequency, phase), shortest=0.5 / abs(frequency) if frequency else np.inf)
 
 
-def from_function(value, d1=None, d2=None, kinks=()):
+def from_function(value, d1=None, d2=None, kinks=(), shortest=None):
     """A profile from functions of time; derivatives that are not given are differences of values on one side of all kinks.
 
-    Raises InputError where these are no functions, or kinks no finite times.
+    shortest: its shortest move, s; where that is not given, solvers look for moves that their steps would pass over.
+    Raises InputError where these are no functions, kinks no finite times, shortest not positive; and, when it is called,
+    where a function gives anything but a finite number.
     """
     for name, function in (("value", value), ("d1", d1), ("d2", d2)):
         if not (callable(function) or (function is None and name != "value")):
@@ -119,8 +124,30 @@ def from_function(value, d1=None, d2=None, kinks=()):
     if times is None or times.ndim != 1:
         raise InputError(f"profile.from_function: kinks = {kinks!r} must be finite times in s")
     times = np.sort(times)
+    if not (shortest is None or (is_number(shortest) and shortest > 0)):
+        raise InputError(f"profile.from_function: shortest = {shortest!r} must be a positive time in s")
+    value, d1, d2 = (function and _checked(function) for function in (value, d1, d2))
     given, order = (d1, 1) if d1 else (value, 2)
-    return Profile(value, d1 or _derivative(value, 1, times), d2 or _derivative(given, order, times), tuple(times.tolist()))
+    return Profile(value, d1 or _derivative(value, 1, times), d2 or _derivative(given, order, times), tuple(times.tolist()),
+                   shortest=shortest)
+
+
+def _checked(function):
+    """A user's function of time, which must give a finite number at a time; at an array of times it may give anything."""
+    name = getattr(function, "__name__", type(function).__name__)
+
+    def value(t):
+        found = function(t)
+        if type(found) is float and isfinite(found):
+            return found
+        if np.ndim(t):
+            return found
+        found = found.item() if isinstance(found, (np.ndarray, np.generic)) and found.ndim == 0 else found
+        if not is_number(found):
+            raise InputError(f"profile {name}: it gives {found!r} at t = {t!r}, a finite number is needed")
+        return float(found)
+
+    return value
 
 
 def _derivative(function, order, kinks):
@@ -143,7 +170,10 @@ def as_profile(given, part):
     """
     if isinstance(given, Profile) or callable(given):
         made = given if isinstance(given, Profile) else from_function(given)
-        value = made.value(0.0)
+        try:
+            value = made.value(0.0)
+        except InputError as error:
+            raise InputError(f"{part}: {error}") from None
         if np.ndim(value) or not np.issubdtype(np.asarray(value).dtype, np.number) or not np.isfinite(value):
             raise InputError(f"{part}: its profile gives {value!r} at t = 0, a finite number is needed")
         return made

@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import floats
+from polyida.given import floats, is_one_of
+from polyida.guarded_model import guard
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks
 from polyida.io.save import save
@@ -52,6 +53,7 @@ class Trajectory:
     machine: dict = field(default_factory=dict)
     restart: Restart | None = None
     plan: dict = field(default_factory=dict)
+    missing: str = "no file holds a model of a user's own"
 
     @property
     def state(self):
@@ -108,8 +110,8 @@ class Trajectory:
 
     def _known_model(self, what):
         if self.model is None:
-            raise InputError(f"{what}: no file holds a model of a user's own; the run that was loaded has frames only")
-        return self.model
+            raise InputError(f"{what}: {self.missing}; the run that was loaded has frames only")
+        return guard(self.model)
 
     def position(self, name):
         """Path of a mass, load or joint, by name or itself, or of an attachment, (frames, 2), m.
@@ -128,13 +130,15 @@ class Trajectory:
         side = name
         if not hasattr(side, "weights"):
             name = next((known for known, part in self.model.parts.items() if part is name), name)
+            if not isinstance(name, str):
+                raise InputError(f"position({name!r}): give the name of a mass, load or joint, the part itself, or an attachment")
             side = self.model.attachment(name)
         return self.model.nodes_of(side), side.weights
 
     def reaction(self, name):
         """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""
         rows = getattr(self.model, "rows", {})
-        if name not in rows:
+        if not is_one_of(name, rows):
             raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, rows))}")
         return self.model.reactions(name, self.q, self.lam[:, rows[name]])
 

@@ -164,6 +164,24 @@ CASES = {
         lambda: pi.solve(pi.problems.get("pendulum").model, np.inf, pi.GeneralizedAlpha(h=1e-3)),
         "t_end = inf",
     ),
+    "steps beyond count": (
+        lambda: pi.solve(pi.problems.get("pendulum").model, 1e308, pi.GeneralizedAlpha(h=1e-3), **REST), "t_end = 1e+308", "steps",
+    ),
+    "q0 as objects of text": (lambda: swing(q0=np.array(["-1", "0"], object)), "q0", "2 finite"),
+    "points as text": (lambda: polygon([["0", "0"], ["1", "0"], ["1", "1"]]), "points", "numbers"),
+    "length as text": (lambda: pi.mesh.rectangle("1", 0.1, cells=4), "'1'"),
+    "digits as text": (lambda: pi.problems.get("pendulum").errors(q=["0", "1"]), "pendulum", "numbers"),
+    "profile later nan": (
+        lambda: pi.solve(scene(*(lambda b: [b, hinge(b), pi.PointLoad(
+            b.section("right"), (0.0, 1.0), lambda t: 1.0 if t < 0.05 else np.nan, name="push")])(plate())),
+            0.1, pi.GeneralizedAlpha(h=1e-2)), "<lambda>", "nan", "t = 0.05"),
+    "profile complex": (lambda: pi.profile.from_function(lambda t: 1j)(0.3), "<lambda>", "1j", "t = 0.3"),
+    "profile shortest": (lambda: pi.profile.from_function(np.sin, shortest=0.0), "shortest = 0.0"),
+    "flag": (lambda: pi.GeneralizedAlpha(h=1e-3, incremental_phi=np.array([1, 2])), "incremental_phi"),
+    "state for a condition number": (
+        lambda: pi.condition_number(pi.problems.get("pendulum").model, pi.GeneralizedAlpha(h=1e-3), "start"), "condition_number", "'start'"),
+    "device as a file": (lambda: swing(out="/dev/null", overwrite=True), "/dev/null", "device"),
+    "long name": (lambda: swing(out="n" * 300), "n" * 20, "long"),
     "start as text": (lambda: swing(t0="now"), "t0", "'now'"),
     "every": (lambda: swing(every=0), "every = 0"),
     "unknown problem": (lambda: pi.problems.get("triple"), "'triple'", "double-plate"),

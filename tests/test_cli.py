@@ -1,10 +1,16 @@
 """The command line from outside: exit codes, messages, files. Every run here is small."""
 
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+import polyida as pi
 from polyida.cli import main
+from polyida.study.job import load
 
 SMALL = ("--cells", "8", "--time", "0.02")
 SCENE = '''
@@ -209,3 +215,82 @@ def test_no_arguments_show_the_commands(capsys):
 def test_version(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("polyida 0.")
+
+
+ODD = """
+import polyida as pi
+
+def build(name="bob $_^", **options):
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    plate = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=6), pi.Material(5e7, 0.3, 1100.0), 0.01, name="board"))
+    scene.add(pi.Revolute(pi.ground, plate.section("left"), name="pin $"))
+    scene.add(pi.PointMass(plate.section("right"), 0.1, name=name))
+    return scene, {"time": 0.005} | options
+
+def time(): return build(time="2")
+def step(): return build(step=None)
+def point(): return build(point=3)
+def nobody(): return build(point="nobody")
+def start(): return build(q0="abc")
+def keys(): return build()[0], {3: 1, "x": 2}
+def loaded(): return pi.load("run.h5").model, {"time": 0.005}
+"""
+
+
+@pytest.fixture
+def odd(tmp_path, monkeypatch):
+    """A folder with a scene of odd names, to stand in."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "odd.py").write_text(ODD)
+    return tmp_path
+
+
+@pytest.mark.parametrize("function, said", [
+    ("time", "time '2' s"), ("step", "step None s"), ("point", "point = 3"), ("nobody", "'nobody'"), ("start", "q0"), ("keys", "option 3")])
+def test_an_option_of_the_wrong_kind_is_one_line(odd, capsys, function, said):
+    assert main(["run", f"odd.py:{function}", "--out", "x.h5"]) == 2
+    assert said in " ".join(capsys.readouterr().err.split()) and not (odd / "x.h5").exists()
+
+
+@pytest.mark.parametrize("arguments, said", [
+    (["run", "odd.py:build", "--out", "n" * 300 + ".h5"], "too long"),
+    (["compare", "odd.py:build", "--out", "n" * 300], "too long"),
+    (["run", "pendulum", "--time", "1e308", "--out", "x.h5"], "steps"),
+    (["export", "run.h5", "--vtu", ""], "empty"), (["run", "odd.py:build", "--out="], "empty"), (["show", ""], "empty")])
+def test_what_cannot_be_is_one_line(odd, capsys, arguments, said):
+    before = set(odd.iterdir())
+    assert main(arguments) == 2
+    assert said in capsys.readouterr().err and set(odd.iterdir()) - before <= {odd / "__pycache__"}
+
+
+def test_names_with_dollars_are_drawn_and_the_last_mass_is_watched(odd, capsys):
+    assert main(["compare", "odd.py:build", "--out", "report"]) == 0
+    assert "bob $_^ error, at the end, m" in " ".join(capsys.readouterr().out.split()) or (odd / "report" / "tip.png").exists()
+    assert main(["run", "odd.py:build", "--out", "run.h5"]) == 0
+    assert load("odd.py:build").point == load("odd.py:loaded").point == "bob $_^"
+
+
+@pytest.mark.parametrize("name", ["dangling.h5", "held.h5"])
+def test_a_symlink_as_output_is_followed(odd, name):
+    (odd / "held.txt").write_text("")
+    (odd / "dangling.h5").symlink_to(odd / "nowhere.h5")
+    (odd / "held.h5").symlink_to(odd / "held.txt")
+    assert main(["run", "odd.py:build", "--out", name, "--overwrite"]) == 0
+    assert (odd / name).is_symlink() and pi.load(odd / name).success
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device here")
+def test_output_to_a_full_place_is_one_line():
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run([sys.executable, "-c", CALL, "list"], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert ended.returncode == 2 and ended.stderr.strip() == "standard output: No space left on device"
+
+
+def test_a_terminal_of_few_letters_will_do(odd):
+    (odd / "odd.py").rename(odd / "größe.py")
+    plain = dict(os.environ, PYTHONUTF8="0", PYTHONIOENCODING="ascii")
+    ended = subprocess.run([sys.executable, "-c", CALL, "run", "größe.py:build", "--out", "größe.h5"], env=plain, capture_output=True)
+    assert ended.returncode == 0 and b"Saved: gr??e.h5" in ended.stdout, ended.stderr
+
+
+CALL = "import sys; from polyida.cli import main; sys.exit(main())"

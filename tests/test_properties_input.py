@@ -115,7 +115,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "profile.linear": (made(pi.profile.linear, start=0.0, end=1.0, duration=1.0), {"end": NUMBER, "begin": NUMBER}),
     "profile.from_function": (made(pi.profile.from_function, value=abs), {"value": without(NOTHING, type(len), type)[:-12] + [1.0], "d1": ["text", 1.0, Odd()], "kinks": [1.0, "ab", [None], [np.nan], Odd()]}),
     "GeneralizedAlpha": (made(pi.GeneralizedAlpha, h=1e-3), {
-        "h": POSITIVE, "rho_inf": NUMBER + [1.0, -0.1], "tolerance": SHARE, "scaling": CHOICE, "max_iterations": COUNT, "start": CHOICE, "linear": CHOICE}),
+        "h": POSITIVE, "rho_inf": NUMBER + [1.0, -0.1], "tolerance": [x for x in SHARE if x is not None], "scaling": CHOICE, "max_iterations": COUNT, "start": CHOICE, "linear": CHOICE}),
     "EnergyMomentum": (made(pi.EnergyMomentum, h=1e-3), {"h": POSITIVE, "tolerance": SHARE, "max_iterations": COUNT}),
     "IDA": (pi.IDA, {
         "rtol": SHARE, "atol": NOTHING[1:] + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab", 0, -1.0, [1e-6, 0.0]], "max_order": [value for value in COUNT if value is not None] + [6], "form": CHOICE,

@@ -31,6 +31,7 @@ class SceneModel(Model):
         self.n, self.m = 2 * self.n_nodes, len(self.labels)
         self.n_points = len(points.nodes)
         links = self.arrays.links
+        self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
         damped, self.flexible = any(body.plate.material.damped for body in self.bodies), True
         self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool((links.product_drive >= 0).any()),
                            phi_q_varies=bool(bilinear(links).any()))
@@ -183,6 +184,7 @@ class SceneModel(Model):
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
         """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n) sparse."""
+        c_m, c_v, c_q = map(float, (c_m, c_v, c_q))
         result = self._plates_q(q, v, c_v, c_q) + c_m * self._mass
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
 

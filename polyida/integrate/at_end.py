@@ -1,5 +1,6 @@
 """The state at the end of a step that has its forces at the middle."""
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -25,6 +26,10 @@ class AtEnd(State):
             return consistent_acceleration(model, at, self.q, self.v)
         except np.linalg.LinAlgError:
             raise StepFailure("singular", "the constraints' system is singular", self.t) from None
+
+    def finite(self):
+        """Whether q and v are finite; a and lam follow from them where they are asked for."""
+        return math.isfinite(self.q.dot(self.v))
 
     a = property(lambda self: self._forces[0])
     lam = property(lambda self: self._forces[1])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.midpoint import Midpoint
-from polyida.integrate.segments import at_kink, beside, enough_steps, segments
+from polyida.integrate.segments import at_kink, beside, enough_steps, stretches
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import State
 
@@ -46,9 +46,9 @@ class EnergyMomentum:
 
     def steps(self, model, state, t_end, counts):
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
-        for begin, end in segments(model, state.t, t_end):
+        for begin, end, most in stretches(model, state.t, t_end, self.h):
             state = _ready(model, state, begin)
-            count = enough_steps(model, state, begin, end, self.h)
+            count = enough_steps(model, state, begin, end, min(self.h, most))
             stepper = Midpoint(self, model, (end - begin) / count, counts, beside(end, -1) if at_kink(model, end) else end)
             for k in range(1, count + 1):
                 state = stepper.step(state, begin + k * stepper.h if k < count else end)

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_one_of, is_whole
+from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.alpha_family import Coefficients, require_damping
 from polyida.integrate.alpha_march import march
-from polyida.integrate.segments import enough_steps, segments
+from polyida.integrate.moves import cells_of
+from polyida.integrate.segments import enough_steps, stretches
 from polyida.integrate.step_control import adapt
 from polyida.linear.kkt import SCALINGS
 
@@ -23,7 +24,8 @@ class GeneralizedAlpha:
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
     h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly,
-    and four at least behind a kink where the loads are no straight lines (motors are not looked at).
+    four at least behind a kink where loads and motors are no straight lines, and as many as it needs where a load or
+    motor moves too fast for h (integrate/moves.py).
     rho_inf: spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f,
     beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
     form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
@@ -106,9 +108,9 @@ class GeneralizedAlpha:
             ("rtol", allowed(self.rtol), "a number in [0, 1) or None"),
             ("atol", allowed(self.atol) and (not self.adaptive or self.rtol or self.atol),
              "a length below 1 m or None, and not zero beside rtol = 0"),
-            ("extrapolate", self.extrapolate in (False, True) and not (self.extrapolate and self.adaptive),
+            ("extrapolate", is_flag(self.extrapolate) and not (self.extrapolate and self.adaptive),
              "True or False, and False where the step adapts"),
-            ("incremental_phi", self.incremental_phi in (False, True), "True or False"),
+            ("incremental_phi", is_flag(self.incremental_phi), "True or False"),
             ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
             ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
         )
@@ -142,12 +144,13 @@ class GeneralizedAlpha:
 
     def in_pieces(self, model, state, t_end, counts, split=1):
         """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
-        engine, most = self._engine(model, counts), counts.steps + counts.rejected + self.max_num_steps
-        for begin, end in segments(model, state.t, t_end):
+        engine, most_steps = self._engine(model, counts), counts.steps + counts.rejected + self.max_num_steps
+        look = cells_of(self.h, t_end - state.t) if self.adaptive else (self.h,)
+        for begin, end, most in stretches(model, state.t, t_end, *look):
             if self.adaptive:
-                piece = adapt(engine, self, model, state, begin, end, counts, most)
+                piece = adapt(engine, self, model, state, begin, end, min(self.h, most), counts, most_steps)
             else:
-                count = split * enough_steps(model, state, begin, end, self.h)
+                count = split * enough_steps(model, state, begin, end, min(self.h, most))
                 piece = march(engine, self, model, state, begin, end, count, counts)
             for state in piece:
                 yield state

@@ -11,7 +11,8 @@ from polyida.integrate.ida_forms import FORMS, System
 from polyida.integrate.ida_linear import ReducedSolve
 from polyida.integrate.ida_quiet import error_lines_kept
 from polyida.integrate.ida_whole import SCALINGS, WholeSolve
-from polyida.integrate.segments import at_kink, beside, segments
+from polyida.integrate.moves import cells_of
+from polyida.integrate.segments import at_kink, beside, segments, stops
 from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import far_side
 from polyida.integrate.state import StepFailure
@@ -112,7 +113,7 @@ class IDA:
         """
         sizes = state.memory.get("sizes")
         sizes = typical_sizes(model, state, t_end - state.t) if sizes is None else sizes
-        run = _Run(self, model, sizes, counts)
+        run, look = _Run(self, model, sizes, counts), cells_of(math.inf, t_end - state.t)
         for begin, end in segments(model, state.t, t_end):
             limits = (-math.inf, math.inf)
             if at_kink(model, begin):
@@ -120,7 +121,7 @@ class IDA:
                 state = far_side(model, state, limits[0])
             if at_kink(model, end):
                 limits = (limits[0], beside(end, -1))
-            for state in run.piece(state, begin, end, limits):
+            for state in run.piece(state, begin, stops(model, state, begin, end, *look), limits):
                 yield state
 
 
@@ -158,7 +159,7 @@ class _Run:
         self.system, linear = _callbacks(settings, model, counts)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
-        self.refused = None  # where the residual was last not finite
+        self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
         self.solver = Solver(
             self._residual, rtol=float(settings.rtol), atol=self.system.tolerances(*settings.tolerances(model.n, sizes)),
             max_order=settings.order(model), max_step=float(settings.max_step), first_step=float(settings.first_step),
@@ -170,14 +171,23 @@ class _Run:
         if t != self.tried:
             self.attempts, self.tried = self.attempts + 1, t
         self.system.residual(t, y, yp, res)
-        if math.isnan(res[self.model.n]):
-            self.refused = t, np.array(y[:self.model.n])
+        if not (math.isfinite(res.dot(res)) or np.isfinite(res).all()):
+            self.refused, self.blamed = (t, np.array(y[:self.model.n])), getattr(self.model, "not_finite", "")
 
-    def piece(self, state, begin, end, limits):
-        """Accepted States on the smooth piece from begin to end, the model's time held to `limits`."""
+    def piece(self, state, begin, times, limits):
+        """Accepted States on the smooth piece from begin to the last of `times`, all of which it hits.
+
+        The model's time is held to `limits`.
+        """
         self.system.limits = limits
         self.solver.init_step(begin, *self.system.pack(state))
         t = begin
+        for end in times:
+            for state in self._up_to(end, t, state):
+                yield state
+            t = end
+
+    def _up_to(self, end, t, state):
         while t < end:
             if self.steps >= self.settings.max_num_steps:
                 raise self._failure("too many steps", f"more than {self.steps} steps (max_num_steps)", state)
@@ -211,7 +221,7 @@ class _Run:
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
         if self.refused:
             why = getattr(self.model, "objection", lambda t, q: None)(*self.refused)
-            status, reason = ("objection", f"{why}; {reason}") if why else (status, f"the residual is not finite; {reason}")
+            status, reason = ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
         phi = np.abs(self.model.phi(state.t, state.q))
         tried = float(self.tried - state.t)
         seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number
+from polyida.given import is_number, is_one_of
+from polyida.guarded_model import guard, require_functions
 from polyida.integrate.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida import IDA
 from polyida.integrate.ida_forms import System
 from polyida.integrate.ida_whole import sizes, whole_matrix
+from polyida.integrate.start import require_state
 from polyida.linear.condition import condition, scaled
 from polyida.linear.kkt import assemble, scaling_factors
 
@@ -36,10 +38,13 @@ def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None
     or in place of GeneralizedAlpha's own. Raises InputError for an integrator, a scaling, an unknown or a step that there is
     not.
     """
+    model = guard(model, "condition_number")
     if not isinstance(integrator, (GeneralizedAlpha, IDA)):
         raise InputError(f"condition_number: integrator {integrator!r} must be GeneralizedAlpha or IDA")
-    if unknown not in UNKNOWNS:
+    if not is_one_of(unknown, UNKNOWNS):
         raise InputError(f"condition_number: unknown = {unknown!r} must be one of {', '.join(UNKNOWNS)}")
+    state = require_state("condition_number", model, state)
+    require_functions(model, state.t, state.q, state.v)
     integrator = integrator if scaling is None else replace(integrator, scaling=scaling)
     if isinstance(integrator, IDA):
         return _ida(model, integrator, state, unknown, h)

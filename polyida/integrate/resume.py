@@ -12,6 +12,7 @@ from polyida.io.layout import FRAMES
 from polyida.io.load import integrator_of, model_of
 from polyida.io.reader import named, naming, read
 from polyida.io.save import commit, create, free
+from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore
 from polyida.threads import one_blas_thread
 
@@ -70,9 +71,12 @@ def _parts(stored, model, integrator):
     """(model, integrator), from the file where they are not given."""
     about = stored.about
     if model is None and ("scene" not in about or about["drives"]):
-        known = ", ".join(map(repr, about["drives"])) or about["model"]
+        known = ", ".join(map(repr, about["drives"].values())) or about["model"]
         raise InputError(f"{known} has functions of the user's own, which no file holds; give model=")
-    model = model_of(stored, {}) if model is None else model
+    try:
+        model = model_of(stored, {}) if model is None else model
+    except UnknownPart as unknown:
+        raise InputError(f"the file's scene cannot be built: {unknown}") from None
     if (getattr(model, "n", None), getattr(model, "m", None)) != (stored.n, stored.m):
         raise InputError(f"the run has {stored.n} coordinates and {stored.m} constraints; the model is another")
     return model, integrator_of(stored) if integrator is None else integrator

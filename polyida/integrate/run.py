@@ -6,7 +6,10 @@ from itertools import islice
 
 import numpy as np
 
+from polyida.guarded_model import guard
 from polyida.integrate import ctrl_c
+from polyida.integrate.accepted import accepted
+from polyida.integrate.moves import unseen
 from polyida.integrate.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, StepFailure
@@ -67,7 +70,7 @@ class Run:
     def _steps(self, state, heed):
         self.last, until = state, Until(self.until, state) if self.until else None
         self.watch = Watch(self.model, state)
-        for after in self.integrator.steps(self.model, state, self.plan["t_end"], self.counts):
+        for after in accepted(self.integrator, guard(self.model), state, self.plan["t_end"], self.counts):
             self.watch.step(after)
             at_zero = until.crossing(state, after) if until else None
             if at_zero is not None:
@@ -81,7 +84,7 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        return "done", ""
+        return "done", "" if getattr(self.integrator, "adaptive", False) else unseen(self.model, getattr(self.integrator, "h", 0.0))
 
     def _keep(self, state):
         """Note where the run can go on; a flush where it is due."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number
+from polyida.given import is_number, read_only
 from polyida.integrate.state import State
 
 
@@ -88,7 +88,7 @@ class Until:
         return between(before, after, at)
 
     def _value(self, state):
-        value = self.function(state.t, state.q, state.v)
+        value = self.function(state.t, read_only(state.q), read_only(state.v))
         value = value.item() if isinstance(value, np.ndarray) and value.size == 1 else value
         if is_number(value):
             return float(value)

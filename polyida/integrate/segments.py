@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 
+from polyida.integrate import moves
+from polyida.integrate.state import StepFailure
+
 PULSE = 4  # steps in which a piece is taken at least where its loads are no straight lines
 INSIDE = (0.29, 0.5, 0.62)  # where they are looked at, and not only in the middle, where a whole sine is zero too
 STRAIGHT = 1e-6  # distance from a straight line, over the forces' size, that is none
@@ -17,11 +20,39 @@ def segments(model, t0, t_end):
     return list(zip(edges[:-1], edges[1:]))
 
 
+def stretches(model, t0, t_end, h, fine=moves.PARTS):
+    """Yield (begin, end, largest step) from t0 to t_end: the segments, parted where loads and motors move too fast for h.
+
+    Raises StepFailure where a motor jumps.
+    """
+    for begin, end in segments(model, t0, t_end):
+        yield from _parts(model, begin, end, h, fine)
+
+
+def stops(model, state, begin, end, h, fine):
+    """Times of a segment, the last its end, at which to stop so that a move too fast for steps of h is seen."""
+    parted = enough_steps(model, state, begin, end, end - begin)
+    yield from (begin + (end - begin) * k / parted for k in range(1, parted))
+    for first, last, most in _parts(model, begin, end, h, fine) if parted == 1 else ():
+        count = max(1, int(np.ceil((last - first) / most * (1 - 1e-9))))
+        yield from (first + (last - first) * k / count for k in range(1, count))
+        if last < end:
+            yield last
+    yield end
+
+
+def _parts(model, begin, end, h, fine):
+    for part in moves.parts(model, begin, end, h, fine):
+        if part.jump:
+            raise StepFailure("jump", part.jump, part.begin)
+        yield float(part.begin), float(part.end), float(part.most)
+
+
 def enough_steps(model, state, begin, end, h):
     """Equal steps, none above h, for the piece from begin to end, at which the run is in `state`.
 
-    A single step sees the loads at its ends only: a pulse between two kinks that begins and ends at zero would not be
-    there. So behind a kink there are some more, unless the loads are straight lines.
+    A single step sees loads and motors at its ends only: a pulse between two kinks that begins and ends at zero would not
+    be there. So behind a kink there are some more, unless loads and angles are straight lines.
     """
     number = max(1, int(np.ceil((end - begin) / h * (1 - 1e-12))))
     enough = number >= PULSE or not at_kink(model, begin) or not _bent(model, state, begin, end)
@@ -40,11 +71,17 @@ def beside(t, side):
 
 
 def _bent(model, state, begin, end):
+    motors = getattr(model, "motor_profiles", ())
+    seen = [lambda t: model.force(t, state.q, state.v)] + [lambda t: model.drives(t)[motors, 0]] * bool(len(motors))
+    return any(_curved(function, begin, end) for function in seen)
+
+
+def _curved(function, begin, end):
     near = 1e-9 * (end - begin)
-    first, last = (model.force(t, state.q, state.v) for t in (begin + near, end - near))
+    first, last = function(begin + near), function(end - near)
     for s in INSIDE:
-        force = model.force(begin + s * (end - begin), state.q, state.v)
-        size = max(np.abs(x).max(initial=0.0) for x in (first, force, last))
-        if np.abs(force - (1 - s) * first - s * last).max(initial=0.0) > STRAIGHT * size:
+        value = function(begin + s * (end - begin))
+        size = max(np.abs(x).max(initial=0.0) for x in (first, value, last))
+        if np.abs(value - (1 - s) * first - s * last).max(initial=0.0) > STRAIGHT * size:
             return True
     return False

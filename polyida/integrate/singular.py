@@ -7,7 +7,7 @@ came back reversed: then `det(B_0 B_1^T) < 0`, which no smooth step does.
 """
 
 from polyida.integrate.state import StepFailure
-from polyida.linear.independence import between, cosine, involved, least, rows_of, way
+from polyida.linear.independence import between, coordinate_sizes, cosine, involved, least, rows_of, way
 
 ZERO = 1e-6  # a smallest singular value that counts as none
 NEAR = 1e-3  # one that is told beside a failure
@@ -29,6 +29,7 @@ class Watch:
         varies = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.model, self.steps, self.state, self.h, self.pace = model, 0, state, 0.0, 0.0
         self.every = 0 if not varies else SCENE if hasattr(model, "arrays") else 1
+        self.sizes = coordinate_sizes(model, state.q) if varies else None
         if varies:
             self.t = self.due = state.t
             self.rows, self.least = self._look(state)
@@ -50,7 +51,7 @@ class Watch:
         return (self.least**2 - now**2) / since if since else self.pace
 
     def _look(self, state):
-        rows = rows_of(self.model.phi_q(state.t, state.q))
+        rows = rows_of(self.model.phi_q(state.t, state.q), self.sizes)
         size = least(rows)
         if size <= ZERO:
             raise self._failure(rows, state.t)
@@ -67,7 +68,7 @@ class Watch:
         """What to say beside a failure at t where phi_q was about to lose its rank, or nothing."""
         if not self.every:
             return ""
-        rows = rows_of(self.model.phi_q(self.state.t, self.state.q))
+        rows = rows_of(self.model.phi_q(self.state.t, self.state.q), self.sizes)
         now, left = least(rows), 2.0 * max(t - self.state.t, self.h)  # s: within the next two steps
         if now < NEAR or now**2 < left * self._pace(now):
             return f"; the constraints {involved(self.model, rows)} are near a singular position"

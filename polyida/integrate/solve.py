@@ -6,15 +6,17 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
+from polyida.guarded_model import guard, require_functions
 from polyida.integrate.run import Run
-from polyida.integrate.start import consistent_state, restarted
+from polyida.integrate.start import consistent_state, require_state, restarted
 from polyida.integrate.state import Counts
 from polyida.io.frames import MEMORY_LIMIT
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
 from polyida.machine import machine_info
-from polyida.model import Model
 from polyida.threads import one_blas_thread
+
+MOST_STEPS = 1e12
 
 
 def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
@@ -63,14 +65,14 @@ def _first(model, t0, state, q0, v0):
     """The state to begin with; one that is not known to be accepted is put on the constraints."""
     if state is None:
         return consistent_state(model, t0, q0, v0)
-    return state if getattr(state, "restart", True) else restarted(model, state)
+    state = require_state("solve", model, state)
+    require_functions(guard(model), state.t, state.q, state.v)
+    return state if state.restart else restarted(model, state)
 
 
 def require_run(model, t_end, begin, integrator):
     """Raise InputError unless these can make a run from `begin`."""
-    if not isinstance(model, Model):
-        hint = "; call its build()" if hasattr(model, "build") else ""
-        raise InputError(f"solve: the model is {type(model).__name__}, a polyida.Model is needed{hint}")
+    guard(model)
     if not hasattr(integrator, "steps") or isinstance(integrator, type):
         raise InputError(
             f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)"
@@ -78,6 +80,9 @@ def require_run(model, t_end, begin, integrator):
     getattr(integrator, "require", lambda model: None)(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
+    h = getattr(integrator, "h", None)
+    if is_number(h) and t_end - begin > MOST_STEPS * h:
+        raise InputError(f"solve: t_end = {t_end:g} s is more than {MOST_STEPS:g} steps of {h:g} s away, which no computer takes")
 
 
 def _require_start(model, t0, state, q0, v0):
@@ -87,15 +92,7 @@ def _require_start(model, t0, state, q0, v0):
         return
     if q0 is not None or v0 is not None:
         raise InputError("solve: give either a state or q0 and v0; the state holds both")
-    if not is_number(getattr(state, "t", None)):
-        raise InputError(f"solve: state = {state!r} must be a State, the `state` of an earlier run")
-    arrays = {name: floats(getattr(state, name, None)) for name in ("q", "v", "a", "lam")}
-    sizes = {name: None if array is None else array.shape for name, array in arrays.items()}
-    n, m = getattr(model, "n", 0), getattr(model, "m", 0)
-    if isinstance(model, Model) and sizes != {"q": (n,), "v": (n,), "a": (n,), "lam": (m,)}:
-        raise InputError(
-            f"solve: the state is of another model: its shapes are {sizes}, this model has n = {n}, m = {m}"
-        )
+    require_state("solve", guard(model), state)
 
 
 def _plan(begin, t_end, every, output, until, flush_every, fsync):

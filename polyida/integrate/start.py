@@ -5,9 +5,9 @@ import numpy as np
 from polyida.assembly.mass_system import MassSystem, at_rest
 from polyida.errors import InputError
 from polyida.given import floats, is_number
+from polyida.guarded_model import guard, require_functions
 from polyida.integrate.state import State
 from polyida.linear.kkt import KKT, SingularSystem, require_independent
-from polyida.model import require_model, require_shapes
 
 EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
@@ -21,13 +21,13 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
     Raises InputError for wrong shapes or values, of q0 and v0 or of what the model's functions return, for a start (or a given v0)
     that violates its constraint by more than 1e-6 of its size, that the model objects to, and for redundant or inconsistent constraints.
     """
-    require_model("consistent_state", model)
+    model = guard(model, "consistent_state")
     q, v = given(model, "q0", q0), given(model, "v0", v0)
     if not is_number(t0):
         raise InputError(f"t0 = {t0!r} must be a finite time in s")
-    require_shapes(model, float(t0), q, v)
+    require_functions(model, float(t0), q, v)
     if model.m:
-        require_independent(model, model.phi_q(t0, q))
+        require_independent(model, model.phi_q(t0, q), q)
         _require_near(model, "q0", True, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
         q = _project_position(model, t0, q)
     objection = getattr(model, "objection", lambda t, q: None)(t0, q)
@@ -97,6 +97,18 @@ def given(model, name, value):
 
 def _largest(x):
     return float(np.abs(x).max(initial=0.0))
+
+
+def require_state(part, model, state):
+    """The State, its arrays floats; raises InputError in the name of `part` where it is none, or of another model."""
+    if not is_number(getattr(state, "t", None)):
+        raise InputError(f"{part}: state = {state!r} must be a State, the `state` of an earlier run")
+    arrays = {name: floats(getattr(state, name, None)) for name in ("q", "v", "a", "lam")}
+    sizes = {name: None if array is None else array.shape for name, array in arrays.items()}
+    n, m = model.n, model.m
+    if sizes != {"q": (n,), "v": (n,), "a": (n,), "lam": (m,)}:
+        raise InputError(f"{part}: the state is of another model: its shapes are {sizes}, this model has n = {n}, m = {m}")
+    return State(float(state.t), **arrays, memory=dict(getattr(state, "memory", {})), restart=getattr(state, "restart", True))
 
 
 def _require_near(model, name, required, violation, size):

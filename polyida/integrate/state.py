@@ -1,5 +1,6 @@
 """What an integrator takes and yields: a state, the counts of the work done, and how it says that it cannot go on."""
 
+import math
 from dataclasses import asdict, dataclass, field
 from typing import NamedTuple
 
@@ -22,6 +23,10 @@ class State:
     lam: np.ndarray
     memory: dict = field(default_factory=dict)
     restart: bool = True
+
+    def finite(self):
+        """Whether q and v, and lam, are finite: one product each tells."""
+        return math.isfinite(self.q.dot(self.v)) and math.isfinite(self.lam.dot(self.lam))
 
 
 @dataclass

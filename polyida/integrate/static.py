@@ -7,12 +7,12 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
+from polyida.guarded_model import guard, require_functions
 from polyida.integrate.ida_forms import dense
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.inertia import falling
 from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
-from polyida.model import require_model
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
@@ -48,7 +48,7 @@ def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
     Converged where |dq| <= tolerance max(1, |q|) (largest entries). Raises InputError for a wrong setting and for redundant
     constraints, StepFailure where Newton does not converge or the structure can move freely.
     """
-    require_model("static", model)
+    model = guard(model, "static")
     for name, value in (("steps", steps), ("max_iterations", max_iterations)):
         if not is_whole(value):
             raise InputError(f"static: {name} = {value!r} must be a whole number of at least 1")
@@ -58,10 +58,11 @@ def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
         raise InputError(f"static: tolerance = {tolerance!r} must be between 0 and 1")
     q = given(model, "q0", q0)
     rest = np.zeros(model.n)
+    require_functions(model, float(t), q, rest)
     load, lam = model.force(t, rest, rest), np.zeros(model.m)
     if model.m:
         B = model.phi_q(t, q)
-        require_independent(model, B)
+        require_independent(model, B, q)
         open_load = (1 - 1 / steps) * load - model.force(t, q, rest)
         lam = np.linalg.solve(dense(B @ B.T), B @ open_load)  # not zero: it may be all that gives stiffness
     for part in range(1, steps + 1):

@@ -77,14 +77,15 @@ def calm_error(h, largest, rungs=2):
     return (SAFETY / 2.0 ** (rungs / RUNGS)) ** ORDER if h < 0.99 * largest else 0.0
 
 
-def adapt(engine, settings, model, state, begin, end, counts, most_steps):
-    """Yield states from begin to end, h as the local error allows.
+def adapt(engine, settings, model, state, begin, end, largest, counts, most_steps):
+    """Yield states from begin to end, h as the local error allows, but no step above `largest`.
 
     Raises StepFailure below the lowest rung, where h is round-off of t, and where the steps counted, with those
     rejected, would be more than most_steps.
     """
-    most = (end - begin) / enough_steps(model, state, begin, end, settings.h)
+    most = (end - begin) / enough_steps(model, state, begin, end, largest)
     ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0)), most), begin, []
+    lowest = 0 if largest == settings.h else int(np.ceil(RUNGS * np.log2(settings.h / largest) - 1e-9))
     while t < end:
         grid, moved = _piece(t, end, ladder.h), False
         _require_progress(t, grid.h, settings, counts, most_steps)
@@ -108,6 +109,7 @@ def adapt(engine, settings, model, state, begin, end, counts, most_steps):
             _require_room(ladder, 0, [StepFailure("step size", "the local error stays above rtol and atol", t)])
         elif engine.verdict == "near":
             ladder.up(engine.error)
+            ladder.rung = max(ladder.rung, lowest)
         state = engine.state(t) if moved else state  # not what the method started from: that is behind a kink already
 
 

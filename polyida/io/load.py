@@ -2,16 +2,16 @@
 
 import numpy as np
 
+from polyida import registry
 from polyida.errors import InputError
 from polyida.io.frames import MEMORY_LIMIT
 from polyida.io.reader import naming, read
-from polyida.io.scene_data import from_data
+from polyida.io.scene_data import UnknownPart, from_data
 from polyida.trajectory import Trajectory
 
 STILL = "another process is still writing it; these are the frames up to its last flush"
 KILLED = "the process that ran it ended without closing the file; it holds the frames up to the last flush"
 TORN = "; the record of one flush is not whole: cut off by the end of the process, or damaged"
-INTEGRATORS = ("GeneralizedAlpha", "IDA", "EnergyMomentum")
 
 
 def load(path, memory_limit=MEMORY_LIMIT):
@@ -35,7 +35,10 @@ def load(path, memory_limit=MEMORY_LIMIT):
 def _trajectory(stored, memory_limit):
     about, record = stored.about, stored.record
     damage = stored.check()
-    model = model_of(stored, _drives(stored))
+    try:
+        model, missing = model_of(stored, _drives(stored)), Trajectory.missing
+    except UnknownPart as unknown:
+        model, missing = None, f"the file's scene cannot be built: {unknown}"
     status, message = str(record["status"]), str(record["message"])
     if status == "running":
         status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
@@ -53,19 +56,19 @@ def _trajectory(stored, memory_limit):
         machine=dict(about["machine"]),
         restart=stored.restart,
         plan=dict(about["plan"]),
+        missing=missing,
     )
 
 
 def integrator_of(stored):
-    """The integrator with its settings, or its name where it is none of polyida's."""
-    import polyida
-
+    """The integrator with its settings, or its name where its class is not in `registry.integrators`."""
     kind, settings = stored.about["integrator"]["kind"], stored.about["integrator"]["settings"]
-    return getattr(polyida, kind)(**settings) if kind in INTEGRATORS else str(kind)
+    known = registry.find(registry.integrators, kind)
+    return str(kind) if known is None else known(**settings)
 
 
 def model_of(stored, drives):
-    """The scene's model built from data, None for a model of a user's own; drives: {part: profile}."""
+    """The scene's model built from data, None for a model of a user's own; drives: {key: profile}. Raises UnknownPart."""
     from polyida.scene import Scene
 
     if "scene" not in stored.about:
@@ -84,9 +87,9 @@ def model_of(stored, drives):
 
 
 def _drives(stored):
-    """{part: profile through the values that the run saw}."""
+    """{key: profile through the values that the run saw}."""
     times = stored.rows("t", 0, stored.count)
-    return {name: _interpolated(times, stored.rows(key, 0, stored.count)) for name, key in stored.about["drives"].items()}
+    return {key: _interpolated(times, stored.rows(key, 0, stored.count)) for key in stored.about["drives"]}
 
 
 def _interpolated(times, samples):

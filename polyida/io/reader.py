@@ -93,7 +93,7 @@ class Stored:
             self.record, numbers = self._newest()
             self.n = self.arrays.dataset("q", (None, None)).shape[1]
             self.m = self.arrays.dataset("lam", (None, None)).shape[1] if "lam" in file else 0
-            self.shapes = shapes_of(self.n, self.m, dict.fromkeys(self.about["drives"].values()))
+            self.shapes = shapes_of(self.n, self.m, dict.fromkeys(self.about["drives"]))
             self.seconds = float(self.record["cpu_seconds"]), float(self.record["wall_seconds"])
             self.counts = counts_of(self.record["counts"])
             self._unpack(numbers)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from polyida import registry
 from polyida.errors import InputError
 from polyida.io.layout import FRAMES
 from polyida.io.scene_data import to_data
@@ -60,18 +61,13 @@ def create(path, model, integrator, n, m, plan, machine):
 
 def describe(model, integrator):
     """(plain data, {key: array}, {dataset: profile that has no formula}) of a model and an integrator."""
-    kind = integrator if isinstance(integrator, str) else type(integrator).__name__
+    kind = integrator if isinstance(integrator, str) else registry.name_of(type(integrator))
     settings = asdict(integrator) if is_dataclass(integrator) else {}
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "drives": {}}
     if not hasattr(model, "parts"):
         return about, {}, {}
-    about["scene"], arrays = to_data(model.parts, model.gravity)
-    drives = {}
-    for number, (name, part) in enumerate(model.parts.items()):
-        profile = getattr(part, "angle", None) if hasattr(part, "a") else getattr(part, "profile", None)
-        if profile is not None and not profile.formula:
-            about["drives"][name] = f"drive {number}"
-            drives[f"drive {number}"] = profile
+    about["scene"], arrays, named = to_data(model.parts, model.gravity)
+    about["drives"], drives = {key: name for key, (name, _) in named.items()}, {key: profile for key, (_, profile) in named.items()}
     return about, {f"scene/{key}": array for key, array in arrays.items()}, drives
 
 

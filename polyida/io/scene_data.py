@@ -1,113 +1,153 @@
-"""A scene as plain data and back, so that a result file holds the scene that made it: numbers and names, never code."""
+"""A scene as plain data and back, so that a result file holds the scene that made it: numbers and names, never code.
 
-from dataclasses import astuple
+A part is its kind and its fields. A field is plain, or one of: {"side": an attachment}, {"ground": [point, direction] or null},
+{"profile": formula}, {"drive": key} for a profile without a formula, {"mesh": key}, {"material": numbers}, {"unknown": type}.
+"""
+
+from dataclasses import astuple, fields
 
 import numpy as np
 
-from polyida import profile
-from polyida.body.loads import EdgeTraction, PointLoad
+from polyida import profile, registry
 from polyida.body.material import Material
-from polyida.body.plate import Plate
-from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
-from polyida.joint.angle_motor import AngleMotor
-from polyida.joint.attachment import Attachment, ground
-from polyida.joint.clamp import Clamp
-from polyida.joint.revolute import Revolute
+from polyida.given import is_number
+from polyida.joint.attachment import Attachment, Ground
 from polyida.mesh import PolygonMesh
 
-KINDS = {kind.__name__: kind for kind in (Plate, Revolute, Clamp, AngleMotor, PointMass, PointLoad, EdgeTraction)}
+
+class UnknownPart(Exception):
+    """A file's scene has a part whose class is not at hand."""
 
 
 def to_data(parts, gravity):
-    """(description, arrays) of {name: part}: a JSON-ready dictionary, and the arrays it refers to by key."""
-    arrays, meshes, entries = {}, {}, []
-    for number, (name, part) in enumerate(parts.items()):
-        entry = {"kind": type(part).__name__, "name": name}
-        if isinstance(part, Plate):
-            entry |= _plate(part, meshes, arrays)
-        else:
-            for key in ("a", "b", "at"):
-                if hasattr(part, key):
-                    entry[key] = _attachment(getattr(part, key), parts, f"part {number} {key}", arrays)
-            entry |= {key: _plain(getattr(part, key)) for key in ("mass", "force", "traction") if hasattr(part, key)}
-            entry |= {key: list(getattr(part, key).formula) for key in ("angle", "profile") if hasattr(part, key)}
-        entries.append(entry)
-    return {"gravity": _plain(gravity), "parts": entries}, arrays
+    """(description, arrays, drives) of {name: part}: a JSON-ready dictionary, the arrays it refers to by key, and {key: (part, profile)}
+    of the profiles that have no formula.
+    """
+    book = _Book(parts)
+    entries = [{"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, number, part)}
+               for number, (name, part) in enumerate(parts.items())]
+    return {"gravity": _plain(gravity), "parts": entries}, book.arrays, book.drives
 
 
-def _plate(plate, meshes, arrays):
-    mesh = plate.mesh
-    if id(mesh) not in meshes:
-        key = meshes[id(mesh)] = f"mesh {len(meshes)}"
-        arrays |= {f"{key}/points": mesh.points, f"{key}/nodes": mesh.nodes, f"{key}/offsets": mesh.offsets}
-        arrays |= {f"{key}/section {number}": nodes for number, nodes in enumerate(mesh.sections.values())}
-    material = plate.material
-    return {"mesh": meshes[id(mesh)], "sections": list(mesh.sections), "material": [*astuple(material)], "tau": plate.tau,
-            "thickness": plate.thickness, "origin": _plain(plate.origin), "angle": plate.angle, "element": plate.element}
+class _Book:
+    """Takes down the fields of parts; arrays and drives collect what is no JSON."""
 
+    def __init__(self, parts):
+        self.parts, self.arrays, self.drives, self.meshes = parts, {}, {}, {}
 
-def _attachment(side, parts, key, arrays):
-    if side is ground:
-        return None
-    body = next(name for name, part in parts.items() if part is side.body)
-    arrays |= {f"{key}/nodes": side.nodes, f"{key}/weights": side.weights}
-    if side.turn_weights is not None:
-        arrays[f"{key}/turn_weights"] = side.turn_weights
-    return {"body": body, "name": side.name, "length": float(side.length), "key": key}
+    def fields(self, name, number, part):
+        """{field: data} of a part, its name left out."""
+        values = {field.name: getattr(part, field.name) for field in fields(part) if field.init and field.name != "name"}
+        return {key: self._value(name, f"part {number} {key}", value) for key, value in values.items()}
+
+    def _value(self, name, key, value):
+        if isinstance(value, Attachment):
+            return {"side": self._side(key, value)}
+        if isinstance(value, Ground):
+            return {"ground": None if value.point is None else [_plain(value.point), _plain(value.direction)]}
+        if isinstance(value, profile.Profile):
+            return {"profile": list(value.formula)} if value.formula else {"drive": self._drive(name, value)}
+        if isinstance(value, PolygonMesh):
+            return {"mesh": self._mesh(value), "sections": list(value.sections)}
+        if isinstance(value, Material):
+            return {"material": [*astuple(value)]}
+        if value is None or isinstance(value, (str, bool)):
+            return value
+        if is_number(value):
+            return float(value)
+        return _plain(value) if _numbers(value) else {"unknown": type(value).__name__}
+
+    def _side(self, key, side):
+        body = next(name for name, part in self.parts.items() if part is side.body)
+        self.arrays |= {f"{key}/nodes": side.nodes, f"{key}/weights": side.weights}
+        if side.turn_weights is not None:
+            self.arrays[f"{key}/turn_weights"] = side.turn_weights
+        return {"body": body, "name": side.name, "length": float(side.length), "key": key}
+
+    def _drive(self, name, value):
+        key = f"drive {len(self.drives)}"
+        self.drives[key] = name, value
+        return key
+
+    def _mesh(self, mesh):
+        if id(mesh) not in self.meshes:
+            key = self.meshes[id(mesh)] = f"mesh {len(self.meshes)}"
+            self.arrays |= {f"{key}/points": mesh.points, f"{key}/nodes": mesh.nodes, f"{key}/offsets": mesh.offsets}
+            self.arrays |= {f"{key}/section {number}": nodes for number, nodes in enumerate(mesh.sections.values())}
+        return self.meshes[id(mesh)]
 
 
 def _plain(value):
     return np.asarray(value, float).tolist()
 
 
-def from_data(description, arrays, drives=None):
-    """{name: part} and gravity from data. `drives(part name)` gives a profile for one that has no formula.
+def _numbers(value):
+    return isinstance(value, (tuple, list, np.ndarray)) and np.asarray(value).dtype.kind in "iuf"
 
-    Raises InputError where the data do not describe a scene.
+
+def from_data(description, arrays, drives=None):
+    """{name: part} and gravity from data. `drives(key)` gives a profile for one that has no formula.
+
+    Raises InputError where the data do not describe a scene, and UnknownPart for a kind that is not in `registry.parts`, or that
+    has a field which no file can hold.
     """
-    parts, meshes = {}, {}
+    reader = _Reader(arrays, drives or (lambda key: None))
     try:
         for entry in description["parts"]:
-            parts[entry["name"]] = _part(entry, parts, meshes, arrays, drives or (lambda name: None))
-        return parts, tuple(map(float, description["gravity"]))
-    except InputError:
+            reader.parts[entry["name"]] = reader.part(entry)
+        return reader.parts, tuple(map(float, description["gravity"]))
+    except (InputError, UnknownPart):
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise InputError(f"the scene in the file is damaged: {type(error).__name__} {error}") from None
 
 
-def _part(entry, parts, meshes, arrays, drives):
-    kind, name = KINDS[entry["kind"]], entry["name"]
-    if kind is Plate:
-        return Plate(_mesh(entry["mesh"], entry["sections"], meshes, arrays), Material(*entry["material"]), entry["thickness"],
-                     tuple(entry["origin"]), entry["angle"], name, entry["element"], entry["tau"])
-    given = {key: _side(entry[key], parts, arrays) for key in ("a", "b", "at") if key in entry}
-    given |= {key: entry[key] for key in ("mass", "force", "traction") if key in entry}
-    for key in ("angle", "profile"):
-        if key in entry:
-            given[key] = profile.from_formula(tuple(entry[key])) or drives(name) or profile.constant(0.0)
-    return kind(**given, name=name)
+class _Reader:
+    """Makes parts of entries, one after the other; sides refer to parts before them."""
 
+    def __init__(self, arrays, drives):
+        self.arrays, self.drives, self.parts, self.meshes = arrays, drives, {}, {}
 
-def _mesh(key, names, meshes, arrays):
-    if key not in meshes:
-        sections = {name: arrays[f"{key}/section {number}"] for number, name in enumerate(names)}
-        meshes[key] = PolygonMesh(arrays[f"{key}/points"], arrays[f"{key}/nodes"], arrays[f"{key}/offsets"], sections)
-    return meshes[key]
+    def part(self, entry):
+        """The part that an entry describes."""
+        kind = registry.find(registry.parts, entry["kind"])
+        if kind is None:
+            raise UnknownPart(f"its part {entry['name']!r} is a {entry['kind']}; define or import that class before loading")
+        values = {key: self._value(entry, key, value) for key, value in entry["fields"].items()}
+        return kind(**values, name=entry["name"])
 
+    def _value(self, entry, key, value):
+        if not isinstance(value, dict):
+            return tuple(value) if isinstance(value, list) else value
+        if "unknown" in value:
+            raise UnknownPart(f"{key} of its part {entry['name']!r} is a {value['unknown']}, which no file can hold")
+        if "ground" in value:
+            return Ground() if value["ground"] is None else Ground().at(*value["ground"])
+        if "profile" in value:
+            return profile.from_formula(tuple(value["profile"]))
+        if "drive" in value:
+            return self.drives(value["drive"]) or profile.constant(0.0)
+        if "material" in value:
+            return Material(*value["material"])
+        return self._mesh(value["mesh"], value["sections"]) if "mesh" in value else self._side(value["side"])
 
-def _side(side, parts, arrays):
-    if side is None:
-        return ground
-    key = side["key"]
-    nodes, body = arrays[f"{key}/nodes"], parts[side["body"]]
-    weights, turn = np.asarray(arrays[f"{key}/weights"], float), arrays.get(f"{key}/turn_weights")
-    turn = None if turn is None else np.asarray(turn, float)
-    if nodes.size == 0 or nodes.dtype.kind != "i" or nodes.min() < 0 or nodes.max() >= body.mesh.n_nodes:
-        raise InputError(f"the scene in the file is damaged: {key} selects nodes that plate {side['body']!r} does not have")
-    if not nodes.shape == weights.shape == (weights if turn is None else turn).shape == (nodes.size,):
-        raise InputError(f"the scene in the file is damaged: {key} has not one weight a node")
-    if not 0 <= float(side["length"]) < np.inf:
-        raise InputError(f"the scene in the file is damaged: {key} has the length {side['length']}")
-    return Attachment(body, nodes.astype(np.int32), weights, turn, float(side["length"]), str(side["name"]))
+    def _mesh(self, key, names):
+        arrays = self.arrays
+        if key not in self.meshes:
+            sections = {name: arrays[f"{key}/section {number}"] for number, name in enumerate(names)}
+            self.meshes[key] = PolygonMesh(arrays[f"{key}/points"], arrays[f"{key}/nodes"], arrays[f"{key}/offsets"], sections)
+        return self.meshes[key]
+
+    def _side(self, side):
+        key, arrays = side["key"], self.arrays
+        nodes, body = arrays[f"{key}/nodes"], self.parts[side["body"]]
+        weights, turn = np.asarray(arrays[f"{key}/weights"], float), arrays.get(f"{key}/turn_weights")
+        turn = None if turn is None else np.asarray(turn, float)
+        if nodes.size == 0 or nodes.dtype.kind != "i" or nodes.min() < 0 or nodes.max() >= body.mesh.n_nodes:
+            raise InputError(f"the scene in the file is damaged: {key} selects nodes that plate {side['body']!r} does not have")
+        if not nodes.shape == weights.shape == (weights if turn is None else turn).shape == (nodes.size,):
+            raise InputError(f"the scene in the file is damaged: {key} has not one weight a node")
+        if not 0 <= float(side["length"]) < np.inf:
+            raise InputError(f"the scene in the file is damaged: {key} has the length {side['length']}")
+        return Attachment(body, nodes.astype(np.int32), weights, turn, float(side["length"]), str(side["name"]))

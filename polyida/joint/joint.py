@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
+from polyida import registry
 from polyida.errors import InputError
 from polyida.joint.attachment import Ground, labelled, require_sides
 
@@ -22,6 +23,10 @@ class Joint:
     b: object
     name: str | None = field(default=None, kw_only=True)
     kind: ClassVar[str | None] = None  # what a joint without a name is called with a number; the class's name where None
+
+    def __init_subclass__(cls, **options):
+        super().__init_subclass__(**options)
+        registry.parts[registry.name_of(cls)] = cls
 
     def __post_init__(self):
         require_sides(labelled(type(self).__name__, self.name), self.a, self.b)

@@ -8,15 +8,28 @@ MOST = 3  # constraints that a message names
 
 
 class Rows(NamedTuple):
-    """phi_q, (m, n), the lengths of its rows and the Gram matrix of the rows made of length one, (m, m), of lengths above 0."""
+    """phi_q in the sizes of the coordinates, (m, n), the lengths of its rows and the Gram matrix of the rows made of length one, (m, m), of lengths above 0."""
 
     phi_q: object
     lengths: np.ndarray
     gram: np.ndarray
 
 
-def rows_of(phi_q):
-    """The Rows of a dense or sparse phi_q."""
+def coordinate_sizes(model, q):
+    """`1 / sqrt(M_ii)`, (n,): what each coordinate is measured in, so that its unit does not matter; massless ones get the mean."""
+    masses = np.abs(model.mass(q).diagonal())
+    known = masses > 0
+    return 1.0 / np.sqrt(np.where(known, masses, masses[known].mean() if known.any() else 1.0))
+
+
+def rows_of(phi_q, sizes):
+    """The Rows of a dense or sparse phi_q, its columns times the sizes (n,) of the coordinates."""
+    if hasattr(phi_q, "toarray"):
+        from scipy.sparse import diags_array
+
+        phi_q = phi_q @ diags_array(sizes)
+    else:
+        phi_q = np.asarray(phi_q) * sizes
     gram = _dense(phi_q @ phi_q.T)
     lengths = np.sqrt(np.diag(gram))
     divisor = np.where(lengths > 0, lengths, 1.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.linear.independence import MOST, involved, least, rows_of
+from polyida.linear.independence import MOST, coordinate_sizes, involved, least, rows_of
 
 DEPENDENT = 1e-6  # smallest singular value of the rows of phi_q, made of length one, below which they are
 SCALINGS = ("none", "bottasso", "physical")
@@ -89,9 +89,9 @@ class SingularSystem(Exception):
     """The system has no unique solution."""
 
 
-def require_independent(model, phi_q):
+def require_independent(model, phi_q, q):
     """Raise InputError naming the constraints where the rows of phi_q (m, n) are linearly dependent."""
-    rows = rows_of(phi_q)
+    rows = rows_of(phi_q, coordinate_sizes(model, q))
     if not np.all(rows.lengths > 0):
         names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(rows.lengths > 0))[:MOST])
         raise InputError(f"constraints {names}: phi_q has a row of zeros there; a constraint must depend on q")

@@ -3,6 +3,7 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import reals
 from polyida.mesh import topology
 from polyida.mesh.overlap import overlapping_cells
 
@@ -15,10 +16,10 @@ def _frozen(array, dtype):
 
 def point_array(points):
     """Read-only (n, 2) float64 copy; InputError unless finite and of that shape."""
-    try:
-        points = _frozen(points, np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"mesh points must be an (n, 2) array of numbers: {error}") from None
+    given = reals(points)
+    if given is None:
+        raise InputError(f"mesh points must be an (n, 2) array of numbers, not {repr(points)[:80]}")
+    points = _frozen(given, np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
         raise InputError(f"mesh points have shape {points.shape}, they must be (n, 2)")
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))

@@ -7,7 +7,7 @@ Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012).
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import floats
+from polyida.given import floats, reals
 from polyida.mesh import walls as w
 
 
@@ -21,12 +21,10 @@ def positive(value, what):
 
 def finite(value, what):
     """value as a finite float, else InputError."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} is {value!r}; it must be a number") from None
-    except OverflowError:
-        number = np.inf
+    given = reals(value)
+    if given is None or given.ndim:
+        raise InputError(f"{what} is {value!r}; it must be a number")
+    number = float(given.item())
     if not np.isfinite(number):
         raise InputError(f"{what} is {value!r}; it must be finite")
     return number

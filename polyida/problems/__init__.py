@@ -7,7 +7,7 @@ from importlib import import_module
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_one_of
+from polyida.given import is_one_of, reals
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,9 @@ class Problem:
             known = ", ".join(self.reference) or "nothing for these options"
             raise InputError(f"problem {self.name!r}: {name!r} is not in the reference, which knows {known}")
         shape = np.shape(self.reference[name])
-        try:
-            value = np.asarray(value, float)
-        except (TypeError, ValueError):
-            raise InputError(f"problem {self.name!r}: {name} must be numbers of shape {shape}") from None
+        value = reals(value)
+        if value is None:
+            raise InputError(f"problem {self.name!r}: {name} must be numbers of shape {shape}")
         if value.shape != shape:
             raise InputError(f"problem {self.name!r}: {name} has shape {value.shape}, the reference has {shape}")
         return float(np.abs(value - self.reference[name]).max())

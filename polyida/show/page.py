@@ -38,7 +38,8 @@ def gap(comparison):
     """A sentence on how far apart the integrators end, empty where one of them did not get there."""
     if not math.isfinite(comparison.gap):
         return ""
-    return " ".join(f"At the end the two integrators are {comparison.gap:.2e} {comparison.unit} apart.".split())
+    who = "the two integrators are" if len(comparison.runs) == 2 else "two of the integrators are at most"
+    return " ".join(f"At the end {who} {comparison.gap:.2e} {comparison.unit} apart.".split())
 
 
 def page(comparison, folder, captions, machine, command):
@@ -46,7 +47,7 @@ def page(comparison, folder, captions, machine, command):
     headings, rows = table(comparison)
     settings = [f"{_cell('th', row['run'])}<td><code>{escape(row['settings'])}</code></td>" for row in comparison.rows]
     return PAGE.format(
-        title=escape(f"{comparison.job.name}: generalized-alpha and IDA"),
+        title=escape(f"{comparison.job.name}: {' and '.join(comparison.runs)}"),
         system=escape(system(comparison.job)),
         command=escape(command),
         notes="".join(f'<p class="note">{escape(note)}</p>' for note in comparison.notes),

@@ -6,7 +6,7 @@
 import numpy as np
 
 from polyida.show import plates
-from polyida.show.style import INK, PALETTE, box, colour_top, equal, figure, height_for, line, settings
+from polyida.show.style import INK, PALETTE, box, colour_top, equal, figure, height_for, line, plain, settings
 from polyida.study.energy import unbalanced
 
 
@@ -63,12 +63,12 @@ def tip(runs, point="tip", reference=None):
         lines = dict(runs) | ({reference[0]: reference[1]} if reference else {})
         for i, (label, run) in enumerate(lines.items()):
             place = run.position(point)
-            path.plot(*place.T, label=label, **line(i))
+            path.plot(*place.T, label=plain(label), **line(i))
             for axis, values in zip(history, place.T):
-                axis.plot(run.t, values, label=label, **line(i))
-        path.set(xlabel="x, m", ylabel="y, m", title=f"path of {point}")
+                axis.plot(run.t, values, label=plain(label), **line(i))
+        path.set(xlabel="x, m", ylabel="y, m", title=f"path of {plain(point)}")
         path.set_aspect("equal", adjustable="box")
-        history[0].set(ylabel="x, m", title=f"{point} against time")
+        history[0].set(ylabel="x, m", title=f"{plain(point)} against time")
         history[1].set(xlabel="t, s", ylabel="y, m")
         _legend(made, path)
         return made
@@ -84,8 +84,8 @@ def reactions(runs, names, limit=8):
         made, axes = figure(6.4, 1.75 * rows + 0.4, nrows=rows, ncols=columns, squeeze=False, sharex=True)
         for (name, k), axis in zip(panels, axes.ravel()):
             for i, (label, run) in enumerate(runs.items()):
-                axis.plot(run.t, run.reaction(name)[:, k], label=label, **line(i))
-            axis.set(title=name, ylabel=_unit(first.reaction(name).shape[1], k))
+                axis.plot(run.t, run.reaction(name)[:, k], label=plain(label), **line(i))
+            axis.set(title=plain(name), ylabel=_unit(first.reaction(name).shape[1], k))
         for axis in axes.ravel()[len(panels):]:
             axis.set_visible(False)
         for axis in axes.ravel()[max(len(panels) - columns, 0):len(panels)]:
@@ -102,10 +102,10 @@ def energy(runs):
         first_label, first = next(iter(runs.items()))
         for i, part in enumerate(("kinetic", "potential", "strain", "total")):
             axes[0].plot(first.t, getattr(first.energy, part), label=part, **line(i))
-        axes[0].set(xlabel="t, s", ylabel="energy, J", title=f"energy, {first_label}")
+        axes[0].set(xlabel="t, s", ylabel="energy, J", title=f"energy, {plain(first_label)}")
         axes[0].legend(loc="best")
         for i, (label, run) in enumerate(runs.items()):
-            axes[1].plot(run.t, unbalanced(run), label=label, **line(i))
+            axes[1].plot(run.t, unbalanced(run), label=plain(label), **line(i))
         axes[1].set(xlabel="t, s", ylabel="change of total less motor work, J")
         axes[1].set_title("gained or lost", loc="right")
         _legend(made, axes[1])
@@ -120,7 +120,7 @@ def coordinates(runs, limit=6):
         for k, axis in enumerate(axes.ravel()):
             axis.set_visible(k < count)
             for i, (label, run) in enumerate(runs.items() if k < count else ()):
-                axis.plot(run.t, run.q[:, k], label=label, **line(i))
+                axis.plot(run.t, run.q[:, k], label=plain(label), **line(i))
             axis.set(ylabel=f"q[{k}]", xlabel="t, s" if k >= count - 2 else None)
         _legend(made, axes[0, 0])
         return made
@@ -132,7 +132,7 @@ def errors(series, unit="m"):
         made, axes = figure(6.4, 2.6)
         largest = max([1e-14, *(np.nanmax(distance, initial=0.0) for _, distance in series.values())])
         for i, (label, (t, distance)) in enumerate(series.items()):
-            axes.semilogy(t, np.maximum(distance, 1e-18), label=label, **line(i))
+            axes.semilogy(t, np.maximum(distance, 1e-18), label=plain(label), **line(i))
         axes.set_ylim(1e-6 * largest, 3 * largest)
         axes.set(xlabel="t, s", ylabel=f"distance, {unit}" if unit else "distance")
         _legend(made, axes)
@@ -145,7 +145,7 @@ def drift(runs):
         made, axes = figure(6.4, 2.8, ncols=2)
         for axis, kind, title in zip(axes, ("drift", "velocity_drift"), ("position", "velocity")):
             for i, (label, run) in enumerate(runs.items()):
-                axis.semilogy(run.t, np.maximum(getattr(run, kind), 1e-17), label=label, linewidth=0.8, **line(i))
+                axis.semilogy(run.t, np.maximum(getattr(run, kind), 1e-17), label=plain(label), linewidth=0.8, **line(i))
             axis.set(xlabel="t, s", title=f"violation of the {title} constraints")
         axes[0].set_ylabel(r"$\max|\phi|$")
         axes[1].set_ylabel(r"$\max|\dot\phi|$")

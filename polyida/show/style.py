@@ -71,3 +71,8 @@ def equal(axes, low, high, margin=0.04):
 def colour_top(values):
     """Upper end of a colour scale over several arrays: one element at a corner must not darken all others."""
     return max(float(np.quantile(np.concatenate(values), 0.995)), 1e-12)
+
+
+def plain(text):
+    """A name as matplotlib is to write it letter by letter: a dollar begins no formula."""
+    return str(text).replace("$", r"\$")

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_whole
 from polyida.show import plates
 
 COLLECTION = "run.pvd"
@@ -18,14 +19,26 @@ def vtu(run, folder, overwrite=False, frames=None):
     where None), or frame indices. Raises InputError where the folder holds frames already and `overwrite` is not given,
     and for a run that has no plates.
     """
-    folder, blocks = Path(folder), _Blocks(run.model)
-    chosen = np.asarray(range(len(run.t)) if frames is None else frames)
-    chosen = plates.spread(run, frames) if chosen.ndim == 0 else chosen
+    if not isinstance(folder, (str, Path)) or not str(folder):
+        raise InputError(f"export folder {folder!r} must be the path of a folder")
+    folder, blocks, chosen = Path(folder), _Blocks(run.model), _chosen(run, frames)
     _prepare(folder, overwrite)
     for i, k in enumerate(chosen):
         blocks.mesh(run, int(k)).write(folder / _name(i), file_format="vtu")
     _write_collection(folder / COLLECTION, run.t[chosen])
     return folder / COLLECTION
+
+
+def _chosen(run, frames):
+    """Indices of frames from how many there may be, or from themselves."""
+    if frames is None:
+        return np.arange(len(run.t))
+    if is_whole(frames):
+        return plates.spread(run, frames)
+    chosen = np.atleast_1d(frames) if np.ndim(frames) else np.zeros(0)
+    if chosen.dtype.kind not in "iu" or not chosen.size or not (np.abs(chosen + 0.5) < len(run.t)).all():
+        raise InputError(f"export: frames = {frames!r} must be how many, or indices of the run's {len(run.t)} frames")
+    return chosen
 
 
 def _prepare(folder, overwrite):

@@ -2,9 +2,12 @@
 
 import time
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
+from polyida.guarded_model import guard
+from polyida.integrate.accepted import accepted
 from polyida.integrate.state import Counts, StepFailure
 from polyida.study.energy import motor_work, unbalanced
 from polyida.threads import one_blas_thread
@@ -39,16 +42,18 @@ class Comparison:
     def figures(self):
         """{name: number}, names as `alpha_error_max`; only what is a finite number."""
         short = {"generalized-alpha": "alpha", "IDA": "ida", REFINED: "refined"}
-        numbers = {f"{short[row['run']]}_{key}": value for row in self.rows for key, value in row.items()}
+        numbers = {f"{short.get(row['run'], row['run'])}_{key}": value for row in self.rows for key, value in row.items()}
         numbers["gap_end"] = self.gap
         return {key: value for key, value in numbers.items()
                 if isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)}
 
     @property
     def gap(self):
-        """Distance between the two integrators at the end, or NaN where one of them did not get there."""
+        """Largest distance between two integrators at the end, or NaN where one of them did not get there."""
         ends = [watch(self.job)(run.q[-1]) for run in self.runs.values() if run.success]
-        return float(_size(ends[0] - ends[1])) if len(ends) == 2 else float("nan")
+        if len(ends) < max(2, len(self.runs)):
+            return float("nan")
+        return max(float(_size(one - other)) for one, other in combinations(ends, 2))
 
 
 def heeded(run):
@@ -67,16 +72,21 @@ def integrators(job, rtol=None):
     return {"generalized-alpha": GeneralizedAlpha(h=job.step), "IDA": ida}
 
 
-def compare(job, rtol=None, progress=None):
+def compare(job, rtol=None, progress=None, others=None):
     """Run generalized-alpha, IDA and the refined run of a Job; returns a Comparison.
 
+    others: {label: integrator}, more of them.
     The refined run is generalized-alpha with a step eight times shorter; an error is the distance of the watched point
     (or of all coordinates, for a model without points) from it. rtol: of IDA. progress: callable(label, fraction done),
     fraction None while kernels compile. Failures of a run do not raise: they are in `notes`. InputError is raised
     before the first run.
     """
+    from polyida.integrate.solve import require_run
+
     tell = progress or (lambda label, fraction: None)
-    members = integrators(job, rtol)
+    members = integrators(job, rtol) | (others or {})
+    for member in members.values():
+        require_run(job.model, job.time, 0.0, member)
     tell("preparing kernels", None)
     for member in members.values():
         warm_up(job, member)
@@ -155,7 +165,7 @@ def refine(job, integrator, tell):
         start = consistent_state(job.model, 0.0, job.q0, job.v0)
         times, watched = [start.t], [look(start.q)]
         try:
-            for state in fine.steps(job.model, start, job.time, counts):
+            for state in accepted(fine, guard(job.model), start, job.time, counts):
                 times.append(state.t)
                 watched.append(look(state.q))
                 tell(REFINED, state.t / job.time)

@@ -7,6 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 from polyida.errors import InputError
+from polyida.given import is_number
 from polyida.study import scene_file
 
 OPTIONS = ("time", "step", "q0", "v0", "point")
@@ -53,8 +54,8 @@ def load(spec, time=None, step=None, **build_options):
     for key, value in (("time", time), ("step", step)):
         if value is not None:
             job = replace(job, **{key: value}, published=job.published if key != "time" else {})
-        if not getattr(job, key) > 0:
-            raise InputError(f"{key} {getattr(job, key)} s must be positive")
+        if not (is_number(getattr(job, key)) and getattr(job, key) > 0):
+            raise InputError(f"{job.name}: {key} {getattr(job, key)!r} s must be a positive number")
     return job
 
 
@@ -105,23 +106,27 @@ def _job(name, result, file=None):
         wanted = "a Scene, a Model or (one of them, options) is needed"
         raise InputError(f"{name}: its function returned {type(result).__name__}; {wanted}")
     if unknown := set(options) - set(OPTIONS):
-        raise InputError(f"{name}: unknown option {min(unknown)!r}; known: {', '.join(OPTIONS)}")
+        raise InputError(f"{name}: unknown option {min(unknown, key=str)!r}; known: {', '.join(OPTIONS)}")
     model = made.build() if isinstance(made, Scene) else made
-    point = options.get("point") or _default_point(made if isinstance(made, Scene) else model)
+    point = options.get("point") or _default_point(model)
+    if point is not None:
+        _require_point(name, model, point)
     return Job(name, model, file=file, **{key: value for key, value in options.items() if key != "point"}, point=point)
 
 
-def _default_point(made):
+def _require_point(name, model, point):
+    if not hasattr(model, "points_of"):
+        raise InputError(f"{name}: point = {point!r}, but {type(model).__name__} is no scene: it has no named points")
+    if not isinstance(point, str):
+        raise InputError(f"{name}: point = {point!r} must be the name of a mass, load or joint")
+    model.points_of(point)
+
+
+def _default_point(model):
     """The mass "tip", else the last mass of a scene, else None."""
     from polyida.body.point_mass import PointMass
 
-    if hasattr(made, "attachment"):
-        try:
-            made.attachment("tip")
-        except InputError:
-            return None
-        return "tip"
-    masses = list(made.of(PointMass)) if hasattr(made, "of") else []
+    masses = [name for name, part in getattr(model, "parts", {}).items() if isinstance(part, PointMass)]
     return "tip" if "tip" in masses else masses[-1] if masses else None
 
 

@@ -74,3 +74,10 @@ def test_virtual_elements_take_hanging_nodes(scenes):
 def test_bad_damping(name, value):
     with pytest.raises(pi.InputError, match=name):
         pi.Material(1.0, 0.3, 1.0, **{name: value})
+
+
+def test_whole_numbers_do_for_the_tangent_s_factors(scenes):
+    model = scenes.hinged(material=dict(viscosity=1e-3, mass_damping=0.5))[0].build()
+    q, v, a, lam = np.zeros(model.n), np.ones(model.n), np.zeros(model.n), np.zeros(model.m)
+    whole, real = (model.tangent(0.0, q, v, a, lam, *factors) for factors in ((1, 2, 3), (1.0, 2.0, 3.0)))
+    assert abs(whole - real).max() == 0.0

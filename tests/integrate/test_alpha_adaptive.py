@@ -118,9 +118,9 @@ def test_units_of_the_coordinates_do_not_matter(units):
     runs = []
     for model in (Unlike((1.0,) * 4), Unlike(units)):
         settings = pi.GeneralizedAlpha(h=0.1, rtol=1e-5, atol=0.0)
-        runs.append(pi.solve(model, 1.0, settings, q0=model.start))
+        runs.append(pi.solve(model, 0.6, settings, q0=model.start))  # flat, and so singular, at 0.628 s
         assert runs[-1].success, runs[-1].message
-    assert len(runs[0]) == len(runs[1]) > 50 and np.allclose(runs[0].t, runs[1].t)
+    assert len(runs[0]) == len(runs[1]) > 40 and np.allclose(runs[0].t, runs[1].t)
     assert np.abs(runs[1].q / runs[1].model.units - runs[0].q).max() < 1e-6
 
 

@@ -1,5 +1,7 @@
 """Loads and motors that are not smooth: every integrator takes the near side up to a kink and the far side from it on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -170,3 +172,106 @@ def test_a_model_of_one_s_own_is_not_differentiated_across_its_kinks(name):
     assert run.q[-1] == pytest.approx([0.15, -9.81 * END**2 / 2], abs=1e-5)
     assert run.v[-1] == pytest.approx([0.0, -9.81 * END], abs=1e-5)
     assert np.abs(run.lam).max() < 1e-2
+
+
+MOVERS = {
+    "alpha": pi.GeneralizedAlpha(h=2e-2), "stabilised": pi.GeneralizedAlpha(h=2e-2, form="stabilised"),
+    "whole matrix": pi.GeneralizedAlpha(h=2e-2, linear="kkt"), "adaptive": pi.GeneralizedAlpha(h=2e-2, rtol=1e-4),
+    "adaptive, whole matrix": pi.GeneralizedAlpha(h=2e-2, rtol=1e-4, linear="kkt"),
+    "Richardson": pi.GeneralizedAlpha(h=2e-2, extrapolate=True), "energy-momentum": pi.EnergyMomentum(h=2e-2),
+    "ida": pi.IDA(rtol=1e-4, linear="kkt"),
+}
+movers = pytest.mark.parametrize("integrator", MOVERS.values(), ids=MOVERS)
+PULSES = {  # value, its integral in s
+    "5 ms": (lambda t: np.sin(np.pi * (t - 0.031) / 5e-3) ** 2 if 0.031 < t < 0.036 else 0.0, 2.5e-3),
+    "half a step": (lambda t: np.sin(np.pi * (t - 0.0277) / 1e-2) ** 2 if 0.0277 < t < 0.0377 else 0.0, 5e-3),
+    "an eighth of a step": (lambda t: np.sin(np.pi * (t - 0.0317) / 2.6e-3) ** 2 if 0.0317 < t < 0.0343 else 0.0, 1.3e-3),
+    "a step up and down": (lambda t: float(0.0312 < t < 0.0412), 1e-2),
+}
+
+
+@movers
+@pytest.mark.parametrize("name", PULSES)
+def test_a_pulse_that_nobody_declares_is_felt(scenes, integrator, name):
+    pulse, integral = PULSES[name]
+    scene, plate = scenes.single(gravity=(0.0, 0.0))
+    scene.add(pi.PointLoad(plate.section("right"), (0.0, 40.0), pulse, name="blow"))
+    run = pi.solve(scene.build(), 0.06, integrator)
+    assert run.success, run.message
+    gained = (run.model.mass() @ run.v[-1]).reshape(-1, 2).sum(axis=0)
+    assert gained == pytest.approx([0.0, 40.0 * integral], rel=5e-3, abs=1e-3 * 40.0 * integral)
+
+
+@movers
+@pytest.mark.parametrize("jump, kinks", [(2 * np.pi, ()), (0.3, ()), (2 * np.pi, (0.0312,))])
+def test_a_motor_that_jumps_stops_the_run_and_is_named(scenes, integrator, jump, kinks):
+    """A full turn leaves phi as it is: nothing but the profile knows of it."""
+    angle = pi.profile.from_function(lambda t: jump * (t > 0.0312), kinks=kinks)
+    run = pi.solve(motor(scenes, angle), 0.06, integrator)
+    assert run.status == "jump" and "motor 'drive' jumps" in run.message and "t = 0.0312" in run.message
+    assert len(run) >= 1 and run.t[-1] <= 0.0312 and np.isfinite(run.q).all()
+
+
+TURNS = {
+    "ready": pi.profile.quintic(0.0, 2 * np.pi, duration=1.5, begin=2.3),
+    "own": lambda t: float(pi.profile.quintic(0.0, 2 * np.pi, duration=1.5, begin=2.3)(t)),
+    "straight": pi.profile.linear(0.0, 2 * np.pi, duration=6.0),
+}
+
+
+@pytest.mark.parametrize("integrator", [replace(MOVERS[name], h=2.0) for name in ("alpha", "energy-momentum")])
+@pytest.mark.parametrize("name", TURNS)
+def test_a_motor_s_full_turn_within_a_step_is_made(scenes, integrator, name):
+    """Each step turns by less than a half-turn; that the plate is whipped by so few of them is not the point."""
+    scene, plate = scenes.hinged(gravity=(0.0, 0.0), cells=4)
+    scene.add(pi.AngleMotor(pi.ground, plate.section("left"), angle=TURNS[name], name="drive"))
+    scene.add(pi.PointMass(plate.section("right"), 0.01, name="tip"))
+    run = pi.solve(scene.build(), 6.0, integrator)
+    x, y = run.position("tip")[run.t <= (6.0 if name == "straight" else 3.9)].T
+    turned = np.unwrap(np.arctan2(y, x))
+    assert np.abs(np.diff(turned)).max() < np.pi and turned[-1] == pytest.approx(2 * np.pi, abs=0.5), run.message
+
+
+def test_a_smooth_function_takes_the_steps_that_were_asked_for(scenes):
+    scene, plate = scenes.hinged()
+    for number, value in enumerate((lambda t: t * t, np.cos, lambda t: np.sin(40 * t), lambda t: 3.0 * t, lambda t: np.exp(-5 * t))):
+        scene.add(pi.PointLoad(plate.section("right"), (0.0, 1.0), value, name=f"load {number}"))
+    model = scene.build()
+    for steps in (1, 2, 7, 20):
+        assert pi.solve(model, steps * 1e-2, pi.GeneralizedAlpha(h=1e-2)).counts.steps == steps
+
+
+def test_a_restart_has_the_same_steps_around_a_pulse(scenes):
+    scene, plate = scenes.hinged()
+    scene.add(pi.PointLoad(plate.section("right"), (0.0, 40.0), PULSES["5 ms"][0], name="blow"))
+    model, integrator = scene.build(), pi.GeneralizedAlpha(h=1e-2)
+    whole = pi.solve(model, 0.06, integrator)
+    part = pi.solve(model, 0.06, integrator, until=lambda t, q, v: t - 0.0199)
+    rest = pi.solve(model, 0.06, integrator, state=pi.State(whole.t[2], *(x[2] for x in (whole.q, whole.v, whole.a, whole.lam))))
+    assert part.t[-2] == whole.t[1] and rest.t == pytest.approx(whole.t[2:], abs=1e-15)
+
+
+def test_a_declared_shortest_move_is_taken_at_its_word(scenes):
+    seen = []
+
+    def value(t):
+        seen.append(t)
+        return np.sin(3.0 * t)
+
+    for shortest, looked in ((None, True), (1.0, False)):
+        scene, plate = scenes.hinged()
+        load = pi.profile.from_function(value, np.cos, np.sin, shortest=shortest)
+        scene.add(pi.PointLoad(plate.section("right"), (0.0, 1.0), load, name="sway"))
+        model = scene.build()
+        seen.clear()
+        assert pi.solve(model, 0.05, pi.GeneralizedAlpha(h=1e-2)).counts.steps == 5
+        assert (len(seen) > 5 * 8) is looked
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=1e-2), pi.EnergyMomentum(h=1e-2)])
+def test_steps_too_long_for_a_sine_are_said(scenes, integrator):
+    for frequency, said in ((80.0, True), (5.0, False)):
+        scene, plate = scenes.hinged()
+        scene.add(pi.PointLoad(plate.section("right"), (0.0, 1.0), pi.profile.sine(1.0, frequency), name="hum"))
+        run = pi.solve(scene.build(), 0.02, integrator)
+        assert run.success and ("'hum' moves within 0.00625 s" in run.message) is said

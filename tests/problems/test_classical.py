@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from polyida import problems
+from polyida import check_derivatives, problems
 from polyida.errors import InputError
 from polyida.integrate.ida import IDA
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration, consistent_state
-from polyida.model import check_derivatives
 from polyida.problems.pendulum import TABLE
 
 CLASSICAL = ("pendulum", "car-axis", "andrews")

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+import polyida as pi
 from polyida.errors import InputError
 from polyida.integrate.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.solve import solve
 from polyida.problems import plates
+from polyida.show.page import gap
 from polyida.study.compare import compare, integrators, refine, watch
 from polyida.study.energy import motor_work, unbalanced
 from polyida.study.job import Job, load
@@ -60,3 +62,18 @@ def test_jobs_take_time_and_step_from_the_caller_first():
     assert load("pendulum").published
     with pytest.raises(InputError, match="step 0"):
         load("pendulum", step=0.0)
+
+
+def test_a_third_integrator_is_compared_too():
+    found = compare(load("double-plate", cells=8, time=0.01), others={"energy-momentum": pi.EnergyMomentum(h=1e-3)})
+    assert [row["run"] for row in found.rows][2] == "energy-momentum" and found.success
+    ends = [run.position("tip")[-1] for run in found.runs.values()]
+    assert found.gap == pytest.approx(max(np.linalg.norm(a - b) for a in ends for b in ends), rel=1e-9)
+    assert {"alpha_error_end", "ida_error_end", "energy-momentum_error_end", "refined_steps"} <= set(found.figures)
+    assert "two of the integrators" in gap(found)
+
+
+@pytest.mark.parametrize("rtol", ["1e-3", None.__class__, [1e-3]])
+def test_a_tolerance_of_the_wrong_kind_is_refused(rtol):
+    with pytest.raises(InputError, match="rtol"):
+        compare(load("double-plate", cells=8, time=0.01), rtol=rtol)

@@ -1,0 +1,54 @@
+"""The derivatives that a model writes, compared with differences of what they are derivatives of."""
+
+import numpy as np
+
+from polyida import differences
+from polyida.errors import InputError
+from polyida.given import floats, is_number, is_whole
+from polyida.guarded_model import guard
+from polyida.model import Model
+
+
+def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
+    """Compare every derivative of a model with differences of what it is the derivative of.
+
+    States that are not given are drawn at random (q of size 1, v of size 1). Returns {name: relative error}, the largest
+    deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong.
+    """
+    model = guard(model, "check_derivatives")
+    if not (is_number(t) and is_whole(seed, 0)):
+        raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
+    random = np.random.default_rng(seed)
+    q, v, a = (random.standard_normal(model.n) if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a)))
+    lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
+    n, m = model.n, model.m
+    pairs = {
+        "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
+        "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
+        "mass_a_q": (model.mass_a_q(q, a), differences.jacobian(lambda x: model.mass(x) @ a, q, n)),
+        "tangent": (model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0),
+                    differences.jacobian(lambda x: Model.residual(model, t, x, v, a, lam), q, n)),
+        "tangent, v": (model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0),
+                       differences.jacobian(lambda x: Model.residual(model, t, q, x, a, lam), v, n)),
+    }
+    if m:
+        pairs |= {
+            "phi_q": (model.phi_q(t, q), differences.jacobian(lambda x: model.phi(t, x), q, m)),
+            "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
+            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), room=model._smooth(t))),
+            "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
+        }
+    return {name: _deviation(*pair) for name, pair in pairs.items()}
+
+
+def _deviation(exact, difference):
+    exact = exact.toarray() if hasattr(exact, "toarray") else np.asarray(exact)
+    size = max(np.abs(exact).max(initial=0), np.abs(difference).max(initial=0))
+    return float(np.abs(exact - difference).max(initial=0) / size) if size > 1e-12 else 0.0
+
+
+def _vector(name, value, size):
+    array = floats(value)
+    if array is None or array.shape != (size,):
+        raise InputError(f"check_derivatives: {name} = {value!r} must be {size} finite numbers")
+    return array

@@ -1,0 +1,115 @@
+"""The states that an integrator yields, looked at one by one: whatever it does, a run's frames are states on the way to its end."""
+
+import math
+
+import numpy as np
+
+from polyida.given import is_number
+from polyida.guarded_model import blame
+from polyida.integrate.state import State, StepFailure
+
+SLACK = 1e-9  # of a run's length: as near to its end as that is at its end
+STANDSTILL = 20  # so many states in a row that hardly move t end the run
+FIELDS = ("q", "v", "a", "lam")
+
+
+def accepted(integrator, model, state, t_end, counts):
+    """Yield the integrator's states from `state` to t_end.
+
+    Raises StepFailure, which names integrator and time, at one that is no State, has the wrong shape, is not real or not
+    finite, goes back in time, repeats it, overruns t_end or hardly moves, and where the last is short of t_end. States
+    of a user's own integrator are copied, for it may fill one array again and again; polyida's own are only looked
+    at, in less than a microsecond. A failure says which of a user's functions gave what is not finite.
+    """
+    made = integrator.steps(model, state, t_end, counts)
+    watch = _Watch(integrator, state, t_end)
+    if not hasattr(made, "__iter__"):
+        watch.stop(f"its steps gave {type(made).__name__}, no states")
+    try:
+        yield from _own(watch, made) if type(integrator).__module__.startswith("polyida.") else _foreign(watch, made)
+    except StepFailure as failure:
+        raise _naming_function(failure, model, watch.before) from None
+    watch.at_end()
+
+
+def _own(watch, states):
+    """States of polyida's integrators."""
+    for state in states:
+        if not state.finite():
+            watch.require_finite(state)
+        watch.before = state
+        yield state
+
+
+def _foreign(watch, states):
+    """States of a user's integrator, whole and their own."""
+    for given in states:
+        state = watch.taken(given)
+        watch.require_finite(state)
+        watch.require_ahead(state.t)
+        watch.require_moving(state.t)
+        watch.before = state
+        yield state
+
+
+class _Watch:
+    """The last good state of a run, and what stops it there."""
+
+    def __init__(self, integrator, state, t_end):
+        self.name, self.before, self.t_end, self.standing = type(integrator).__name__, state, t_end, 0
+        self.slack = max(SLACK * (t_end - state.t), 64 * math.ulp(t_end))
+
+    def stop(self, reason, status="integrator"):
+        """Raise StepFailure after the last good state."""
+        raise StepFailure(status, f"{self.name}: {reason}; the last good state is", self.before.t)
+
+    def taken(self, given):
+        """The state as a copy of floats, its time the run's end where it is that to round-off."""
+        if not isinstance(given, State):
+            self.stop(f"its steps yielded {type(given).__name__}, a polyida.State is needed")
+        if not is_number(given.t):
+            self.stop(f"its steps yielded a State at t = {given.t!r}")
+        arrays = [self._floats(name, getattr(given, name), getattr(self.before, name).shape, given.t) for name in FIELDS]
+        t = self.t_end if abs(given.t - self.t_end) <= self.slack else float(given.t)
+        return State(t, *arrays, dict(given.memory), given.restart)
+
+    def _floats(self, name, value, shape, t):
+        kind = getattr(getattr(value, "dtype", None), "kind", "O")
+        if kind not in "fiu" or value.shape != shape:
+            found = f"{value.shape} of {value.dtype}" if hasattr(value, "dtype") else type(value).__name__
+            self.stop(f"{name} at t = {t:.9g} s must be real numbers of shape {shape}, not {found}")
+        return np.array(value, float)
+
+    def require_finite(self, state):
+        """Stop at numbers that are not finite."""
+        for name in FIELDS:
+            bad = np.flatnonzero(~np.isfinite(getattr(state, name)))
+            if bad.size:
+                worst = getattr(state, name)[bad[0]]
+                self.stop(f"{name}[{bad[0]}] = {worst} at t = {state.t:.9g} s is not finite", "not finite")
+
+    def require_ahead(self, t):
+        """Stop at a time that is not behind the last one, or behind the run's end."""
+        if not t > self.before.t:
+            self.stop(f"t = {t:.9g} s after {self.before.t:.9g} s does not advance")
+        if t > self.t_end:
+            self.stop(f"t = {t:.9g} s overruns the end, {self.t_end:.9g} s")
+
+    def require_moving(self, t):
+        """Stop where t hardly moves, step after step."""
+        self.standing = self.standing + 1 if t - self.before.t < 16 * math.ulp(self.t_end) else 0
+        if self.standing >= STANDSTILL:
+            self.stop("the step has shrunk to the round-off of t", "step too small")
+
+    def at_end(self):
+        """Stop where the integrator ended too early."""
+        self.require_finite(self.before)
+        if self.before.t < self.t_end - self.slack:
+            self.stop(f"it ended short of t_end = {self.t_end:.9g} s")
+
+
+def _naming_function(failure, model, state):
+    """The failure, with the user's function that may have caused it."""
+    bad = blame(model, failure.t if math.isfinite(failure.t) else state.t, state)
+    known = bad.partition(" gave ")[0] in failure.reason
+    return failure if known else StepFailure(failure.status, f"{bad}; {failure.reason}", failure.t, **failure.seen)

@@ -1,0 +1,135 @@
+"""An integrator of a user's own: states that are wrong stop the run, and the good ones before them are kept."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.integrate.accepted import STANDSTILL
+
+END, BAD = 1.0, 5
+
+
+class Free(pi.Model):
+    """One free mass."""
+
+    n, m = 2, 0
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.zeros(2)
+
+
+class Mine:
+    """Ten steps that leave the mass where it is, the sixth of them changed."""
+
+    def __init__(self, change=None, end=END):
+        self.change, self.end = change, end
+
+    def steps(self, model, state, t_end, counts):
+        for k in range(1, 11):
+            counts.steps += 1
+            after = pi.State(self.end * k / 10, state.q, state.v, state.a, state.lam)
+            yield self.change(after) if self.change and k == BAD + 1 else after
+
+
+def solved(integrator, **options):
+    return pi.solve(Free(), END, integrator, q0=[1.0, 2.0], **options)
+
+
+CHANGES = {
+    "nan": (lambda s: replace(s, q=s.q * np.nan), "not finite", "q[0] = nan at t = 0.6 s"),
+    "inf": (lambda s: replace(s, a=s.a + np.inf), "not finite", "a[0] = inf at t = 0.6 s"),
+    "complex": (lambda s: replace(s, v=s.v * 1j), "integrator", "v at t = 0.6 s", "complex"),
+    "objects": (lambda s: replace(s, v=s.v.astype(object)), "integrator", "v at t = 0.6 s", "object"),
+    "shape": (lambda s: replace(s, a=s.a[:1]), "integrator", "a at t = 0.6 s", "(1,)", "(2,)"),
+    "lam": (lambda s: replace(s, lam=np.zeros(1)), "integrator", "lam at t = 0.6 s"),
+    "list": (lambda s: replace(s, q=s.q.tolist()), "integrator", "q at t = 0.6 s", "list"),
+    "no State": (lambda s: {"t": s.t, "q": s.q}, "integrator", "dict", "State"),
+    "nothing": (lambda s: None, "integrator", "NoneType"),
+    "back": (lambda s: replace(s, t=0.1), "integrator", "t = 0.1 s after 0.5 s"),
+    "repeated": (lambda s: replace(s, t=0.5), "integrator", "t = 0.5 s after 0.5 s"),
+    "beyond the end": (lambda s: replace(s, t=1.5), "integrator", "t = 1.5 s overruns"),
+    "t nan": (lambda s: replace(s, t=np.nan), "integrator", "t = nan"),
+    "t complex": (lambda s: replace(s, t=0.6j), "integrator", "0.6j"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_wrong_state_stops_the_run(name, tmp_path):
+    change, status, *said = CHANGES[name]
+    run = solved(Mine(change), out=tmp_path / "run.h5")
+    assert run.status == status and not run.success
+    assert all(text in run.message for text in ["Mine", "t = 0.5 s", *said]), run.message
+    assert run.t == pytest.approx(np.arange(BAD + 1) / 10)
+    again = pi.load(tmp_path / "run.h5")
+    assert np.array_equal(again.q, run.q) and again.status == status
+
+
+def test_one_that_overruns_or_stops_short_is_not_done():
+    over, short = solved(Mine(end=1.05 * END)), solved(Mine(end=0.9 * END))
+    assert over.status == short.status == "integrator"
+    assert "overruns" in over.message and over.t[-1] < END and "short of t_end = 1 s" in short.message and len(short) == 11
+
+
+def test_the_end_is_the_end_but_for_round_off():
+    for end in (END * (1 - 1e-12), END * (1 + 1e-12)):
+        run = solved(Mine(end=end), output=[0.5, END])
+        assert run.status == "done" and list(run.t) == [0.5, END]
+
+
+@pytest.mark.parametrize("last", [0.5, END])
+def test_one_that_does_not_advance_is_stopped(last):
+    class Zeno:
+        def steps(self, model, state, t_end, counts):
+            t = last
+            while True:
+                yield replace(state, t=t)
+                t = np.nextafter(t, 2.0) if last < END else t
+
+    run = solved(Zeno())
+    assert not run.success and "Zeno" in run.message and len(run) <= STANDSTILL + 2
+
+
+def test_one_that_gives_no_states_at_all():
+    class Nothing:
+        def steps(self, model, state, t_end, counts):
+            return None
+
+    class Empty:
+        def steps(self, model, state, t_end, counts):
+            return iter(())
+
+    assert "Nothing: its steps gave NoneType" in solved(Nothing()).message
+    assert "Empty: it ended short" in solved(Empty()).message
+
+
+def test_one_array_for_all_states_does_no_harm():
+    class OneBuffer:
+        def steps(self, model, state, t_end, counts):
+            q = state.q.copy()
+            for k in range(1, 11):
+                q += 0.1 * k
+                counts.steps += 1
+                yield pi.State(END * k / 10, q, state.v, state.a, state.lam)
+
+    run = solved(OneBuffer(), output=[0.05, 1.0])
+    assert run.q[0] == pytest.approx([1.05, 2.05]) and run.q[1] == pytest.approx([6.5, 7.5])
+    assert solved(OneBuffer()).state.q == pytest.approx([6.5, 7.5])
+
+
+def test_it_sees_the_guarded_functions_of_a_user_s_model():
+    class Wrong(Free):
+        def force(self, t, q, v):
+            return np.zeros(2) if t == 0.0 else np.zeros((2, 1))
+
+    class Calls(Mine):
+        def steps(self, model, state, t_end, counts):
+            model.force(0.5, state.q, state.v)
+            yield state
+
+    with pytest.raises(pi.InputError, match="Wrong.force must return"):
+        pi.solve(Wrong(), END, Calls())
