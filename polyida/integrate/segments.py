@@ -9,6 +9,7 @@ from polyida.integrate.state import StepFailure
 
 PULSE = 4  # steps in which a piece is taken at least where its loads are no straight lines
 INSIDE = (0.29, 0.5, 0.62)  # where they are looked at, and not only in the middle, where a whole sine is zero too
+TURN = 1e-3  # rad: a motor that turns by less than STRAIGHT of it stands
 STRAIGHT = 1e-6  # distance from a straight line, over the forces' size, that is none
 
 
@@ -72,16 +73,18 @@ def beside(t, side):
 
 def _bent(model, state, begin, end):
     motors = getattr(model, "motor_profiles", ())
-    seen = [lambda t: model.force(t, state.q, state.v)] + [lambda t: model.drives(t)[motors, 0]] * bool(len(motors))
-    return any(_curved(function, begin, end) for function in seen)
+    if _curved(lambda t: model.force(t, state.q, state.v), begin, end):
+        return True
+    return bool(len(motors)) and _curved(lambda t: model.drives(t)[motors, 0], begin, end, TURN)
 
 
-def _curved(function, begin, end):
+def _curved(function, begin, end, least=0.0):
+    """Whether it bends away from its chord by STRAIGHT of its size, which is `least` at least."""
     near = 1e-9 * (end - begin)
     first, last = function(begin + near), function(end - near)
     for s in INSIDE:
         value = function(begin + s * (end - begin))
-        size = max(np.abs(x).max(initial=0.0) for x in (first, value, last))
+        size = max(np.abs(x).max(initial=least) for x in (first, value, last))
         if np.abs(value - (1 - s) * first - s * last).max(initial=0.0) > STRAIGHT * size:
             return True
     return False
