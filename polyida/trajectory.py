@@ -140,7 +140,11 @@ class Trajectory:
         rows = getattr(self.model, "rows", {})
         if not is_one_of(name, rows):
             raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, rows))}")
-        return self.model.reactions(name, self.q, self.lam[:, rows[name]])
+        lam, first, found = self.lam[:, rows[name]], 0, []
+        for q in blocks(self.q):
+            found.append(self.model.reactions(name, q, lam[first : first + len(q)]))
+            first += len(q)
+        return np.concatenate(found)
 
     def node_positions(self, frame):
         """Positions of all nodes in a frame, (nodes, 2), m."""

@@ -139,22 +139,21 @@ def about(path, change):
         replaced(file, "about", np.frombuffer(json.dumps(data).encode(), np.uint8))
 
 
+def part_of(data, kind):
+    return next(part["fields"] for part in data["scene"]["parts"] if part["kind"] == kind)
+
+
 ABOUT = {
-    "kind": lambda data: data["scene"]["parts"][0].update(kind="os.system"),
-    "material": lambda data: data["scene"]["parts"][0].update(material=[-1, 0.3, 1, "stress"]),
+    "material": lambda data: part_of(data, "Plate")["material"].update(material=[-1, 0.3, 1, "stress"]),
     "setting": lambda data: data["integrator"]["settings"].update(h=-1),
     "unknown setting": lambda data: data["integrator"]["settings"].update(hook="x"),
-    "mesh": lambda data: data["scene"]["parts"][0].update(mesh="no mesh"),
-    "body": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass")["at"].update(
-        body="nobody"
-    ),
-    "length": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass")["at"].update(
-        length=float("nan")
-    ),
-    "mass": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "PointMass").update(mass="heavy"),
-    "angle": lambda data: next(p for p in data["scene"]["parts"] if p["kind"] == "AngleMotor").update(
-        angle=["__import__", "os"]
-    ),
+    "mesh": lambda data: part_of(data, "Plate")["mesh"].update(mesh="no mesh"),
+    "body": lambda data: part_of(data, "PointMass")["at"]["side"].update(body="nobody"),
+    "length": lambda data: part_of(data, "PointMass")["at"]["side"].update(length=float("nan")),
+    "mass": lambda data: part_of(data, "PointMass").update(mass="heavy"),
+    "angle": lambda data: part_of(data, "AngleMotor").update(angle={"profile": ["__import__", "os"]}),
+    "ground": lambda data: part_of(data, "Revolute").update(a={"ground": [["x"], 0]}),
+    "unknown field": lambda data: part_of(data, "PointMass").update(hook="x"),
     "gravity": lambda data: data["scene"].update(gravity="down"),
     "no scene": lambda data: data["scene"].update(parts=[]),
     "a list": lambda data: data.update(plan=3, machine=4),
@@ -165,6 +164,15 @@ ABOUT = {
 def test_descriptions_that_describe_nothing(path, what):
     about(path, ABOUT[what])
     refused(path)
+
+
+@pytest.mark.parametrize("kind", ["os.system", "__main__.Slot", ""])
+def test_a_part_of_an_unknown_kind_is_named_and_the_frames_are_there(path, kind):
+    about(path, lambda data: data["scene"]["parts"][-1].update(kind=kind))
+    run = pi.load(path)
+    assert run.model is None and len(run) > 1
+    with pytest.raises(pi.InputError, match="define or import that class"):
+        run.drift
 
 
 def test_deep_json(path):

@@ -76,7 +76,7 @@ def operator_of(plate):
 
 
 def assemble(bodies, parts, gravity):
-    """(SceneArrays, Points, RowTable, profiles) of the parts."""
+    """(SceneArrays, Points, RowTable, Drives) of the parts."""
     first_node = {body.plate: body.nodes.start for body in bodies}
     points, drives = Points(first_node), Drives()
     corners = np.concatenate([body.points for body in bodies])
@@ -89,7 +89,7 @@ def assemble(bodies, parts, gravity):
     fields = operator_arrays(bodies) | body_arrays(bodies, gravity) | load_arrays(loads, drives, first_node)
     links = Links(**points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
     arrays = SceneArrays(Plates(**fields), links)
-    return arrays, points, table, drives.profiles
+    return arrays, points, table, drives
 
 
 def operator_arrays(bodies):
@@ -139,5 +139,5 @@ def load_arrays(loads, drives, first_node):
     return {
         "load_ptr": starts(nodes), "load_nodes": concatenated(nodes, np.int32),
         "load_values": concatenated([load.nodal() for load in loads.values()], float, (2,)),
-        "load_drive": np.array([drives.add(load.profile) for load in loads.values()], np.int64),
+        "load_drive": np.array([drives.add(load.profile, name) for name, load in loads.items()], np.int64),
     }

@@ -26,7 +26,7 @@ class RowTable:
         first, faced = len(self.labels), joint.facing()
         for row in rows_of(_given(name, faced)):
             self._require_closed(name, faced, row)
-            self._row(row)
+            self._row(name, row)
             self.labels.append(row.label)
             self.units.append(row.unit)
         self.rows[name], self.joints[name] = slice(first, len(self.labels)), faced
@@ -39,7 +39,7 @@ class RowTable:
             raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; its sides are {a!r} at {_place(a)} and "
                              f"{b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; place the bodies so that they meet")
 
-    def _row(self, row):
+    def _row(self, name, row):
         """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
         driven = any(product.turning.profile is not None for product in row.products)
         small = abs(_at_rest(row)) <= ROUND * self._size
@@ -55,7 +55,7 @@ class RowTable:
         for product in row.products:
             if not product.linear:
                 profile = product.turning.profile
-                drive = -1 if profile is None else self._drives.add(profile)
+                drive = -1 if profile is None else self._drives.add(profile, name)
                 self._products.append((number, self._vector(product.turning), self._vector(product.still), drive, product.one_way))
 
     def _vector(self, piece):
@@ -101,14 +101,15 @@ class Drives:
     """The profiles of a scene, each once."""
 
     def __init__(self):
-        self.profiles = []
+        self.profiles, self.names = [], []
 
-    def add(self, profile):
-        """Number of the profile."""
+    def add(self, profile, name):
+        """Number of the profile, which a part of that name has."""
         for number, known in enumerate(self.profiles):
             if known is profile:
                 return number
         self.profiles.append(profile)
+        self.names.append(name)
         return len(self.profiles) - 1
 
 

@@ -25,7 +25,8 @@ class SceneModel(Model):
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
         self.bodies, self._kept, self._driven = bodies_of(parts), {}, (None, None)
-        self.arrays, points, table, self.profiles = assemble(self.bodies, parts, gravity)
+        self.arrays, points, table, drives = assemble(self.bodies, parts, gravity)
+        self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
         self.n_nodes = self.bodies[-1].nodes.stop
         self.n, self.m = 2 * self.n_nodes, len(self.labels)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.joint.angle_motor import AngleMotor
 from polyida.profile import Profile
 
 PARTS, DEPTH = 8, 4
@@ -89,25 +88,20 @@ def cells_of(h, span):
 
 def unseen(model, h):
     """In words, the loads that move within less than two steps of h all the time; empty where there are none."""
-    found = [f"{name!r} moves within {profile.shortest:.3g} s" for name, profile in _profiles(model)
+    found = [f"{name!r} moves within {profile.shortest:.3g} s" for name, profile, _ in _profiles(model)
              if profile.kinks == () and (profile.shortest or np.inf) < 2 * h]
     return f"steps of {h:.3g} s do not show how {' and '.join(found)}" if found else ""
 
 
 def _profiles(model):
-    """(name, profile) of all motors and loads of a scene, each profile once."""
-    seen = {}
-    for name, part in getattr(model, "parts", {}).items():
-        profile = part.angle if isinstance(part, AngleMotor) else getattr(part, "profile", None)
-        if profile is not None:
-            seen.setdefault(id(profile), (name, profile))
-    return seen.values()
+    """(name, profile, whether it turns a row of phi) of all joints and loads of a scene, each profile once."""
+    turning = set(getattr(model, "motor_profiles", ()))
+    return [(name, profile, k in turning) for k, (name, profile) in enumerate(getattr(model, "named_profiles", ()))]
 
 
 def _looks(model, h):
     """The profiles that steps of h might pass over."""
-    motors = {id(part.angle) for part in getattr(model, "parts", {}).values() if isinstance(part, AngleMotor)}
-    looks = [Look(name, profile, id(profile) in motors) for name, profile in _profiles(model)]
+    looks = [Look(*named) for named in _profiles(model)]
     return [look for look in looks if look.motor or (not look.profile.formula and (look.profile.shortest or 0.0) < 4 * h)]
 
 
