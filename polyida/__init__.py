@@ -11,7 +11,7 @@ _PLACES = {
     "Scene": "scene", "solve": "integrate.solve", "resume": "integrate.resume", "Trajectory": "trajectory", "von_mises": "trajectory", "load": "io.load",
     "consistent_state": "integrate.start", "condition_number": "integrate.iteration_matrix", "static": "integrate.static",
     "State": "integrate.state", "Counts": "integrate.state",
-    "GeneralizedAlpha": "integrate.generalized_alpha", "EnergyMomentum": "integrate.energy_momentum", "IDA": "integrate.ida",
+    "GeneralizedAlpha": "integrate.alpha.generalized_alpha", "EnergyMomentum": "integrate.energy.energy_momentum", "IDA": "integrate.ida.integrator",
 }
 _MODULES = {"mesh": "mesh", "profile": "profile", "problems": "problems", "export": "show.vtu", "study": "study", "show": "show"}
 

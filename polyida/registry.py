@@ -17,9 +17,9 @@ parts = {
     "Clamp": "polyida.joint.clamp:Clamp",
 }
 integrators = {
-    "GeneralizedAlpha": "polyida.integrate.generalized_alpha:GeneralizedAlpha",
-    "EnergyMomentum": "polyida.integrate.energy_momentum:EnergyMomentum",
-    "IDA": "polyida.integrate.ida:IDA",
+    "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",
+    "EnergyMomentum": "polyida.integrate.energy.energy_momentum:EnergyMomentum",
+    "IDA": "polyida.integrate.ida.integrator:IDA",
 }
 
 

@@ -4,10 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from polyida.cli_study import main
-from polyida.integrate.energy_momentum import EnergyMomentum
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
+from polyida.cli.study import main
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.energy.energy_momentum import EnergyMomentum
+from polyida.integrate.ida.integrator import IDA
 from polyida.study import peers
 from polyida.study.harness import Study
 from polyida.study.isolation import run_isolated

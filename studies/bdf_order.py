@@ -1,6 +1,6 @@
 """What the highest order of BDF costs: 3 to 5 are unstable beside the imaginary axis, where undamped mesh modes lie."""
 
-from polyida.cli_study import main
+from polyida.cli.study import main
 from polyida.study.drawing import drawn, look, panels, saved
 from polyida.study.harness import Study
 from polyida.study.order import run_order

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polyida.cli_study import main
-from polyida.integrate.ida_whole import SCALINGS as IDA_SCALINGS
+from polyida.cli.study import main
+from polyida.integrate.ida.whole import SCALINGS as IDA_SCALINGS
 from polyida.linear.kkt import SCALINGS
 from polyida.study import conditioning, solve_error
 from polyida.study.drawing import drawn, fitted, legend, loglog, panels, saved, slope_line

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.cli_study import main
+from polyida.cli.study import main
 from polyida.study.drawing import drawn, legend, look, panels, saved, tag
 from polyida.study.harness import Study
 from polyida.study.long_run import balance

@@ -4,7 +4,7 @@ section, spin-up.
 
 from functools import cache
 
-from polyida.cli_study import main
+from polyida.cli.study import main
 from polyida.problems.spin_up_beam import EXTENSION
 from polyida.study import mesh_cases
 from polyida.study.drawing import aim_line, drawn, fitted, legend, loglog, look, panels, saved

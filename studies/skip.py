@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.cli_study import main
+from polyida.cli.study import main
 from polyida.study import skip
 from polyida.study.harness import Study
 from polyida.study.rows import each, pick

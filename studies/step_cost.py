@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.cli_study import main
+from polyida.cli.study import main
 from polyida.study import peers
 from polyida.study import step_cost as cost
 from polyida.study.drawing import drawn

@@ -4,7 +4,7 @@ way to take phi.
 
 import numpy as np
 
-from polyida.cli_study import main
+from polyida.cli.study import main
 from polyida.linear.kkt import SCALINGS
 from polyida.study import slopes
 from polyida.study.drawing import drawn, legend, loglog, nested, panels, saved, slope_line

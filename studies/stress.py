@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.cli_study import main
+from polyida.cli.study import main
 from polyida.show.style import figure, save, settings
 from polyida.study.harness import Study
 from polyida.study.stress import OUTCOMES, figures, limits, outcome_in

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from polyida.cli_study import main
+from polyida.cli.study import main
 from polyida.study import tip_accuracy
 from polyida.study.drawing import drawn, legend, loglog, panels, saved
 from polyida.study.harness import Study

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import polyida as pi
-from polyida.cli import main
+from polyida.cli.main import main
 from polyida.study.job import load
 
 SMALL = ("--cells", "8", "--time", "0.02")
@@ -293,4 +293,4 @@ def test_a_terminal_of_few_letters_will_do(odd):
     assert ended.returncode == 0 and b"Saved: gr??e.h5" in ended.stdout, ended.stderr
 
 
-CALL = "import sys; from polyida.cli import main; sys.exit(main())"
+CALL = "import sys; from polyida.cli.main import main; sys.exit(main())"

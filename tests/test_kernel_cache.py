@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from polyida import kernel_cache
+from polyida.compiled import cache as kernel_cache
 
-PACKAGE = Path(kernel_cache.__file__).parent
+PACKAGE = Path(kernel_cache.__file__).parents[1]
 CALLED = "from polyida.compiled import part\n\n\n@part\ndef called(x):\n    return x + {}\n"
 CALLER = (
     "from polyida.called import called\nfrom polyida.compiled import entry\n\n\n@entry\ndef call(x):\n    return called(x)\n"
@@ -26,8 +26,7 @@ def chain(tmp_path):
     """(package, say): a package of one entry that calls a part in another file; say() runs it in new processes."""
     package = tmp_path / "polyida"
     package.mkdir()
-    for name in ("compiled.py", "kernel_cache.py"):
-        shutil.copy(PACKAGE / name, package)
+    shutil.copytree(PACKAGE / "compiled", package / "compiled", ignore=shutil.ignore_patterns("__pycache__"))
     (package / "__init__.py").write_text("")
     (package / "caller.py").write_text(CALLER)
     (package / "called.py").write_text(CALLED.format(1))

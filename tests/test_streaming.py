@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.sampling import between
+from polyida.integrate.running.sampling import between
 from polyida.integrate.state import State
 from polyida.io.frames import StoredFrames
 from polyida.problems import plates

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polyida import cli_study
+from polyida.cli import study as cli_study
 from polyida.study import harness
 from polyida.study.harness import Study, key_of, results, write_whole
 from polyida.study.isolation import Worker, run_isolated

@@ -7,10 +7,10 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_number, is_one_of
 from polyida.guarded_model import guard, require_functions
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
-from polyida.integrate.ida_forms import System
-from polyida.integrate.ida_whole import sizes, whole_matrix
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida.forms import System
+from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.ida.whole import sizes, whole_matrix
 from polyida.integrate.start import require_state
 from polyida.linear.condition import condition, scaled
 from polyida.linear.kkt import assemble, scaling_factors

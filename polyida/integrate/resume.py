@@ -4,7 +4,7 @@ import time
 
 from polyida.errors import InputError
 from polyida.given import is_number
-from polyida.integrate.run import Run
+from polyida.integrate.running.run import Run
 from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
 from polyida.io.frames import MEMORY_LIMIT

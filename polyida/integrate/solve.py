@@ -7,7 +7,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
 from polyida.guarded_model import guard, require_functions
-from polyida.integrate.run import Run
+from polyida.integrate.running.run import Run
 from polyida.integrate.start import consistent_state, require_state, restarted
 from polyida.integrate.state import Counts
 from polyida.io.frames import MEMORY_LIMIT

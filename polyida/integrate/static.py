@@ -8,7 +8,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.guarded_model import guard, require_functions
-from polyida.integrate.ida_forms import dense
+from polyida.integrate.ida.forms import dense
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.inertia import falling

@@ -3,8 +3,8 @@
 import numpy as np
 
 from polyida.mesh import topology
-from polyida.mesh.cleanup import Polygons
-from polyida.mesh.walls import meet
+from polyida.mesh.make.cleanup import Polygons
+from polyida.mesh.make.walls import meet
 
 
 def domain_corners(domain):

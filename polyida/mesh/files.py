@@ -11,8 +11,8 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.mesh import sections, topology
-from polyida.mesh.domains import positive
 from polyida.mesh.guarded import guarded
+from polyida.mesh.make.domains import positive
 from polyida.mesh.numbering import renumber, sorted_cells
 from polyida.mesh.polygon_mesh import PolygonMesh
 

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from polyida.guarded_model import guard
-from polyida.integrate.accepted import accepted
+from polyida.integrate.running.accepted import accepted
 from polyida.integrate.state import Counts, StepFailure
 from polyida.study.energy import motor_work, unbalanced
 from polyida.threads import one_blas_thread
@@ -65,8 +65,8 @@ def heeded(run):
 
 def integrators(job, rtol=None):
     """{label: integrator}: generalized-alpha with the job's step; IDA, with rtol where it is given."""
-    from polyida.integrate.generalized_alpha import GeneralizedAlpha
-    from polyida.integrate.ida import IDA
+    from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+    from polyida.integrate.ida.integrator import IDA
 
     ida = IDA() if rtol is None else IDA(rtol=rtol)
     return {"generalized-alpha": GeneralizedAlpha(h=job.step), "IDA": ida}

@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
-from polyida.integrate.ida_forms import dense
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida.forms import dense
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, mass_system

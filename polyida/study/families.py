@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from polyida.integrate.energy_momentum import EnergyMomentum
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration, consistent_state
 from polyida.threads import one_blas_thread

@@ -115,11 +115,11 @@ def _job(name, result, file=None):
 
 
 def _require_point(name, model, point):
-    if not hasattr(model, "points_of"):
+    if not hasattr(model, "attachment"):
         raise InputError(f"{name}: point = {point!r}, but {type(model).__name__} is no scene: it has no named points")
     if not isinstance(point, str):
         raise InputError(f"{name}: point = {point!r} must be the name of a mass, load or joint")
-    model.points_of(point)
+    model.attachment(point)
 
 
 def _default_point(model):
@@ -132,9 +132,9 @@ def _default_point(model):
 
 def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
     """"alpha", "ida" or "energy" with the settings given; InputError for an unknown name and for a setting of another one."""
-    from polyida.integrate.energy_momentum import EnergyMomentum
-    from polyida.integrate.generalized_alpha import GeneralizedAlpha
-    from polyida.integrate.ida import IDA
+    from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+    from polyida.integrate.energy.energy_momentum import EnergyMomentum
+    from polyida.integrate.ida.integrator import IDA
 
     makers = {"alpha": (GeneralizedAlpha, ("step", "rho_inf")), "ida": (IDA, ("rtol", "atol")), "energy": (EnergyMomentum, ("step",))}
     if name not in makers:

@@ -1,9 +1,9 @@
 """All integrators and forms under the names that studies call them by."""
 
 from polyida.errors import InputError
-from polyida.integrate.energy_momentum import EnergyMomentum
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.energy.energy_momentum import EnergyMomentum
+from polyida.integrate.ida.integrator import IDA
 
 FIXED = {  # name: integrator of a step h and further settings of generalized-alpha
     "alpha": lambda h, settings: GeneralizedAlpha(h=h, **settings),

@@ -144,7 +144,7 @@ def in_plane_modes(model, count):
 
 def spin_up(nx, ny, h, rho_inf=0.9):
     """Steady extension of the spin-up beam, from 20 s of generalized-alpha."""
-    from polyida.integrate.generalized_alpha import GeneralizedAlpha
+    from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.solve import solve
     from polyida.problems import spin_up_beam
 

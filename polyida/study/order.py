@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 
 from polyida.body.material import Material
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from polyida.study.compare import watch

@@ -12,9 +12,9 @@ import numpy as np
 
 from polyida.assembly import equilibrium
 from polyida.errors import InputError
-from polyida.integrate.ida import IDA
-from polyida.integrate.ida_forms import System
-from polyida.integrate.ida_scene import SceneSystem
+from polyida.integrate.ida.forms import System
+from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import consistent_state
 from polyida.linear.triangular import fill_band

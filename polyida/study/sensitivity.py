@@ -10,8 +10,8 @@ import numpy as np
 
 from polyida import profile
 from polyida.body.loads import PointLoad
-from polyida.integrate.alpha_increment import Carried, start_values
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.alpha.increment import Carried, start_values
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.linear.kkt import KKT, scaling_factors

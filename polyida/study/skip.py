@@ -14,10 +14,10 @@ from polyida.assembly import joints as joint_rows
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.loads import PointLoad
 from polyida.body.plate import Plate
-from polyida.integrate import alpha_generic
-from polyida.integrate.alpha_stretches import Stretches
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
+from polyida.integrate.alpha import generic as alpha_generic
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.alpha.stretches import Stretches
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
 from polyida.joint.revolute import Revolute

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from polyida.integrate.ida import IDA
-from polyida.integrate.ida_forms import System, dense
-from polyida.integrate.ida_whole import sizes, whole_matrix
+from polyida.integrate.ida.forms import System, dense
+from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.ida.whole import sizes, whole_matrix
 from polyida.linear.condition import scaled
 from polyida.linear.kkt import assemble
 from polyida.study.conditioning import alpha_blocks, alpha_scaling

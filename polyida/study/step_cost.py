@@ -14,8 +14,8 @@ import numpy as np
 
 from polyida.assembly import equilibrium
 from polyida.compiled import entry
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts

@@ -49,9 +49,9 @@ class Stop:
 
 def integrator(name, h=1e-3, rtol=1e-5, **settings):
     """An integrator of the table by its short name; `rtol` is for those that choose their step, alpha with 0.01 m rtol for q."""
-    from polyida.integrate.energy_momentum import EnergyMomentum
-    from polyida.integrate.generalized_alpha import GeneralizedAlpha
-    from polyida.integrate.ida import IDA
+    from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+    from polyida.integrate.energy.energy_momentum import EnergyMomentum
+    from polyida.integrate.ida.integrator import IDA
 
     if name == "energy":
         return EnergyMomentum(h=h, **settings)

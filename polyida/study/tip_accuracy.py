@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 
 from polyida import problems
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.study.drawing import fitted
 from polyida.study.rows import column

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.step_control import KEPT, LOWEST, RUNGS, Kept, Ladder, calm_error
+from polyida.integrate.alpha.step_control import KEPT, LOWEST, RUNGS, Kept, Ladder, calm_error
 
 FROM, TO, PULSE = 9.4, 10.0, 9.5
 

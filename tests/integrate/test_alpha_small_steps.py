@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.assembly import joints
-from polyida.integrate import alpha_increment
+from polyida.integrate.alpha import increment as alpha_increment
 from polyida.integrate.start import consistent_acceleration, mass_system
 from polyida.integrate.state import State
 from polyida.problems import plates

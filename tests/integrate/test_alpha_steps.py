@@ -7,7 +7,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate import moves
-from polyida.integrate.alpha_start import started
+from polyida.integrate.alpha.start import started
 from polyida.integrate.start import consistent_state
 from polyida.problems import plates
 

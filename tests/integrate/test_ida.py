@@ -5,9 +5,9 @@ import pytest
 
 from polyida import problems
 from polyida.errors import InputError
-from polyida.integrate.ida import IDA
-from polyida.integrate.ida_forms import FORMS, System
-from polyida.integrate.ida_linear import ReducedSolve, factor
+from polyida.integrate.ida.forms import FORMS, System
+from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.ida.linear import ReducedSolve, factor
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts, State, StepFailure
 from polyida.model import Model, Needs

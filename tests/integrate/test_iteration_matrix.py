@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida import condition_number
-from polyida.integrate.ida_forms import FORMS, System
+from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.iteration_matrix import iteration_matrix
 from polyida.problems import plates
 from polyida.study import conditioning

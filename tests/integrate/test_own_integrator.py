@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.accepted import STANDSTILL
+from polyida.integrate.running.accepted import STANDSTILL
 
 END, BAD = 1.0, 5
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.segments import segments
+from polyida.integrate.kinks import segments
 from polyida.integrate.start import jerk
 from polyida.integrate.state import State
 

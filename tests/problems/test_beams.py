@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polyida import problems
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.problems import rigid_limit, spin_up_beam

@@ -5,7 +5,7 @@ import pytest
 
 from polyida import check_derivatives, problems
 from polyida.errors import InputError
-from polyida.integrate.ida import IDA
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration, consistent_state
 from polyida.problems.pendulum import TABLE

@@ -1,7 +1,7 @@
 import pytest
 
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida import IDA
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 

@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.errors import InputError
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from polyida.show.page import gap

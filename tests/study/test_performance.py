@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from polyida.errors import InputError
-from polyida.integrate.ida import IDA
-from polyida.integrate.ida_scene import SceneSystem
+from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from polyida.study import peers, skip, step_cost

@@ -5,8 +5,8 @@ import pytest
 
 from polyida import problems
 from polyida.errors import InputError
-from polyida.integrate.energy_momentum import EnergyMomentum
-from polyida.integrate.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from polyida.study import digits, families, references

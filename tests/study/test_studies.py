@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from polyida import cli_study
+from polyida.cli import study as cli_study
 from polyida.study import drawing, findings, tip_accuracy
 from polyida.study.work_selection import left_out, not_run, tasks
 

@@ -2,13 +2,13 @@
 
 import numba
 
-from polyida import kernel_cache
+from polyida.compiled import cache as kernel_cache
 
 _COMMON = {"nogil": True, "error_model": "numpy"}  # releases the GIL, divides by zero as numpy does
 
 
 def entry(function, **options):
-    """What Python calls: cached in `kernel_cache.folder()`."""
+    """What Python calls: cached in `cache.folder()`."""
     with kernel_cache.kept() as cached:
         return numba.njit(cache=cached, **_COMMON, **options)(function)
 

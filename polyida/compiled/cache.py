@@ -48,7 +48,7 @@ def folder():
 
     It lies in the first of NUMBA_CACHE_DIR, the package's own `__pycache__` and the user's cache that takes files.
     """
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     try:
         name = PREFIX + _digest(package)
     except OSError:

@@ -7,11 +7,11 @@ import sys
 from itertools import chain
 from pathlib import Path
 
+from polyida.cli.terminal import tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.study.findings import findings
 from polyida.study.harness import of_other_code, plain, results, write_whole
-from polyida.terminal import tolerate_letters, writable
 
 CELL = 40  # characters of a table's cell
 

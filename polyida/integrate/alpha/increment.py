@@ -8,7 +8,7 @@ h^2 q'' where rate is carried too.
 import numpy as np
 
 from polyida.assembly import joints
-from polyida.integrate.segments import at_kink
+from polyida.integrate.kinks import at_kink
 
 EPS = np.finfo(float).eps
 NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1/2, 1/2]

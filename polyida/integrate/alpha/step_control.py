@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from polyida.integrate.alpha_start import started
-from polyida.integrate.grid import Grid
-from polyida.integrate.segments import enough_steps
+from polyida.integrate.alpha.grid import Grid
+from polyida.integrate.alpha.start import started
+from polyida.integrate.kinks import enough_steps
 from polyida.integrate.state import State, StepFailure
 
 RUNGS = 4  # a factor of two

@@ -7,12 +7,12 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_one_of, is_whole
-from polyida.integrate.ida_forms import FORMS, System
-from polyida.integrate.ida_linear import ReducedSolve
-from polyida.integrate.ida_quiet import error_lines_kept
-from polyida.integrate.ida_whole import SCALINGS, WholeSolve
+from polyida.integrate.ida.error_lines import error_lines_kept
+from polyida.integrate.ida.forms import FORMS, System
+from polyida.integrate.ida.linear import ReducedSolve
+from polyida.integrate.ida.whole import SCALINGS, WholeSolve
+from polyida.integrate.kinks import at_kink, beside, segments, stops
 from polyida.integrate.moves import cells_of
-from polyida.integrate.segments import at_kink, beside, segments, stops
 from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import far_side
 from polyida.integrate.state import StepFailure
@@ -39,10 +39,10 @@ class IDA:
     max_order: 1 to 5; by default 2 where the model has flexible bodies (BDF of order 3 to 5 is unstable beside the
     imaginary axis, where their mesh modes lie; only with all of them well damped is 5 the faster) and 5 elsewhere.
     form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
-    are in integrate/ida_forms.py. index3 is there to be studied: it is slow, and fails on many models.
+    are in integrate/ida/forms.py. index3 is there to be studied: it is slow, and fails on many models.
     linear: "auto" takes a scene's compiled callbacks, "kkt" the general ones that any model has, both through S = K + cj C
     + cj^2 M and a border; "whole" factors the whole matrix of (q, v, multipliers). scaling: rows and columns of the whole
-    matrix divided by "characteristic" sizes (integrate/ida_whole.py) or "none"; the other two do not depend on it.
+    matrix divided by "characteristic" sizes (integrate/ida/whole.py) or "none"; the other two do not depend on it.
     max_step, first_step: s, 0 where IDA decides. max_num_steps: the run fails beyond so many.
 
     The global error is commonly 10 to 500 times rtol. Raises InputError where a setting makes no sense.
@@ -133,7 +133,7 @@ def _check(name, value, right, wanted):
 def _callbacks(settings, model, counts):
     """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form."""
     if hasattr(model, "arrays") and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
-        from polyida.integrate.ida_scene import SceneSolve, SceneSystem
+        from polyida.integrate.ida.scene import SceneSolve, SceneSystem
 
         system = SceneSystem(model, settings.form, settings.rate)
         return system, SceneSolve(system, counts)

@@ -20,7 +20,7 @@ from polyida.assembly.damping import damped_blocks
 from polyida.compiled import entry, part
 from polyida.element import kernels as elements
 from polyida.element import stabilisation, two_states
-from polyida.integrate.at_end import AtEnd
+from polyida.integrate.energy.at_end import AtEnd
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import StepFailure
 from polyida.linear import corotated

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from polyida.errors import InputError
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
-from polyida.integrate.alpha_family import Coefficients, require_damping
-from polyida.integrate.alpha_march import march
+from polyida.integrate.alpha.family import Coefficients, require_damping
+from polyida.integrate.alpha.march import march
+from polyida.integrate.alpha.step_control import adapt
+from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.moves import cells_of
-from polyida.integrate.segments import enough_steps, stretches
-from polyida.integrate.step_control import adapt
 from polyida.linear.kkt import SCALINGS
 
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
@@ -137,7 +137,7 @@ class GeneralizedAlpha:
     def steps(self, model, state, t_end, counts):
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         if self.extrapolate:
-            from polyida.integrate.alpha_richardson import extrapolated
+            from polyida.integrate.alpha.richardson import extrapolated
 
             return extrapolated(self, model, state, t_end, counts)
         return self.in_pieces(model, state, t_end, counts)
@@ -161,10 +161,10 @@ class GeneralizedAlpha:
 
     def _engine(self, model, counts):
         if self.by_points(model):
-            from polyida.integrate.alpha_stretches import Stretches
+            from polyida.integrate.alpha.stretches import Stretches
 
             return Stretches(self, model, counts)
-        from polyida.integrate.alpha_generic import Steps
+        from polyida.integrate.alpha.generic import Steps
 
         return Steps(self, model, counts)
 

@@ -7,10 +7,10 @@ from itertools import islice
 import numpy as np
 
 from polyida.guarded_model import guard
-from polyida.integrate import ctrl_c
-from polyida.integrate.accepted import accepted
 from polyida.integrate.moves import unseen
-from polyida.integrate.sampling import Sampler, Until
+from polyida.integrate.running import ctrl_c
+from polyida.integrate.running.accepted import accepted
+from polyida.integrate.running.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, StepFailure
 from polyida.io.reader import read_open

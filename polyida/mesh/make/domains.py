@@ -8,7 +8,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import floats, reals
-from polyida.mesh import walls as w
+from polyida.mesh.make import walls as w
 
 
 def positive(value, what):

@@ -6,8 +6,8 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
 from polyida.compiled import entry, part
-from polyida.integrate import alpha_tie
-from polyida.integrate.alpha_arrays import AGE, AHEAD, BEHIND, CHANGE, ERROR, MOVED, PATIENCE, RATE, SINCE, SIZE
+from polyida.integrate.alpha import tie as alpha_tie
+from polyida.integrate.alpha.arrays import AGE, AHEAD, BEHIND, CHANGE, ERROR, MOVED, PATIENCE, RATE, SINCE, SIZE
 from polyida.linear import corotated
 
 EPS = 2.0**-52

@@ -11,9 +11,9 @@ from typing import Annotated
 
 import typer
 
-from polyida.cli_places import free, made, make
+from polyida.cli.places import free, made, make
+from polyida.cli.terminal import tolerate_letters, writable
 from polyida.errors import InputError
-from polyida.terminal import tolerate_letters, writable
 
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
 HELP = "Flexible multibody dynamics with polygonal finite elements. Start with: polyida compare double-plate"

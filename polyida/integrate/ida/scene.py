@@ -1,6 +1,6 @@
 """IDA's callbacks for a scene: the residual of the stabilised forms in one compiled pass, and one co-rotated solve an iteration.
 
-The iteration matrix is that of `ida_linear`; its border on the points z = A q is in `ida_border`.
+The iteration matrix is that of `linear.py`; its border on the points z = A q is in `border.py`.
 """
 
 import math
@@ -12,9 +12,9 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
 from polyida.assembly.damping import add_damping, symmetric_blocks
 from polyida.compiled import entry
-from polyida.integrate.ida_border import stabilised_border
-from polyida.integrate.ida_forms import System
-from polyida.integrate.ida_linear import EchoedSolve
+from polyida.integrate.ida.border import stabilised_border
+from polyida.integrate.ida.forms import System
+from polyida.integrate.ida.linear import EchoedSolve
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 

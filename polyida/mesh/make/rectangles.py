@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polyida.mesh import mesher
-from polyida.mesh.domains import Rectangle, place, positive
+from polyida.mesh.make import mesher
+from polyida.mesh.make.domains import Rectangle, place, positive
 from polyida.mesh.numbering import renumber, sorted_cells
 from polyida.mesh.polygon_mesh import PolygonMesh
 

@@ -9,12 +9,13 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_whole
-from polyida.mesh import cleanup, concave, topology, voronoi
-from polyida.mesh.domains import Domain, Moved
+from polyida.mesh import concave, topology
+from polyida.mesh.make import cleanup, voronoi
+from polyida.mesh.make.domains import Domain, Moved
+from polyida.mesh.make.walls import meet, project
 from polyida.mesh.numbering import renumber
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.sections import automatic
-from polyida.mesh.walls import meet, project
 
 FARTHEST = 1e6  # sizes from the origin: beyond, the walls' round-off is that of the mesher's tolerances
 
@@ -27,7 +28,7 @@ def whole(value, what, least, most=10**9):
 
 
 def polygonize(domain, cells, seed=0, iterations=40):
-    """Polygon mesh of a domain (see polyida.mesh.domains); about `cells` convex polygons.
+    """Polygon mesh of a domain (see polyida.mesh.make.domains); about `cells` convex polygons.
 
     Nodes of the boundary lie on the domain's boundary, corners where walls meet are exact. Cells that a concave corner
     leaves non-convex are cut, so there may be a few more. Sections: left, right, top, bottom where the boundary

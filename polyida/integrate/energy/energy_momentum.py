@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
-from polyida.integrate.midpoint import Midpoint
-from polyida.integrate.segments import at_kink, beside, enough_steps, stretches
+from polyida.integrate.energy.midpoint import Midpoint
+from polyida.integrate.kinks import at_kink, beside, enough_steps, stretches
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import State
 
@@ -18,7 +18,7 @@ class EnergyMomentum:
     of the strains at both ends on the mean F, B the constraint Jacobian of the mean q and mean time: without moving motors and damping
     the energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Velocities are on their
     constraint at both ends. Second order in q, v, a and lam; a and lam of a frame follow from its q and v, which costs half to two
-    thirds of a step for each frame that is kept (integrate/at_end.py). Damping enters at the middle of the step and only takes energy.
+    thirds of a step for each frame that is kept (integrate/energy/at_end.py). Damping enters at the middle of the step and only takes energy.
 
     h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
     the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the

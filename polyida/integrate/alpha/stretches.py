@@ -4,13 +4,13 @@ import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.damping import symmetric_blocks
-from polyida.integrate import alpha_scene as compiled
-from polyida.integrate.alpha_arrays import AGE, AHEAD, BEHIND, ERROR, MARKS, MOVED, RATE, Memory, Method, trial
-from polyida.integrate.alpha_increment import drive_table, extent, gain_table, start_values
-from polyida.integrate.alpha_scene import FRESHEN
-from polyida.integrate.alpha_tie import tie
+from polyida.integrate.alpha import scene as compiled
+from polyida.integrate.alpha.arrays import AGE, AHEAD, BEHIND, ERROR, MARKS, MOVED, RATE, Memory, Method, trial
+from polyida.integrate.alpha.increment import drive_table, extent, gain_table, start_values
+from polyida.integrate.alpha.scene import FRESHEN
+from polyida.integrate.alpha.step_control import Kept, calm_error, weights
+from polyida.integrate.alpha.tie import tie
 from polyida.integrate.state import State, StepFailure
-from polyida.integrate.step_control import Kept, calm_error, weights
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 

@@ -85,7 +85,7 @@ class EchoedSolve:
 
 
 class ReducedSolve(EchoedSolve):
-    """The preconditioner of `system` (integrate/ida_forms.py) for any model."""
+    """The preconditioner of `system` (integrate/ida/forms.py) for any model."""
 
     def setup(self, t, y, yp, res, cj):
         """Evaluate the blocks at (t, y, y'), factor S and the border."""

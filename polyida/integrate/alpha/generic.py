@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from polyida.integrate.alpha_arrays import PATIENCE
-from polyida.integrate.alpha_increment import Carried, extent, inner_side, start_values
+from polyida.integrate.alpha.arrays import PATIENCE
+from polyida.integrate.alpha.increment import Carried, extent, inner_side, start_values
+from polyida.integrate.alpha.step_control import Kept, calm_error, weights
 from polyida.integrate.start import mass_system
 from polyida.integrate.state import State, StepFailure
-from polyida.integrate.step_control import Kept, calm_error, weights
 from polyida.linear.kkt import KKT, SingularSystem, scaling_factors
 
 SLOW = 0.3  # contraction above which the matrix is made anew
