@@ -116,7 +116,8 @@ class Guarded(Model):
             self._mass_at, self.mass = self.mass, self._mass
         if _written(model, "kinks"):
             self.kinks = self._kinks
-        self.objection = self._objection if hasattr(model, "objection") else _none
+        if _written(model, "objection"):
+            self.objection = self._objection
 
     def __getattr__(self, name):
         """What integrators ask of some models only."""
@@ -210,10 +211,6 @@ class Guarded(Model):
         bad = [f"{self.name}.{name}" for name, (given, found) in self._last.items()
                if not np.isfinite(_entries(found)).all() and all(np.isfinite(x).all() for x in given)]
         return f"{' and '.join(bad)} gave numbers that are not finite" if bad else ""
-
-
-def _none(t, q):
-    """No objection."""
 
 
 def _entries(found):

@@ -218,3 +218,20 @@ def test_a_rate_of_phi_of_the_users_own_is_called():
     rated = type("Rated", (Pendulum,), {"phi_rate": lambda self, t, q, v: np.array([2.0 * q @ v, 0.0])})()
     with pytest.raises(pi.InputError, match=r"Rated\.phi_rate must return an array of shape \(1,\)"):
         pi.solve(rated, 0.1, INTEGRATORS[0], **START)
+
+
+def test_every_call_of_a_run_is_guarded():
+    writable = []
+
+    class Looks(Pendulum):
+        def phi_q(self, t, q):
+            writable.append(q.flags.writeable)
+            return Pendulum.phi_q(self, t, q)
+
+        def mass(self, q):
+            writable.append(q.flags.writeable)
+            return Pendulum.mass(self, q)
+
+    state = pi.solve(Pendulum(), 0.1, INTEGRATORS[0], until=lambda t, q, v: t - 0.055, **START).state
+    assert pi.solve(Looks(), 0.2, INTEGRATORS[0], state=state).success
+    assert len(writable) > 100 and not any(writable)

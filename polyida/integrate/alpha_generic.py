@@ -174,7 +174,7 @@ class Steps:
 
     def _accepted(self, t, dd, v, a, lam, phi_at):
         q, model = self._at(dd), self.model
-        objection = getattr(model, "objection", lambda t, q: None)(t, q)
+        objection = model.objection(t, q)
         if objection:
             raise StepFailure("objection", objection, t)
         if self.settings.form == "stabilised" and model.m:

@@ -69,8 +69,9 @@ class Run:
 
     def _steps(self, state, heed):
         self.last, until = state, Until(self.until, state) if self.until else None
-        self.watch = Watch(self.model, state)
-        for after in accepted(self.integrator, guard(self.model), state, self.plan["t_end"], self.counts):
+        model = guard(self.model)
+        self.watch = Watch(model, state)
+        for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts):
             self.watch.step(after)
             at_zero = until.crossing(state, after) if until else None
             if at_zero is not None:
@@ -185,7 +186,7 @@ def _again(run, state, counts):
     """The State after the steps of a run from `state` to its last, taken anew, with what the integrator goes on from."""
     end = run.counts.steps
     state = State(state.t, state.q, state.v, state.a, state.lam, state.memory | {"pause": end})
-    steps = run.integrator.steps(run.model, state, run.plan["t_end"], counts)
+    steps = run.integrator.steps(guard(run.model), state, run.plan["t_end"], counts)
     return next(islice(steps, end - counts.steps - 1, None))
 
 
