@@ -119,12 +119,6 @@ class Guarded(Model):
         if _written(model, "objection"):
             self.objection = self._objection
 
-    def __getattr__(self, name):
-        """What integrators ask of some models only."""
-        if name == "user":
-            raise AttributeError(name)
-        return getattr(self.user, name)
-
     def _checked(self, name, function, shape):
         """The function with its arguments read-only; a result that anybody else holds is copied: it may be filled again and again."""
         last = self._last[name]

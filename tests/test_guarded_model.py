@@ -235,3 +235,10 @@ def test_every_call_of_a_run_is_guarded():
     state = pi.solve(Pendulum(), 0.1, INTEGRATORS[0], until=lambda t, q, v: t - 0.055, **START).state
     assert pi.solve(Looks(), 0.2, INTEGRATORS[0], state=state).success
     assert len(writable) > 100 and not any(writable)
+
+
+@every
+def test_names_that_scenes_have_are_the_users_own(integrator):
+    model = Pendulum()
+    model.parts, model.reference, model.motor_profiles, model.gravity = ["rod"], 7.0, "none", 9.81
+    assert np.array_equal(pi.solve(model, 0.1, integrator, **START).q, pi.solve(Pendulum(), 0.1, integrator, **START).q)

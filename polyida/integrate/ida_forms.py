@@ -22,6 +22,7 @@ import numpy as np
 
 from polyida.differences import along
 from polyida.integrate.state import State
+from polyida.linear.matrix import dense
 
 MULTIPLIER_ATOL = 1e9  # multipliers carry no error estimate: any size far above theirs takes them out of IDA's norms
 
@@ -209,8 +210,3 @@ class System:
 def _reach(q, direction):
     """The path length over which q + s direction moves by its own size, at most 1."""
     return min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(direction).max(initial=0)))
-
-
-def dense(matrix):
-    """The matrix as a dense array."""
-    return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, float)

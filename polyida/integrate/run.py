@@ -6,6 +6,7 @@ from itertools import islice
 
 import numpy as np
 
+from polyida.given import is_number
 from polyida.guarded_model import guard
 from polyida.integrate import ctrl_c
 from polyida.integrate.accepted import accepted
@@ -69,7 +70,7 @@ class Run:
 
     def _steps(self, state, heed):
         self.last, until = state, Until(self.until, state) if self.until else None
-        model = guard(self.model)
+        model, h = guard(self.model), getattr(self.integrator, "h", None)
         self.watch = Watch(model, state)
         for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts):
             self.watch.step(after)
@@ -85,7 +86,8 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        return "done", "" if getattr(self.integrator, "adaptive", False) else unseen(self.model, getattr(self.integrator, "h", 0.0))
+        steady = is_number(h) and not getattr(self.integrator, "adaptive", False)
+        return "done", unseen(model, h) if steady else ""
 
     def _keep(self, state):
         """Note where the run can go on; a flush where it is due."""

@@ -179,7 +179,7 @@ MOVERS = {
     "whole matrix": pi.GeneralizedAlpha(h=2e-2, linear="kkt"), "adaptive": pi.GeneralizedAlpha(h=2e-2, rtol=1e-4),
     "adaptive, whole matrix": pi.GeneralizedAlpha(h=2e-2, rtol=1e-4, linear="kkt"),
     "Richardson": pi.GeneralizedAlpha(h=2e-2, extrapolate=True), "energy-momentum": pi.EnergyMomentum(h=2e-2),
-    "ida": pi.IDA(rtol=1e-4, atol=(1e-7, 1e-4), linear="kkt"),  # the scene is at rest at first: sizes from there say little of the blow
+    "ida": pi.IDA(rtol=1e-4, atol=(1e-7, 1e-4), linear="kkt"),  # at rest at first, which says little of the blow
 }
 movers = pytest.mark.parametrize("integrator", MOVERS.values(), ids=MOVERS)
 PULSES = {  # value, its integral in s
