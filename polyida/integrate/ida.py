@@ -220,7 +220,7 @@ class _Run:
     def _failure(self, status, reason, state):
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
         if self.refused:
-            why = getattr(self.model, "objection", lambda t, q: None)(*self.refused)
+            why = self.model.objection(*self.refused)
             status, reason = ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
         phi = np.abs(self.model.phi(state.t, state.q))
         tried = float(self.tried - state.t)

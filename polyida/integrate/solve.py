@@ -65,8 +65,8 @@ def _first(model, t0, state, q0, v0):
     """The state to begin with; one that is not known to be accepted is put on the constraints."""
     if state is None:
         return consistent_state(model, t0, q0, v0)
-    state = require_state("solve", model, state)
-    require_functions(guard(model), state.t, state.q, state.v)
+    model, state = guard(model), require_state("solve", model, state)
+    require_functions(model, state.t, state.q, state.v)
     return state if state.restart else restarted(model, state)
 
 

@@ -6,12 +6,12 @@ import numpy as np
 
 from polyida.integrate.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida import IDA
-from polyida.integrate.ida_forms import dense
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, mass_system
 from polyida.linear.condition import condition
 from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
+from polyida.linear.matrix import dense
 from polyida.model import Model, Needs
 from polyida.problems import plates
 

@@ -87,3 +87,27 @@ def test_the_summary_says_them_and_a_run_that_goes_on_keeps_them():
     assert "atol" not in pi.solve(Spring(), 0.5, pi.IDA(atol=1e-6), q0=[0.5]).summary()
     again = pi.solve(Spring(), 0.6, pi.IDA(rtol=1e-4), state=run.state)
     assert again.state.memory["sizes"].tolist() == run.state.memory["sizes"].tolist()
+
+
+@pytest.mark.parametrize("gap", [1e-15, 1e-13])
+def test_round_off_of_a_start_at_zero_is_no_length(gap):
+    class Rod(pi.Model):
+        """A point on a rod, q its displacement from (1, 0), where phi is not zero to the last bit."""
+
+        n, m = 2, 1
+
+        def mass(self, q):
+            return np.eye(2)
+
+        def force(self, t, q, v):
+            return np.array([0.0, 9.81])
+
+        def phi(self, t, q):
+            return np.array([((1 + q[0]) ** 2 + q[1] ** 2 - 1) / 2 + gap])
+
+        def phi_q(self, t, q):
+            return np.array([[1 + q[0], q[1]]])
+
+    run = pi.solve(Rod(), 0.5, pi.IDA(rtol=1e-6))
+    assert run.success, run.message
+    assert 9.81 * run.q[-1, 1] + run.v[-1] @ run.v[-1] / 2 == pytest.approx(0.0, abs=1e-3)
