@@ -17,7 +17,7 @@ def typical_sizes(model, state, span):
     length = float(np.ptp(reference, axis=0).max()) if reference is not None else _rms(state.q) or _way(model, state, span, v, a)
     weight = float(np.hypot(*model.gravity)) if reference is not None else 0.0
     speed = max(v, np.sqrt(max(a, weight) * length))
-    return np.array([length, speed if speed * span > MOVES * length else length / span])
+    return np.array([length, speed if speed > MOVES * length / span else length / span])
 
 
 def _way(model, state, span, v, a):

@@ -10,7 +10,7 @@ from polyida.guarded_model import guard, require_functions
 from polyida.integrate.run import Run
 from polyida.integrate.start import consistent_state, require_state, restarted
 from polyida.integrate.state import Counts
-from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
 from polyida.machine import machine_info
@@ -48,14 +48,16 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
     begin = t0 if state is None else state.t
     require_run(model, t_end, begin, integrator)
     plan = _plan(begin, t_end, every, output, until, flush_every, fsync)
-    limit, path = _limit(memory_limit), None if out is None else free(out, overwrite)
+    require_bytes("solve", memory_limit)
+    path = None if out is None else free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
         state = _first(model, t0, state, q0, v0)
+        getattr(integrator, "require_reach", lambda *run: None)(guard(model), state, t_end)
         file = None
         if path is not None:
             file = create(path, model, integrator, model.n, model.m, plan, machine_info())
-        store = FrameStore(model.n, model.m, limit, file)
+        store = FrameStore(model.n, model.m, memory_limit, file)
         run = Run(model, integrator, plan, store, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
         return run.go(state)
@@ -122,9 +124,3 @@ def _times(output, begin, t_end):
     if times[0] < begin or times[-1] > t_end:
         raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
     return times.tolist()
-
-
-def _limit(value):
-    if not (is_number(value) and value >= 0):
-        raise InputError(f"solve: memory_limit = {value!r} must be a number of bytes")
-    return value
