@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from polyida.errors import InputError
 from polyida.guarded_model import guard
 from polyida.integrate.accepted import accepted
 from polyida.integrate.state import Counts, StepFailure
@@ -84,6 +85,8 @@ def compare(job, rtol=None, progress=None, others=None):
     from polyida.integrate.solve import require_run
 
     tell = progress or (lambda label, fraction: None)
+    if not isinstance(others, dict | None):
+        raise InputError(f"compare: others = {others!r} must be a dictionary {{label: integrator}}")
     members = integrators(job, rtol) | (others or {})
     for member in members.values():
         require_run(job.model, job.time, 0.0, member)
