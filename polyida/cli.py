@@ -96,6 +96,7 @@ def compare(context: typer.Context, scene: Scene,
     columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
     _table(f"{job.name}: {page.system(job)}", columns[0], columns[1:])
     _lines(*found.notes, style="red")
+    _lines(*(f"{label}: {run.message}" for label, run in found.runs.items() if run.success and run.message))
     frames = folder / "frames" / "run.pvd"
     _lines(page.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
     if not found.success:

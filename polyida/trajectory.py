@@ -167,6 +167,7 @@ class Trajectory:
         return self.q[frame]
 
     def _scene(self, what):
+        self._known_model(what)
         if not hasattr(self.model, "reference"):
             raise InputError(f"{what}: {type(self.model).__name__} is no scene's model; read q")
         return self.model

@@ -1,5 +1,6 @@
 """`solve`: run an integrator over a model and collect a trajectory, whatever happens."""
 
+import math
 import time
 
 import numpy as np
@@ -17,6 +18,8 @@ from polyida.machine import machine_info
 from polyida.threads import one_blas_thread
 
 MOST_STEPS = 1e12
+SHORTEST = 1e-15  # s: what is divided by the squares of its steps is still a number in single precision
+APART = 16  # times between t and t + h, at least
 
 
 def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
@@ -82,9 +85,21 @@ def require_run(model, t_end, begin, integrator):
     getattr(integrator, "require", lambda model: None)(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
-    h = getattr(integrator, "h", None)
-    if is_number(h) and t_end - begin > MOST_STEPS * h:
+    _require_steps(begin, t_end, getattr(integrator, "h", None))
+
+
+def _require_steps(begin, t_end, h):
+    """Raise InputError for a run whose steps would be without number, or times and step sizes that floats do not resolve."""
+    apart = math.ulp(max(abs(begin), abs(t_end)))
+    shortest = max(SHORTEST, APART * apart)
+    if t_end - begin < shortest:
+        raise InputError(f"solve: t_end = {t_end!r} s is {t_end - begin:.3g} s after the start; the shortest run there is {shortest:.3g} s")
+    if not is_number(h):
+        return
+    if t_end - begin > MOST_STEPS * h:
         raise InputError(f"solve: t_end = {t_end:g} s is more than {MOST_STEPS:g} steps of {h:g} s away, which no computer takes")
+    if h < APART * apart and t_end - begin > h:
+        raise InputError(f"solve: steps of {h:g} s are lost at t = {t_end:g} s, where times are {apart:.2g} s apart")
 
 
 def _require_start(model, t0, state, q0, v0):

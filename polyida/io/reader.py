@@ -48,7 +48,8 @@ def read(path):
     except (TypeError, ValueError, OSError):
         found = False
     if not found:
-        raise InputError(f"{path!r}: must be the path of a file" if not isinstance(path, (str, Path)) else f"{path}: no such file")
+        wrong = isinstance(path, (str, Path)) and f"{path}: no such file"
+        raise InputError(wrong or f"{path!r:.100} must be the path of a file")
     with naming(path):
         live = being_written(path)
         return Stored(_opened(path, live), Path(path), os.path.getsize(path), live)

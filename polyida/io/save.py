@@ -40,11 +40,11 @@ def free(given, overwrite):
         folder, file, there, home = path.is_dir(), path.is_file(), path.exists(), path.parent.is_dir()
     except (TypeError, ValueError, OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{given!r} must be the path of a file ({reason})") from None
+        raise InputError(f"{given!r:.100} must be the path of a file ({reason})") from None
     if folder:
         raise InputError(f"{str(given)!r} is a folder; give the name of a file")
     if there and not file:
-        raise InputError(f"{given} is no regular file; frames cannot be written there")
+        raise InputError(f"{given} is a device or a pipe, no file; frames cannot be written there")
     if there and not overwrite:
         raise InputError(f"{given} exists; pass overwrite=True (--overwrite) to replace it, or give another name")
     if not home:

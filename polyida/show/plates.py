@@ -10,6 +10,8 @@ def require_run(part, run, overwrite):
     """Raise InputError, in the name of `part`, unless it is a run with frames, and overwrite True or False."""
     if not hasattr(run, "model") or not hasattr(run, "node_positions"):
         raise InputError(f"{part}: {type(run).__name__} is no run; give what solve or load returns")
+    if run.model is None:
+        raise InputError(f"{part}: no file holds a model of a user's own; the run that was loaded has no plates")
     if len(run.t) == 0:
         raise InputError(f"{part}: the run has no frames")
     if not is_flag(overwrite):
