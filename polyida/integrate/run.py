@@ -6,6 +6,7 @@ from itertools import islice
 
 import numpy as np
 
+from polyida.given import is_number
 from polyida.guarded_model import guard
 from polyida.integrate import ctrl_c
 from polyida.integrate.accepted import accepted
@@ -84,7 +85,12 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        return "done", "" if getattr(self.integrator, "adaptive", False) else unseen(self.model, getattr(self.integrator, "h", 0.0))
+        return "done", unseen(self.model, self._constant_step())
+
+    def _constant_step(self):
+        """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
+        h, adapts = getattr(self.integrator, "h", 0.0), getattr(self.integrator, "adaptive", False)
+        return h if is_number(h) and not adapts else 0.0
 
     def _keep(self, state):
         """Note where the run can go on; a flush where it is due."""

@@ -21,7 +21,8 @@ def load(path, memory_limit=MEMORY_LIMIT):
     holds the frames up to the last flush, with status "interrupted"; one that is still written, those up to now, with
     status "running". All frames are looked at: where some are damaged, those before them come back, with status
     "damaged" and a message that says which and why. The scene is built again from the file's data. A motor or load
-    whose profile was a function of the user's own follows the values that the run saw, which are in the file; without a frame of these there is no model.
+    whose profile was a function of the user's own follows the values that the run saw, which are in the file; without a
+    frame there is no model then.
     """
     require_bytes("load", memory_limit)
     stored = read(path)
