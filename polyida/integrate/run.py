@@ -70,7 +70,7 @@ class Run:
 
     def _steps(self, state, heed):
         self.last, until = state, Until(self.until, state) if self.until else None
-        model, h = guard(self.model), getattr(self.integrator, "h", None)
+        model = guard(self.model)
         self.watch = Watch(model, state)
         for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts):
             self.watch.step(after)
@@ -86,8 +86,12 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        steady = is_number(h) and not getattr(self.integrator, "adaptive", False)
-        return "done", unseen(model, h) if steady else ""
+        return "done", unseen(self.model, self._constant_step())
+
+    def _constant_step(self):
+        """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
+        h, adapts = getattr(self.integrator, "h", 0.0), getattr(self.integrator, "adaptive", False)
+        return h if is_number(h) and not adapts else 0.0
 
     def _keep(self, state):
         """Note where the run can go on; a flush where it is due."""

@@ -55,6 +55,7 @@ def test_sizes_of_a_scene_are_its_extent_and_how_fast_it_falls():
     model = double_plate()
     at_rest = State(0.0, *np.zeros((3, model.n)), np.zeros(model.m))
     assert typical_sizes(model, at_rest, 1.0) == pytest.approx([2.0, np.sqrt(2.0 * 9.81)])
+    assert typical_sizes(model, at_rest, 1e-10)[1] == typical_sizes(model, at_rest, 1.0)[1], "however short the run is"
     model.gravity = (0.0, 0.0)
     assert typical_sizes(model, at_rest, 4.0) == pytest.approx([2.0, 0.5])
     moving = State(0.0, np.zeros(model.n), np.full(model.n, 3.0), np.zeros(model.n), np.zeros(model.m))
