@@ -6,6 +6,7 @@ from polyida import differences
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
 from polyida.guarded_model import guard
+from polyida.linear.matrix import dense
 from polyida.model import Model
 
 
@@ -42,7 +43,7 @@ def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
 
 
 def _deviation(exact, difference):
-    exact = exact.toarray() if hasattr(exact, "toarray") else np.asarray(exact)
+    exact = dense(exact)
     size = max(np.abs(exact).max(initial=0), np.abs(difference).max(initial=0))
     return float(np.abs(exact - difference).max(initial=0) / size) if size > 1e-12 else 0.0
 

@@ -10,8 +10,9 @@ SPACES = 6  # between the values of a difference that is not central
 def along(function, scale=1.0, room=EVERYWHERE):
     """Derivative d/ds function(s) at s = 0, fourth order central, or by `within` where there is no room for that.
 
-    Parameters: `function` of one float, returning an array, which may be the same one each time; `scale`, the size of s over which it varies; `room`, the
-    range of s around 0 in which it is smooth: where that is short on one side, values are taken from the other.
+    Parameters: `function` of one float, returning an array, which may be the same one each time; `scale`, the size of s
+    over which it varies; `room`, the range of s around 0 in which it is smooth: where that is short on one side, values
+    are taken from the other.
     Returns an array of the same shape. The error is about eps^(4/5) of the function's size over `scale`; in little
     room round-off grows.
     """

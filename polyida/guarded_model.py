@@ -3,7 +3,9 @@
 A scene is compiled and tested; it is called as it is and pays nothing.
 """
 
+from collections import defaultdict
 from contextlib import suppress
+from sys import getrefcount
 
 import numpy as np
 
@@ -13,9 +15,9 @@ from polyida.given import floats, is_number, is_whole, read_only
 from polyida.model import Model, Needs, require_model
 
 FLOAT = np.dtype(float)
-SYMMETRIC = 1e-8  # largest entry of M - M^T over that of M, above which M is not symmetric
+SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
-OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_bias")
+OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias")
 
 
 def guard(model, part="solve"):
@@ -51,12 +53,43 @@ def blame(model, t, state):
     return ""
 
 
-def _functions(n, m):
-    """{name: (which of its arguments are arrays, shape of its result)}."""
-    square, vector, rows, q, qv = (n, n), (n,), (m,), (1,), (1, 2)
-    return {"mass": ((0,), square), "force": (qv, vector), "phi": (q, rows), "phi_q": (q, (m, n)), "force_q": (qv, square),
-            "force_v": (qv, square), "mass_a_q": ((0, 1), square), "reaction_q": (qv, square), "phi_t": (q, rows),
-            "phi_bias": (qv, rows), "residual": ((1, 2, 3, 4), vector), "tangent": ((1, 2, 3, 4), square)}
+def _shapes(n, m):
+    """{name: shape of its result}."""
+    square, vector, rows = (n, n), (n,), (m,)
+    return {"mass": square, "force": vector, "phi": rows, "phi_q": (m, n), "force_q": square, "force_v": square, "mass_a_q": square,
+            "reaction_q": square, "phi_t": rows, "phi_rate": rows, "phi_bias": rows, "residual": vector, "tangent": square}
+
+
+def _references():
+    """What `getrefcount` says of an array that a function's caller alone holds."""
+    found = np.zeros(1)
+    return getrefcount(found)
+
+
+def _view(array):
+    view = array.view()
+    view.setflags(False)
+    return view
+
+
+def _of_q(call):
+    return lambda q: call(_view(q))
+
+
+def _of_t_q(call):
+    return lambda t, q: call(t, _view(q))
+
+
+def _of_t_q_v(call):
+    return lambda t, q, v: call(t, _view(q), _view(v))
+
+
+def _of_all(call):
+    return lambda *given: call(*(_view(x) if isinstance(x, np.ndarray) else x for x in given))
+
+
+ALONE = _references()
+SEEN = {"mass": _of_q, "force": _of_t_q_v, "phi": _of_t_q, "phi_q": _of_t_q}  # what runs call all the time: half the cost of `_of_all`
 
 
 class Guarded(Model):
@@ -74,29 +107,24 @@ class Guarded(Model):
             raise InputError(f"{self.name}: n = {n!r} and m = {m!r} must be whole numbers, n >= 1 and m >= 0")
         if not isinstance(model.needs, Needs):
             raise InputError(f"{self.name}: needs = {model.needs!r} must be a polyida.Needs")
-        self.n, self.m, self.needs, self.flexible, self._last, self._calls = int(n), int(m), model.needs, model.flexible, {}, 0
-        for name, (arrays, shape) in _functions(self.n, self.m).items():
+        self.n, self.m, self.needs, self.flexible, self._calls, self._constant = int(n), int(m), model.needs, model.flexible, 0, None
+        self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
+        for name, shape in _shapes(self.n, self.m).items():
             if _written(model, name) and (self.m or name not in OF_CONSTRAINTS):
-                setattr(self, name, self._checked(name, getattr(model, name), arrays, shape))
+                setattr(self, name, self._checked(name, getattr(model, name), shape))
+        if "mass" in vars(self):
+            self._mass_at, self.mass = self.mass, self._mass
         if _written(model, "kinks"):
             self.kinks = self._kinks
-        self.objection = self._objection if hasattr(model, "objection") else _none
+        if _written(model, "objection"):
+            self.objection = self._objection
 
-    def __getattr__(self, name):
-        """What integrators ask of some models only."""
-        if name == "user":
-            raise AttributeError(name)
-        return getattr(self.user, name)
+    def _checked(self, name, function, shape):
+        """The function with its arguments read-only; a result that anybody else holds is copied: it may be filled again and again."""
+        last = self._last[name]
 
-    def _checked(self, name, function, arrays, shape):
-        """The function with its arguments read-only; its result is a copy, for it may fill one array again and again."""
-        last, symmetric = self._last, name == "mass"
-
-        def call(*given):
-            seen = list(given)
-            for k in arrays:
-                seen[k] = view = np.asarray(seen[k]).view()
-                view.setflags(False)
+        def call(*seen):
+            last[0] = seen
             try:
                 found = function(*seen)
             except ValueError as error:
@@ -106,13 +134,13 @@ class Guarded(Model):
                 raise InputError(f"{self.name}.{name} {wrong}") from error
             if not (type(found) is np.ndarray and found.dtype is FLOAT and found.shape == shape):
                 self._require(name, found, shape)
-            result = found.copy() if found.dtype is FLOAT else found.astype(float)
-            last[name] = seen, result
-            if symmetric:
-                self._look_at_mass(result)
-            return result
+                found = found.astype(float)
+            elif getrefcount(found) > ALONE or found.base is not None:
+                found = found.copy()
+            last[1] = found
+            return found
 
-        return call
+        return SEEN.get(name, _of_all)(call)
 
     def _require(self, name, found, shape):
         part = f"{self.name}.{name} must return an array of shape {shape}"
@@ -121,14 +149,25 @@ class Guarded(Model):
         if getattr(found.dtype, "kind", "O") not in "fiu":
             raise InputError(f"{part} of real numbers, not of {found.dtype}")
 
-    def _look_at_mass(self, M):
-        """Whether M is symmetric, at the 1st, 2nd, 4th, 8th ... call."""
+    def _mass(self, q):
+        """M, looked at at the 1st, 2nd, 4th, 8th ... call; where it is said not to vary, made only then."""
         self._calls += 1
-        if self._calls & (self._calls - 1):
-            return
-        apart, size = abs(M - M.T).max(), abs(M).max()
-        if apart > SYMMETRIC * size:
+        due = not self._calls & (self._calls - 1)
+        if due or self.needs.mass_varies:
+            M, before = self._mass_at(q), self._constant
+            if due:
+                self._look_at_mass(M, M if before is None else before)
+            if self.needs.mass_varies:
+                return M
+            self._constant = M
+        return self._constant
+
+    def _look_at_mass(self, M, before):
+        apart, changed, size = abs(M - M.T).max(), abs(M - before).max(), abs(M).max()
+        if apart > SAME * size:
             raise InputError(f"{self.name}.mass must be symmetric; M - M^T has an entry of {apart:.3g}")
+        if changed > SAME * size:
+            raise InputError(f"{self.name}.mass changes with q, an entry by {changed:.3g}: its needs must say mass_varies=True")
 
     def _kinks(self, t0, t1):
         """As the model says, sorted."""
@@ -166,10 +205,6 @@ class Guarded(Model):
         bad = [f"{self.name}.{name}" for name, (given, found) in self._last.items()
                if not np.isfinite(_entries(found)).all() and all(np.isfinite(x).all() for x in given)]
         return f"{' and '.join(bad)} gave numbers that are not finite" if bad else ""
-
-
-def _none(t, q):
-    """No objection."""
 
 
 def _entries(found):

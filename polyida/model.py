@@ -95,6 +95,10 @@ class Model:
         """What row `row` of phi is called in a message."""
         return f"phi[{row}]"
 
+    def objection(self, t, q):
+        """Why the model cannot stand at an accepted (t, q), in words, or None."""
+        return None
+
     def kinks(self, t0, t1):
         """Times in (t0, t1) at which a load or motor profile is not smooth, sorted."""
         return ()

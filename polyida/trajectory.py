@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import floats, is_one_of
+from polyida.given import floats, is_one_of, is_whole
 from polyida.guarded_model import guard
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks
@@ -32,7 +32,8 @@ class Trajectory:
     """t (frames,), q, v, a (frames, n), lam (frames, m), and how the run went.
 
     status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "damaged" (a
-    file; the frames before the damage), "error" (in a user's function), "disk full", or the kind of failure; message: where and why; success: it reached its end.
+    file; the frames before the damage), "error" (in a user's function), "disk full", or the kind of failure; message:
+    where and why; success: it reached its end.
     counts: exact work. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
     read when asked for. Energies, drift, positions, reactions and stresses are computed from the motion when they are
     asked for, frame by frame.
@@ -148,16 +149,29 @@ class Trajectory:
 
     def node_positions(self, frame):
         """Positions of all nodes in a frame, (nodes, 2), m."""
-        return self.model.reference + self.q[frame].reshape(-1, 2)
+        q = self._frame("node_positions", frame)
+        return self._scene("node_positions").reference + q.reshape(-1, 2)
 
     def stress(self, frame):
         """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
-        return self.model.stress(self.q[frame])
+        return self._scene("stress").stress(self._frame("stress", frame))
 
     def von_mises(self, frame):
         """Von Mises stress of every element in a frame, (cells,), Pa, with the stress across the plane where a plate is in plane strain."""
         stress = self.stress(frame)
         return von_mises(stress, self.model.stress_across(stress))
+
+    def _frame(self, what, frame):
+        """q of a frame."""
+        if not is_whole(frame, -len(self), len(self) - 1):
+            raise InputError(f"{what}: frame = {frame!r} must be the index of one of the run's {len(self)} frames")
+        return self.q[frame]
+
+    def _scene(self, what):
+        self._known_model(what)
+        if not hasattr(self.model, "reference"):
+            raise InputError(f"{what}: {type(self.model).__name__} is no scene's model; read q")
+        return self.model
 
     def summary(self):
         """One line: how it ended, what it cost, how well it held."""
@@ -167,7 +181,8 @@ class Trajectory:
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         told = told and f", {told}"
-        return (f"{self.status}: {type(self.integrator).__name__} to {end}, {c.steps} steps ({c.rejected} rejected), "
+        name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
+        return (f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), "
                 f"{work}{worst}{told}" + (f"; {self.message}" if self.message else ""))
 
     def save(self, path, overwrite=False):

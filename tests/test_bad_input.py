@@ -183,6 +183,11 @@ CASES = {
     "device as a file": (lambda: swing(out="/dev/null", overwrite=True), "/dev/null", "device"),
     "long name": (lambda: swing(out="n" * 300), "n" * 20, "long"),
     "start as text": (lambda: swing(t0="now"), "t0", "'now'"),
+    "steps lost in the round-off of t": (
+        lambda: pi.solve(scene(plate()), 1e9 + 1e-5, pi.GeneralizedAlpha(h=1e-8), t0=1e9), "steps of 1e-08 s", "1.2e-07 s apart"),
+    "a run of a few round-offs": (lambda: pi.solve(scene(plate()), 1e9 + 1e-6, pi.IDA(), t0=1e9), "t_end = 1000000000.000001", "1.91e-06 s"),
+    "a run of no time": (lambda: pi.solve(scene(plate()), 1e-300, pi.GeneralizedAlpha(h=1e-3)), "t_end = 1e-300", "1e-15 s"),
+    "no run to compare": (lambda: pi.problems.get("pendulum").compare(3), "'pendulum'", "int"),
     "every": (lambda: swing(every=0), "every = 0"),
     "unknown problem": (lambda: pi.problems.get("triple"), "'triple'", "double-plate"),
 }

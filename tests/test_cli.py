@@ -160,6 +160,10 @@ def test_a_failed_run_gives_one_and_keeps_what_it_has(folder, capsys):
     (["run", "pendulum", "--rho-inf", "1.5"], "rho_inf"),
     (["run", "pendulum", "--out", "scene.py/run.h5"], "cannot be made"),
     (["run", "pendulum", "--out", "scene.py"], "--overwrite"),
+    (["run", "--resume", "run.h5", "--time", "1", "--step", "1e-5"], "--step has no place"),
+    (["run", "--resume", "run.h5", "--time", "1", "--integrator", "ida"], "--integrator has no place"),
+    (["run", "--resume", "run.h5", "--time", "1", "--out", "other.h5"], "--out has no place"),
+    (["run", "--resume", "run.h5", "--time", "1", "--cells", "4"], "--cells has no place"),
     (["show", "absent.h5"], "no such file"),
     (["show", "scene.py"], "scene.py"),
 ])
@@ -256,6 +260,8 @@ def test_an_option_of_the_wrong_kind_is_one_line(odd, capsys, function, said):
     (["run", "odd.py:build", "--out", "n" * 300 + ".h5"], "too long"),
     (["compare", "odd.py:build", "--out", "n" * 300], "too long"),
     (["run", "pendulum", "--time", "1e308", "--out", "x.h5"], "steps"),
+    (["run", "odd.py:build", "--integrator", "ida", "--time", "1e308", "--out", "x.h5"], "t_end = 1e+308 s is too far"),
+    (["run", "pendulum", "--integrator", "ida", "--time", "1e17", "--out", "x.h5"], "16 s apart"),
     (["export", "run.h5", "--vtu", ""], "empty"), (["run", "odd.py:build", "--out="], "empty"), (["show", ""], "empty")])
 def test_what_cannot_be_is_one_line(odd, capsys, arguments, said):
     before = set(odd.iterdir())
@@ -265,7 +271,8 @@ def test_what_cannot_be_is_one_line(odd, capsys, arguments, said):
 
 def test_names_with_dollars_are_drawn_and_the_last_mass_is_watched(odd, capsys):
     assert main(["compare", "odd.py:build", "--out", "report"]) == 0
-    assert "bob $_^ error, at the end, m" in " ".join(capsys.readouterr().out.split()) or (odd / "report" / "tip.png").exists()
+    assert all((odd / "report" / f"{name}.pdf").exists() for name in ("tip", "error", "reactions"))
+    assert "bob $_^ error, at the end, m" in capsys.readouterr().out
     assert main(["run", "odd.py:build", "--out", "run.h5"]) == 0
     assert load("odd.py:build").point == load("odd.py:loaded").point == "bob $_^"
 
@@ -277,6 +284,23 @@ def test_a_symlink_as_output_is_followed(odd, name):
     (odd / "held.h5").symlink_to(odd / "held.txt")
     assert main(["run", "odd.py:build", "--out", name, "--overwrite"]) == 0
     assert (odd / name).is_symlink() and pi.load(odd / name).success
+
+
+@pytest.mark.parametrize("command", ["run", "compare"])
+def test_a_symlink_that_leads_to_itself_is_one_line(odd, capsys, command):
+    (odd / "loop").symlink_to(odd / "loop")
+    assert main([command, "odd.py:build", "--out", "loop"]) == 2
+    assert "loop is a symlink" in " ".join(capsys.readouterr().err.split())
+
+
+def test_runs_are_kept_where_a_picture_fails(odd, monkeypatch):
+    from polyida.show import plots
+
+    monkeypatch.setattr(plots, "tip", lambda runs, point: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        main(["compare", "odd.py:build", "--out", "report"])
+    assert all(pi.load(odd / "report" / f"{label}.h5").success for label in ("generalized-alpha", "IDA"))
+    assert json.loads((odd / "report" / "figures.json").read_text())["figures"]["alpha_steps"] == 5
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device here")

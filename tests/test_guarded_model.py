@@ -5,6 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.differences import along, jacobian
+from polyida.guarded_model import guard
 
 INTEGRATORS = [pi.GeneralizedAlpha(h=1e-2), pi.GeneralizedAlpha(h=1e-2, form="stabilised"), pi.IDA(), pi.IDA(linear="whole")]
 every = pytest.mark.parametrize("integrator", INTEGRATORS, ids=["alpha", "stabilised", "IDA", "IDA whole"])
@@ -188,3 +189,56 @@ def test_kinks_of_a_model_may_come_in_any_order():
     model = type("Kinked", (Pendulum,), {"kinks": lambda self, t0, t1: ["soon"]})()
     with pytest.raises(pi.InputError, match="Kinked.kinks"):
         pi.solve(model, 0.1, INTEGRATORS[0], **START)
+
+
+@every
+def test_a_mass_that_varies_though_it_is_said_not_to_is_named(integrator):
+    functions = {"mass": lambda self, q: (2.0 + q[1]) * np.eye(2), "needs": pi.Needs(mass_varies=False)}
+    with pytest.raises(pi.InputError, match=r"Varying\.mass changes with q.* mass_varies=True"):
+        pi.solve(type("Varying", (Pendulum,), functions)(), 0.1, integrator, **START)
+
+
+def test_what_somebody_else_holds_is_copied():
+    class Turns(Pendulum):
+        rooms, calls = (np.zeros(1), np.zeros(1)), 0
+
+        def phi(self, t, q):
+            self.calls += 1
+            self.rooms[self.calls % 2][:] = Pendulum.phi(self, t, q)
+            return self.rooms[self.calls % 2][:]
+
+    model, fresh = guard(Turns()), np.zeros(2)
+    first, q = model.phi(0.0, np.array([2.0, 0.0])), np.array([1.0, 0.0])
+    assert [model.phi(0.0, q) is room for room in Turns.rooms * 2] == [False] * 4 and first == 3.0
+    new = type("New", (Pendulum,), {"force": lambda self, t, q, v: fresh})()
+    assert guard(new).force(0.0, q, q) is not fresh
+
+
+def test_a_rate_of_phi_of_the_users_own_is_called():
+    rated = type("Rated", (Pendulum,), {"phi_rate": lambda self, t, q, v: np.array([2.0 * q @ v, 0.0])})()
+    with pytest.raises(pi.InputError, match=r"Rated\.phi_rate must return an array of shape \(1,\)"):
+        pi.solve(rated, 0.1, INTEGRATORS[0], **START)
+
+
+def test_every_call_of_a_run_is_guarded():
+    writable = []
+
+    class Looks(Pendulum):
+        def phi_q(self, t, q):
+            writable.append(q.flags.writeable)
+            return Pendulum.phi_q(self, t, q)
+
+        def mass(self, q):
+            writable.append(q.flags.writeable)
+            return Pendulum.mass(self, q)
+
+    state = pi.solve(Pendulum(), 0.1, INTEGRATORS[0], until=lambda t, q, v: t - 0.055, **START).state
+    assert pi.solve(Looks(), 0.2, INTEGRATORS[0], state=state).success
+    assert len(writable) > 100 and not any(writable)
+
+
+@every
+def test_names_that_scenes_have_are_the_users_own(integrator):
+    model = Pendulum()
+    model.parts, model.reference, model.motor_profiles, model.gravity = ["rod"], 7.0, "none", 9.81
+    assert np.array_equal(pi.solve(model, 0.1, integrator, **START).q, pi.solve(Pendulum(), 0.1, integrator, **START).q)

@@ -42,6 +42,19 @@ def test_what_is_derived_comes_back_too(run, file):
     assert list(again.model.parts) == list(run.model.parts)
 
 
+@pytest.mark.parametrize("what", ["stress", "von_mises", "node_positions"])
+@pytest.mark.parametrize("frame", ["x", None, 1.5, 10**9, -(10**9), True, [0]])
+def test_a_frame_that_is_none_is_refused(run, what, frame):
+    with pytest.raises(pi.InputError, match="frame = "):
+        getattr(run, what)(frame)
+
+
+def test_frames_count_from_the_end_too(run):
+    for what in ("stress", "von_mises", "node_positions"):
+        read, last = getattr(run, what), len(run) - 1
+        assert np.array_equal(read(-1), read(last)) and np.array_equal(read(-len(run)), read(np.int64(0)))
+
+
 def test_a_profile_of_the_user_s_own_is_followed_by_its_values(run, file):
     again = pi.load(file)
     for t in run.t:

@@ -38,7 +38,7 @@ Step = _option(float, "Step of generalized-alpha and energy-momentum, s.")
 RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite frequency, in [0, 1).")
 Rtol = _option(float, "Relative tolerance of IDA.")
 Atol = _option(float, "Absolute tolerance of IDA for q, m.")
-Integrator = Annotated[str, typer.Option(help="alpha (generalized-alpha), ida, or energy (energy-momentum).")]
+Integrator = _option(str, "alpha (generalized-alpha; the default), ida, or energy (energy-momentum).")
 Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 
 
@@ -96,6 +96,7 @@ def compare(context: typer.Context, scene: Scene,
     columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
     _table(f"{job.name}: {page.system(job)}", columns[0], columns[1:])
     _lines(*found.notes, style="red")
+    _lines(*(f"{label}: {run.message}" for label, run in found.runs.items() if run.success and run.message))
     frames = folder / "frames" / "run.pvd"
     _lines(page.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
     if not found.success:
@@ -103,12 +104,15 @@ def compare(context: typer.Context, scene: Scene,
 
 
 @app.command()
-def run(scene: SceneOrNone = None, integrator: Integrator = "alpha", cells: Cells = None, time: Time = None,
+def run(scene: SceneOrNone = None, integrator: Integrator = None, cells: Cells = None, time: Time = None,
         step: Step = None, rho_inf: RhoInf = None, rtol: Rtol = None, atol: Atol = None,
         out: _option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None, overwrite: Overwrite = False,
         resume: _option(Path, RESUME_HELP) = None):
     """Run one integrator on a scene, written to an HDF5 file as it goes."""
     if resume:
+        given = {"step": step, "rho-inf": rho_inf, "rtol": rtol, "atol": atol, "out": out, "overwrite": overwrite or None,
+                 "integrator": integrator, "cells": None if scene else cells}
+        _require_none(given, "--resume goes on with the file's own integrator, settings and place")
         return _resumed(resume, scene, cells, time)
     if scene is None:
         raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
@@ -116,7 +120,7 @@ def run(scene: SceneOrNone = None, integrator: Integrator = "alpha", cells: Cell
     from polyida.study.compare import warm_up
     from polyida.study.job import integrator_of, load
 
-    job = load(scene, time=time, step=step, cells=cells)
+    job, integrator = load(scene, time=time, step=step, cells=cells), integrator or "alpha"
     member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
     path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, _lines)
     make(path.parent)
@@ -126,6 +130,12 @@ def run(scene: SceneOrNone = None, integrator: Integrator = "alpha", cells: Cell
         result = solve(job.model, job.time, member, q0=job.q0, v0=job.v0,
                        progress=lambda t: tell(integrator, t / job.time), out=path, overwrite=overwrite)
     _saved(result, path)
+
+
+def _require_none(options, why):
+    """Raise InputError for an option that was given."""
+    if strange := [name for name, value in options.items() if value is not None]:
+        raise InputError(f"run: --{strange[0]} has no place here: {why}")
 
 
 def _resumed(path, scene, cells, time):
@@ -173,7 +183,7 @@ def show(file: RunFile):
     kind, n, m = type(loaded.model).__name__, loaded.q.shape[1], loaded.lam.shape[1]
     _table(str(file), ["", ""], [
         ["run", loaded.summary()],
-        ["frames", f"{len(loaded.t)}, t = {loaded.t[0]:g} .. {loaded.t[-1]:g} s"],
+        ["frames", f"{len(loaded.t)}" + (f", t = {loaded.t[0]:g} .. {loaded.t[-1]:g} s" if len(loaded.t) else "")],
         ["model", f"{kind}, {n} coordinates, {m} constraints"],
         ["integrator", repr(loaded.integrator)],
         ["counts", counts],

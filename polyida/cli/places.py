@@ -11,7 +11,7 @@ def free(given, default, overwrite, tell):
     tell: called with a line that says so. A symlink is followed. Raises InputError where the path is taken.
     """
     path, number = given or default, 2
-    path = path.resolve() if path.is_symlink() else path
+    path = _resolved(path) if path.is_symlink() else path
     if overwrite or not _taken(path):
         return path
     if given:
@@ -21,6 +21,13 @@ def free(given, default, overwrite, tell):
         number += 1
     tell(f"{default} exists and is kept; writing {path}")
     return path
+
+
+def _resolved(link):
+    try:
+        return link.resolve()
+    except (OSError, RuntimeError):
+        raise InputError(f"{link} is a symlink that leads nowhere but to itself") from None
 
 
 def _taken(path):

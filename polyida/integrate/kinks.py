@@ -67,8 +67,8 @@ def at_kink(model, t):
 
 
 def beside(t, side):
-    """A time next to t, later where side is 1 and earlier where it is -1."""
-    return t + side * 32 * math.ulp(max(abs(t), 1.0))
+    """A time next to t, later where side is positive and earlier where it is negative."""
+    return t + math.copysign(32 * math.ulp(max(abs(t), 1.0)), side)
 
 
 def _bent(model, state, begin, end):

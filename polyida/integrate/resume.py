@@ -4,10 +4,11 @@ import time
 
 from polyida.errors import InputError
 from polyida.given import is_number
+from polyida.guarded_model import guard
 from polyida.integrate.running.run import Run
 from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
-from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.layout import FRAMES
 from polyida.io.load import integrator_of, model_of
 from polyida.io.reader import named, naming, read
@@ -48,10 +49,10 @@ def _require(t_end, until, progress, memory_limit):
         ("t_end", t_end, t_end is None or is_number(t_end), "a finite time in s"),
         ("until", until, until is None or until is False or callable(until), "a function of t, q and v, or False"),
         ("progress", progress, progress is None or callable(progress), "a function of t"),
-        ("memory_limit", memory_limit, is_number(memory_limit) and memory_limit >= 0, "a number of bytes"),
     ):
         if not good:
             raise InputError(f"resume: {name} = {value!r} must be {wanted}")
+    require_bytes("resume", memory_limit)
 
 
 def _asked(stored, t_end, model, integrator, until):
@@ -64,6 +65,7 @@ def _asked(stored, t_end, model, integrator, until):
         model, integrator = _parts(stored, model, integrator)
         plan = _plan(stored, t_end, until)
     require_run(model, plan["t_end"], stored.restart.state.t, integrator)
+    getattr(integrator, "require_reach", lambda *run: None)(guard(model), stored.restart.state, plan["t_end"])
     return model, integrator, plan
 
 

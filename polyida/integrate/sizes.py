@@ -3,21 +3,22 @@
 import numpy as np
 
 MOVES = 1e-6  # of its length: a model whose first state takes it less far in the whole run stands still
+NOTHING = 1e-12  # m: a |q| of less is what is left of a start at zero that was moved onto its constraints
 
 
 def typical_sizes(model, state, span):
     """(length, speed): absolute tolerances of q and v are rtol times these; the state is consistent, `span` is the run's time, s.
 
     length: a scene's extent, m; of a model of one's own |q|, or, where q is zero, the way to where its stiffness turns it round.
-    speed: the largest of |v|, `sqrt(|a| length)` and, in a scene, `sqrt(g length)`; length/span where nothing of these moves
-    it at first. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
+    speed: the largest of |v|, `sqrt(|a| length)` and, in a scene, `sqrt(g length)`; length/span where there is no weight and
+    nothing of these moves it at first. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
     """
-    v, a = _rms(state.v), _rms(state.a)
+    q, v, a = _rms(state.q), _rms(state.v), _rms(state.a)
     reference = getattr(model, "reference", None)
-    length = float(np.ptp(reference, axis=0).max()) if reference is not None else _rms(state.q) or _way(model, state, span, v, a)
+    length = float(np.ptp(reference, axis=0).max()) if reference is not None else q if q > NOTHING else _way(model, state, span, v, a)
     weight = float(np.hypot(*model.gravity)) if reference is not None else 0.0
     speed = max(v, np.sqrt(max(a, weight) * length))
-    return np.array([length, speed if speed * span > MOVES * length else length / span])
+    return np.array([length, speed if weight or speed > MOVES * length / span else length / span])
 
 
 def _way(model, state, span, v, a):

@@ -1,5 +1,6 @@
 """`solve`: run an integrator over a model and collect a trajectory, whatever happens."""
 
+import math
 import time
 
 import numpy as np
@@ -10,13 +11,15 @@ from polyida.guarded_model import guard, require_functions
 from polyida.integrate.running.run import Run
 from polyida.integrate.start import consistent_state, require_state, restarted
 from polyida.integrate.state import Counts
-from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
 from polyida.machine import machine_info
 from polyida.threads import one_blas_thread
 
 MOST_STEPS = 1e12
+SHORTEST = 1e-15  # s: what is divided by the squares of its steps is still a number in single precision
+APART = 16  # times between t and t + h, at least
 
 
 def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
@@ -48,14 +51,16 @@ def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, eve
     begin = t0 if state is None else state.t
     require_run(model, t_end, begin, integrator)
     plan = _plan(begin, t_end, every, output, until, flush_every, fsync)
-    limit, path = _limit(memory_limit), None if out is None else free(out, overwrite)
+    require_bytes("solve", memory_limit)
+    path = None if out is None else free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
         state = _first(model, t0, state, q0, v0)
+        getattr(integrator, "require_reach", lambda *run: None)(guard(model), state, t_end)
         file = None
         if path is not None:
             file = create(path, model, integrator, model.n, model.m, plan, machine_info())
-        store = FrameStore(model.n, model.m, limit, file)
+        store = FrameStore(model.n, model.m, memory_limit, file)
         run = Run(model, integrator, plan, store, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
         return run.go(state)
@@ -65,8 +70,8 @@ def _first(model, t0, state, q0, v0):
     """The state to begin with; one that is not known to be accepted is put on the constraints."""
     if state is None:
         return consistent_state(model, t0, q0, v0)
-    state = require_state("solve", model, state)
-    require_functions(guard(model), state.t, state.q, state.v)
+    model, state = guard(model), require_state("solve", model, state)
+    require_functions(model, state.t, state.q, state.v)
     return state if state.restart else restarted(model, state)
 
 
@@ -80,9 +85,21 @@ def require_run(model, t_end, begin, integrator):
     getattr(integrator, "require", lambda model: None)(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
-    h = getattr(integrator, "h", None)
-    if is_number(h) and t_end - begin > MOST_STEPS * h:
+    _require_steps(begin, t_end, getattr(integrator, "h", None))
+
+
+def _require_steps(begin, t_end, h):
+    """Raise InputError for a run whose steps would be without number, or times and step sizes that floats do not resolve."""
+    apart = math.ulp(max(abs(begin), abs(t_end)))
+    shortest = max(SHORTEST, APART * apart)
+    if t_end - begin < shortest:
+        raise InputError(f"solve: t_end = {t_end!r} s is {t_end - begin:.3g} s after the start; the shortest run there is {shortest:.3g} s")
+    if not is_number(h):
+        return
+    if t_end - begin > MOST_STEPS * h:
         raise InputError(f"solve: t_end = {t_end:g} s is more than {MOST_STEPS:g} steps of {h:g} s away, which no computer takes")
+    if h < APART * apart and t_end - begin > h:
+        raise InputError(f"solve: steps of {h:g} s are lost at t = {t_end:g} s, where times are {apart:.2g} s apart")
 
 
 def _require_start(model, t0, state, q0, v0):
@@ -122,9 +139,3 @@ def _times(output, begin, t_end):
     if times[0] < begin or times[-1] > t_end:
         raise InputError(f"solve: output from {times[0]} to {times[-1]} s is not within the run, {begin} to {t_end} s")
     return times.tolist()
-
-
-def _limit(value):
-    if not (is_number(value) and value >= 0):
-        raise InputError(f"solve: memory_limit = {value!r} must be a number of bytes")
-    return value

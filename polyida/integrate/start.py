@@ -30,7 +30,7 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
         require_independent(model, model.phi_q(t0, q), q)
         _require_near(model, "q0", True, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
         q = _project_position(model, t0, q)
-    objection = getattr(model, "objection", lambda t, q: None)(t0, q)
+    objection = model.objection(t0, q)
     if objection:
         raise InputError(f"the start cannot be accepted: {objection}")
     if model.m:

@@ -8,11 +8,11 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.guarded_model import guard, require_functions
-from polyida.integrate.ida.forms import dense
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.inertia import falling
 from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
+from polyida.linear.matrix import dense
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
@@ -67,7 +67,7 @@ def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
         lam = np.linalg.solve(dense(B @ B.T), B @ open_load)  # not zero: it may be all that gives stiffness
     for part in range(1, steps + 1):
         q, lam = _newton(model, t, q, lam, (1 - part / steps) * load, tolerance, max_iterations)
-    objection = getattr(model, "objection", lambda t, q: None)(t, q)
+    objection = model.objection(t, q)
     if objection:
         raise StepFailure("objection", objection, t)
     found = Equilibrium(float(t), q, rest.copy(), rest.copy(), lam, falling=_falling(model, t, q, lam))

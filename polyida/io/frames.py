@@ -3,9 +3,16 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_number
 from polyida.io.layout import frames_at_once, width_of
 
 MEMORY_LIMIT = 512 * 2**20  # bytes of frames that are held in memory
+
+
+def require_bytes(part, memory_limit):
+    """Raise InputError, in the name of `part`, unless it is a number of bytes."""
+    if not (is_number(memory_limit) and memory_limit >= 0):
+        raise InputError(f"{part}: memory_limit = {memory_limit!r} must be a number of bytes")
 
 
 def blocks(frames):

@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida import registry
 from polyida.errors import InputError
-from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, from_data
 from polyida.trajectory import Trajectory
@@ -21,8 +21,10 @@ def load(path, memory_limit=MEMORY_LIMIT):
     holds the frames up to the last flush, with status "interrupted"; one that is still written, those up to now, with
     status "running". All frames are looked at: where some are damaged, those before them come back, with status
     "damaged" and a message that says which and why. The scene is built again from the file's data. A motor or load
-    whose profile was a function of the user's own follows the values that the run saw, which are in the file.
+    whose profile was a function of the user's own follows the values that the run saw, which are in the file; without a
+    frame there is no model then.
     """
+    require_bytes("load", memory_limit)
     stored = read(path)
     with naming(path):
         try:
@@ -35,10 +37,7 @@ def load(path, memory_limit=MEMORY_LIMIT):
 def _trajectory(stored, memory_limit):
     about, record = stored.about, stored.record
     damage = stored.check()
-    try:
-        model, missing = model_of(stored, _drives(stored)), Trajectory.missing
-    except UnknownPart as unknown:
-        model, missing = None, f"the file's scene cannot be built: {unknown}"
+    model, missing = _model(stored)
     status, message = str(record["status"]), str(record["message"])
     if status == "running":
         status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
@@ -58,6 +57,16 @@ def _trajectory(stored, memory_limit):
         plan=dict(about["plan"]),
         missing=missing,
     )
+
+
+def _model(stored):
+    """(model or None, why there is none)."""
+    if stored.about["drives"] and not stored.count:
+        return None, "its profiles are functions of a user's own, of which the file holds no value yet"
+    try:
+        return model_of(stored, _drives(stored)), Trajectory.missing
+    except UnknownPart as unknown:
+        return None, f"the file's scene cannot be built: {unknown}"
 
 
 def integrator_of(stored):

@@ -48,7 +48,8 @@ def read(path):
     except (TypeError, ValueError, OSError):
         found = False
     if not found:
-        raise InputError(f"{path!r}: no such file" if not isinstance(path, (str, Path)) else f"{path}: no such file")
+        wrong = isinstance(path, (str, Path)) and f"{path}: no such file"
+        raise InputError(wrong or f"{path!r:.100} must be the path of a file")
     with naming(path):
         live = being_written(path)
         return Stored(_opened(path, live), Path(path), os.path.getsize(path), live)
@@ -80,8 +81,8 @@ def _h5(source):
 class Stored:
     """An open file, checked: plain data `about`, the last whole `record`, `restart`, where the run goes on, or None.
 
-    torn: whether a slot is not whole. counts; seconds: (CPU, wall). n, m: of the model. count: frames that hold. arrays: the datasets. Raises InputError, or whatever a damaged file
-    makes fail.
+    torn: whether a slot is not whole. counts; seconds: (CPU, wall). n, m: of the model. count: frames that hold.
+    arrays: the datasets. Raises InputError, or whatever a damaged file makes fail.
     """
 
     def __init__(self, file, path, size, live=False):

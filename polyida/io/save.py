@@ -8,6 +8,7 @@ import numpy as np
 
 from polyida import registry
 from polyida.errors import InputError
+from polyida.given import is_flag
 from polyida.io.layout import FRAMES
 from polyida.io.scene_data import to_data
 from polyida.io.store import FrameStore
@@ -33,16 +34,18 @@ def free(given, overwrite):
 
     Raises InputError where one is in the way that must not be overwritten or is being written, or no file can be.
     """
+    if not is_flag(overwrite):
+        raise InputError(f"{given}: overwrite = {overwrite!r} must be True or False")
     try:
         path = Path(given).resolve()
         folder, file, there, home = path.is_dir(), path.is_file(), path.exists(), path.parent.is_dir()
     except (TypeError, ValueError, OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{repr(given)[:80]} must be the path of a file ({reason})") from None
+        raise InputError(f"{given!r:.100} must be the path of a file ({reason})") from None
     if folder:
-        raise InputError(f"{given} is a folder; give the name of a file")
+        raise InputError(f"{str(given)!r} is a folder; give the name of a file")
     if there and not file:
-        raise InputError(f"{given} is a device or the like; give the name of a regular file")
+        raise InputError(f"{given} is a device or a pipe, no file; frames cannot be written there")
     if there and not overwrite:
         raise InputError(f"{given} exists; pass overwrite=True (--overwrite) to replace it, or give another name")
     if not home:

@@ -4,11 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.linear.matrix import dense
+
 MOST = 3  # constraints that a message names
 
 
 class Rows(NamedTuple):
-    """phi_q in the sizes of the coordinates, (m, n), the lengths of its rows and the Gram matrix of the rows made of length one, (m, m), of lengths above 0."""
+    """phi_q in the sizes of the coordinates, (m, n), the lengths of its rows, and the Gram matrix of the rows made of
+    length one, (m, m), where they are above 0."""
 
     phi_q: object
     lengths: np.ndarray
@@ -30,7 +33,7 @@ def rows_of(phi_q, sizes):
         phi_q = phi_q @ diags_array(sizes)
     else:
         phi_q = np.asarray(phi_q) * sizes
-    gram = _dense(phi_q @ phi_q.T)
+    gram = dense(phi_q @ phi_q.T)
     lengths = np.sqrt(np.diag(gram))
     divisor = np.where(lengths > 0, lengths, 1.0)
     return Rows(phi_q, lengths, gram / np.outer(divisor, divisor))
@@ -52,7 +55,7 @@ def involved(model, rows):
 
 def between(before, after):
     """The products of the unit rows of two Rows, (m, m)."""
-    return _dense(before.phi_q @ after.phi_q.T) / np.outer(before.lengths, after.lengths)
+    return dense(before.phi_q @ after.phi_q.T) / np.outer(before.lengths, after.lengths)
 
 
 def way(products):
@@ -64,7 +67,3 @@ def cosine(before, after, products):
     """Of the angle by which the space of the rows has turned; -1 where a combination of them came back reversed."""
     (sign, size), sizes = np.linalg.slogdet(products), [np.linalg.slogdet(rows.gram)[1] for rows in (before, after)]
     return float(sign * np.exp(size - 0.5 * sum(sizes)))
-
-
-def _dense(matrix):
-    return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix)

@@ -41,6 +41,8 @@ class Problem:
 
     def compare(self, run):
         """`errors` of a run at its end, for all that the reference knows. Raises InputError where it ends elsewhere."""
+        if not len(getattr(run, "t", ())):
+            raise InputError(f"problem {self.name!r}: {type(run).__name__} is no run with frames; give what solve returns")
         if abs(run.t[-1] - self.t_end) > 1e-9 * self.t_end:
             raise InputError(f"problem {self.name!r}: the run ends at t = {run.t[-1]:g} s, "
                              f"the reference is known at t = {self.t_end:g} s")

@@ -16,6 +16,9 @@ def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress
     time, held to 4..12 s. progress: called with the number of pictures done. Raises InputError for a suffix other than
     .gif or an existing file.
     """
+    if not isinstance(path, (str, Path)):
+        raise InputError(f"animation {path!r} must be the path of a file")
+    plates.require_run("animation", run, overwrite)
     path = Path(path)
     if path.suffix.lower() != ".gif":
         raise InputError(f"animation {path}: only .gif can be written")

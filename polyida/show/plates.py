@@ -3,6 +3,19 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_flag, is_whole
+
+
+def require_run(part, run, overwrite):
+    """Raise InputError, in the name of `part`, unless it is a run with frames, and overwrite True or False."""
+    if not hasattr(run, "model") or not hasattr(run, "node_positions"):
+        raise InputError(f"{part}: {type(run).__name__} is no run; give what solve or load returns")
+    if run.model is None:
+        raise InputError(f"{part}: no file holds a model of a user's own; the run that was loaded has no plates")
+    if len(run.t) == 0:
+        raise InputError(f"{part}: the run has no frames")
+    if not is_flag(overwrite):
+        raise InputError(f"{part}: overwrite = {overwrite!r} must be True or False")
 
 
 def bodies(model):
@@ -45,6 +58,6 @@ def frames_at(run, times):
 
 def spread(run, count):
     """At most `count` frames evenly spread in time, first and last included, each once."""
-    if count < 1:
-        raise InputError(f"frames = {count} must be at least 1")
+    if not is_whole(count):
+        raise InputError(f"frames = {count!r} must be a whole number, at least 1")
     return np.unique(frames_at(run, np.linspace(run.t[0], run.t[-1], count)))

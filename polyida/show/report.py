@@ -19,12 +19,12 @@ def write(comparison, folder, command, tell=lambda what: None):
     written.
     """
     folder, machine = Path(folder), machine_info()
-    captions = _draw(comparison, folder, tell)
-    data = {"figures": comparison.figures, "rows": _finite(comparison.rows), "machine": machine, "command": command}
-    (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    for label, run in comparison.runs.items():
+    for label, run in comparison.runs.items():  # first what cannot be made again in a moment
         tell(f"{label}.h5")
         run.save(folder / f"{label}.h5", overwrite=True)
+    data = {"figures": comparison.figures, "rows": _finite(comparison.rows), "machine": machine, "command": command}
+    (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    captions = _draw(comparison, folder, tell)
     if shown := _drawable(comparison):
         from polyida.show.vtu import vtu
 

@@ -21,6 +21,7 @@ def vtu(run, folder, overwrite=False, frames=None):
     """
     if not isinstance(folder, (str, Path)) or not str(folder):
         raise InputError(f"export folder {folder!r} must be the path of a folder")
+    plates.require_run("export", run, overwrite)
     folder, blocks, chosen = Path(folder), _Blocks(run.model), _chosen(run, frames)
     _prepare(folder, overwrite)
     for i, k in enumerate(chosen):

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from polyida.errors import InputError
 from polyida.guarded_model import guard
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.state import Counts, StepFailure
@@ -14,6 +15,7 @@ from polyida.threads import one_blas_thread
 
 REFINEMENT = 8  # the reference run's step is this much shorter
 REFINED = "refined run"
+LONGEST = 60  # characters of a label: four bytes each are below the 255 of a file's name
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,8 @@ def compare(job, rtol=None, progress=None, others=None):
     from polyida.integrate.solve import require_run
 
     tell = progress or (lambda label, fraction: None)
-    members = integrators(job, rtol) | (others or {})
+    members = integrators(job, rtol)
+    members |= _others({} if others is None else others, {*members, REFINED})
     for member in members.values():
         require_run(job.model, job.time, 0.0, member)
     tell("preparing kernels", None)
@@ -100,6 +103,17 @@ def compare(job, rtol=None, progress=None, others=None):
     notes += [f"{REFINED}: {refined.message}"] if refined.message else []
     quantity, unit = (job.point, "m") if job.point else ("coordinates", "")
     return Comparison(job, runs, distances, rows, notes, quantity, unit)
+
+
+def _others(others, taken):
+    """Further integrators, looked at: their labels are names of files in the report, too."""
+    if not isinstance(others, dict):
+        raise InputError(f"compare: others = {others!r} must be a dictionary {{label: integrator}}")
+    for label in others:
+        if not isinstance(label, str) or not label or set(label) & set("/\\\0") or label in taken or len(label) > LONGEST:
+            raise InputError(f"compare: label {label!r} must be the name of a file, no longer than {LONGEST} characters, "
+                             f"and none of {', '.join(sorted(taken))}")
+    return others
 
 
 def watch(job):

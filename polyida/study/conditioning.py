@@ -5,13 +5,13 @@ from functools import lru_cache
 import numpy as np
 
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.ida.forms import dense
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, mass_system
 from polyida.linear.condition import condition
 from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
+from polyida.linear.matrix import dense
 from polyida.model import Model, Needs
 from polyida.problems import plates
 

@@ -20,7 +20,8 @@ IDA = ("ggl2", "ggl1")
 class Axis:
     """case(value, integrator's name) -> (Trajectory, checks); all values, from benign to harsh; those of the quick selection.
 
-    foreseen(value, integrator's name): the Stop that is right for a row, None where coming to the end alone is. slow: integrators that the quick selection leaves out, because they take long.
+    foreseen(value, integrator's name): the Stop that is right for a row, None where coming to the end alone is.
+    slow: integrators that the quick selection leaves out, because they take long.
     """
 
     case: Callable

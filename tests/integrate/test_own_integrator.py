@@ -7,6 +7,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.running.accepted import STANDSTILL
+from polyida.problems import plates
 
 END, BAD = 1.0, 5
 
@@ -119,6 +120,16 @@ def test_one_array_for_all_states_does_no_harm():
     run = solved(OneBuffer(), output=[0.05, 1.0])
     assert run.q[0] == pytest.approx([1.05, 2.05]) and run.q[1] == pytest.approx([6.5, 7.5])
     assert solved(OneBuffer()).state.q == pytest.approx([6.5, 7.5])
+
+
+@pytest.mark.parametrize("h, told", [("fast", ""), (None, ""), (0.1, "steps of 0.1 s do not show how 'push' moves within 0.01 s")])
+def test_what_it_calls_h_may_be_anything(h, told):
+    scene = plates.double_plate(cells=4)
+    scene.add(pi.PointLoad(scene.parts["tip"].at, (0.0, 1.0), pi.profile.from_function(np.sin, shortest=0.01), name="push"))
+    mine = Mine()
+    mine.h = h
+    run = pi.solve(scene.build(), END, mine)
+    assert (run.status, run.message) == ("done", told)
 
 
 def test_it_sees_the_guarded_functions_of_a_user_s_model():

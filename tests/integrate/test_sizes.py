@@ -55,6 +55,7 @@ def test_sizes_of_a_scene_are_its_extent_and_how_fast_it_falls():
     model = double_plate()
     at_rest = State(0.0, *np.zeros((3, model.n)), np.zeros(model.m))
     assert typical_sizes(model, at_rest, 1.0) == pytest.approx([2.0, np.sqrt(2.0 * 9.81)])
+    assert typical_sizes(model, at_rest, 1e-10)[1] == typical_sizes(model, at_rest, 1.0)[1], "however short the run is"
     model.gravity = (0.0, 0.0)
     assert typical_sizes(model, at_rest, 4.0) == pytest.approx([2.0, 0.5])
     moving = State(0.0, np.zeros(model.n), np.full(model.n, 3.0), np.zeros(model.n), np.zeros(model.m))
@@ -87,3 +88,27 @@ def test_the_summary_says_them_and_a_run_that_goes_on_keeps_them():
     assert "atol" not in pi.solve(Spring(), 0.5, pi.IDA(atol=1e-6), q0=[0.5]).summary()
     again = pi.solve(Spring(), 0.6, pi.IDA(rtol=1e-4), state=run.state)
     assert again.state.memory["sizes"].tolist() == run.state.memory["sizes"].tolist()
+
+
+@pytest.mark.parametrize("gap", [1e-15, 1e-13])
+def test_round_off_of_a_start_at_zero_is_no_length(gap):
+    class Rod(pi.Model):
+        """A point on a rod, q its displacement from (1, 0), where phi is not zero to the last bit."""
+
+        n, m = 2, 1
+
+        def mass(self, q):
+            return np.eye(2)
+
+        def force(self, t, q, v):
+            return np.array([0.0, 9.81])
+
+        def phi(self, t, q):
+            return np.array([((1 + q[0]) ** 2 + q[1] ** 2 - 1) / 2 + gap])
+
+        def phi_q(self, t, q):
+            return np.array([[1 + q[0], q[1]]])
+
+    run = pi.solve(Rod(), 0.5, pi.IDA(rtol=1e-6))
+    assert run.success, run.message
+    assert 9.81 * run.q[-1, 1] + run.v[-1] @ run.v[-1] / 2 == pytest.approx(0.0, abs=1e-3)

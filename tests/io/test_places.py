@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.cli import main
 from polyida.problems import plates
+from polyida.show.animation import gif
 
 FRAMES = ("t", "q", "v", "a", "lam")
 ALPHA = pi.GeneralizedAlpha(h=1e-3, linear="kkt")
@@ -144,6 +146,50 @@ def test_every_flush_is_brought_to_the_disk_where_asked(model, whole, tmp_path, 
     assert equal(run, whole) and len(calls) >= 2 * 5 + 1
     with pytest.raises(pi.InputError, match="fsync = 1 "):
         pi.solve(model, 0.03, ALPHA, fsync=1)
+
+
+@pytest.mark.parametrize("overwrite", ["no", None, 0, "yes"])
+def test_overwrite_is_true_or_false(model, whole, tmp_path, overwrite):
+    whole.save(tmp_path / "run.h5")
+    before = (tmp_path / "run.h5").read_bytes()
+    for write in (lambda: whole.save(tmp_path / "run.h5", overwrite=overwrite),
+                  lambda: pi.solve(model, 0.01, ALPHA, out=tmp_path / "run.h5", overwrite=overwrite),
+                  lambda: pi.export.vtu(whole, tmp_path / "frames", overwrite=overwrite),
+                  lambda: gif(whole, tmp_path / "run.gif", overwrite=overwrite)):
+        with pytest.raises(pi.InputError, match=f"overwrite = {overwrite!r} must be"):
+            write()
+    assert (tmp_path / "run.h5").read_bytes() == before and os.listdir(tmp_path) == ["run.h5"]
+
+
+@pytest.mark.parametrize("path", [3, None, b"run.h5", ""])
+def test_a_path_of_the_wrong_kind(whole, tmp_path, monkeypatch, path):
+    monkeypatch.chdir(tmp_path)
+    for use in (whole.save, pi.load, pi.resume):
+        with pytest.raises(pi.InputError, match="must be the path of a file|is a folder|no such file"):
+            use(path)
+
+
+def test_a_wrong_limit_of_memory_is_no_damage_of_the_file(whole, tmp_path):
+    whole.save(tmp_path / "run.h5")
+    with pytest.raises(pi.InputError, match="load: memory_limit = 'all'"):
+        pi.load(tmp_path / "run.h5", memory_limit="all")
+
+
+def test_a_file_without_a_frame_yet_is_read_and_gone_on_with(tmp_path):
+    scene = plates.double_plate(cells=4)
+    scene.add(pi.PointLoad(scene.parts["tip"].at, (0.0, 1.0), np.sin, name="push"))
+    model, path = scene.build(), tmp_path / "run.h5"
+
+    def progress(t):
+        if t > 0.004:
+            raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError):
+        pi.solve(model, 0.01, ALPHA, output=[0.009], out=path, progress=progress)
+    found = pi.load(path)
+    assert (len(found), found.status, found.model) == (0, "error", None) and found.summary()
+    assert main(["show", str(path)]) == 0 and main(["animate", str(path)]) == 2
+    assert equal(pi.resume(path, model=model), pi.solve(model, 0.01, ALPHA, output=[0.009]))
 
 
 @pytest.mark.parametrize("settings, told", [({"t_end": "0.1"}, "t_end = '0.1'"), ({"t_end": [1.0]}, "t_end = "), ({"t_end": True}, "t_end"),

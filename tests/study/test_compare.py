@@ -73,6 +73,13 @@ def test_a_third_integrator_is_compared_too():
     assert "two of the integrators" in gap(found)
 
 
+@pytest.mark.parametrize("others", [3, pi.IDA(), {"mine": 3}, {"mine": pi.IDA}, {3: pi.IDA()}, {"": pi.IDA()}, {"a/b": pi.IDA()},
+                                    {"n" * 300: pi.IDA()}, {"IDA": pi.IDA()}, {"refined run": pi.IDA()}])
+def test_others_of_the_wrong_kind_are_refused(others):
+    with pytest.raises(InputError, match="others|no integrator|label"):
+        compare(load("double-plate", cells=8, time=0.01), others=others)
+
+
 @pytest.mark.parametrize("rtol", ["1e-3", None.__class__, [1e-3]])
 def test_a_tolerance_of_the_wrong_kind_is_refused(rtol):
     with pytest.raises(InputError, match="rtol"):

@@ -185,7 +185,7 @@ def test_long_steps_without_balance_are_found(monkeypatch):
 
 def test_a_motion_that_does_not_come_back_is_found(monkeypatch):
     """Steps so long that they damp the bending: going back ends elsewhere."""
-    monkeypatch.setattr(identities, "integrator", lambda name: pi.GeneralizedAlpha(h=1.2e-2, rho_inf=0.5))
+    monkeypatch.setattr(identities, "integrator", lambda name: pi.GeneralizedAlpha(h=1e-2, rho_inf=0.5))
     _, checks = identities.reversal(10.0, "alpha")
     assert next(check for check in checks if check.name.startswith("back at the start")).share > 1
 

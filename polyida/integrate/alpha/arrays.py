@@ -13,8 +13,9 @@ class Method(NamedTuple):
     """Numbers of the method at one h.
 
     least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over
-    to_a. extent: of the coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control: |C| h^2 of the local error (0: fixed
-    steps), of which atol + rtol |q| is allowed; grow: the error below which the step is too short.
+    to_a. extent: of the coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control:
+    |C| h^2 of the local error (0: fixed steps), of which atol + rtol |q| is allowed; grow: the error below which the
+    step is too short.
     """
 
     h: float

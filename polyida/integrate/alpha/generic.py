@@ -173,20 +173,20 @@ class Steps:
         return np.abs(phi_at(dd, a)[0]).max(initial=0) <= max(1e-2 * tolerance, floor)
 
     def _accepted(self, t, dd, v, a, lam, phi_at):
-        q, model, (phi, rate) = self._at(dd), self.model, phi_at(dd, a)
-        objection = getattr(model, "objection", lambda t, q: None)(t, q)
+        q, model = self._at(dd), self.model
+        objection = model.objection(t, q)
         if objection:
             raise StepFailure("objection", objection, t)
         if self.settings.form == "stabilised" and model.m:
             off = model.phi_q(t, q) @ v + model.phi_t(inner_side(model, t, self.h), q)
             v = v + mass_system(model, t, q).solve(np.zeros(model.n), off)[0]
-            rate = np.zeros(model.m)
         self.size, self.change = max(self.size, self._size(a)), max(self.change, self._size(a - self.last.a))
         made = np.zeros(0) if self.kkt is None else self.factored_at
         memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "change": self.change}
         memory |= {"weights": self.weights, "extent": self.extent, "factored_at": made, "grid": self.place}
         if self.carries:
-            memory |= {"phi": phi, "rate": rate}
+            phi, rate = phi_at(dd, a)
+            memory |= {"phi": phi, "rate": np.zeros(model.m) if self.settings.form == "stabilised" else rate}
         return State(float(t), q, v, a, lam, memory)
 
     def _factor(self, t, q, v, a, lam):

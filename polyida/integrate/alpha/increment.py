@@ -8,7 +8,7 @@ h^2 q'' where rate is carried too.
 import numpy as np
 
 from polyida.assembly import joints
-from polyida.integrate.kinks import at_kink
+from polyida.integrate.kinks import at_kink, beside
 
 EPS = np.finfo(float).eps
 NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1/2, 1/2]
@@ -36,11 +36,6 @@ def drive_table(model, times, h):
 def inner_side(model, t, h):
     """t, or next to it where there is a kink: before it where a step of h > 0 ends there."""
     return beside(t, -h) if at_kink(model, t) else t
-
-
-def beside(t, h):
-    """A time next to t, on the side that h points to."""
-    return t + np.copysign(max(1e-9 * abs(h), 64 * EPS * abs(t)), h)
 
 
 def gain_table(model, times, drives, h):

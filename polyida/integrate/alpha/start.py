@@ -9,9 +9,9 @@ is on its constraint. Of q'' and q''' a_alg and v take what a step resolves (alp
 
 import numpy as np
 
-from polyida.integrate.alpha.increment import beside, start_values
+from polyida.integrate.alpha.increment import start_values
 from polyida.integrate.alpha.resolved import resolution
-from polyida.integrate.kinks import at_kink
+from polyida.integrate.kinks import at_kink, beside
 from polyida.integrate.start import consistent_acceleration, far_side, jerk, mass_system
 from polyida.integrate.state import State
 

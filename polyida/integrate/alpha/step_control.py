@@ -89,8 +89,8 @@ def adapt(engine, settings, model, state, begin, end, largest, counts, most_step
     while t < end:
         grid, moved = _piece(t, end, ladder.h), False
         _require_progress(t, grid.h, settings, counts, most_steps)
-        engine.begin(started(settings, model, state, grid.h), grid.h)
         try:
+            engine.begin(started(settings, model, state, grid.h), grid.h)
             for state in engine.run(grid):
                 t, moved = state.t, True
                 counts.steps += 1

@@ -22,6 +22,7 @@ import numpy as np
 
 from polyida.differences import along
 from polyida.integrate.state import State
+from polyida.linear.matrix import dense
 
 MULTIPLIER_ATOL = 1e9  # multipliers carry no error estimate: any size far above theirs takes them out of IDA's norms
 
@@ -141,7 +142,7 @@ class System:
 
     def objection(self, t, q):
         """Why the model cannot stand at an accepted (t, q), or None."""
-        return getattr(self.model, "objection", lambda t, q: None)(self.clamp(t), q)
+        return self.model.objection(self.clamp(t), q)
 
     def opened(self, state, allowed):
         """What has drifted from phi = 0 by more than `allowed`, in q, at a State, or None; of a form that holds phi nothing has."""
@@ -209,8 +210,3 @@ class System:
 def _reach(q, direction):
     """The path length over which q + s direction moves by its own size, at most 1."""
     return min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(direction).max(initial=0)))
-
-
-def dense(matrix):
-    """The matrix as a dense array."""
-    return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, float)

@@ -105,6 +105,13 @@ class IDA:
         """The largest BDF order used on this model."""
         return self.max_order or (2 if model.flexible else 5)
 
+    def require_reach(self, model, state, t_end):
+        """Raise InputError where times near t_end are too far apart, as numbers, to resolve the model's motion."""
+        length, speed = typical_sizes(model, state, t_end - state.t)
+        if math.ulp(t_end) > length / speed:
+            raise InputError(f"IDA: t_end = {t_end:g} s is too far: times there are {math.ulp(t_end):.2g} s apart, and "
+                             f"the model moves within {length / speed:.2g} s")
+
     def steps(self, model, state, t_end, counts):
         """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.
 
@@ -220,7 +227,7 @@ class _Run:
     def _failure(self, status, reason, state):
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
         if self.refused:
-            why = getattr(self.model, "objection", lambda t, q: None)(*self.refused)
+            why = self.model.objection(*self.refused)
             status, reason = ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
         phi = np.abs(self.model.phi(state.t, state.q))
         tried = float(self.tried - state.t)

@@ -16,9 +16,9 @@ index2) or h^-1 (the others), cj = 1/h; scaled, it is flat. Source: as linear/kk
 
 import numpy as np
 
-from polyida.integrate.ida.forms import dense
 from polyida.integrate.ida.linear import EchoedSolve, dense_factor, not_a_number
 from polyida.linear.condition import scaled
+from polyida.linear.matrix import dense
 
 SCALINGS = ("characteristic", "none")
 

@@ -71,7 +71,7 @@ class _Watch:
             self.stop(f"its steps yielded a State at t = {given.t!r}")
         arrays = [self._floats(name, getattr(given, name), getattr(self.before, name).shape, given.t) for name in FIELDS]
         t = self.t_end if abs(given.t - self.t_end) <= self.slack else float(given.t)
-        return State(t, *arrays, dict(given.memory), given.restart)
+        return State(t, *arrays, dict(given.memory or {}), bool(given.restart))
 
     def _floats(self, name, value, shape, t):
         kind = getattr(getattr(value, "dtype", None), "kind", "O")

@@ -6,6 +6,7 @@ from itertools import islice
 
 import numpy as np
 
+from polyida.given import is_number
 from polyida.guarded_model import guard
 from polyida.integrate.moves import unseen
 from polyida.integrate.running import ctrl_c
@@ -69,8 +70,9 @@ class Run:
 
     def _steps(self, state, heed):
         self.last, until = state, Until(self.until, state) if self.until else None
-        self.watch = Watch(self.model, state)
-        for after in accepted(self.integrator, guard(self.model), state, self.plan["t_end"], self.counts):
+        model = guard(self.model)
+        self.watch = Watch(model, state)
+        for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts):
             self.watch.step(after)
             at_zero = until.crossing(state, after) if until else None
             if at_zero is not None:
@@ -84,7 +86,12 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        return "done", "" if getattr(self.integrator, "adaptive", False) else unseen(self.model, getattr(self.integrator, "h", 0.0))
+        return "done", unseen(self.model, self._constant_step())
+
+    def _constant_step(self):
+        """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
+        h, adapts = getattr(self.integrator, "h", 0.0), getattr(self.integrator, "adaptive", False)
+        return h if is_number(h) and not adapts else 0.0
 
     def _keep(self, state):
         """Note where the run can go on; a flush where it is due."""
@@ -185,7 +192,7 @@ def _again(run, state, counts):
     """The State after the steps of a run from `state` to its last, taken anew, with what the integrator goes on from."""
     end = run.counts.steps
     state = State(state.t, state.q, state.v, state.a, state.lam, state.memory | {"pause": end})
-    steps = run.integrator.steps(run.model, state, run.plan["t_end"], counts)
+    steps = run.integrator.steps(guard(run.model), state, run.plan["t_end"], counts)
     return next(islice(steps, end - counts.steps - 1, None))
 
 
