@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.cli import main
+from polyida.cli.main import main
 from polyida.problems import plates
 from polyida.show.animation import gif
 
