@@ -145,7 +145,8 @@ def flipped(s, drives, dz):
 @entry
 def joint_jacobian(s, drives, dz, slopes):
     """Fill slopes with phi_z."""
-    slopes[:] = s.row_slopes
+    for e in range(slopes.shape[0]):
+        slopes[e] = s.row_slopes[e]
     for p in range(s.product_row.shape[0]):
         k = s.product_row[p]
         c, n, _, _ = turn(s, p, drives)

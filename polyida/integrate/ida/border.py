@@ -7,7 +7,7 @@ With B = Bz A and H = d(B v + phi_t)/dq = Hz A, S and M those of the plates, m t
 """
 
 from polyida.assembly import joints
-from polyida.compiled import part
+from polyida.compiled import leaf, part
 from polyida.linear import corotated
 from polyida.linear.dense import solve_small
 
@@ -35,10 +35,10 @@ def stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
                         h[i, 2 * e + k] += cj * g[i, 2 * f + k] * s.links.point_mass[f] * w.own[f, e]
     times_jacobian(s.links, cr, g, cr.gb)
     times_jacobian(s.links, cr, h, w.hb)
-    fill_stabilised(s, c, cr, w, cj, r, n, m)
+    fill_stabilised(s.links, c, cr, w, cj, r, n, m)
     if not solve_small(w.small, w.unknown, w.last):
         return False
-    apply_border(s, c, cm, cr, w, cj, m)
+    apply_border(s.links, c, cm, cr, w, cj, m)
     return True
 
 
@@ -57,7 +57,7 @@ def times_jacobian(s, cr, matrix, product):
 def fill_stabilised(s, c, cr, w, cj, r, n, m):
     """The border's system: curvature, position and velocity rows, each a combination of components of A dq."""
     count = c.active.shape[0]
-    joints.point_values(s.links, w.dq, w.moved)
+    joints.point_values(s, w.dq, w.moved)
     w.small[:] = 0.0
     w.unknown[:] = 0.0
     for i in range(count):
@@ -66,14 +66,14 @@ def fill_stabilised(s, c, cr, w, cj, r, n, m):
             if cr.curvature[c.active[i], j] != 0.0:
                 add_row(c, cr, w, w.place[i], cr.curvature[c.active[i], j], j, m)
     for k in range(m):
-        for e in range(s.links.row_start[k], s.links.row_start[k + 1]):
-            j = s.links.row_columns[e]
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            j = s.row_columns[e]
             add_row(c, cr, w, w.place[count + k], cr.slopes[e], j, m)
             add_row(c, cr, w, w.place[count + m + k], w.rate_slopes[e] + cj * cr.slopes[e], j, m)
     close_stabilised(s, c, cr, w, r, n, m, count)
 
 
-@part
+@leaf
 def add_row(c, cr, w, at, value, j, m):
     """Add value times component j of `A dq = A y - g (w + Bz^T dlam) - h Bz^T dmu` to equation `at`."""
     count = c.active.shape[0]
@@ -92,17 +92,17 @@ def close_stabilised(s, c, cr, w, r, n, m, count):
     """Right-hand sides r3, r4 + Bz A r1 and the block -Bz A A^T Bz^T of the velocity constraint."""
     for i in range(w.right.shape[0]):
         w.right[i, 0], w.right[i, 1] = r[2 * i], r[2 * i + 1]
-    joints.point_values(s.links, w.right, w.moved)
+    joints.point_values(s, w.right, w.moved)
     for k in range(m):
         at = w.place[count + m + k]
         w.unknown[w.place[count + k]] -= r[2 * n + k]
         w.unknown[at] -= r[2 * n + m + k]
-        for e in range(s.links.row_start[k], s.links.row_start[k + 1]):
-            p, value = s.links.row_columns[e], cr.slopes[e]
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            p, value = s.row_columns[e], cr.slopes[e]
             w.unknown[at] -= value * w.moved[p // 2, p % 2]
             for o in range(m):
-                for i in range(s.links.row_start[o], s.links.row_start[o + 1]):
-                    q = s.links.row_columns[i]
+                for i in range(s.row_start[o], s.row_start[o + 1]):
+                    q = s.row_columns[i]
                     if q % 2 == p % 2:
                         w.small[at, w.place[count + m + o]] -= value * w.own[p // 2, q // 2] * cr.slopes[i]
 
@@ -116,16 +116,16 @@ def apply_border(s, c, cm, cr, w, cj, m):
     for i in range(count):
         cr.pull[c.active[i]] = w.unknown[w.place[i]]
     for k in range(m):
-        for e in range(s.links.row_start[k], s.links.row_start[k + 1]):
-            p = s.links.row_columns[e]
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            p = s.row_columns[e]
             cr.pull[p] += cr.slopes[e] * w.unknown[w.place[count + k]]
             w.swing[p // 2, p % 2] += cr.slopes[e] * w.unknown[w.place[count + m + k]]
     for f in range(w.own.shape[0]):
-        if s.links.point_mass[f] != 0.0:
+        if s.point_mass[f] != 0.0:
             for e in range(w.own.shape[0]):
-                cr.pull[2 * f] += cj * s.links.point_mass[f] * w.own[f, e] * w.swing[e, 0]
-                cr.pull[2 * f + 1] += cj * s.links.point_mass[f] * w.own[f, e] * w.swing[e, 1]
-    corotated.pull_points(s.links, c, cr, w.dq)
+                cr.pull[2 * f] += cj * s.point_mass[f] * w.own[f, e] * w.swing[e, 0]
+                cr.pull[2 * f + 1] += cj * s.point_mass[f] * w.own[f, e] * w.swing[e, 1]
+    corotated.pull_points(s, c, cr, w.dq)
     for p in range(cr.pull.shape[0]):
         cr.pull[p] = cj * w.swing[p // 2, p % 2]
-    corotated.pull_points(s.links, cm, cr, w.dq)
+    corotated.pull_points(s, cm, cr, w.dq)
