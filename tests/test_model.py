@@ -90,14 +90,20 @@ def test_check_finds_a_wrong_override(name):
     assert pi.check_derivatives(wrong(), 0.3)[name] > 0.05
 
 
-@pytest.mark.parametrize("missing", ["mass_varies", "velocity_forces", "driven", "phi_q_varies"])
+def denied(missing):
+    """Exact, which says that it does not need what it does."""
+    given = {"needs": pi.Needs(**{missing: False}), "phi_t": pi.Model.phi_t, "phi_bias": pi.Model.phi_bias}
+    return type("Denied", (Exact,), given)()
+
+
+@pytest.mark.parametrize("missing", ["velocity_forces", "driven", "phi_q_varies"])
 def test_check_finds_a_need_that_is_denied(missing):
-    model = type(
-        "Denied",
-        (Exact,),
-        {"needs": pi.Needs(**{missing: False}), "phi_t": pi.Model.phi_t, "phi_bias": pi.Model.phi_bias},
-    )
-    assert max(pi.check_derivatives(model(), 0.3).values()) > 0.05
+    assert max(pi.check_derivatives(denied(missing), 0.3).values()) > 0.05
+
+
+def test_check_names_a_mass_that_varies_against_its_needs():
+    with pytest.raises(pi.InputError, match="Denied.mass changes with q.*mass_varies=True"):
+        pi.check_derivatives(denied("mass_varies"), 0.3)
 
 
 def test_names_are_imported_when_they_are_used():

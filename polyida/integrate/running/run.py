@@ -86,7 +86,7 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        return "done", unseen(self.model, self._constant_step())
+        return "done", unseen(model, self._constant_step())
 
     def _constant_step(self):
         """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
