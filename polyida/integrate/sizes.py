@@ -2,6 +2,7 @@
 
 import numpy as np
 
+AT = (np.arange(32) + 0.5) / 32  # of the run's time: where motors are looked at
 MOVES = 1e-6  # of its length: a model whose first state takes it less far in the whole run stands still
 NOTHING = 1e-12  # m: a |q| of less is what is left of a start at zero that was moved onto its constraints
 
@@ -11,14 +12,20 @@ def typical_sizes(model, state, span):
 
     length: a scene's extent, m; of a model of one's own |q|, or, where q is zero, the way to where its stiffness turns it round.
     speed: the largest of |v|, `sqrt(|a| length)` and, in a scene, `sqrt(g length)`; length/span where there is no weight and
-    nothing of these moves it at first. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
+    nothing of these moves it at first; where motors turn, the length times their largest rate too. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
     """
     q, v, a = _rms(state.q), _rms(state.v), _rms(state.a)
     reference = getattr(model, "reference", None)
     length = float(np.ptp(reference, axis=0).max()) if reference is not None else q if q > NOTHING else _way(model, state, span, v, a)
     weight = float(np.hypot(*model.gravity)) if reference is not None else 0.0
-    speed = max(v, np.sqrt(max(a, weight) * length))
+    speed = max(v, np.sqrt(max(a, weight) * length), length * _fastest_turn(model, state.t, span))
     return np.array([length, speed if weight or speed > MOVES * length / span else length / span])
+
+
+def _fastest_turn(model, t, span):
+    """The largest angular speed of a scene's motors in the run, at 32 times of it, rad/s."""
+    motors = getattr(model, "motor_profiles", ())
+    return max(float(np.abs(model.drives(at)[motors, 1]).max(initial=0.0)) for at in t + span * AT) if len(motors) else 0.0
 
 
 def _way(model, state, span, v, a):

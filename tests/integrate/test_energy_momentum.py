@@ -105,7 +105,7 @@ def test_a_run_in_two_parts_is_the_same(scenes, tmp_path):
     whole = pi.solve(model, 0.1, integrator)
     pi.solve(model, 0.05, integrator, out=tmp_path / "run.h5")
     rest = pi.resume(tmp_path / "run.h5", 0.1)
-    assert rest.counts.steps == whole.counts.steps and rest.state.memory.keys() == {"a_middle", "lam_middle"}
+    assert rest.counts.steps == whole.counts.steps and rest.state.memory.keys() == {"a_middle", "lam_middle", "h_middle"}
     for name, bound in (("q", 1e-13), ("v", 1e-10), ("lam", 1e-9)):
         assert np.abs(getattr(rest, name)[-1] - getattr(whole, name)[-1]).max() < bound * max(1.0, np.abs(getattr(whole, name)).max())
 

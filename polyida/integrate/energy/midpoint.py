@@ -26,6 +26,7 @@ from polyida.integrate.state import StepFailure
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 
+FAR_SHORTER = 10.0  # a step as many times shorter than the next tells nothing of its accelerations
 SLOW = 0.3  # contraction above which the matrix is made anew
 DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR = range(6)
 REASONS = {
@@ -173,8 +174,8 @@ class Midpoint:
         if ended != DONE:
             return self._halved(state, t, ended, moved)
         at, q, v = min(t, self.until), w.u1.ravel().copy(), (2.0 * (w.u1 - w.u0) / self.h - w.v0).ravel()
-        memory = {"a_middle": (v - state.v) / self.h, "lam_middle": w.lam.copy()}
-        if self.model.needs.driven or self.model.needs.phi_q_varies:  # else it is there: phi is linear, and its mean rate over the step is zero
+        memory = {"a_middle": (v - state.v) / self.h, "lam_middle": w.lam.copy(), "h_middle": self.h}
+        if self.model.needs.driven or self.model.needs.phi_q_varies:  # else it is there: phi is linear, its mean rate over the step zero
             v = on_velocity(self.model, at, q, v)
         return AtEnd(self.model, float(t), q, v, memory, at)
 
@@ -193,8 +194,7 @@ class Midpoint:
         w, h, model = self.room, self.h, self.model
         for target, values in ((w.u0, state.q), (w.v0, state.v)):
             target[:] = values.reshape(-1, 2)
-        known = "a_middle" in state.memory
-        a, lam = (state.memory["a_middle"], state.memory["lam_middle"]) if known else (state.a, state.lam)
+        a, lam = self._guess(state)
         w.u1[:] = w.u0 + h * w.v0 + 0.5 * h * h * a.reshape(-1, 2)
         w.lam[:] = lam
         w.half_lam[:] = 0.5 * lam
@@ -208,6 +208,15 @@ class Midpoint:
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])
         return ended
+
+    def _guess(self, state):
+        """Acceleration and multipliers to begin with: those of the last step; behind a far shorter one, which may have been a blow, none."""
+        memory = state.memory
+        if "a_middle" not in memory:
+            return state.a, state.lam
+        if self.h > FAR_SHORTER * memory["h_middle"]:
+            return np.zeros_like(state.q), np.zeros(self.model.m)
+        return memory["a_middle"], memory["lam_middle"]
 
     def _damping(self):
         blocks, still = np.empty((len(self.model.pattern[1]), 2, 2)), np.zeros_like(self.room.um)
