@@ -16,6 +16,8 @@ FLOAT = np.dtype(float)
 SYMMETRIC = 1e-8  # largest entry of M - M^T over that of M, above which M is not symmetric
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_bias")
+PASSED = ("parts", "rows", "joints", "named_profiles", "motor_profiles", "attachment", "position", "constraint_name")
+OWN = ("potentials", "mass_system")  # those that rest on checked functions unless the model writes its own
 
 
 def guard(model, part="solve"):
@@ -24,12 +26,12 @@ def guard(model, part="solve"):
     Raises InputError, in the name of `part`, for what is no model or has no sizes.
     """
     require_model(part, model)
-    return model if isinstance(model, Guarded) or hasattr(model, "arrays") else Guarded(model)
+    return model if isinstance(model, Guarded) or model.compiled else Guarded(model)
 
 
 def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
-    if hasattr(model, "arrays"):
+    if not isinstance(model, Guarded):
         return
     try:
         model.call_all(t, q, v)
@@ -42,7 +44,7 @@ def require_functions(model, t, q, v):
 def blame(model, t, state):
     """Which of a user's functions gave what is not finite, when last called or within the reach of differences around t."""
     if not isinstance(model, Guarded) or model.not_finite:
-        return getattr(model, "not_finite", "")
+        return model.not_finite
     for at in t + REACH:
         with suppress(Exception):
             model.call_all(at, state.q, state.v)
@@ -69,7 +71,7 @@ class Guarded(Model):
 
     def __init__(self, model):
         self.user, self.name = model, type(model).__name__
-        n, m = getattr(model, "n", None), getattr(model, "m", None)
+        n, m = getattr(self.user, "n", None), getattr(self.user, "m", None)
         if not (is_whole(n) and is_whole(m, 0)):
             raise InputError(f"{self.name}: n = {n!r} and m = {m!r} must be whole numbers, n >= 1 and m >= 0")
         if not isinstance(model.needs, Needs):
@@ -77,20 +79,23 @@ class Guarded(Model):
         self.n, self.m, self.needs, self.flexible, self._last, self._calls = int(n), int(m), model.needs, model.flexible, {}, 0
         for name, (arrays, shape) in _functions(self.n, self.m).items():
             if _written(model, name) and (self.m or name not in OF_CONSTRAINTS):
-                setattr(self, name, self._checked(name, getattr(model, name), arrays, shape))
+                setattr(self, name, self._checked(name, arrays, shape))
         if _written(model, "kinks"):
             self.kinks = self._kinks
-        self.objection = self._objection if hasattr(model, "objection") else _none
+        if _written(model, "objection"):
+            self.objection = self._objection
+        for name in PASSED + tuple(name for name in OWN if _written(model, name)):
+            setattr(self, name, getattr(self.user, name))
 
     def __getattr__(self, name):
-        """What integrators ask of some models only."""
+        """What an integrator of a user's own asks of a model of theirs."""
         if name == "user":
             raise AttributeError(name)
         return getattr(self.user, name)
 
-    def _checked(self, name, function, arrays, shape):
+    def _checked(self, name, arrays, shape):
         """The function with its arguments read-only; its result is a copy, for it may fill one array again and again."""
-        last, symmetric = self._last, name == "mass"
+        function, last, symmetric = getattr(self.user, name), self._last, name == "mass"
 
         def call(*given):
             seen = list(given)
@@ -156,10 +161,6 @@ class Guarded(Model):
             raise InputError(f"{self.name}.potential must return a finite number or None, not {value!r}")
         return value
 
-    def constraint_name(self, row):
-        """As the model says."""
-        return self.user.constraint_name(row)
-
     @property
     def not_finite(self):
         """Which of the model's functions last gave what is not finite for arguments that are, in words; empty where none."""
@@ -168,13 +169,9 @@ class Guarded(Model):
         return f"{' and '.join(bad)} gave numbers that are not finite" if bad else ""
 
 
-def _none(t, q):
-    """No objection."""
-
-
 def _entries(found):
     return found if isinstance(found, np.ndarray) else found.tocsr().data
 
 
 def _written(model, name):
-    return getattr(type(model), name) is not getattr(Model, name) or name in getattr(model, "__dict__", ())
+    return getattr(type(model), name) is not getattr(Model, name) or name in vars(model)

@@ -4,6 +4,7 @@ import time
 
 from polyida.errors import InputError
 from polyida.given import is_number
+from polyida.guarded_model import guard
 from polyida.integrate.running.run import Run
 from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
@@ -77,7 +78,8 @@ def _parts(stored, model, integrator):
         model = model_of(stored, {}) if model is None else model
     except UnknownPart as unknown:
         raise InputError(f"the file's scene cannot be built: {unknown}") from None
-    if (getattr(model, "n", None), getattr(model, "m", None)) != (stored.n, stored.m):
+    known = guard(model, "resume")
+    if (known.n, known.m) != (stored.n, stored.m):
         raise InputError(f"the run has {stored.n} coordinates and {stored.m} constraints; the model is another")
     return model, integrator_of(stored) if integrator is None else integrator
 

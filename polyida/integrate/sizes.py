@@ -13,10 +13,8 @@ def typical_sizes(model, state, span):
     it at first. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
     """
     v, a = _rms(state.v), _rms(state.a)
-    reference = getattr(model, "reference", None)
-    length = float(np.ptp(reference, axis=0).max()) if reference is not None else _rms(state.q) or _way(model, state, span, v, a)
-    weight = float(np.hypot(*model.gravity)) if reference is not None else 0.0
-    speed = max(v, np.sqrt(max(a, weight) * length))
+    length = model.extent or _rms(state.q) or _way(model, state, span, v, a)
+    speed = max(v, np.sqrt(max(a, model.free_fall) * length))
     return np.array([length, speed if speed * span > MOVES * length else length / span])
 
 

@@ -141,7 +141,7 @@ class System:
 
     def objection(self, t, q):
         """Why the model cannot stand at an accepted (t, q), or None."""
-        return getattr(self.model, "objection", lambda t, q: None)(self.clamp(t), q)
+        return self.model.objection(self.clamp(t), q)
 
     def opened(self, state, allowed):
         """What has drifted from phi = 0 by more than `allowed`, in q, at a State, or None; of a form that holds phi nothing has."""
