@@ -18,6 +18,8 @@ FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias")
+PASSED = ("rows", "joints", "attachment", "position", "constraint_name")
+OWN = ("potentials", "mass_system")  # those that rest on checked functions unless the model writes its own
 
 
 def guard(model, part="solve"):
@@ -26,12 +28,12 @@ def guard(model, part="solve"):
     Raises InputError, in the name of `part`, for what is no model or has no sizes.
     """
     require_model(part, model)
-    return model if isinstance(model, Guarded) or hasattr(model, "arrays") else Guarded(model)
+    return model if isinstance(model, Guarded) or model.compiled else Guarded(model)
 
 
 def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
-    if hasattr(model, "arrays"):
+    if not isinstance(model, Guarded):
         return
     try:
         model.call_all(t, q, v)
@@ -44,7 +46,7 @@ def require_functions(model, t, q, v):
 def blame(model, t, state):
     """Which of a user's functions gave what is not finite, when last called or within the reach of differences around t."""
     if not isinstance(model, Guarded) or model.not_finite:
-        return getattr(model, "not_finite", "")
+        return model.not_finite
     for at in t + REACH:
         with suppress(Exception):
             model.call_all(at, state.q, state.v)
@@ -102,7 +104,7 @@ class Guarded(Model):
 
     def __init__(self, model):
         self.user, self.name = model, type(model).__name__
-        n, m = getattr(model, "n", None), getattr(model, "m", None)
+        n, m = getattr(self.user, "n", None), getattr(self.user, "m", None)
         if not (is_whole(n) and is_whole(m, 0)):
             raise InputError(f"{self.name}: n = {n!r} and m = {m!r} must be whole numbers, n >= 1 and m >= 0")
         if not isinstance(model.needs, Needs):
@@ -118,6 +120,14 @@ class Guarded(Model):
             self.kinks = self._kinks
         if _written(model, "objection"):
             self.objection = self._objection
+        for name in PASSED + tuple(name for name in OWN if _written(model, name)):
+            setattr(self, name, getattr(self.user, name))
+
+    def __getattr__(self, name):
+        """What an integrator of a user's own asks of a model of theirs, by names that no Model has."""
+        if name == "user":
+            raise AttributeError(name)
+        return getattr(self.user, name)
 
     def _checked(self, name, function, shape):
         """The function with its arguments read-only; a result that anybody else holds is copied: it may be filled again and again."""
@@ -195,10 +205,6 @@ class Guarded(Model):
             raise InputError(f"{self.name}.potential must return a finite number or None, not {value!r}")
         return value
 
-    def constraint_name(self, row):
-        """As the model says."""
-        return self.user.constraint_name(row)
-
     @property
     def not_finite(self):
         """Which of the model's functions last gave what is not finite for arguments that are, in words; empty where none."""
@@ -212,4 +218,4 @@ def _entries(found):
 
 
 def _written(model, name):
-    return getattr(type(model), name) is not getattr(Model, name) or name in getattr(model, "__dict__", ())
+    return getattr(type(model), name) is not getattr(Model, name) or name in vars(model)

@@ -1,11 +1,15 @@
 """The seam: a model gives one residual r and one constraint vector phi, and every integrator solves those two."""
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from polyida import differences
 from polyida.errors import InputError
+from polyida.linear.kkt import KKT, SingularSystem
+
+NONE = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -27,12 +31,24 @@ class Model:
     A model of one's own sets `n` and `m` and writes `mass`, `force`, `phi` and `phi_q`; all other derivatives have right
     defaults by fourth-order differences. Override them where the exact form is known, and check the override with
     `check_derivatives`. Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
+
+    The attributes below it are what else is asked of every model; these are the values of one that has nothing of the kind.
     """
 
     n: int
     m: int
     needs: Needs = Needs()
     flexible = False  # True where bodies deform: BDF of order 3 to 5 is unstable, or slow, on mesh modes with little damping
+    compiled = False  # True of a scene: tested kernels over its `arrays`, for which integrators have compiled loops
+    extent = None  # size in space, m, that does not depend on the state
+    free_fall = 0.0  # acceleration of gravity, m/s^2, of a model that has an extent
+    reference = None  # places of its nodes at q = 0, (nodes, 2), m
+    bodies = ()  # its plates
+    parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
+    named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
+    motor_profiles = ()  # which of them turn rows of phi
+    looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
+    not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
     def mass(self, q):
         """Mass matrix M, (n, n), symmetric."""
@@ -91,13 +107,26 @@ class Model:
         """Potential energy of all conservative forces at q, J, or None where the model does not say."""
         return None
 
+    def potentials(self, q):
+        """(potential of loads, strain energy), J; nan where the model does not say."""
+        value = self.potential(q)
+        return np.nan if value is None else value, 0.0
+
+    def objection(self, t, q):
+        """Why a state cannot be accepted, or None."""
+        return None
+
+    def attachment(self, name):
+        """What a part of this name holds on to; raises InputError where there is none."""
+        raise InputError(f"{type(self).__name__} has no named points, so none called {name!r}; read q")
+
+    def position(self, name, q):
+        """Path of a named point over frames q (frames, n): (frames, 2), m; raises InputError where there is none."""
+        raise InputError(f"position({name!r}): {type(self).__name__} has no named points; read q")
+
     def constraint_name(self, row):
         """What row `row` of phi is called in a message."""
         return f"phi[{row}]"
-
-    def objection(self, t, q):
-        """Why the model cannot stand at an accepted (t, q), in words, or None."""
-        return None
 
     def kinks(self, t0, t1):
         """Times in (t0, t1) at which a load or motor profile is not smooth, sorted."""
@@ -118,6 +147,16 @@ class Model:
         if self.needs.phi_q_varies and self.m:
             result = result + c_q * self.reaction_q(t, q, lam)
         return result
+
+    def mass_system(self, t, q):
+        """The factored `[[M, B^T], [B, 0]]` at (t, q), B = phi_q; its `solve(r, phi)` gives (dq, dlam) as linear/kkt.py's.
+
+        Raises InputError where it is singular.
+        """
+        try:
+            return KKT(self.mass(q), self.phi_q(t, q))
+        except SingularSystem:
+            raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None
 
 
 def require_model(part, model):

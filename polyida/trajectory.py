@@ -103,11 +103,8 @@ class Trajectory:
         """Kinetic, potential (gravity) and strain energy of every frame."""
         model = self._known_model("energy")
         kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(self.q, self.v)])
-        if hasattr(model, "strain_energy"):
-            strain = np.array([model.strain_energy(q) for q in self.q])
-            return Energy(kinetic, np.array([model.gravity_potential(q) for q in self.q]), strain)
-        potential = [np.nan if value is None else value for value in map(model.potential, self.q)]
-        return Energy(kinetic, np.array(potential, float), np.zeros(len(self)))
+        potential, strain = np.array([model.potentials(q) for q in self.q], float).reshape(-1, 2).T
+        return Energy(kinetic, potential, strain)
 
     def _known_model(self, what):
         if self.model is None:
@@ -119,31 +116,17 @@ class Trajectory:
 
         Raises InputError for what is not in the scene.
         """
-        nodes, weights = self._nodes_of(name)
-        rest = self.model.reference[nodes]
-        place = rest[0] + weights @ (rest - rest[0])
-        moves = (q.reshape(len(q), -1, 2)[:, nodes] for q in blocks(self.q))
-        return np.concatenate([place + np.einsum("k,fkx->fx", weights, u) for u in moves])
-
-    def _nodes_of(self, name):
-        if not hasattr(self.model, "attachment"):
-            raise InputError(f"position({name!r}): {type(self.model).__name__} has no named points; read q")
-        side = name
-        if not hasattr(side, "weights"):
-            name = next((known for known, part in self.model.parts.items() if part is name), name)
-            if not isinstance(name, str):
-                raise InputError(f"position({name!r}): give the name of a mass, load or joint, the part itself, or an attachment")
-            side = self.model.attachment(name)
-        return self.model.nodes_of(side), side.weights
+        model = self._known_model("position")
+        return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name):
         """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""
-        rows = getattr(self.model, "rows", {})
-        if not is_one_of(name, rows):
-            raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, rows))}")
-        lam, first, found = self.lam[:, rows[name]], 0, []
+        model = self._known_model("reaction")
+        if not is_one_of(name, model.rows):
+            raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
+        lam, first, found = self.lam[:, model.rows[name]], 0, []
         for q in blocks(self.q):
-            found.append(self.model.reactions(name, q, lam[first : first + len(q)]))
+            found.append(model.reactions(name, q, lam[first : first + len(q)]))
             first += len(q)
         return np.concatenate(found)
 

@@ -242,3 +242,50 @@ def test_names_that_scenes_have_are_the_users_own(integrator):
     model = Pendulum()
     model.parts, model.reference, model.motor_profiles, model.gravity = ["rod"], 7.0, "none", 9.81
     assert np.array_equal(pi.solve(model, 0.1, integrator, **START).q, pi.solve(Pendulum(), 0.1, integrator, **START).q)
+
+
+class Overdressed(Pendulum):
+    """With attributes of its own that are called as a scene's are."""
+
+    def __init__(self):
+        self.arrays, self.reference, self.gravity, self.labels, self.extent = "mine", "mine too", 9.81, None, "large"
+
+
+@every
+def test_attributes_that_happen_to_be_called_as_a_scenes_make_no_scene(integrator):
+    run, plain = (pi.solve(model, 0.1, integrator, **START) for model in (Overdressed(), Pendulum()))
+    assert run.success and np.array_equal(run.q, plain.q) and np.array_equal(run.lam, plain.lam)
+    assert np.array_equal(run.energy.kinetic, plain.energy.kinetic)
+
+
+def test_what_only_scenes_have_is_said_to_be_missing():
+    run = pi.solve(Pendulum(), 0.02, INTEGRATORS[0], **START)
+    for ask in (lambda: run.position("tip"), lambda: run.model.attachment("tip")):
+        with pytest.raises(pi.InputError, match="Pendulum has no named points"):
+            ask()
+    with pytest.raises(pi.InputError, match="no joint is called 'tip'"):
+        run.reaction("tip")
+    with pytest.raises(pi.InputError, match="EnergyMomentum: Pendulum is no scene"):
+        pi.solve(Overdressed.__base__(), 0.1, pi.EnergyMomentum(h=1e-2), **START)
+
+
+def test_a_model_may_have_what_scenes_have():
+    class Named(Pendulum):
+        rows = {"rod": slice(0, 1)}
+
+        def position(self, name, q):
+            return q
+
+        def reactions(self, name, q, lam):
+            return lam * q
+
+        def potentials(self, q):
+            return 9.81 * q[1], 1.5 * q[0] ** 2
+
+        def objection(self, t, q):
+            return "too far" if q[0] < 0.99 else None
+
+    run = pi.solve(Named(), 1.0, pi.GeneralizedAlpha(h=1e-2, max_halvings=0), **START)
+    assert run.status == "objection" and "too far" in run.message and run.q[:, 0].min() >= 0.99
+    assert np.array_equal(run.position("any"), run.q) and np.array_equal(run.reaction("rod"), run.lam * run.q)
+    assert np.array_equal(run.energy.strain, 1.5 * run.q[:, 0] ** 2) and np.ptp(run.energy.total) < 1e-3

@@ -10,17 +10,20 @@ from polyida.assembly import joints as rows
 from polyida.assembly.arrays import bilinear
 from polyida.assembly.build import assemble, bodies_of
 from polyida.assembly.damping import add_damping, damped_blocks
+from polyida.assembly.mass_system import MassSystem, at_rest
+from polyida.assembly.named_points import NamedPoints
 from polyida.element import kernels
-from polyida.errors import InputError
-from polyida.model import Model, Needs
+from polyida.model import Needs
 
 
-class SceneModel(Model):
+class SceneModel(NamedPoints):
     """Plates, joints and masses as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
 
     bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read. `rows` names the slice
     of phi and lam that belongs to each joint. Matrices are scipy.sparse.
     """
+
+    compiled, looks_apart = True, 1024  # its joints hold on to points of their own, only motors turn rows
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
@@ -37,6 +40,12 @@ class SceneModel(Model):
         self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool((links.product_drive >= 0).any()),
                            phi_q_varies=bool(bilinear(links).any()))
         self.reference = np.concatenate([body.points for body in self.bodies])
+        self.extent = float(np.ptp(self.reference, axis=0).max())
+
+    @property
+    def free_fall(self):
+        """|g|, m/s^2."""
+        return float(np.hypot(*self.gravity))
 
     def drives(self, t):
         """Value, first and second derivative of every profile at time t, (profiles, 3)."""
@@ -189,6 +198,10 @@ class SceneModel(Model):
         result = self._plates_q(q, v, c_v, c_q) + c_m * self._mass
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
 
+    def mass_system(self, t, q):
+        """The system of M and phi_q through the points of the joints; without motors made once."""
+        return MassSystem(self, t, q) if self.needs.driven or self.needs.phi_q_varies else self.once(at_rest)
+
     def objection(self, t, q):
         """Why a state cannot be accepted, or None: an element turned inside out, or a motor on the wrong half-turn."""
         _, _, _, det, cosine = self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))
@@ -205,6 +218,10 @@ class SceneModel(Model):
     def potential(self, q):
         """Strain energy and potential of gravity, J, relative to the reference configuration."""
         return self.strain_energy(q) + self.gravity_potential(q)
+
+    def potentials(self, q):
+        """(potential of gravity, strain energy), J."""
+        return self.gravity_potential(q), self.strain_energy(q)
 
     def strain_energy(self, q):
         """Elastic energy of all plates, J."""
@@ -272,45 +289,11 @@ class SceneModel(Model):
         ratio = [body.plate.material.across for body in self.bodies]
         return np.repeat(ratio, [body.mesh.n_cells for body in self.bodies]) * (stress[:, 0] + stress[:, 1])
 
-    def reactions(self, name, q, lam):
-        """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""
-        return self.joints[name].reaction(lam, lambda vector: self._values(vector, q))
-
-    def _values(self, vector, q):
-        """A vector of a joint's formula, its profiles at zero, over frames q (frames, n): (frames, 2)."""
-        values = np.full(len(q), complex(vector.rest))
-        for side, part, w in (term for piece in vector.pieces for term in piece.terms):
-            weights = side.weights if part == "point" else side.turn_weights
-            u = q.reshape(len(q), -1, 2)[:, self.nodes_of(side)] @ np.array([1.0, 1j])
-            values += w * (u @ weights)
-        return np.stack([values.real, values.imag], axis=1)
-
     def once(self, make):
         """make(self), kept: what other layers derive from the model once."""
         if make not in self._kept:
             self._kept[make] = make(self)
         return self._kept[make]
-
-    def attachment(self, name):
-        """What a mass, load or joint holds on to (a joint: its side b, or a where b is ground); InputError for another name."""
-        part = self.parts.get(name)
-        side = getattr(part, "at", None) if name not in self.joints else part.a if part.b.body is None else part.b
-        if side is None:
-            known = ", ".join(repr(other) for other, part in self.parts.items() if hasattr(part, "at") or other in self.joints)
-            raise InputError(f"no mass, load or joint is called {name!r}; known: {known}")
-        return side
-
-    def nodes_of(self, side):
-        """Numbers in the scene of an attachment's nodes; InputError where its body is another scene's."""
-        body = next((body for body in self.bodies if body.plate is side.body), None)
-        if body is None:
-            raise InputError(f"{side!r}: its body is not in the scene")
-        return side.nodes + body.nodes.start
-
-    def displacement(self, name, q):
-        """Displacement of the point that a mass, load or joint holds on to, (2,), m; of q = v its velocity."""
-        side = self.attachment(name)
-        return side.weights @ self._nodal(q)[self.nodes_of(side)]
 
     def _nodal(self, q):
         """q as (nodes, 2) for the kernels, which do not check bounds."""

@@ -72,10 +72,9 @@ def beside(t, side):
 
 
 def _bent(model, state, begin, end):
-    motors = getattr(model, "motor_profiles", ())
     if _curved(lambda t: model.force(t, state.q, state.v), begin, end):
         return True
-    return bool(len(motors)) and _curved(lambda t: model.drives(t)[motors, 0], begin, end, TURN)
+    return bool(len(model.motor_profiles)) and _curved(lambda t: model.drives(t)[model.motor_profiles, 0], begin, end, TURN)
 
 
 def _curved(function, begin, end, least=0.0):

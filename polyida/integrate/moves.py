@@ -95,8 +95,8 @@ def unseen(model, h):
 
 def _profiles(model):
     """(name, profile, whether it turns a row of phi) of all joints and loads of a scene, each profile once."""
-    turning = set(getattr(model, "motor_profiles", ()))
-    return [(name, profile, k in turning) for k, (name, profile) in enumerate(getattr(model, "named_profiles", ()))]
+    turning = set(model.motor_profiles)
+    return [(name, profile, k in turning) for k, (name, profile) in enumerate(model.named_profiles)]
 
 
 def _looks(model, h):

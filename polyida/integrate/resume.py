@@ -79,7 +79,8 @@ def _parts(stored, model, integrator):
         model = model_of(stored, {}) if model is None else model
     except UnknownPart as unknown:
         raise InputError(f"the file's scene cannot be built: {unknown}") from None
-    if (getattr(model, "n", None), getattr(model, "m", None)) != (stored.n, stored.m):
+    known = guard(model, "resume")
+    if (known.n, known.m) != (stored.n, stored.m):
         raise InputError(f"the run has {stored.n} coordinates and {stored.m} constraints; the model is another")
     return model, integrator_of(stored) if integrator is None else integrator
 

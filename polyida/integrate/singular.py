@@ -12,7 +12,6 @@ from polyida.linear.independence import between, coordinate_sizes, cosine, invol
 ZERO = 1e-6  # a smallest singular value that counts as none
 NEAR = 1e-3  # one that is told beside a failure
 REVERSED = 0.5  # cosine of the turn of the rows' space below which the way between two states led through zero
-SCENE = 1024  # states of a scene from one look to the next: its joints hold on to points of their own, only motors turn rows
 
 
 class SingularPosition(StepFailure):
@@ -28,7 +27,7 @@ class Watch:
     def __init__(self, model, state):
         varies = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.model, self.steps, self.state, self.h, self.pace = model, 0, state, 0.0, 0.0
-        self.every = 0 if not varies else SCENE if hasattr(model, "arrays") else 1
+        self.every = model.looks_apart if varies else 0
         self.sizes = coordinate_sizes(model, state.q) if varies else None
         if varies:
             self.t = self.due = state.t

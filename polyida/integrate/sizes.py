@@ -15,16 +15,14 @@ def typical_sizes(model, state, span):
     nothing of these moves it at first; where motors turn, the length times their largest rate too. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
     """
     q, v, a = _rms(state.q), _rms(state.v), _rms(state.a)
-    reference = getattr(model, "reference", None)
-    length = float(np.ptp(reference, axis=0).max()) if reference is not None else q if q > NOTHING else _way(model, state, span, v, a)
-    weight = float(np.hypot(*model.gravity)) if reference is not None else 0.0
-    speed = max(v, np.sqrt(max(a, weight) * length), length * _fastest_turn(model, state.t, span))
-    return np.array([length, speed if weight or speed > MOVES * length / span else length / span])
+    length = model.extent or (q if q > NOTHING else _way(model, state, span, v, a))
+    speed = max(v, np.sqrt(max(a, model.free_fall) * length), length * _fastest_turn(model, state.t, span))
+    return np.array([length, speed if model.free_fall or speed > MOVES * length / span else length / span])
 
 
 def _fastest_turn(model, t, span):
     """The largest angular speed of a scene's motors in the run, at 32 times of it, rad/s."""
-    motors = getattr(model, "motor_profiles", ())
+    motors = model.motor_profiles
     return max(float(np.abs(model.drives(at)[motors, 1]).max(initial=0.0)) for at in t + span * AT) if len(motors) else 0.0
 
 

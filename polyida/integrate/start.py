@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from polyida.assembly.mass_system import MassSystem, at_rest
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.guarded_model import guard, require_functions
 from polyida.integrate.state import State
-from polyida.linear.kkt import KKT, SingularSystem, require_independent
+from polyida.linear.kkt import require_independent
 
 EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
@@ -30,8 +29,7 @@ def consistent_state(model, t0=0.0, q0=None, v0=None):
         require_independent(model, model.phi_q(t0, q), q)
         _require_near(model, "q0", True, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
         q = _project_position(model, t0, q)
-    objection = model.objection(t0, q)
-    if objection:
+    if objection := model.objection(t0, q):
         raise InputError(f"the start cannot be accepted: {objection}")
     if model.m:
         rate = model.phi_rate(t0, q, v)
@@ -53,13 +51,13 @@ def restarted(model, state):
 def consistent_acceleration(model, t, q, v):
     """(a, lam) from the equations of motion and the second derivative of phi."""
     bias = model.phi_bias(t, q, v) if model.m else np.zeros(0)
-    return mass_system(model, t, q).solve(model.force(t, q, v), bias)
+    return model.mass_system(t, q).solve(model.force(t, q, v), bias)
 
 
 def on_velocity(model, t, q, v):
     """v moved in the metric of M onto the constraint `phi_q v + phi_t = 0` of time t."""
     rate = model.phi_rate(t, q, v) if model.m else np.zeros(0)
-    return v + mass_system(model, t, q).solve(np.zeros(model.n), rate)[0] if rate.any() else v
+    return v + model.mass_system(t, q).solve(np.zeros(model.n), rate)[0] if rate.any() else v
 
 
 def far_side(model, state, t):
@@ -124,10 +122,10 @@ def _require_near(model, name, required, violation, size):
 
 def _project_position(model, t, q):
     """Newton on phi = 0 along M^-1 B^T; ends where it moves q by round-off of the scene's size, or no longer by half as much."""
-    before, size = np.inf, _largest(getattr(model, "reference", q)) or 1.0
+    before, size = np.inf, _largest(q if model.reference is None else model.reference) or 1.0
     for _ in range(50):
         phi = model.phi(t, q)
-        move = mass_system(model, t, q).solve(np.zeros(model.n), phi)[0] if phi.any() else phi
+        move = model.mass_system(t, q).solve(np.zeros(model.n), phi)[0] if phi.any() else phi
         moved = _largest(move)
         if moved <= EPS * size or 0.5 * before <= moved < STALLED * size:
             return q
@@ -135,13 +133,3 @@ def _project_position(model, t, q):
     worst = int(np.argmax(np.abs(phi)))
     raise InputError(f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "
                      "no configuration near q0 satisfies all of them")
-
-
-def mass_system(model, t, q):
-    """The factored `[[M, B^T], [B, 0]]` at (t, q); a constant M is factored once a model."""
-    if hasattr(model, "arrays"):
-        return MassSystem(model, t, q) if model.needs.driven or model.needs.phi_q_varies else model.once(at_rest)
-    try:
-        return KKT(model.mass(q), model.phi_q(t, q))
-    except SingularSystem:
-        raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None

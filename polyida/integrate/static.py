@@ -67,8 +67,7 @@ def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
         lam = np.linalg.solve(dense(B @ B.T), B @ open_load)  # not zero: it may be all that gives stiffness
     for part in range(1, steps + 1):
         q, lam = _newton(model, t, q, lam, (1 - part / steps) * load, tolerance, max_iterations)
-    objection = model.objection(t, q)
-    if objection:
+    if objection := model.objection(t, q):
         raise StepFailure("objection", objection, t)
     found = Equilibrium(float(t), q, rest.copy(), rest.copy(), lam, falling=_falling(model, t, q, lam))
     if found.stable is False:
@@ -96,15 +95,10 @@ def _newton(model, t, q, lam, offset, tolerance, max_iterations):
         except SingularSystem:
             raise StepFailure("singular", FREE, t) from None
         dq, dlam = system.solve(r, phi)
-        if not np.abs(dq).max() <= FAR * (np.abs(q).max() + _extent(model)):
+        if not np.abs(dq).max() <= FAR * (np.abs(q).max() + (model.extent or 1.0)):
             raise StepFailure("singular", FREE, t, iteration=iteration, **{"|dq|": float(np.abs(dq).max())})
         q, lam = q + dq, lam + dlam
         moved = np.abs(dq).max()
         if moved <= tolerance * max(1.0, np.abs(q).max()):
             return q, lam
     raise StepFailure("newton", "static equilibrium not found; use more load steps", t, iterations=max_iterations, moved=float(moved))
-
-
-def _extent(model):
-    reference = getattr(model, "reference", None)
-    return 1.0 if reference is None else float(np.ptp(reference, axis=0).max())

@@ -67,7 +67,7 @@ def describe(model, integrator):
     kind = integrator if isinstance(integrator, str) else registry.name_of(type(integrator))
     settings = asdict(integrator) if is_dataclass(integrator) else {}
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "drives": {}}
-    if not hasattr(model, "parts"):
+    if not model.parts:
         return about, {}, {}
     about["scene"], arrays, named = to_data(model.parts, model.gravity)
     about["drives"], drives = {key: name for key, (name, _) in named.items()}, {key: profile for key, (_, profile) in named.items()}

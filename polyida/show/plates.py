@@ -20,10 +20,9 @@ def require_run(part, run, overwrite):
 
 def bodies(model):
     """The plates of a scene's model; raises InputError for a model that has none (one of a user's own)."""
-    plates = list(getattr(model, "bodies", ()) or ())
-    if not plates:
+    if model is None or not model.bodies:
         raise InputError(f"{type(model).__name__} has no plates to draw: only the model of a scene has")
-    return plates
+    return model.bodies
 
 
 def connectivity(model):

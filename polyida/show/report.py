@@ -56,7 +56,7 @@ def _curves(comparison, runs):
     distances = {label: comparison.distances[label] for label in runs}
     caption = f"Distance of {comparison.quantity} from the refined run."
     found["error"] = lambda: plots.errors(distances, comparison.unit), caption
-    if getattr(model, "rows", None):
+    if model.rows:
         caption = "What each joint does to the body on its far side."
         found["reactions"] = lambda: plots.reactions(runs, list(model.rows)), caption
     found["energy"] = lambda: plots.energy(runs), "Energy, and what is gained or lost beside the work of motors."
@@ -79,7 +79,7 @@ def _draw(comparison, folder, tell):
 
 def _drawable(comparison):
     """The first run whose plates can be drawn, or None."""
-    runs = [run for run in comparison.runs.values() if len(run.t) > 1 and getattr(run.model, "bodies", None)]
+    runs = [run for run in comparison.runs.values() if len(run.t) > 1 and run.model.bodies]
     return runs[0] if runs else None
 
 

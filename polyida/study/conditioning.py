@@ -8,7 +8,7 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.solve import solve
-from polyida.integrate.start import consistent_state, mass_system
+from polyida.integrate.start import consistent_state
 from polyida.linear.condition import condition
 from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
 from polyida.linear.matrix import dense
@@ -77,7 +77,7 @@ def moving(modulus, cells, time=0.3):
 def freed(model, t, q, v):
     """The consistent State nearest to (q, v) at t: generalized-alpha leaves phi' of the size of its error."""
     rate = model.phi_q(t, q) @ v + model.phi_t(t, q)
-    return consistent_state(model, t, q, v + mass_system(model, t, q).solve(np.zeros(model.n), rate)[0])
+    return consistent_state(model, t, q, v + model.mass_system(t, q).solve(np.zeros(model.n), rate)[0])
 
 
 def fastest(model, state):

@@ -11,7 +11,7 @@ def motor_work(run):
     from polyida.joint.angle_motor import AngleMotor
 
     work = np.zeros(len(run.t))
-    for name, joint in getattr(run.model, "joints", {}).items():
+    for name, joint in run.model.joints.items():
         if isinstance(joint, AngleMotor):
             torque = run.reaction(name)[:, 0]
             power = torque * [joint.angle.d1(t) for t in run.t]

@@ -115,8 +115,6 @@ def _job(name, result, file=None):
 
 
 def _require_point(name, model, point):
-    if not hasattr(model, "attachment"):
-        raise InputError(f"{name}: point = {point!r}, but {type(model).__name__} is no scene: it has no named points")
     if not isinstance(point, str):
         raise InputError(f"{name}: point = {point!r} must be the name of a mass, load or joint")
     model.attachment(point)
@@ -126,7 +124,7 @@ def _default_point(model):
     """The mass "tip", else the last mass of a scene, else None."""
     from polyida.body.point_mass import PointMass
 
-    masses = [name for name, part in getattr(model, "parts", {}).items() if isinstance(part, PointMass)]
+    masses = [name for name, part in model.parts.items() if isinstance(part, PointMass)]
     return "tip" if "tip" in masses else masses[-1] if masses else None
 
 

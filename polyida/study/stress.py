@@ -121,8 +121,7 @@ def _by_checks(checks):
 
 def extent(model):
     """Size of a scene, m; 1 for a model without plates."""
-    reference = getattr(model, "reference", None)
-    return 1.0 if reference is None else float(np.ptp(reference, axis=0).max())
+    return model.extent or 1.0
 
 
 def held(run, share=1e-9):

@@ -122,3 +122,10 @@ def test_coordinates_of_the_wrong_size_are_refused(scenes, call, size):
     arguments = {"force": (0.0, q, q), "phi": (0.0, q), "phi_q": (0.0, q), "potential": (q,), "stress": (q,)}
     with pytest.raises(ValueError):
         getattr(model, call)(*arguments[call])
+
+
+def test_the_mass_system_is_that_of_the_whole_matrix(state):
+    model, t, q, v, a, lam = state
+    dq, dlam = model.mass_system(t, q).solve(a, lam)
+    whole = Model.mass_system(model, t, q).solve(a, lam)
+    assert np.abs(dq - whole[0]).max() < 1e-9 * np.abs(dq).max() and np.abs(dlam - whole[1]).max() < 1e-9 * np.abs(dlam).max()

@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida.assembly import joints
 from polyida.integrate.alpha import increment as alpha_increment
-from polyida.integrate.start import consistent_acceleration, mass_system
+from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State
 from polyida.problems import plates
 
@@ -21,7 +21,7 @@ def moving(driven):
     """The driven double plate in the midst of its motion, on its constraints."""
     s = pi.solve(driven, 0.5, pi.GeneralizedAlpha(h=1e-3)).state
     rate = driven.phi_q(s.t, s.q) @ s.v + driven.phi_t(s.t, s.q)
-    v = s.v + mass_system(driven, s.t, s.q).solve(np.zeros(driven.n), rate)[0]
+    v = s.v + driven.mass_system(s.t, s.q).solve(np.zeros(driven.n), rate)[0]
     return State(s.t, s.q, v, *consistent_acceleration(driven, s.t, s.q, v))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.alpha.start import started
-from polyida.integrate.start import consistent_state, mass_system
+from polyida.integrate.start import consistent_state
 
 H = 4e-4  # s; energies are looked at to a hundredth, which is more than Newton leaves
 MEMBERS = {
@@ -27,7 +27,7 @@ STIFF = {"E": 2e9}
 def noise(model, size):
     """Random numbers, the part along the constraints' directions at rest left out."""
     x, q = np.random.default_rng(0).uniform(-size, size, model.n), np.zeros(model.n)
-    return x + mass_system(model, 0.0, q).solve(np.zeros(model.n), model.phi_q(0.0, q) @ x)[0]
+    return x + model.mass_system(0.0, q).solve(np.zeros(model.n), model.phi_q(0.0, q) @ x)[0]
 
 
 @pytest.mark.parametrize("name", MEMBERS)

@@ -5,7 +5,6 @@ import numpy as np
 from polyida.integrate.alpha.arrays import PATIENCE
 from polyida.integrate.alpha.increment import Carried, extent, inner_side, start_values
 from polyida.integrate.alpha.step_control import Kept, calm_error, weights
-from polyida.integrate.start import mass_system
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.kkt import KKT, SingularSystem, scaling_factors
 
@@ -26,7 +25,7 @@ class Steps:
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts, self.c = settings, model, counts, settings.coefficients
         self.kept, self.verdict, self.kkt = Kept(), None, None
-        self.carries = settings.incremental_phi and hasattr(model, "arrays")
+        self.carries = settings.incremental_phi and model.compiled
 
     def begin(self, state, h):
         """Go on from a state that `started` has made ready for steps of h."""
@@ -154,7 +153,7 @@ class Steps:
             return *self.kkt.solve(r, phi), 0.0
         rate = (self.model.phi_q(t, q) @ v + self.model.phi_t(t, q)) / self.to_v
         if self.mass is None:
-            self.mass = mass_system(self.model, t, q)
+            self.mass = self.model.mass_system(t, q)
         return *self.kkt.solve(r, rate), self.mass.solve(np.zeros(self.model.n), phi - rate)[0]
 
     def _settled(self, moved, rate, dd, q, a, iteration, phi_at):
@@ -174,12 +173,11 @@ class Steps:
 
     def _accepted(self, t, dd, v, a, lam, phi_at):
         q, model = self._at(dd), self.model
-        objection = model.objection(t, q)
-        if objection:
+        if objection := model.objection(t, q):
             raise StepFailure("objection", objection, t)
         if self.settings.form == "stabilised" and model.m:
             off = model.phi_q(t, q) @ v + model.phi_t(inner_side(model, t, self.h), q)
-            v = v + mass_system(model, t, q).solve(np.zeros(model.n), off)[0]
+            v = v + model.mass_system(t, q).solve(np.zeros(model.n), off)[0]
         self.size, self.change = max(self.size, self._size(a)), max(self.change, self._size(a - self.last.a))
         made = np.zeros(0) if self.kkt is None else self.factored_at
         memory = {"a_alg": self._algorithmic(a), "h": self.h, "size": self.size, "change": self.change}

@@ -92,8 +92,7 @@ def velocity_rate(model, t, q, v):
 
 def extent(model, q):
     """Size of the numbers that phi is made of, m: displacements, and distances within the model, wherever it lies."""
-    reference = getattr(model, "reference", None)
-    return (1.0 if reference is None else float(np.ptp(reference, axis=0).max())) + float(np.abs(q).max(initial=0.0))
+    return (model.extent or 1.0) + float(np.abs(q).max(initial=0.0))
 
 
 class Carried:

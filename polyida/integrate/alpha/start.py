@@ -12,7 +12,7 @@ import numpy as np
 from polyida.integrate.alpha.increment import start_values
 from polyida.integrate.alpha.resolved import resolution
 from polyida.integrate.kinks import at_kink, beside
-from polyida.integrate.start import consistent_acceleration, far_side, jerk, mass_system
+from polyida.integrate.start import consistent_acceleration, far_side, jerk
 from polyida.integrate.state import State
 
 FAR_SHORTER = 2.5  # a step control's ladder stays below
@@ -55,7 +55,7 @@ def behind_kink(settings, model, state, h):
     mesh modes drop out.
     """
     t, right, left = state.t, beside(state.t, h), beside(state.t, -h)
-    v, system = state.v, mass_system(model, t, state.q)
+    v, system = state.v, model.mass_system(t, state.q)
     if model.m:
         v = v + system.solve(np.zeros(model.n), model.phi_t(right, state.q) - model.phi_t(left, state.q))[0]
     bias = model.phi_bias(left, state.q, state.v) if model.m else np.zeros(0)
@@ -80,7 +80,7 @@ def rescaled(settings, model, state, h):
     scale = grown if grown <= FAR_SHORTER else 1.0 / grown
     phi, rate = start_values(model, state)
     if model.m and settings.form == "index3":
-        v = v + (1 - scale**2) * mass_system(model, state.t, state.q).solve(np.zeros(model.n), rate)[0]
+        v = v + (1 - scale**2) * model.mass_system(state.t, state.q).solve(np.zeros(model.n), rate)[0]
     return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h, phi=phi, rate=scale**2 * rate)
 
 
@@ -98,7 +98,7 @@ def _off_constraint(settings, model, state, h, third):
     c = settings.coefficients
     offset = (1 - 6 * c.beta - 3 * c.offset) / 6 * h * h * third
     border = model.phi_q(state.t, state.q) @ offset
-    return mass_system(model, state.t, state.q).solve(np.zeros(model.n), -border)[0], border
+    return model.mass_system(state.t, state.q).solve(np.zeros(model.n), -border)[0], border
 
 
 def _with(state, v=None, a=None, lam=None, **memory):

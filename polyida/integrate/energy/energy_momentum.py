@@ -41,7 +41,7 @@ class EnergyMomentum:
 
     def require(self, model):
         """Raise InputError unless the model is a scene."""
-        if not hasattr(model, "arrays"):
+        if not model.compiled:
             raise InputError(f"EnergyMomentum: {type(model).__name__} is no scene of plates; use GeneralizedAlpha or IDA")
 
     def steps(self, model, state, t_end, counts):

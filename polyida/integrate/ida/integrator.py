@@ -139,7 +139,7 @@ def _check(name, value, right, wanted):
 
 def _callbacks(settings, model, counts):
     """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form."""
-    if hasattr(model, "arrays") and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
+    if model.compiled and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
         from polyida.integrate.ida.scene import SceneSolve, SceneSystem
 
         system = SceneSystem(model, settings.form, settings.rate)
@@ -179,7 +179,7 @@ class _Run:
             self.attempts, self.tried = self.attempts + 1, t
         self.system.residual(t, y, yp, res)
         if not (math.isfinite(res.dot(res)) or np.isfinite(res).all()):
-            self.refused, self.blamed = (t, np.array(y[:self.model.n])), getattr(self.model, "not_finite", "")
+            self.refused, self.blamed = (t, np.array(y[:self.model.n])), self.model.not_finite
 
     def piece(self, state, begin, times, limits):
         """Accepted States on the smooth piece from begin to the last of `times`, all of which it hits.
