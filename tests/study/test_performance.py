@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from against_peers import peers
 from polyida.errors import InputError
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.solve import solve
 from polyida.problems import plates
-from polyida.study import peers, skip, step_cost
+from skip import savings
+from step_cost import measure
 
 SMALL = 120
 
@@ -30,27 +32,27 @@ against_peers, of_cost, of_skip = map(script, ("against_peers", "step_cost", "sk
 
 @pytest.fixture(scope="module")
 def model():
-    return step_cost.model_of("scene 1", SMALL)
+    return measure.model_of("scene 1", SMALL)
 
 
 @pytest.mark.parametrize("dof", [1_000, 9_000])
 def test_meshes_have_the_size_asked_for(dof):
-    assert step_cost.model_of("scene 1", dof).n == pytest.approx(dof, rel=0.05)
+    assert measure.model_of("scene 1", dof).n == pytest.approx(dof, rel=0.05)
 
 
 @pytest.mark.parametrize("integrator", ["alpha", "ida"])
 def test_a_steps_row_counts_what_lies_between_the_two_runs(integrator):
-    row = step_cost.step_row("scene 1", SMALL, integrator, 0.01, 0.03, 1)
+    row = measure.step_row("scene 1", SMALL, integrator, 0.01, 0.03, 1)
     assert row["steps"] > 0 and row["newton_iterations_per_step"] >= 1
     if integrator == "alpha":
         assert row["steps"] == 20 and row["factorizations_in_all"] == 1 and row["tangents_per_step"] == 0
         assert row["ms_per_step"] == pytest.approx(sum(row[f"{part}_ms"] for part in of_cost.PARTS))
 
 
-@pytest.mark.parametrize("backend", step_cost.BACKENDS)
+@pytest.mark.parametrize("backend", measure.BACKENDS)
 def test_every_back_end_solves_the_same_system(backend):
     try:
-        row = step_cost.floor_row(SMALL, backend, 1)
+        row = measure.floor_row(SMALL, backend, 1)
     except peers.Missing as missing:
         pytest.skip(str(missing))
     assert row["relative_residual"] < (1e-3 if backend in ("fronts", "pardiso single") else 1e-10)
@@ -85,9 +87,9 @@ def test_the_whole_jacobian_refuses_motors():
         peers.WholeJacobian(plates.double_plate_motors(4).build())
 
 
-@pytest.mark.parametrize("scene", step_cost.SCENES)
+@pytest.mark.parametrize("scene", measure.SCENES)
 def test_both_jacobians_of_the_first_order_form_are_slopes(scene):
-    first, random = peers.FirstOrder(step_cost.model_of(scene, SMALL)), np.random.default_rng(2)
+    first, random = peers.FirstOrder(measure.model_of(scene, SMALL)), np.random.default_rng(2)
     y, yp, direction = np.array([[1e-3], [1e-3], [1.0]]) * random.standard_normal((3, first.system.size))
     zero = np.zeros_like(y)
     for matrix, along in zip(first.jacobians(0.3, y, yp), ((direction, zero), (zero, direction))):
@@ -97,7 +99,7 @@ def test_both_jacobians_of_the_first_order_form_are_slopes(scene):
 
 def test_the_sparse_solver_takes_the_same_steps(model):
     run = solve(model, 5e-3, IDA(rtol=1e-5))
-    other = step_cost.run_isolated(step_cost.sparse_alone, {"dof": SMALL, "t_end": 5e-3}, 60.0)
+    other = measure.run_isolated(measure.sparse_alone, {"dof": SMALL, "t_end": 5e-3}, 60.0)
     assert not other["error"] and abs(other["steps"] - run.counts.steps) <= 3
 
 
@@ -120,18 +122,18 @@ SAVED = {"constant mass", "linear joints", "no motors: phi_t, bias", "no motors:
          "no frames"}
 
 
-@pytest.mark.parametrize("saving", skip.SAVINGS)
+@pytest.mark.parametrize("saving", savings.SAVINGS)
 def test_a_saving_that_is_switched_off_is_counted(saving):
-    row = skip.measure(saving, 6, 0.01, 1)
+    row = savings.measure(saving, 6, 0.01, 1)
     assert row["count_off"] > row["count_on"] if saving in SAVED else row["count_off"] >= row["count_on"] > 0
 
 
 @pytest.mark.parametrize("saving", ["co-rotated factor", "stale matrix", "factor kept", "compiled stretches"])
 def test_a_row_of_an_engine_differs_in_one_switch(saving):
     """Both sides are the same settings, and their motions agree to Newton's tolerance: what is switched off is work alone."""
-    on, off = skip.ENGINES[saving]
-    one, other = (replace(side, engine=skip.Stretches) if isinstance(side, skip.Driven) else side for side in (on, off))
-    assert all(getattr(one, field.name) == getattr(other, field.name) for field in fields(skip.GeneralizedAlpha))
+    on, off = savings.ENGINES[saving]
+    one, other = (replace(side, engine=savings.Stretches) if isinstance(side, savings.Driven) else side for side in (on, off))
+    assert all(getattr(one, field.name) == getattr(other, field.name) for field in fields(savings.GeneralizedAlpha))
     model = plates.double_plate(6).build()
     ends = [solve(model, 0.1, side, every=10**9).position("tip")[-1] for side in (on, off)]
     assert np.abs(ends[0] - ends[1]).max() < 1e-6
@@ -139,7 +141,7 @@ def test_a_row_of_an_engine_differs_in_one_switch(saving):
 
 def test_a_factor_that_does_not_turn_is_made_anew():
     model = plates.double_plate(6).build()
-    turned, fixed = (solve(model, 0.4, side, every=10**9).counts for side in skip.ENGINES["co-rotated factor"])
+    turned, fixed = (solve(model, 0.4, side, every=10**9).counts for side in savings.ENGINES["co-rotated factor"])
     assert turned.factorizations == 1 < fixed.factorizations
 
 

@@ -26,7 +26,7 @@ from polyida.linear.fronts import fill_panels, solve_fronts
 from polyida.mesh import rectangle
 from polyida.problems import plates
 from polyida.scene import Scene
-from polyida.study.step_cost import NO_FRAMES, H, cpu
+from step_cost.measure import NO_FRAMES, H, cpu
 
 
 class Wasteful(SceneModel):

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+import polyida
+from against_peers import peers
 from polyida.assembly import equilibrium
 from polyida.compiled import entry
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
@@ -23,7 +25,6 @@ from polyida.linear import corotated
 from polyida.linear.factor import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
 from polyida.problems import plates
-from polyida.study import peers
 from polyida.study.isolation import run_isolated
 from polyida.threads import one_blas_thread
 
@@ -273,7 +274,7 @@ def start_rows(dof, warm):
 
 
 def _started(dof, folder):
-    paths = json.dumps([str(Path(__file__).parents[2])])
+    paths = json.dumps([str(Path(polyida.__file__).parents[1])])
     command = [sys.executable, "-c", START, paths, str(cells_for(dof))]
     cache = os.environ | {"NUMBA_CACHE_DIR": folder}
     done = subprocess.run(command, env=cache, capture_output=True, text=True, check=True)
