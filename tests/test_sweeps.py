@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from polyida.cli import study as cli_study
+from polyida.errors import InputError
 from polyida.study import harness
 from polyida.study.harness import Study, key_of, results, write_whole
 from polyida.study.isolation import Worker, run_isolated
@@ -209,3 +210,19 @@ def test_what_lies_beside_a_study_is_in_the_mark_of_its_code(tmp_path, monkeypat
         marks.append(harness.code_mark(marked))
     assert len(set(marks)) == 3 and marks[2] == marks[3]
     harness._mark.cache_clear()
+
+
+def test_an_option_of_its_own_makes_another_study(tmp_path, monkeypatch, capsys):
+    def fewer(value):
+        if not value.isdigit():
+            raise InputError(f"--upto {value}: a number is needed")
+        return study(range(int(value)))
+
+    monkeypatch.chdir(tmp_path)
+    given = study(range(9), options={"upto": ("how far", fewer)})
+    data = cli_study.main(given, ["--quick", "--upto", "3"])
+    assert data["figures"] == {"total": 5.0} and data["command"] == "python studies/sweep.py --quick --upto 3"
+    assert (tmp_path / "sweep-upto-quick" / "figures.json").exists()
+    with pytest.raises(SystemExit) as caught:
+        cli_study.main(given, ["--upto", "x"])
+    assert caught.value.code == 2 and "a number is needed" in capsys.readouterr().err

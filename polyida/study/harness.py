@@ -24,7 +24,8 @@ class Study:
     figures that are there in any case, NaN where their rows are missing. columns: of the table, all where empty.
     isolated: run each task in a process of its own, so that a crash is a row; limit: seconds after which it counts as
     hanging; fresh: a new process for each, or else one for all that is replaced after a crash or a hang (starting one
-    costs about a second).
+    costs about a second). options: {name: (meaning, function of its value -> Study)}, further options of the command and
+    the study that each makes of this one.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Study:
     notes: Callable | tuple = field(default=lambda rows: [])
     fresh: bool = True
     headline: tuple = ()
+    options: dict = field(default_factory=dict)
 
 
 def key_of(study, task):

@@ -3,10 +3,12 @@
 import importlib.util
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import polyida
 from against_peers import peers
 from polyida.errors import InputError
 from polyida.integrate.ida.integrator import IDA
@@ -14,7 +16,7 @@ from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from skip import savings
-from step_cost import measure
+from step_cost import against, measure
 
 SMALL = 120
 
@@ -27,7 +29,7 @@ def script(name):
     return module
 
 
-against_peers, of_cost, of_skip = map(script, ("against_peers", "step_cost", "skip"))
+against_peers, of_cost, of_skip, of_start = map(script, ("against_peers", "step_cost", "skip", "start"))
 
 
 @pytest.fixture(scope="module")
@@ -171,9 +173,77 @@ def test_growth_and_floor_come_from_their_rows():
     assert found["alpha_step_over_floor_1e3"] == pytest.approx(1e-4 * 1_000**1.2)
 
 
-@pytest.mark.parametrize("study", [against_peers.study, of_cost.study, of_skip.study])
+@pytest.mark.parametrize("study", [against_peers.study, of_cost.study, of_skip.study, of_start.study])
 def test_a_study_has_distinct_tasks_and_a_smaller_selection(study):
     for quick in (True, False):
         tasks = [tuple(task.items()) for task in study.tasks(quick)]
         assert len(set(tasks)) == len(tasks)
     assert len(study.tasks(True)) <= len(study.tasks(False))
+
+
+@pytest.fixture(scope="module")
+def now():
+    """A side of a comparison with this package in it."""
+    with against.Side(Path(polyida.__file__).parents[1], 4, "alpha", 0.01, 0.05) as side:
+        yield side
+
+
+def test_a_side_of_a_pair_times_as_many_steps_as_it_was_asked_for(now):
+    row = now()
+    assert row["steps"] == 40 and row["newton_iterations"] >= 1 and row["ms_per_step"] > 0
+
+
+def test_a_ratio_is_that_of_now_over_before(monkeypatch, tmp_path):
+    """Each pair has its own: what the machine does to both sides of one does not move the median."""
+    class Side:
+        about = {"n": 12}
+
+        def __init__(self, tree, *arguments):
+            self.cost, self.load, self.tree = 2.0 if tree == tmp_path else 3.0, 1.0, tree
+
+        def __call__(self):
+            self.load *= 1.5
+            return {"ms_per_step": self.cost * self.load, "steps": 10, "newton_iterations": 1.0}
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exception):
+            pass
+
+    monkeypatch.setattr(against, "Side", Side)
+    monkeypatch.setattr(against, "exported", lambda commit: SimpleNamespace(name=tmp_path))
+    row = against.measured("step_over_before_1e3", "any")
+    assert [row[name] for name in ("ratio", "lowest", "highest")] == pytest.approx([1.5] * 3) and row["pairs"] == 21
+    assert against.figures([{"figure": "step_over_before_1e3"} | row]) == {"step_over_before_1e3": pytest.approx(1.5)}
+    assert any("aim at most" in line for line in against.notes([{"figure": "step_over_before_1e3"} | row]))
+
+
+def test_no_other_package_is_measured_than_the_folders_own(tmp_path):
+    """The one that is installed, where there is one, is not taken for it."""
+    with pytest.raises((ImportError, ChildProcessError)):
+        against.Side(tmp_path, 4, "alpha", 0.01, 0.05)
+
+
+@pytest.mark.skipif(not (Path(__file__).parents[2] / ".git").exists(), reason="no clone")
+def test_the_package_of_a_commit_is_taken_as_it_was():
+    commit = against.whole_name("HEAD")
+    assert len(commit) == 40 and (Path(against.exported(commit).name) / "polyida" / "__init__.py").exists()
+    study = of_cost.study.options["against"][1]("HEAD")
+    assert [task["figure"] for task in study.tasks(True)] == [name for name in against.PAIRS if "1e5" not in name]
+    with pytest.raises(InputError, match="no clone that has such a commit"):
+        against.whole_name("no-such-commit")
+
+
+def test_a_start_fills_its_own_cache_and_the_next_one_finds_it(tmp_path):
+    """The second process adds no kernel; parts are no more than what the process used."""
+    (tmp_path / "own.py").write_text("from polyida.compiled import entry\n\n\n@entry\ndef plus_one(x):\n    return x + 1.0\n")
+    parts = {"import": "import polyida", "build": "import own", "run": "assert own.plus_one(1.0) == 2.0"}
+    kept = []
+    for _ in range(2):
+        row = of_start.started(parts, tmp_path)
+        kept.append({path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")})
+        assert 0 < sum(row[f"{part}_s"] for part in parts) < row["cpu_s"] + 0.1
+    assert kept[0] == kept[1] and any(path.suffix == ".nbc" for path in kept[0])
+    with pytest.raises(ChildProcessError, match="ZeroDivisionError"):
+        of_start.started({"run": "1 / 0"}, tmp_path)

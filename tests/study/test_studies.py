@@ -28,6 +28,7 @@ REQUIRED = {
     "conditioning": {"slope_unscaled", "scaled_condition_max"},
     "bdf_order": {"steps_order5_over_order2"},
     "energy": {"energy_momentum_relative_drift"},
+    "start": {"cold_alpha_cpu_s", "cold_main_job_cpu_s"},
     "mesh_convergence": {"elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"},
 }
 
@@ -114,6 +115,9 @@ def performance(name, task):
             "status": "done",
             "reason": "",
         }
+    if name == "start":
+        times = ("cpu_s", "wall_s", "import_s", "build_s", "run_s")
+        return {f"{cache}_{time}": 2.0 for cache in ("cold", "warm") for time in times}
     if name == "against_peers":
         setting = task["setting"]
         known = (
