@@ -23,7 +23,7 @@ PAIRS = {  # figure: coordinates, integrator, times between which a step is meas
     "step_over_before_1e3": (1_000, "alpha", 0.01, 2.01, 21),
     "step_over_before_1e4": (10_000, "alpha", 0.01, 0.41, 15),
     "step_over_before_1e5": (100_000, "alpha", 0.01, 0.05, 7),
-    "ida_step_over_before_1e3": (1_000, "ida", 0.1, 1.0, 21),
+    "ida_step_over_before_1e3": (1_000, "ida", 0.1, 2.0, 21),
     "ida_step_over_before_1e4": (10_000, "ida", 0.05, 0.25, 15),
 }
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
