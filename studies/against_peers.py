@@ -4,14 +4,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from against_peers import peers
 from polyida.cli.study import main
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.ida.integrator import IDA
-from polyida.study import peers
 from polyida.study.harness import Study
 from polyida.study.isolation import run_isolated
-from polyida.study.step_cost import model_of
+from step_cost.measure import model_of
 
 TIMES = np.linspace(0.0, 1.0, 101)  # where the tip is compared, s
 SOLVERS = {

@@ -1,9 +1,9 @@
 """What the highest order of BDF costs: 3 to 5 are unstable beside the imaginary axis, where undamped mesh modes lie."""
 
+from bdf_order.order import run_order
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, look, panels, saved
 from polyida.study.harness import Study
-from polyida.study.order import run_order
 from polyida.study.rows import column, each, last, number, pick, stopped, value
 
 ORDERS = (1, 2, 3, 4, 5)

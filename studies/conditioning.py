@@ -2,12 +2,13 @@
 
 import numpy as np
 
+from conditioning import solve_error
 from polyida.cli.study import main
 from polyida.integrate.ida.whole import SCALINGS as IDA_SCALINGS
 from polyida.linear.kkt import SCALINGS
-from polyida.study import conditioning, solve_error
 from polyida.study.drawing import drawn, fitted, legend, loglog, panels, saved, slope_line
 from polyida.study.harness import Study
+from polyida.study.kinds import conditioning
 from polyida.study.rows import every, farthest, number, pick, worst
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from energy.long_run import balance
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, legend, look, panels, saved, tag
 from polyida.study.harness import Study
-from polyida.study.long_run import balance
 from polyida.study.rows import pick, stopped, worst
 
 STEP = 2e-3

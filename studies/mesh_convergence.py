@@ -4,12 +4,12 @@ section, spin-up.
 
 from functools import cache
 
+from mesh_convergence import cases
+from mesh_convergence.selection import MEMBERS, POLYGONS, QUADS, SLENDER, tasks
 from polyida.cli.study import main
 from polyida.problems.spin_up_beam import EXTENSION
-from polyida.study import mesh_cases
 from polyida.study.drawing import aim_line, drawn, fitted, legend, loglog, look, panels, saved
 from polyida.study.harness import Study
-from polyida.study.mesh_selection import MEMBERS, POLYGONS, QUADS, SLENDER, tasks
 from polyida.study.rows import column, last, pick, value, worst
 
 STEADY = 12.0  # s, before which the swing shortens the spin-up beam a hundred times more than the turning lengthens it
@@ -17,15 +17,15 @@ STEADY = 12.0  # s, before which the swing shortens the spin-up beam a hundred t
 
 @cache
 def fine_cantilever():
-    return mesh_cases.fine_cantilever()
+    return cases.fine_cantilever()
 
 
 def run(case, kind, element, through, **options):
     if case == "spin-up":
-        return mesh_cases.spin_up(options["nx"], through, options["h"])
+        return cases.spin_up(options["nx"], through, options["h"])
     if case == "cantilever":
         options = {"known": fine_cantilever()}
-    return getattr(mesh_cases, case)(kind, element, through, **options)
+    return getattr(cases, case)(kind, element, through, **options)
 
 
 def by_size(rows, **wanted):
@@ -63,7 +63,7 @@ def csm1(rows):
         found[f"csm1_error_{clamp}"] = value(finest(rows, **quads), "deviation")
         fine, coarse = (last(rows, through=n, **quads) for n in (16, 8))
         if fine and coarse:
-            found[f"csm1_extrapolated_error_{clamp}"] = mesh_cases.extrapolated(coarse["moved"], fine["moved"], clamp)
+            found[f"csm1_extrapolated_error_{clamp}"] = cases.extrapolated(coarse["moved"], fine["moved"], clamp)
     polygons = finest(rows, case="csm1", clamp="arc", **of_member(POLYGONS[0]))
     return found | {"csm1_error": found["csm1_error_arc"], "csm1_error_arc_polygons": value(polygons, "deviation")}
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from polyida.cli.study import main
-from polyida.study import skip
 from polyida.study.harness import Study
 from polyida.study.rows import each, pick
+from skip import savings
 
 
 def tasks(quick):
@@ -14,12 +14,12 @@ def tasks(quick):
     return [
         {"saving": name, "cells": cells, "t_end": t_end, "repeats": repeats}
         for cells, t_end, repeats in sizes
-        for name in skip.SAVINGS
+        for name in savings.SAVINGS
     ]
 
 
 def run(saving, cells, t_end, repeats):
-    return skip.measure(saving, cells, t_end, repeats)
+    return savings.measure(saving, cells, t_end, repeats)
 
 
 def figures(rows):
@@ -32,7 +32,7 @@ def figures(rows):
 
 
 def notes(rows):
-    return list(skip.FIXED)
+    return list(savings.FIXED)
 
 
 def draw(rows, folder):

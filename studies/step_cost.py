@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from against_peers import peers
 from polyida.cli.study import main
-from polyida.study import peers
-from polyida.study import step_cost as cost
 from polyida.study.drawing import drawn
 from polyida.study.harness import Study
+from step_cost import measure as cost
+from step_cost.against import against
 
 DECADES = {"1e3": 1_000, "1e4": 10_000, "1e5": 100_000}
 SPARSE = {"2e3": 2_000, "9e3": 9_000, "2e4": 20_000}
@@ -218,6 +219,7 @@ study = Study(
     (cost_figure, parts_figure),
     notes=(aim_notes, step_notes, memory_notes, start_notes),
     headline=HEADLINE,
+    options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
     columns=(
         "part",
         "scene",

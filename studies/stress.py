@@ -5,8 +5,8 @@ import numpy as np
 from polyida.cli.study import main
 from polyida.show.style import figure, save, settings
 from polyida.study.harness import Study
-from polyida.study.stress import OUTCOMES, figures, limits, outcome_in
-from polyida.study.stress_axes import meanings, run, tasks
+from stress.axes import meanings, run, tasks
+from stress.outcome import OUTCOMES, figures, limits, outcome_in
 
 COLUMNS = ("axis", "value", "integrator", "outcome", "checked", "deviation", "bound", "steps", "cpu_s", "status", "reason")
 COLOURS = {"right": "#0072B2", "stated_stop": "#56B4E9", "unforeseen_stop": "#E69F00", "wrong": "#D55E00", "crash": "#000000", "hang": "#CC79A7"}

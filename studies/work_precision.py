@@ -5,13 +5,13 @@ from functools import partial
 import numpy as np
 
 from polyida.cli.study import main
-from polyida.study import tip_accuracy
 from polyida.study.drawing import drawn, legend, loglog, panels, saved
 from polyida.study.harness import Study
+from polyida.study.kinds.work_precision import cheapest, measure
 from polyida.study.members import FIXED, IDA_FORMS
 from polyida.study.rows import column, each, least, pick, stopped
-from polyida.study.work_precision import cheapest, measure
-from polyida.study.work_selection import EVENT, STIFF, not_run, tasks
+from work_precision import tip_accuracy
+from work_precision.selection import EVENT, STIFF, not_run, tasks
 
 FAMILIES = {  # figure: its members, and one of the other family for comparison
     "alpha": ((*FIXED, "alpha, adaptive"), "IDA ggl2"),

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from polyida.cli import study as cli_study
+from polyida.errors import InputError
 from polyida.study import harness
 from polyida.study.harness import Study, key_of, results, write_whole
 from polyida.study.isolation import Worker, run_isolated
-from polyida.study.stress_kills import killed_sweeps
+from stress.kills import killed_sweeps
 
 CALLS = []
 
@@ -175,7 +176,7 @@ def test_figures_are_strict_json(tmp_path, capsys):
 def test_the_command_says_which_results_are_of_other_code(tmp_path, capsys, monkeypatch):
     command(tmp_path / "out")
     assert "earlier state of the code" not in capsys.readouterr().out
-    monkeypatch.setattr(harness, "code_mark", lambda: "another")
+    monkeypatch.setattr(harness, "code_mark", lambda study: "another")
     command(tmp_path / "out")
     assert "4 of 4 results are of an earlier state of the code; --fresh" in capsys.readouterr().out
     CALLS.clear()
@@ -183,8 +184,45 @@ def test_the_command_says_which_results_are_of_other_code(tmp_path, capsys, monk
     assert CALLS == [0, 1, 2, 3] and "earlier" not in capsys.readouterr().out
 
 
-def test_the_commands_exit_codes(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
+@pytest.mark.parametrize("made, said", [("out", "is a file"), ("out/__init__.py", "is what the study is made of")])
+def test_the_commands_exit_codes(tmp_path, capsys, made, said):
+    (tmp_path / made).parent.mkdir(exist_ok=True)
+    (tmp_path / made).write_text("")
     with pytest.raises(SystemExit) as caught:
-        command(tmp_path / "file")
-    assert caught.value.code == 2 and "is a file" in capsys.readouterr().err
+        command(tmp_path / "out")
+    assert caught.value.code == 2 and said in capsys.readouterr().err and len(list(tmp_path.rglob("*"))) <= 2
+
+
+def test_what_lies_beside_a_study_is_in_the_mark_of_its_code(tmp_path, monkeypatch):
+    """A study's own files and its packages are its code, as the package is; what lies elsewhere is not."""
+    own = tmp_path / "studies"
+    (own / "parts").mkdir(parents=True)
+    for place in ("parts/__init__.py", "parts/marked_run.py", "other.py", "../elsewhere.py"):
+        (own / place).write_text("def run():\n    return {}\n")
+    monkeypatch.syspath_prepend(own)
+    from parts.marked_run import run
+
+    marked, marks = Study("marked", "", lambda quick: [], run, dict), []
+    for place in (None, "parts/marked_run.py", "other.py", "../elsewhere.py"):
+        if place:
+            (own / place).write_text("changed = 1\n")
+        harness._mark.cache_clear()
+        marks.append(harness.code_mark(marked))
+    assert len(set(marks)) == 3 and marks[2] == marks[3]
+    harness._mark.cache_clear()
+
+
+def test_an_option_of_its_own_makes_another_study(tmp_path, monkeypatch, capsys):
+    def fewer(value):
+        if not value.isdigit():
+            raise InputError(f"--upto {value}: a number is needed")
+        return study(range(int(value)))
+
+    monkeypatch.chdir(tmp_path)
+    given = study(range(9), options={"upto": ("how far", fewer)})
+    data = cli_study.main(given, ["--quick", "--upto", "3"])
+    assert data["figures"] == {"total": 5.0} and data["command"] == "python studies/sweep.py --quick --upto 3"
+    assert (tmp_path / "sweep-upto-quick" / "figures.json").exists()
+    with pytest.raises(SystemExit) as caught:
+        cli_study.main(given, ["--upto", "x"])
+    assert caught.value.code == 2 and "a number is needed" in capsys.readouterr().err

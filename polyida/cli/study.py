@@ -25,12 +25,13 @@ def main(study, arguments=None):
     """
     tolerate_letters()
     options = parser(study).parse_args(arguments)
-    out = Path(options.out or f"{study.name}{'-quick' if options.quick else ''}")
+    out = Path(options.out or "-".join([study.name, *_given(study, options), *["quick"] * options.quick]))
     tasks = out / "tasks"
     try:
+        study, command = _meant(study, options)
         rows = _results(study, options, out)
         found = findings(study, rows, out)
-        data = _write_figures(study, options, rows, found, out)
+        data = _write_figures(command, rows, found, out)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
@@ -49,6 +50,19 @@ def main(study, arguments=None):
     return data
 
 
+def _given(study, options):
+    """{name: value} of the study's own options that are there."""
+    return {name: getattr(options, name) for name in study.options if getattr(options, name) is not None}
+
+
+def _meant(study, options):
+    """(Study that its own options make of this one, the command)."""
+    command, meant = f"python studies/{study.name}.py{' --quick' if options.quick else ''}", study
+    for name, value in _given(study, options).items():
+        meant, command = study.options[name][1](value), f"{command} --{name} {value}"
+    return meant, command
+
+
 def _print_age(other, rows):
     if other:
         print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
@@ -58,15 +72,16 @@ def _results(study, options, out):
     tasks = out / "tasks"
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; give a folder with --out")
+    if (out / "__init__.py").exists():
+        raise InputError(f"{out}: is what the study is made of; give another folder with --out")
     if options.fresh and tasks.is_dir():
         for path in tasks.glob("*.json"):
             path.unlink()
     return results(study, options.quick, tasks, _shown)
 
 
-def _write_figures(study, options, rows, found, out):
+def _write_figures(command, rows, found, out):
     """figures.json, and what it holds: strict JSON, so that what is not finite is null there."""
-    command = f"python studies/{study.name}.py{' --quick' if options.quick else ''}"
     kept = [{name: value for name, value in row.items() if name != "traceback"} for row in rows]
     data = {"figures": found.figures, "notes": found.notes, "rows": kept, "machine": machine_info(), "command": command}
     text = json.dumps(_finite(json.loads(json.dumps(data, default=plain))), indent=1, allow_nan=False)
@@ -88,6 +103,8 @@ def parser(study):
     made.add_argument("--quick", action="store_true", help="a small selection, under a minute")
     made.add_argument("--out", help=f"folder for figures.json, pictures and one file a task (default {study.name})")
     made.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
+    for name, (meaning, _) in study.options.items():
+        made.add_argument(f"--{name}", metavar=name.upper(), help=meaning)
     return made
 
 

@@ -2,7 +2,7 @@
 
 COMPUTED = (
     "computed by DOP853 on the index-1 equations, rtol 1e-9; generalized-alpha at h = 2.5e-6 s and half of it, "
-    "extrapolated, agrees to 3e-12 .. 2e-10 m, 1e-7 m/s, 3e-3 N (python -m polyida.study.digits)"
+    "extrapolated, agrees to 3e-12 .. 2e-10 m, 1e-7 m/s, 3e-3 N (python studies/digits.py)"
 )
 TIP = '"tip" in m, its velocity in m/s, lam in N and N m, at t = 1 s; largest absolute error'
 

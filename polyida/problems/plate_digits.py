@@ -1,6 +1,6 @@
 """Digits of the plates' motion at t = 1 s, on the default meshes, by two methods of different form and time stepping.
 
-`python -m polyida.study.digits` makes and prints them. The digits come from DOP853 on the index-1 equations, rtol 1e-9;
+`python studies/digits.py` makes and prints them. The digits come from DOP853 on the index-1 equations, rtol 1e-9;
 `known_to` is how far generalized-alpha with h = 2.5e-6 s and half of it, extrapolated, is from them, in the worst
 component.
 

@@ -1,6 +1,7 @@
 """Many runs, one table: a study's tasks are independent, each leaves one file, and what is there is not run again."""
 
 import hashlib
+import inspect
 import json
 import os
 from contextlib import suppress
@@ -23,7 +24,8 @@ class Study:
     figures that are there in any case, NaN where their rows are missing. columns: of the table, all where empty.
     isolated: run each task in a process of its own, so that a crash is a row; limit: seconds after which it counts as
     hanging; fresh: a new process for each, or else one for all that is replaced after a crash or a hang (starting one
-    costs about a second).
+    costs about a second). options: {name: (meaning, function of its value -> Study)}, further options of the command and
+    the study that each makes of this one.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Study:
     notes: Callable | tuple = field(default=lambda rows: [])
     fresh: bool = True
     headline: tuple = ()
+    options: dict = field(default_factory=dict)
 
 
 def key_of(study, task):
@@ -46,13 +49,30 @@ def key_of(study, task):
     return hashlib.sha256(f"{study.name} {text}".encode()).hexdigest()[:16]
 
 
-@lru_cache(maxsize=1)
-def code_mark():
-    """A mark of the package's source: results with another one were made by other code."""
-    root, digest = Path(__file__).parents[1], hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
-        digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+def code_mark(study):
+    """A mark of the source of the package and of what lies beside the study: results with another one were made by other code."""
+    return _mark(_folder(study.run))
+
+
+@lru_cache(maxsize=4)
+def _mark(folder):
+    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    beside = [*folder.glob("*.py"), *folder.glob("*/*.py")] if folder else []
+    for root, paths in ((package, package.rglob("*.py")), (folder, beside)):
+        for path in sorted(paths):
+            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _folder(run):
+    """The folder of a study whose tasks this function runs, above those of its packages; None where no file tells."""
+    try:
+        folder = Path(inspect.getfile(run)).resolve().parent
+    except TypeError:
+        return None
+    while (folder / "__init__.py").exists():
+        folder = folder.parent
+    return folder
 
 
 def write_whole(path, text):
@@ -79,7 +99,7 @@ def results(study, quick, folder, progress=lambda done, total, task: None):
             path = folder / f"{key_of(study, task)}.json"
             if _read(path) is None:
                 row = _run(study, worker, task)
-                write_whole(path, json.dumps({"row": task | row, "code": code_mark()}, default=plain))
+                write_whole(path, json.dumps({"row": task | row, "code": code_mark(study)}, default=plain))
             rows.append(_read(path)["row"])
     progress(len(tasks), len(tasks), {})
     return rows
@@ -88,7 +108,7 @@ def results(study, quick, folder, progress=lambda done, total, task: None):
 def of_other_code(study, quick, folder):
     """How many tasks have a result that was made by other code than this."""
     found = [_read(folder / f"{key_of(study, task)}.json") for task in study.tasks(quick)]
-    return sum(data is not None and data["code"] != code_mark() for data in found)
+    return sum(data is not None and data["code"] != code_mark(study) for data in found)
 
 
 def _run(study, worker, task):

@@ -8,7 +8,7 @@ from polyida import condition_number
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.iteration_matrix import iteration_matrix
 from polyida.problems import plates
-from polyida.study import conditioning
+from polyida.study.kinds import conditioning
 
 SMALL = 10.0 ** -np.arange(5.0, 10.0)
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from conditioning import solve_error
 from polyida.linear.kkt import assemble, scaling_factors
-from polyida.study import conditioning, solve_error
 from polyida.study.drawing import fitted
+from polyida.study.kinds import conditioning
 
 STEPS = 1e-6 * 10.0 ** -np.arange(4)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from bdf_order.order import run_order
+from energy import long_run
 from polyida.integrate.start import consistent_state
-from polyida.study import long_run
-from polyida.study.order import run_order
 
 
 def test_the_thrown_plates_start_on_their_constraints():

@@ -3,45 +3,45 @@
 import numpy as np
 import pytest
 
-from polyida.study import mesh_cases
+from mesh_convergence import cases
 
 
 @pytest.mark.parametrize("load, error", [(1, 1e-3), (10, 1e-3)])
 def test_elastica_on_squares(load, error):
-    assert mesh_cases.elastica("quads", "wachspress", 2, load)["deviation"] < error
+    assert cases.elastica("quads", "wachspress", 2, load)["deviation"] < error
 
 
 @pytest.mark.parametrize("clamp", ["arc", "straight"])
 def test_csm1_extrapolated(clamp):
-    coarse, fine = (mesh_cases.csm1("quads", "wachspress", n, clamp) for n in (8, 16))
-    assert mesh_cases.extrapolated(coarse["moved"], fine["moved"], clamp) < 1e-3
+    coarse, fine = (cases.csm1("quads", "wachspress", n, clamp) for n in (8, 16))
+    assert cases.extrapolated(coarse["moved"], fine["moved"], clamp) < 1e-3
     assert fine["deviation"] < coarse["deviation"] / 3
 
 
 def test_a_beam_behind_a_cylinder_begins_on_its_arc():
-    mesh = mesh_cases.bent_to_the_cylinder(mesh_cases.mesh_of("polygons", 0.35101, 0.02, 4))
+    mesh = cases.bent_to_the_cylinder(cases.mesh_of("polygons", 0.35101, 0.02, 4))
     clamped = mesh.points[mesh.section("left").nodes]
-    assert np.allclose(np.hypot(*clamped.T), mesh_cases.CYLINDER, atol=1e-15)
-    assert mesh.points[:, 0].max() == mesh_cases.BEAM_END
+    assert np.allclose(np.hypot(*clamped.T), cases.CYLINDER, atol=1e-15)
+    assert mesh.points[:, 0].max() == cases.BEAM_END
 
 
 def test_frequencies_of_a_slender_bar():
-    found = mesh_cases.frequencies("quads", "wachspress", 2)
+    found = cases.frequencies("quads", "wachspress", 2)
     assert abs(found["bending_errors"][0]) < 1e-3 and np.abs(found["axial_errors"]).max() < 2e-4
 
 
 def test_a_section_is_as_stiff_as_the_bar_and_a_node_is_not():
-    ratios = [mesh_cases.compliance("polygons", "wachspress", n, "node")["compliance"] for n in (2, 4, 8)]
-    assert mesh_cases.compliance("polygons", "wachspress", 4, "section")["deviation"] < 1e-12
+    ratios = [cases.compliance("polygons", "wachspress", n, "node")["compliance"] for n in (2, 4, 8)]
+    assert cases.compliance("polygons", "wachspress", 4, "section")["deviation"] < 1e-12
     assert 1.05 < ratios[0] < ratios[1] < ratios[2]
 
 
 def test_cantilevers_of_all_elements_come_to_the_same():
-    known = mesh_cases.fine_cantilever(16)
+    known = cases.fine_cantilever(16)
     for kind, element, error in (
         ("polygons", "wachspress", 6e-3),
         ("quads", "virtual", 2e-2),
         ("polygons", "virtual", 2e-2),
         ("triangles", "wachspress", 0.2),
     ):
-        assert mesh_cases.cantilever(kind, element, 4, known)["deviation"] < error
+        assert cases.cantilever(kind, element, 4, known)["deviation"] < error

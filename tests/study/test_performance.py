@@ -3,16 +3,20 @@
 import importlib.util
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import polyida
+from against_peers import peers
 from polyida.errors import InputError
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.solve import solve
 from polyida.problems import plates
-from polyida.study import peers, skip, step_cost
+from skip import savings
+from step_cost import against, measure
 
 SMALL = 120
 
@@ -25,32 +29,32 @@ def script(name):
     return module
 
 
-against_peers, of_cost, of_skip = map(script, ("against_peers", "step_cost", "skip"))
+against_peers, of_cost, of_skip, of_start = map(script, ("against_peers", "step_cost", "skip", "start"))
 
 
 @pytest.fixture(scope="module")
 def model():
-    return step_cost.model_of("scene 1", SMALL)
+    return measure.model_of("scene 1", SMALL)
 
 
 @pytest.mark.parametrize("dof", [1_000, 9_000])
 def test_meshes_have_the_size_asked_for(dof):
-    assert step_cost.model_of("scene 1", dof).n == pytest.approx(dof, rel=0.05)
+    assert measure.model_of("scene 1", dof).n == pytest.approx(dof, rel=0.05)
 
 
 @pytest.mark.parametrize("integrator", ["alpha", "ida"])
 def test_a_steps_row_counts_what_lies_between_the_two_runs(integrator):
-    row = step_cost.step_row("scene 1", SMALL, integrator, 0.01, 0.03, 1)
+    row = measure.step_row("scene 1", SMALL, integrator, 0.01, 0.03, 1)
     assert row["steps"] > 0 and row["newton_iterations_per_step"] >= 1
     if integrator == "alpha":
         assert row["steps"] == 20 and row["factorizations_in_all"] == 1 and row["tangents_per_step"] == 0
         assert row["ms_per_step"] == pytest.approx(sum(row[f"{part}_ms"] for part in of_cost.PARTS))
 
 
-@pytest.mark.parametrize("backend", step_cost.BACKENDS)
+@pytest.mark.parametrize("backend", measure.BACKENDS)
 def test_every_back_end_solves_the_same_system(backend):
     try:
-        row = step_cost.floor_row(SMALL, backend, 1)
+        row = measure.floor_row(SMALL, backend, 1)
     except peers.Missing as missing:
         pytest.skip(str(missing))
     assert row["relative_residual"] < (1e-3 if backend in ("fronts", "pardiso single") else 1e-10)
@@ -85,9 +89,9 @@ def test_the_whole_jacobian_refuses_motors():
         peers.WholeJacobian(plates.double_plate_motors(4).build())
 
 
-@pytest.mark.parametrize("scene", step_cost.SCENES)
+@pytest.mark.parametrize("scene", measure.SCENES)
 def test_both_jacobians_of_the_first_order_form_are_slopes(scene):
-    first, random = peers.FirstOrder(step_cost.model_of(scene, SMALL)), np.random.default_rng(2)
+    first, random = peers.FirstOrder(measure.model_of(scene, SMALL)), np.random.default_rng(2)
     y, yp, direction = np.array([[1e-3], [1e-3], [1.0]]) * random.standard_normal((3, first.system.size))
     zero = np.zeros_like(y)
     for matrix, along in zip(first.jacobians(0.3, y, yp), ((direction, zero), (zero, direction))):
@@ -97,7 +101,7 @@ def test_both_jacobians_of_the_first_order_form_are_slopes(scene):
 
 def test_the_sparse_solver_takes_the_same_steps(model):
     run = solve(model, 5e-3, IDA(rtol=1e-5))
-    other = step_cost.run_isolated(step_cost.sparse_alone, {"dof": SMALL, "t_end": 5e-3}, 60.0)
+    other = measure.run_isolated(measure.sparse_alone, {"dof": SMALL, "t_end": 5e-3}, 60.0)
     assert not other["error"] and abs(other["steps"] - run.counts.steps) <= 3
 
 
@@ -120,18 +124,18 @@ SAVED = {"constant mass", "linear joints", "no motors: phi_t, bias", "no motors:
          "no frames"}
 
 
-@pytest.mark.parametrize("saving", skip.SAVINGS)
+@pytest.mark.parametrize("saving", savings.SAVINGS)
 def test_a_saving_that_is_switched_off_is_counted(saving):
-    row = skip.measure(saving, 6, 0.01, 1)
+    row = savings.measure(saving, 6, 0.01, 1)
     assert row["count_off"] > row["count_on"] if saving in SAVED else row["count_off"] >= row["count_on"] > 0
 
 
 @pytest.mark.parametrize("saving", ["co-rotated factor", "stale matrix", "factor kept", "compiled stretches"])
 def test_a_row_of_an_engine_differs_in_one_switch(saving):
     """Both sides are the same settings, and their motions agree to Newton's tolerance: what is switched off is work alone."""
-    on, off = skip.ENGINES[saving]
-    one, other = (replace(side, engine=skip.Stretches) if isinstance(side, skip.Driven) else side for side in (on, off))
-    assert all(getattr(one, field.name) == getattr(other, field.name) for field in fields(skip.GeneralizedAlpha))
+    on, off = savings.ENGINES[saving]
+    one, other = (replace(side, engine=savings.Stretches) if isinstance(side, savings.Driven) else side for side in (on, off))
+    assert all(getattr(one, field.name) == getattr(other, field.name) for field in fields(savings.GeneralizedAlpha))
     model = plates.double_plate(6).build()
     ends = [solve(model, 0.1, side, every=10**9).position("tip")[-1] for side in (on, off)]
     assert np.abs(ends[0] - ends[1]).max() < 1e-6
@@ -139,7 +143,7 @@ def test_a_row_of_an_engine_differs_in_one_switch(saving):
 
 def test_a_factor_that_does_not_turn_is_made_anew():
     model = plates.double_plate(6).build()
-    turned, fixed = (solve(model, 0.4, side, every=10**9).counts for side in skip.ENGINES["co-rotated factor"])
+    turned, fixed = (solve(model, 0.4, side, every=10**9).counts for side in savings.ENGINES["co-rotated factor"])
     assert turned.factorizations == 1 < fixed.factorizations
 
 
@@ -169,9 +173,77 @@ def test_growth_and_floor_come_from_their_rows():
     assert found["alpha_step_over_floor_1e3"] == pytest.approx(1e-4 * 1_000**1.2)
 
 
-@pytest.mark.parametrize("study", [against_peers.study, of_cost.study, of_skip.study])
+@pytest.mark.parametrize("study", [against_peers.study, of_cost.study, of_skip.study, of_start.study])
 def test_a_study_has_distinct_tasks_and_a_smaller_selection(study):
     for quick in (True, False):
         tasks = [tuple(task.items()) for task in study.tasks(quick)]
         assert len(set(tasks)) == len(tasks)
     assert len(study.tasks(True)) <= len(study.tasks(False))
+
+
+@pytest.fixture(scope="module")
+def now():
+    """A side of a comparison with this package in it."""
+    with against.Side(Path(polyida.__file__).parents[1], 4, "alpha", 0.01, 0.05) as side:
+        yield side
+
+
+def test_a_side_of_a_pair_times_as_many_steps_as_it_was_asked_for(now):
+    row = now()
+    assert row["steps"] == 40 and row["newton_iterations"] >= 1 and row["ms_per_step"] > 0
+
+
+def test_a_ratio_is_that_of_now_over_before(monkeypatch, tmp_path):
+    """Each pair has its own: what the machine does to both sides of one does not move the median."""
+    class Side:
+        about = {"n": 12}
+
+        def __init__(self, tree, *arguments):
+            self.cost, self.load, self.tree = 2.0 if tree == tmp_path else 3.0, 1.0, tree
+
+        def __call__(self):
+            self.load *= 1.5
+            return {"ms_per_step": self.cost * self.load, "steps": 10, "newton_iterations": 1.0}
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exception):
+            pass
+
+    monkeypatch.setattr(against, "Side", Side)
+    monkeypatch.setattr(against, "exported", lambda commit: SimpleNamespace(name=tmp_path))
+    row = against.measured("step_over_before_1e3", "any")
+    assert [row[name] for name in ("ratio", "lowest", "highest")] == pytest.approx([1.5] * 3) and row["pairs"] == 21
+    assert against.figures([{"figure": "step_over_before_1e3"} | row]) == {"step_over_before_1e3": pytest.approx(1.5)}
+    assert any("aim at most" in line for line in against.notes([{"figure": "step_over_before_1e3"} | row]))
+
+
+def test_no_other_package_is_measured_than_the_folders_own(tmp_path):
+    """The one that is installed, where there is one, is not taken for it."""
+    with pytest.raises((ImportError, ChildProcessError)):
+        against.Side(tmp_path, 4, "alpha", 0.01, 0.05)
+
+
+@pytest.mark.skipif(not (Path(__file__).parents[2] / ".git").exists(), reason="no clone")
+def test_the_package_of_a_commit_is_taken_as_it_was():
+    commit = against.whole_name("HEAD")
+    assert len(commit) == 40 and (Path(against.exported(commit).name) / "polyida" / "__init__.py").exists()
+    study = of_cost.study.options["against"][1]("HEAD")
+    assert [task["figure"] for task in study.tasks(True)] == [name for name in against.PAIRS if "1e5" not in name]
+    with pytest.raises(InputError, match="no clone that has such a commit"):
+        against.whole_name("no-such-commit")
+
+
+def test_a_start_fills_its_own_cache_and_the_next_one_finds_it(tmp_path):
+    """The second process adds no kernel; parts are no more than what the process used."""
+    (tmp_path / "own.py").write_text("from polyida.compiled import entry\n\n\n@entry\ndef plus_one(x):\n    return x + 1.0\n")
+    parts = {"import": "import polyida", "build": "import own", "run": "assert own.plus_one(1.0) == 2.0"}
+    kept = []
+    for _ in range(2):
+        row = of_start.started(parts, tmp_path)
+        kept.append({path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")})
+        assert 0 < sum(row[f"{part}_s"] for part in parts) < row["cpu_s"] + 0.1
+    assert kept[0] == kept[1] and any(path.suffix == ".nbc" for path in kept[0])
+    with pytest.raises(ChildProcessError, match="ZeroDivisionError"):
+        of_start.started({"run": "1 / 0"}, tmp_path)

@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
+import digits
 from polyida import problems
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.solve import solve
 from polyida.problems import plates
-from polyida.study import digits, families, references
+from polyida.study import families, references
 from polyida.study.families import last_state
+from polyida.study.kinds.sensitivity import smooth
+from polyida.study.kinds.work_precision import cheapest, measure
 from polyida.study.members import FIXED, IDA_FORMS, integrator
-from polyida.study.sensitivity import smooth
-from polyida.study.work_precision import cheapest, measure
 
 
 def test_explicit_runs_meet_the_closed_solution_of_the_pendulum():

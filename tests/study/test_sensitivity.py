@@ -2,8 +2,9 @@
 
 import pytest
 
-from polyida.study import sensitivity, slopes
 from polyida.study.drawing import fitted
+from polyida.study.kinds import sensitivity
+from step_size_sensitivity import slopes
 
 STEPS = [1e-2 / 2**k for k in range(4)]
 

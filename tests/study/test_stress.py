@@ -10,14 +10,11 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.state import StepFailure
-from polyida.study import stress
-from polyida.study import stress_cases as cases
-from polyida.study import stress_identities as identities
-from polyida.study import stress_scenes as scenes
-from polyida.study.stress import Check, Stop, judged, outcome_of
-from polyida.study.stress_axes import AXES, meanings, run, tasks
-from polyida.study.stress_kills import killed_runs
-from polyida.study.stress_long import many_steps
+from stress import cases, identities, outcome, scenes
+from stress.axes import AXES, meanings, run, tasks
+from stress.kills import killed_runs
+from stress.long import many_steps
+from stress.outcome import Check, Stop, judged, outcome_of
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +77,7 @@ def test_refused_input_is_right_where_it_was_foreseen_and_a_traceback_is_not():
     assert outcome_of(refuse, foreseen=cases.too_thin(1e-7, "alpha"))["outcome"] == "unforeseen_stop"
     with pytest.raises(ZeroDivisionError):
         outcome_of(lambda: 1 / 0)
-    assert stress.outcome_in({"error": "ZeroDivisionError: division by zero"}) == "crash"
+    assert outcome.outcome_in({"error": "ZeroDivisionError: division by zero"}) == "crash"
 
 
 def test_the_benign_value_of_every_axis_but_one_foresees_no_stop():
@@ -110,7 +107,7 @@ def faster(state):
 @pytest.mark.parametrize("change, found", [(shifted, "drift"), (faster, "energy gained")])
 @pytest.mark.parametrize("axis", ["modulus, Pa", "four-bar from, rad"])
 def test_a_wrong_integrator_is_found(monkeypatch, change, found, axis):
-    monkeypatch.setattr(cases, "integrator", lambda name, *_, **__: Wrong(change) if name == "ggl1" else stress.integrator("alpha"))
+    monkeypatch.setattr(cases, "integrator", lambda name, *_, **__: Wrong(change) if name == "ggl1" else outcome.integrator("alpha"))
     row = outcome_of(AXES[axis].case, AXES[axis].quick[0], "ggl1")
     assert row["outcome"] == "wrong" and found in row["reason"]
 
@@ -193,7 +190,7 @@ def test_a_motion_that_does_not_come_back_is_found(monkeypatch):
 def test_a_collapse_at_another_time_is_found(monkeypatch):
     """The driven plates fold at 0.642 s; a run that stops there is right, one that stops before is not."""
     assert run("driven collapse, Pa", 1e6, "alpha")["outcome"] == "stated_stop"
-    monkeypatch.setattr(cases, "integrator", lambda name, *_, **__: Early() if name == "ggl1" else stress.integrator(name, *_, **__))
+    monkeypatch.setattr(cases, "integrator", lambda name, *_, **__: Early() if name == "ggl1" else outcome.integrator(name, *_, **__))
     row = run("driven collapse, Pa", 1e6, "ggl1")
     assert row["outcome"] == "wrong" and "collapse" in row["checked"]
 
@@ -225,10 +222,10 @@ def test_the_table_and_its_figures():
     rows[4].pop("outcome")
     rows[4] |= {"error": "ValueError: odd"}
     rows[5] |= {"outcome": "unforeseen_stop", "reason": "it stops, too"}
-    counts = stress.figures(rows)
+    counts = outcome.figures(rows)
     assert counts["right"] == len(rows) - 3 and counts["stated_stop"] == counts["unforeseen_stop"] == counts["crash"] == 1
-    assert counts["wrong"] == counts["hang"] == 0 and sum(counts[name] for name in stress.OUTCOMES) == len(rows)
-    lines = stress.limits(rows)
+    assert counts["wrong"] == counts["hang"] == 0 and sum(counts[name] for name in outcome.OUTCOMES) == len(rows)
+    lines = outcome.limits(rows)
     assert any("it stops" in line for line in lines) and any("odd" in line for line in lines)
     assert all(len(line) > len(axis) + 40 for axis, line in zip(AXES, meanings(AXES)))
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from polyida.cli import study as cli_study
-from polyida.study import drawing, findings, tip_accuracy
-from polyida.study.work_selection import left_out, not_run, tasks
+from polyida.study import drawing, findings
+from work_precision import tip_accuracy
+from work_precision.selection import left_out, not_run, tasks
 
 FOLDER = Path(__file__).parents[2] / "studies"
 BROKEN = {"error": "RuntimeError: it broke", "traceback": "where it broke"}
@@ -27,6 +28,7 @@ REQUIRED = {
     "conditioning": {"slope_unscaled", "scaled_condition_max"},
     "bdf_order": {"steps_order5_over_order2"},
     "energy": {"energy_momentum_relative_drift"},
+    "start": {"cold_alpha_cpu_s", "cold_main_job_cpu_s"},
     "mesh_convergence": {"elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"},
 }
 
@@ -113,6 +115,9 @@ def performance(name, task):
             "status": "done",
             "reason": "",
         }
+    if name == "start":
+        times = ("cpu_s", "wall_s", "import_s", "build_s", "run_s")
+        return {f"{cache}_{time}": 2.0 for cache in ("cold", "warm") for time in times}
     if name == "against_peers":
         setting = task["setting"]
         known = (
@@ -147,7 +152,7 @@ def study_of(name):
     return getattr(module, "STUDY", None) or module.study
 
 
-STUDIES = {path.stem: study_of(path.stem) for path in sorted(FOLDER.glob("*.py"))}
+STUDIES = {path.stem: study_of(path.stem) for path in sorted(FOLDER.glob("*.py")) if path.stem != "digits"}
 
 
 @pytest.fixture(autouse=True)

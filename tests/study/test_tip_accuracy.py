@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from polyida.study import tip_accuracy
-from polyida.study.tip_accuracy import ALPHA, IDA_DEFAULT, ida_error_slope, newton_share
+from work_precision import tip_accuracy
+from work_precision.tip_accuracy import ALPHA, IDA_DEFAULT, ida_error_slope, newton_share
 
 
 def rows(known=1e-12):

@@ -18,7 +18,7 @@ from polyida.io.layout import FRAMES
 from polyida.io.load import load
 from polyida.problems import plates
 from polyida.study.harness import Study, results
-from polyida.study.stress import Check, integrator
+from stress.outcome import Check, integrator
 
 FLUSH, STRETCH = 50, 256  # steps between flushes; steps that the compiled code takes in one go
 ALLOWED = {"alpha": 0.0, "energy": 1e-9, "ggl2": 5e-3, "ggl1": 5e-3}  # m: the resumed run against the whole one

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 
 from polyida.integrate.solve import solve
-from polyida.study import stress_scenes as scenes
-from polyida.study.stress import COLLAPSED, Check, Stop, balance, extent, held, integrator, off_by, tip
+from stress import scenes
+from stress.outcome import COLLAPSED, Check, Stop, balance, extent, held, integrator, off_by, tip
 
 FIXED = ("alpha", "stabilised", "energy")
 FEW_FRAMES = 10**9

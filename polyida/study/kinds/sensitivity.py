@@ -16,8 +16,8 @@ from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.problems import plates
-from polyida.study.conditioning import freed
 from polyida.study.families import explicit
+from polyida.study.kinds.conditioning import freed
 
 PARTS = ("q", "v", "a", "lam")
 STEPS = 4  # of each h at tiny steps

@@ -12,8 +12,8 @@ import numpy as np
 from polyida.assembly import equilibrium
 from polyida.assembly import joints as joint_rows
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.loads import PointLoad
 from polyida.body.plate import Plate
+from polyida.body.point_mass import PointMass
 from polyida.integrate.alpha import generic as alpha_generic
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.alpha.stretches import Stretches
@@ -26,7 +26,7 @@ from polyida.linear.fronts import fill_panels, solve_fronts
 from polyida.mesh import rectangle
 from polyida.problems import plates
 from polyida.scene import Scene
-from polyida.study.step_cost import NO_FRAMES, H, cpu
+from step_cost.measure import NO_FRAMES, H, cpu
 
 
 class Wasteful(SceneModel):
@@ -174,12 +174,12 @@ class FullNewton(alpha_generic.Steps):
 
 
 def no_border(cells, t_end, repeats):
-    """A free plate has no point that anything acts on; a load of zero makes one, with its columns and its border."""
+    """A free plate has no point that a joint or a mass holds; a mass of a millionth of a gram makes one, with its columns and its border."""
     def side(loaded):
         scene = Scene(gravity=plates.GRAVITY)
         plate = scene.add(_plate(rectangle(plates.LENGTH, plates.HEIGHT, cells=cells, seed=1), "plate", 0.0))
         if loaded:
-            scene.add(PointLoad(plate.section("right"), (0.0, 0.0), name="nothing"))
+            scene.add(PointMass(plate.section("right"), 1e-9, name="speck"))
         model = scene.build()
         return lambda: done(solve(model, t_end, GeneralizedAlpha(h=H), every=NO_FRAMES)).counts.solves
 
@@ -269,7 +269,7 @@ SAVINGS = {  # name: (what is counted, how it is switched off, measure)
     "no motors: phi_t, bias": ("evaluations", "evaluated whenever asked for, general IDA", again("rates", GENERAL_IDA)),
     "no motors: reaction_q": ("evaluations", "Needs.phi_q_varies set, general path", again("reaction_q", KKT)),
     "no damping: dg/dv": ("evaluations", "Needs.velocity_forces set, general IDA", again("velocity", GENERAL_IDA)),
-    "no border": ("solves", "a load of zero on a free plate", no_border),
+    "no border": ("solves", "a mass of next to nothing on a free plate", no_border),
     "co-rotated factor": ("factorizations", "the factor stays in its frame, compiled", engines("co-rotated factor")),
     "stale matrix": ("factorizations", "full Newton on the whole matrix", engines("stale matrix")),
     "factor kept": ("factorizations", "a new one every step; both back in Python after each", engines("factor kept")),

@@ -5,12 +5,10 @@ from typing import Callable
 
 import numpy as np
 
-from polyida.study import stress_cases as cases
-from polyida.study import stress_identities as identities
-from polyida.study import stress_scenes as scenes
-from polyida.study.stress import INTEGRATORS, outcome_of
-from polyida.study.stress_kills import killed_runs, killed_sweeps
-from polyida.study.stress_long import many_steps
+from stress import cases, identities, scenes
+from stress.kills import killed_runs, killed_sweeps
+from stress.long import many_steps
+from stress.outcome import INTEGRATORS, outcome_of
 
 CHOOSING = ("adaptive", "ggl2", "ggl1")
 IDA = ("ggl2", "ggl1")

@@ -8,9 +8,9 @@ import numpy as np
 
 from polyida import profile
 from polyida.integrate.solve import solve
-from polyida.study import stress_scenes as scenes
-from polyida.study.conditioning import freed
-from polyida.study.stress import COLLAPSED, Check, Stop, balance, extent, held, integrator, tip
+from polyida.study.kinds.conditioning import freed
+from stress import scenes
+from stress.outcome import COLLAPSED, Check, Stop, balance, extent, held, integrator, tip
 
 SETTLED = 1e-9  # of the scene's size: drift of phi
 SPREAD = float(np.sqrt(scenes.STIFF.E / scenes.STIFF.rho / 12) * 0.1)  # m2/s, sqrt(EI / rho A) of a plate 0.1 m high

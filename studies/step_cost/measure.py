@@ -5,13 +5,13 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+import polyida
+from against_peers import peers
 from polyida.assembly import equilibrium
 from polyida.compiled import entry
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
@@ -23,32 +23,18 @@ from polyida.linear import corotated
 from polyida.linear.factor import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
 from polyida.problems import plates
-from polyida.study import peers
 from polyida.study.isolation import run_isolated
 from polyida.threads import one_blas_thread
+from step_cost.side import NO_FRAMES, between, cells_for, cpu
 
 H = 1e-3  # step of generalized-alpha, s
-LARGE = 50_000  # coordinates from which on a run's start is dear
-NO_FRAMES = 10**9  # keep every so many steps: the first and the last frame alone
 SCENES = {"scene 1": plates.double_plate, "scene 2": plates.double_plate_motors}
-
-
-def cells_for(dof):
-    """Cells a plate that give two plates together about so many coordinates."""
-    return max(4, round(dof / 7.7 + 15 * min(1.0, dof / 1000)))
 
 
 @lru_cache(maxsize=2)
 def model_of(scene, dof):
     """The model of "scene 1" or "scene 2" with about `dof` coordinates."""
     return SCENES[scene](cells_for(dof)).build()
-
-
-def cpu(call):
-    """(CPU seconds of this process that call() takes, what it returns)."""
-    begin = time.process_time()
-    result = call()
-    return time.process_time() - begin, result
 
 
 def median_cpu(call, repeats):
@@ -63,7 +49,6 @@ def step_row(scene, dof, integrator, short, long, repeats):
     """
     model, member = model_of(scene, dof), GeneralizedAlpha(h=H) if integrator == "alpha" else IDA(rtol=1e-5)
     solve(model, short, member)  # compiles or loads the kernels
-    between = two_runs if integrator == "alpha" and model.n < LARGE else one_run
     pairs = [between(model, member, short, long) for _ in range(repeats)]
     first, last = pairs[-1][0][1], pairs[-1][1][1]
     steps = last.steps - first.steps
@@ -74,22 +59,6 @@ def step_row(scene, dof, integrator, short, long, repeats):
         row[f"{name}_per_step"] = (getattr(last, name) - getattr(first, name)) / steps
     row["factorizations_in_all"] = last.factorizations
     return row | (parts_of_a_step(model, row) if integrator == "alpha" else {})
-
-
-def two_runs(model, member, short, long):
-    """(CPU s, counts) of a run to `short` and of one to `long`."""
-    runs = [cpu(lambda: solve(model, t_end, member, every=NO_FRAMES)) for t_end in (short, long)]
-    return [(seconds, run.counts) for seconds, run in runs]
-
-
-def one_run(model, member, short, long):
-    """(CPU s, counts) of one run up to `short` and up to `long`: the start's scatter is not in the difference."""
-    begin, counts, seen = time.process_time(), Counts(), []
-    with one_blas_thread():
-        for state in member.steps(model, consistent_state(model, 0.0, None, None), long, counts):
-            if state.restart and state.t >= short * (1 - 1e-9):
-                seen.append((time.process_time() - begin, replace(counts)))
-    return seen[0], seen[-1]
 
 
 @entry
@@ -273,7 +242,7 @@ def start_rows(dof, warm):
 
 
 def _started(dof, folder):
-    paths = json.dumps([str(Path(__file__).parents[2])])
+    paths = json.dumps([str(Path(polyida.__file__).parents[1])])
     command = [sys.executable, "-c", START, paths, str(cells_for(dof))]
     cache = os.environ | {"NUMBA_CACHE_DIR": folder}
     done = subprocess.run(command, env=cache, capture_output=True, text=True, check=True)

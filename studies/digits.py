@@ -1,4 +1,4 @@
-"""The digits of problems/plate_digits.py, made anew and printed: `python -m polyida.study.digits [problem ...]`.
+"""The digits of problems/plate_digits.py, made anew and printed: `python studies/digits.py [problem ...]`.
 
 Two families a problem, DOP853 and generalized-alpha extrapolated; the digits are the former's, `known_to` their
 distance. Some minutes each; `--cells 8 --time 0.1 --rtol 1e-8 --step 5e-6` takes seconds.
@@ -32,7 +32,7 @@ def digits(name, t_end=None, rtol=RTOL, step=STEP, **options):
 
 def main(arguments=None):
     """Print the digits of the problems that are named, or of all, with how well each is known."""
-    made = argparse.ArgumentParser(prog="python -m polyida.study.digits", description=__doc__.split("\n")[0])
+    made = argparse.ArgumentParser(prog="python studies/digits.py", description=__doc__.split("\n")[0])
     made.add_argument("problem", nargs="*", default=list(DIGITS), help=", ".join(DIGITS))
     made.add_argument("--cells", type=int, help="of a plate, where it is not the default mesh")
     made.add_argument("--time", type=float, help="s, where it is not the problem's")

@@ -8,7 +8,7 @@ import numpy as np
 
 from polyida.integrate.solve import solve
 from polyida.problems import plates
-from polyida.study.stress import Check, balance, extent, integrator
+from stress.outcome import Check, balance, extent, integrator
 
 H = 1e-3
 PARTS = 20  # of a run, between which time and memory are compared

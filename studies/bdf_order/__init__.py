@@ -1,0 +1,1 @@
+"""What studies/bdf_order.py is made of: runs of bounded order."""

@@ -1,0 +1,1 @@
+"""What studies/conditioning.py is made of: the errors of solves."""

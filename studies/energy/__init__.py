@@ -1,0 +1,1 @@
+"""What studies/energy.py is made of: long runs."""

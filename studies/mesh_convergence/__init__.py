@@ -1,0 +1,1 @@
+"""What studies/mesh_convergence.py is made of: cases and their selection."""

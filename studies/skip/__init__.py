@@ -1,0 +1,1 @@
+"""What studies/skip.py is made of: the savings."""

@@ -1,0 +1,1 @@
+"""What studies/step_cost.py is made of: measurements of a step."""

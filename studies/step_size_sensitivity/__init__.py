@@ -1,0 +1,1 @@
+"""What studies/step_size_sensitivity.py is made of: slopes."""
