@@ -29,7 +29,7 @@ def guard(model, part="solve"):
 
 def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
-    if hasattr(model, "arrays"):
+    if model.compiled:
         return
     try:
         model.call_all(t, q, v)

@@ -32,6 +32,9 @@ class Model:
     n: int
     m: int
     needs: Needs = Needs()
+    compiled = False  # True of a scene that is arrays alone: kernels take it as it is
+    own_forces = ()  # the force elements of a scene
+    remark = ""  # what a run's summary says of the model
     flexible = False  # True where bodies deform: BDF of order 3 to 5 is unstable, or slow, on mesh modes with little damping
 
     def mass(self, q):

@@ -99,12 +99,13 @@ class Trajectory:
 
     @cached_property
     def energy(self):
-        """Kinetic, potential (gravity) and strain energy of every frame."""
+        """Kinetic, potential (gravity, force elements) and strain energy of every frame."""
         model = self._known_model("energy")
         kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(self.q, self.v)])
         if hasattr(model, "strain_energy"):
             strain = np.array([model.strain_energy(q) for q in self.q])
-            return Energy(kinetic, np.array([model.gravity_potential(q) for q in self.q]), strain)
+            potential = [model.gravity_potential(q) + model.own_forces.energy(q) for q in self.q]
+            return Energy(kinetic, np.array(potential), strain)
         potential = [np.nan if value is None else value for value in map(model.potential, self.q)]
         return Energy(kinetic, np.array(potential, float), np.zeros(len(self)))
 
@@ -166,7 +167,7 @@ class Trajectory:
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
-        told = told and f", {told}"
+        told = "".join(f", {what}" for what in (told, getattr(self.model, "remark", "")) if what)
         return (f"{self.status}: {type(self.integrator).__name__} to {end}, {c.steps} steps ({c.rejected} rejected), "
                 f"{work}{worst}{told}" + (f"; {self.message}" if self.message else ""))
 

@@ -157,7 +157,7 @@ class GeneralizedAlpha:
 
     def by_points(self, model):
         """Whether the linear algebra is that of a scene, whose joints act through a few points."""
-        return self.linear != "kkt" and hasattr(model, "arrays")
+        return self.linear != "kkt" and model.compiled
 
     def _engine(self, model, counts):
         if self.by_points(model):

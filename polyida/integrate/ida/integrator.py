@@ -132,7 +132,7 @@ def _check(name, value, right, wanted):
 
 def _callbacks(settings, model, counts):
     """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form."""
-    if hasattr(model, "arrays") and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
+    if model.compiled and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
         from polyida.integrate.ida.scene import SceneSolve, SceneSystem
 
         system = SceneSystem(model, settings.form, settings.rate)
