@@ -28,12 +28,12 @@ def guard(model, part="solve"):
     Raises InputError, in the name of `part`, for what is no model or has no sizes.
     """
     require_model(part, model)
-    return model if isinstance(model, Guarded) or model.compiled else Guarded(model)
+    return model if isinstance(model, Guarded) or model.is_scene else Guarded(model)
 
 
 def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
-    if not isinstance(model, Guarded):
+    if model.compiled:
         return
     try:
         model.call_all(t, q, v)

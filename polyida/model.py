@@ -38,8 +38,11 @@ class Model:
     n: int
     m: int
     needs: Needs = Needs()
+    is_scene = False  # True of a scene, whose functions are tested and called as they are
+    compiled = False  # True of a scene without Python in it: integrators have compiled loops over its `arrays`
+    own_forces = ()  # the force elements of a scene
+    remark = ""  # what a run's summary says of the model
     flexible = False  # True where bodies deform: BDF of order 3 to 5 is unstable, or slow, on mesh modes with little damping
-    compiled = False  # True of a scene: tested kernels over its `arrays`, for which integrators have compiled loops
     extent = None  # size in space, m, that does not depend on the state
     free_fall = 0.0  # acceleration of gravity, m/s^2, of a model that has an extent
     reference = None  # places of its nodes at q = 0, (nodes, 2), m

@@ -1,6 +1,7 @@
 """What a user writes: parts that are added to a scene, which is then built into one model."""
 
 from polyida.assembly.scene_model import SceneModel
+from polyida.body.force_element import ForceElement, require_element, sides_of
 from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.material import vector2
 from polyida.body.plate import Plate
@@ -10,10 +11,11 @@ from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
 
 KINDS = {Plate: "plate", PointMass: "mass", PointLoad: "load", EdgeTraction: "traction"}
+KINDS_AND_BASES = (*KINDS, Joint, ForceElement)
 
 
 class Scene:
-    """Flexible plates, joints, motors, masses and loads in the x-y plane.
+    """Flexible plates, joints, motors, masses, loads and forces of one's own in the x-y plane.
 
     gravity: acceleration (gx, gy), m/s2. `add` parts in any order, then `build` a model; a scene can be added to and built again.
     """
@@ -27,9 +29,11 @@ class Scene:
 
         Raises InputError for what is no part, and for a name that is taken.
         """
-        if not isinstance(part, (*KINDS, Joint)):
-            known = ", ".join(kind.__name__ for kind in (*KINDS, Joint))
+        if not isinstance(part, KINDS_AND_BASES):
+            known = ", ".join(kind.__name__ for kind in KINDS_AND_BASES)
             raise InputError(f"Scene.add: {part!r} is no part of a scene; parts are {known}")
+        if isinstance(part, ForceElement):
+            require_element(part)
         if any(part is known for known in self.parts.values()):
             raise InputError(f"Scene.add: {part.name or kind_of(part)!r} is in the scene already")
         name = part.name or self._next_name(kind_of(part))
@@ -50,7 +54,7 @@ class Scene:
         if not plates:
             raise InputError("Scene.build: the scene has no plate")
         for name, part in self.parts.items():
-            for side in (getattr(part, key, None) for key in ("a", "b", "at")):
+            for side in _sides(name, part):
                 if isinstance(side, Attachment) and not any(side.body is plate for plate in plates):
                     raise InputError(f"{name}: {side!r} is of a body that is not in the scene; add it with scene.add")
         return SceneModel(self.parts, self.gravity)
@@ -60,4 +64,13 @@ def kind_of(part):
     """What a part without a name is called with a number."""
     if isinstance(part, Joint):
         return part.kind or type(part).__name__.lower()
+    if isinstance(part, ForceElement):
+        return type(part).__name__.lower()
     return next(word for kind, word in KINDS.items() if isinstance(part, kind))
+
+
+def _sides(name, part):
+    """What a part holds on to."""
+    if isinstance(part, ForceElement):
+        return sides_of(name, part)
+    return [getattr(part, key, None) for key in ("a", "b", "at")]

@@ -100,7 +100,7 @@ class Trajectory:
 
     @cached_property
     def energy(self):
-        """Kinetic, potential (gravity) and strain energy of every frame."""
+        """Kinetic, potential (gravity, force elements) and strain energy of every frame."""
         model = self._known_model("energy")
         kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(self.q, self.v)])
         potential, strain = np.array([model.potentials(q) for q in self.q], float).reshape(-1, 2).T
@@ -163,7 +163,7 @@ class Trajectory:
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
-        told = told and f", {told}"
+        told = "".join(f", {what}" for what in (told, self.model.remark if self.model is not None else "") if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return (f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), "
                 f"{work}{worst}{told}" + (f"; {self.message}" if self.message else ""))

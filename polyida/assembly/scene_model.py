@@ -8,22 +8,27 @@ from polyida.assembly import collapse
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly import joints as rows
 from polyida.assembly.arrays import bilinear
-from polyida.assembly.build import assemble, bodies_of
+from polyida.assembly.build import assemble, bodies_of, of_kind
 from polyida.assembly.damping import add_damping, damped_blocks
 from polyida.assembly.mass_system import MassSystem, at_rest
 from polyida.assembly.named_points import NamedPoints
+from polyida.assembly.own_forces import OwnForces
+from polyida.body.force_element import ForceElement
 from polyida.element import kernels
 from polyida.model import Needs
 
 
 class SceneModel(NamedPoints):
-    """Plates, joints and masses as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
+    """Plates, joints, masses and forces as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
 
-    bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read. `rows` names the slice
+    bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read; own_forces: the
+    force elements, which are Python. compiled: whether there are none, so that kernels take whole steps. `rows` names the slice
     of phi and lam that belongs to each joint. Matrices are scipy.sparse.
     """
 
     compiled, looks_apart = True, 1024  # its joints hold on to points of their own, only motors turn rows
+
+    is_scene = True
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
@@ -37,10 +42,14 @@ class SceneModel(NamedPoints):
         links = self.arrays.links
         self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
         damped, self.flexible = any(body.plate.material.damped for body in self.bodies), True
-        self.needs = Needs(mass_varies=False, velocity_forces=damped, driven=bool((links.product_drive >= 0).any()),
+        self.needs = Needs(mass_varies=False, velocity_forces=damped or bool(of_kind(parts, ForceElement)), driven=bool((links.product_drive >= 0).any()),
                            phi_q_varies=bool(bilinear(links).any()))
         self.reference = np.concatenate([body.points for body in self.bodies])
         self.extent = float(np.ptp(self.reference, axis=0).max())
+        self.own_forces = OwnForces(of_kind(parts, ForceElement), self)
+        self.compiled = not self.own_forces
+        named = ", ".join(repr(own.name) for own in self.own_forces.each)
+        self.remark = f"plain paths for the Python of {named}" if named else ""
 
     @property
     def free_fall(self):
@@ -79,12 +88,23 @@ class SceneModel(NamedPoints):
 
     def residual(self, t, q, v, a, lam):
         """`r = M a + g + phi_q^T lam`, (n,)."""
-        return self._damped(q, v, self.evaluate(t, q, a, lam)[0])
+        return self._with_forces(t, q, v, self.evaluate(t, q, a, lam)[0])
 
-    def _damped(self, q, v, r):
+    def _with_forces(self, t, q, v, r):
+        """r with what `evaluate` leaves out: damping and force elements."""
         if self.needs.velocity_forces:
             add_damping(self.arrays.plates, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
+        self.own_forces.take_from(r, t, q, v)
         return r
+
+    def call_all(self, t, q, v):
+        """Each of a user's functions once."""
+        self.force(t, q, v), self.potential(q)
+
+    @property
+    def not_finite(self):
+        """Which of a user's functions last gave what is not finite, in words; empty where none."""
+        return self.own_forces.not_finite
 
     def phi(self, t, q):
         """Constraints, (m,), in m (points) and, without unit, as |d_A| |d_B| sin(angle error) (motors)."""
@@ -94,7 +114,7 @@ class SceneModel(NamedPoints):
 
     def force(self, t, q, v):
         """g = g_int - g_ext, (n,)."""
-        return self._damped(q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
+        return self._with_forces(t, q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
 
     def mass(self, q=None):
         """Mass matrix, constant, (n, n) sparse."""
@@ -172,11 +192,11 @@ class SceneModel(NamedPoints):
 
     def force_q(self, t, q, v):
         """dg/dq, (n, n) sparse."""
-        return self._plates_q(q, v, 0.0, 1.0)
+        return self._forces_q(t, q, v, 0.0, 1.0)
 
     def force_v(self, t, q, v):
-        """dg/dv, (n, n) sparse: zero without damping."""
-        return self._plates_q(q, v, 1.0, 0.0)
+        """dg/dv, (n, n) sparse: zero without damping and force elements."""
+        return self._forces_q(t, q, v, 1.0, 0.0)
 
     def mass_a_q(self, q, a):
         """d(M a)/dq: zero."""
@@ -195,7 +215,7 @@ class SceneModel(NamedPoints):
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
         """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n) sparse."""
         c_m, c_v, c_q = map(float, (c_m, c_v, c_q))
-        result = self._plates_q(q, v, c_v, c_q) + c_m * self._mass
+        result = self._forces_q(t, q, v, c_v, c_q) + c_m * self._mass
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
 
     def mass_system(self, t, q):
@@ -216,12 +236,12 @@ class SceneModel(NamedPoints):
         return next((name for name, part in self.rows.items() if part.start <= row < part.stop), None)
 
     def potential(self, q):
-        """Strain energy and potential of gravity, J, relative to the reference configuration."""
-        return self.strain_energy(q) + self.gravity_potential(q)
+        """Strain energy and potential of gravity, J, relative to the reference configuration, and energy of force elements."""
+        return self.strain_energy(q) + self.gravity_potential(q) + self.own_forces.energy(q)
 
     def potentials(self, q):
-        """(potential of gravity, strain energy), J."""
-        return self.gravity_potential(q), self.strain_energy(q)
+        """(potential of gravity and force elements, strain energy), J."""
+        return self.gravity_potential(q) + self.own_forces.energy(q), self.strain_energy(q)
 
     def strain_energy(self, q):
         """Elastic energy of all plates, J."""
@@ -261,6 +281,11 @@ class SceneModel(NamedPoints):
             indptr.append(body.operator.indptr[1:] + np.int32(first))
             indices.append(body.operator.indices + np.int32(body.nodes.start))
         return np.concatenate(indptr), np.concatenate(indices)
+
+    def _forces_q(self, t, q, v, c_v, c_q):
+        """`c_v dg/dv + c_q dg/dq`, (n, n) sparse."""
+        plates = self._plates_q(q, v, c_v, c_q)
+        return plates if self.compiled else (plates + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
 
     def _plates_q(self, q, v, c_v, c_q):
         from scipy.sparse import bsr_array

@@ -39,19 +39,20 @@ def scaling_factors(kind, step_square, tangent):
     return Scaling(step_square / size, size / step_square) if size > 0 else Scaling()
 
 
-def assemble(tangent, phi_q, scaling=Scaling()):
-    """The scaled matrix, (n + m, n + m): dense where S is dense, CSC otherwise."""
+def assemble(tangent, phi_q, scaling=Scaling(), pull=None):
+    """The scaled matrix, (n + m, n + m): dense where S is dense, CSC otherwise. pull: B of the upper right block, where it is another."""
+    pull = phi_q if pull is None else pull
     if hasattr(tangent, "tocsc"):
         from scipy.sparse import block_array, csr_array
 
         border = csr_array(phi_q)
         if not border.shape[0]:
             return (scaling.row * tangent).tocsc()
-        return block_array([[scaling.row * tangent, scaling.row * scaling.column * border.T], [border, None]], format="csc")
+        return block_array([[scaling.row * tangent, scaling.row * scaling.column * csr_array(pull).T], [border, None]], format="csc")
     n, m = tangent.shape[0], phi_q.shape[0]
     matrix = np.zeros((n + m, n + m))
     matrix[:n, :n] = scaling.row * tangent
-    matrix[:n, n:] = scaling.row * scaling.column * phi_q.T
+    matrix[:n, n:] = scaling.row * scaling.column * pull.T
     matrix[n:, :n] = phi_q
     return matrix
 
@@ -59,9 +60,9 @@ def assemble(tangent, phi_q, scaling=Scaling()):
 class KKT:
     """A factorization of the system; `solve` any number of right-hand sides."""
 
-    def __init__(self, tangent, phi_q, scaling=Scaling()):
+    def __init__(self, tangent, phi_q, scaling=Scaling(), pull=None):
         self.n, self.scaling = tangent.shape[0], scaling
-        matrix = assemble(tangent, phi_q, scaling)
+        matrix = assemble(tangent, phi_q, scaling, pull)
         if isinstance(matrix, np.ndarray):
             from scipy.linalg import lu_factor, lu_solve
 

@@ -1,9 +1,10 @@
-"""The energy-momentum method of Simo and Tarnow (1992) for scenes of St. Venant-Kirchhoff plates."""
+"""The energy-momentum method of Simo and Tarnow (1992), with the discrete derivative of Gonzalez (1996) beyond plates."""
 
 from dataclasses import dataclass
 
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
+from polyida.integrate.energy.general import General, WithForces, require_general
 from polyida.integrate.energy.midpoint import Midpoint
 from polyida.integrate.kinks import at_kink, beside, enough_steps, stretches
 from polyida.integrate.start import on_velocity
@@ -16,14 +17,19 @@ class EnergyMomentum:
 
     `M (v_1 - v_0)/h + f_int + B^T lam = f_ext(t_m)`, `q_1 - q_0 = h (v_0 + v_1)/2`, `phi(q_1, t_1) = 0`. The stress is that of the mean
     of the strains at both ends on the mean F, B the constraint Jacobian of the mean q and mean time: without moving motors and damping
-    the energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Velocities are on their
-    constraint at both ends. Second order in q, v, a and lam; a and lam of a frame follow from its q and v, which costs half to two
+    the energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Velocities of the frames are
+    on their constraint. Second order in q, v, a and lam; a and lam of a frame follow from its q and v, which costs half to two
     thirds of a step for each frame that is kept (integrate/energy/at_end.py). Damping enters at the middle of the step and only takes energy.
+
+    It takes every scene, force elements by the discrete derivative of their energy, and every model of one's own that gives
+    `potential`, with a constant mass and phi at most quadratic in q (integrate/energy/general.py). Other forces act at the middle. That
+    the energy is kept where phi_q varies needs `Needs(driven=False)`: else phi may do work, and v is put on its constraint at the cost of it.
 
     h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
     the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the
-    acceleration. max_iterations: of one Newton solve. Raises InputError for a setting out of range and for a model that is no scene.
-    Source: Simo, Tarnow, ZAMP 43 (1992) 757-792; Gonzalez, CMAME 190 (2000) 1763-1783 for the stress.
+    acceleration. max_iterations: of one Newton solve. Raises InputError for a setting out of range and for a model that it does not take.
+    Source: Simo, Tarnow, ZAMP 43 (1992) 757-792; Gonzalez, CMAME 190 (2000) 1763-1783 for the stress;
+    J. Nonlinear Sci. 6 (1996) 449-467 for the discrete derivative.
     """
 
     h: float
@@ -40,16 +46,17 @@ class EnergyMomentum:
                 raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")
 
     def require(self, model):
-        """Raise InputError unless the model is a scene."""
-        if not model.compiled:
-            raise InputError(f"EnergyMomentum: {type(model).__name__} is no scene of plates; use GeneralizedAlpha or IDA")
+        """Raise InputError unless it takes the model: any scene; one's own with a potential, constant mass, phi at most quadratic."""
+        if not (model.compiled or model.own_forces):
+            require_general(model)
 
     def steps(self, model, state, t_end, counts):
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+        kind = Midpoint if model.compiled else WithForces if model.own_forces else General
         for begin, end, most in stretches(model, state.t, t_end, self.h):
             state = _ready(model, state, begin)
             count = enough_steps(model, state, begin, end, min(self.h, most))
-            stepper = Midpoint(self, model, (end - begin) / count, counts, beside(end, -1) if at_kink(model, end) else end)
+            stepper = kind(self, model, (end - begin) / count, counts, beside(end, -1) if at_kink(model, end) else end)
             for k in range(1, count + 1):
                 state = stepper.step(state, begin + k * stepper.h if k < count else end)
                 counts.steps += 1

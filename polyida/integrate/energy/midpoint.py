@@ -20,22 +20,10 @@ from polyida.assembly.damping import damped_blocks
 from polyida.compiled import entry, part
 from polyida.element import kernels as elements
 from polyida.element import stabilisation, two_states
-from polyida.integrate.energy.at_end import AtEnd
-from polyida.integrate.start import on_velocity
+from polyida.integrate.energy.steps import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, SLOW, Steps
 from polyida.integrate.state import StepFailure
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
-
-FAR_SHORTER = 10.0  # a step as many times shorter than the next tells nothing of its accelerations
-SLOW = 0.3  # contraction above which the matrix is made anew
-DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR = range(6)
-REASONS = {
-    REFACTOR: ("newton", "Newton does not converge with a fresh matrix"),
-    INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
-    NOT_FINITE: ("not finite", "the motion is not finite"),
-    HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
-    SINGULAR: ("singular", "the constraints' system is singular"),
-}
 
 
 class Step(NamedTuple):
@@ -155,49 +143,17 @@ def newton(scene, c, scratch, drives_middle, drives_end, h, tolerance, most, ext
     return REFACTOR, before
 
 
-class Midpoint:
-    """Steps at one h; holds the factor between them. until: the time that motors and loads are held to, before a kink."""
+class Midpoint(Steps):
+    """Steps of a scene whose forces are all compiled."""
 
-    def __init__(self, settings, model, h, counts, until=np.inf, halvings=6):
-        self.until, self.halvings = until, halvings
-        self.settings, self.model, self.h, self.counts = settings, model, h, counts
-        self.room, self.system = room(model), None
-        self.extent = float(np.ptp(model.reference, axis=0).max())
-
-    def step(self, state, t):
-        """The accepted state at t. Raises StepFailure where Newton does not converge with a fresh matrix."""
-        ended, moved = self._solve(state, t)
-        if ended not in (DONE, HALF_TURN) and not self.fresh:
-            self.system = None
-            ended, moved = self._solve(state, t)
-        w = self.room
-        if ended != DONE:
-            return self._halved(state, t, ended, moved)
-        at, q, v = min(t, self.until), w.u1.ravel().copy(), (2.0 * (w.u1 - w.u0) / self.h - w.v0).ravel()
-        memory = {"a_middle": (v - state.v) / self.h, "lam_middle": w.lam.copy(), "h_middle": self.h}
-        if self.model.needs.driven or self.model.needs.phi_q_varies:  # else it is there: phi is linear, its mean rate over the step zero
-            v = on_velocity(self.model, at, q, v)
-        return AtEnd(self.model, float(t), q, v, memory, at)
-
-    def _halved(self, state, t, ended, moved):
-        """The state at t by two steps of half the size, each keeping energy by itself."""
-        if not self.halvings:
-            status, reason = REASONS[ended]
-            seen = {"last |dq|": float(moved), "|phi|": float(np.abs(self.room.phi).max(initial=0.0)), "step": self.h}
-            raise StepFailure(status, f"{reason}; the step in 2 to 64 parts fails too", t, **seen)
-        self.system = None
-        self.counts.rejected += 1
-        half = Midpoint(self.settings, self.model, self.h / 2, self.counts, self.until, self.halvings - 1)
-        return half.step(half.step(state, t - self.h / 2), t)
+    def _room(self):
+        self.extent = float(np.ptp(self.model.reference, axis=0).max())
+        return room(self.model)
 
     def _solve(self, state, t):
         w, h, model = self.room, self.h, self.model
-        for target, values in ((w.u0, state.q), (w.v0, state.v)):
-            target[:] = values.reshape(-1, 2)
-        a, lam = self._guess(state)
-        w.u1[:] = w.u0 + h * w.v0 + 0.5 * h * h * a.reshape(-1, 2)
-        w.lam[:] = lam
-        w.half_lam[:] = 0.5 * lam
+        self._begin(state)
+        w.half_lam[:] = 0.5 * w.lam
         drives, seen = [model.drives(min(s, self.until)) for s in (t - h / 2, t)], np.zeros(2, np.int64)
         self.fresh = self.system is None
         if self.fresh:
@@ -208,15 +164,6 @@ class Midpoint:
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])
         return ended
-
-    def _guess(self, state):
-        """Acceleration and multipliers to begin with: those of the last step; behind a far shorter one, which may have been a blow, none."""
-        memory = state.memory
-        if "a_middle" not in memory:
-            return state.a, state.lam
-        if self.h > FAR_SHORTER * memory["h_middle"]:
-            return np.zeros_like(state.q), np.zeros(self.model.m)
-        return memory["a_middle"], memory["lam_middle"]
 
     def _damping(self):
         blocks, still = np.empty((len(self.model.pattern[1]), 2, 2)), np.zeros_like(self.room.um)

@@ -1,0 +1,124 @@
+"""The force elements of a scene: forces that are Python, on places that are linear in q."""
+
+import numpy as np
+
+from polyida import differences
+from polyida.body.force_element import sides_of
+from polyida.errors import InputError
+from polyida.given import is_number, read_only, reals
+
+
+class OwnForce:
+    """A force element in its scene: its sides are at `x = rest + A q`, A (2 sides, n) sparse; the ground's rows are zero.
+
+    extent: the scene's size, m, over which derivatives are taken. not_finite: in words, which of its functions last gave what is not
+    finite for arguments that are; else empty.
+    """
+
+    def __init__(self, name, element, model):
+        self.name, self.element, self.not_finite = name, element, ""
+        sides = sides_of(name, element)
+        self.rest = np.array([side.point for side in sides])
+        self.A = _places(sides, model)
+        self.extent = float(np.ptp(model.reference, axis=0).max())
+
+    def places(self, q):
+        """Places of the sides, (sides, 2), m."""
+        return self.rest + self.velocities(q)
+
+    def velocities(self, v):
+        """Velocities of the sides, (sides, 2), m/s."""
+        return (self.A @ v).reshape(-1, 2)
+
+    def forces(self, t, x, v):
+        """Forces on the sides, (sides, 2), N."""
+        return self._call("forces", x.shape, t, x, v)
+
+    def energy(self, x):
+        """Its energy, J; zero where it has none. Raises InputError for what is no finite number."""
+        value = self.element.energy(read_only(x))
+        if value is None:
+            return 0.0
+        if not is_number(value):
+            raise InputError(f"{self.name}: energy(x) must return a finite number or None, not {value!r}")
+        return float(value)
+
+    def slopes(self, t, x, v, c_v, c_q):
+        """`c_v df/dv + c_q df/dx`, (2 sides, 2 sides)."""
+        result = np.zeros((x.size, x.size))
+        if c_v:
+            result += c_v * self._slope("forces_v", t, x, v, lambda d: self.forces(t, x, v + d))
+        if c_q:
+            result += c_q * self._slope("forces_x", t, x, v, lambda d: self.forces(t, x + d, v))
+        return result
+
+    def _slope(self, name, t, x, v, moved):
+        if getattr(self.element, name)(t, read_only(x), read_only(v)) is not None:
+            return self._call(name, x.shape * 2, t, x, v).reshape(x.size, x.size)
+        change, size = (lambda s: moved(self.extent * s.reshape(x.shape)).ravel()), x.size
+        return differences.jacobian(change, np.zeros(size), size) / self.extent
+
+    def _call(self, name, shape, t, x, v):
+        try:
+            given = getattr(self.element, name)(t, read_only(x), read_only(v))
+        except ValueError as error:
+            if "read-only" not in str(error):
+                raise
+            raise InputError(f"{self.name}: {name} writes into its arguments, which belong to the integrator: take a copy first") from error
+        found = reals(given)
+        if found is None or found.shape != shape:
+            raise InputError(f"{self.name}: {name} must return real numbers of shape {shape}, not {type(given).__name__} of shape {_shape(given)}")
+        bad = not np.isfinite(found).all() and np.isfinite(x).all() and np.isfinite(v).all()
+        self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite" if bad else ""
+        return found
+
+
+class OwnForces:
+    """All of them, as a part of g: `g = ... - A^T f`."""
+
+    def __init__(self, elements, model):
+        self.each, self.n = [OwnForce(name, element, model) for name, element in elements.items()], model.n
+
+    def __bool__(self):
+        return bool(self.each)
+
+    def take_from(self, r, t, q, v):
+        """Take the forces from r (n,), in place."""
+        for own in self.each:
+            r -= own.A.T @ own.forces(t, own.places(q), own.velocities(v)).ravel()
+
+    def slopes(self, t, q, v, c_v, c_q):
+        """`c_v dg/dv + c_q dg/dq` of them, (n, n) sparse."""
+        from scipy.sparse import csc_array
+
+        result = csc_array((self.n, self.n))
+        for own in self.each:
+            result = result - own.A.T @ csc_array(own.slopes(t, own.places(q), own.velocities(v), c_v, c_q)) @ own.A
+        return result
+
+    def energy(self, q):
+        """Energy of those that have one, J."""
+        return sum((own.energy(own.places(q)) for own in self.each), 0.0)
+
+    @property
+    def not_finite(self):
+        """Which functions last gave what is not finite, in words; else empty."""
+        return " and ".join(own.not_finite for own in self.each if own.not_finite)
+
+
+def _places(sides, model):
+    """A: displacements of the sides from q, (2 sides, n)."""
+    from scipy.sparse import csr_array, kron
+
+    held = [(k, side) for k, side in enumerate(sides) if side.body is not None]
+    rows = np.concatenate([np.full(len(side.nodes), k) for k, side in held])
+    columns = np.concatenate([model.nodes_of(side) for _, side in held])
+    weights = np.concatenate([side.weights for _, side in held])
+    return csr_array(kron(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)), np.eye(2)))
+
+
+def _shape(given):
+    try:
+        return np.shape(given)
+    except ValueError:
+        return "uneven"

@@ -1,0 +1,64 @@
+"""What every force of one's own is: sides, and the forces on them."""
+
+from dataclasses import fields, is_dataclass
+
+from polyida import registry
+from polyida.errors import InputError
+from polyida.joint.attachment import Attachment, Ground, labelled
+
+
+class ForceElement:
+    """A force on attachments, written in Python: a frozen dataclass with a field `name`, `sides()` and `forces(t, x, v)`.
+
+    Its fields (numbers, profiles, attachments) are its data and are saved with it. Its functions get the places x, m, and velocities v, m/s,
+    of its sides, (sides, 2) each, to read only. What it does not write of the rest is taken by differences, or is not there. A scene with
+    such forces goes through the integrators' plain paths, which its summaries say.
+    """
+
+    name = None
+
+    def __init_subclass__(cls, **options):
+        super().__init_subclass__(**options)
+        registry.parts[registry.name_of(cls)] = cls
+
+    def sides(self):
+        """What it acts on: a tuple of attachments and places of the ground (`ground.at`)."""
+        raise NotImplementedError
+
+    def forces(self, t, x, v):
+        """Forces on the sides, (sides, 2), N."""
+        raise NotImplementedError
+
+    def forces_x(self, t, x, v):
+        """Derivatives of the forces in the places, (sides, 2, sides, 2), N/m; None: by differences."""
+        return None
+
+    def forces_v(self, t, x, v):
+        """Derivatives of the forces in the velocities, (sides, 2, sides, 2), N s/m; None: by differences."""
+        return None
+
+    def energy(self, x):
+        """Potential energy at the places x, J, of which `forces` are the falling slope, as far as they have one; None: they have none."""
+        return None
+
+
+def require_element(element):
+    """Raise InputError unless the class of a force element is whole."""
+    kind = type(element)
+    label = labelled(kind.__name__, element.name)
+    if not (is_dataclass(kind) and any(field.name == "name" for field in fields(kind))):
+        raise InputError(f"{label}: its class must be a dataclass with a field `name: str | None = None`; decorate it with @dataclass(frozen=True, eq=False)")
+    for function in ("sides", "forces"):
+        if getattr(kind, function) is getattr(ForceElement, function):
+            raise InputError(f"{label}: its class gives no {function}()")
+
+
+def sides_of(name, element):
+    """The sides of a force element, looked at. Raises InputError naming it."""
+    sides = element.sides()
+    if not isinstance(sides, (tuple, list)) or not any(isinstance(side, Attachment) for side in sides):
+        raise InputError(f"{name}: sides() gave {sides!r:.80}; it must give a tuple of attachments, like (self.at,), of a body one at least")
+    for side in sides:
+        if not isinstance(side, Attachment) and not (isinstance(side, Ground) and side.point is not None):
+            raise InputError(f"{name}: the side {side!r:.80} is no attachment; use plate.section(...), plate.node(...) or ground.at(point)")
+    return tuple(sides)

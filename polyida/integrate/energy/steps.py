@@ -1,0 +1,87 @@
+"""Steps with the forces at the middle, whatever solves them: what one begins from, what becomes of its end, and halves where it fails."""
+
+import numpy as np
+
+from polyida.integrate.energy.at_end import AtEnd
+from polyida.integrate.start import on_velocity
+from polyida.integrate.state import StepFailure
+
+FAR_SHORTER = 10.0  # a step as many times shorter than the next tells nothing of its accelerations
+SLOW = 0.3  # contraction above which the matrix is made anew
+DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR = range(6)
+REASONS = {
+    REFACTOR: ("newton", "Newton does not converge with a fresh matrix"),
+    INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
+    NOT_FINITE: ("not finite", "the motion is not finite"),
+    HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
+    SINGULAR: ("singular", "the constraints' system is singular"),
+}
+
+
+class Steps:
+    """Steps at one h; holds the matrix between them. until: the time that motors and loads are held to, before a kink.
+
+    A kind of them says what `_room()` they need and how to `_solve(state, t)`: (how it ended, last |dq|), the step being left in
+    u0, v0, u1, lam and phi of the room, and `fresh`, whether the matrix was made in it.
+
+    `phi = 0` at both ends leaves `v_1 = 2 (q_1 - q_0)/h - v_0` off its constraint. Where nothing drives, so that there is an energy to
+    keep, the next step begins from that v_1 (memory "v_free"), which keeps energy and momenta, and the frame has it put on the
+    constraint and as fast as it takes to have its energy.
+    """
+
+    def __init__(self, settings, model, h, counts, until=np.inf, halvings=6):
+        self.until, self.halvings = until, halvings
+        self.settings, self.model, self.h, self.counts = settings, model, h, counts
+        self.room, self.system = self._room(), None
+
+    def step(self, state, t):
+        """The accepted state at t. Raises StepFailure where Newton does not converge with a fresh matrix."""
+        ended, moved = self._solve(state, t)
+        if ended not in (DONE, HALF_TURN) and not self.fresh:
+            self.system = None
+            ended, moved = self._solve(state, t)
+        w = self.room
+        if ended != DONE:
+            return self._halved(state, t, ended, moved)
+        at, q, v = min(t, self.until), w.u1.ravel().copy(), (2.0 * (w.u1 - w.u0) / self.h - w.v0).ravel()
+        memory = {"a_middle": (v - w.v0.ravel()) / self.h, "lam_middle": w.lam.copy(), "h_middle": self.h}
+        if self.model.needs.driven:
+            v = on_velocity(self.model, at, q, v)
+        elif self.model.needs.phi_q_varies:  # else it is there: phi is linear, and its mean rate over the step is zero
+            memory["v_free"], v = v, self._as_fast(v, on_velocity(self.model, at, q, v))
+        return AtEnd(self.model, float(t), q, v, memory, at)
+
+    def _as_fast(self, v, on):
+        """`on`, with the kinetic energy of v."""
+        M = self.model.mass(on)
+        has = on @ (M @ on)
+        return on * np.sqrt(v @ (M @ v) / has) if has > 0.0 else on
+
+    def _begin(self, state):
+        """Put the state's q and v, and where they lead, into the room."""
+        w, h = self.room, self.h
+        a, lam = self._guess(state)
+        for target, values in ((w.u0, state.q), (w.v0, state.memory.get("v_free", state.v))):
+            target[:] = values.reshape(target.shape)
+        w.u1[:] = w.u0 + h * w.v0 + 0.5 * h * h * a.reshape(w.u0.shape)
+        w.lam[:] = lam
+
+    def _guess(self, state):
+        """Acceleration and multipliers to begin with: those of the last step; behind a far shorter one, which may have been a blow, none."""
+        memory = state.memory
+        if "a_middle" not in memory:
+            return state.a, state.lam
+        if self.h > FAR_SHORTER * memory["h_middle"]:
+            return np.zeros_like(state.q), np.zeros(self.model.m)
+        return memory["a_middle"], memory["lam_middle"]
+
+    def _halved(self, state, t, ended, moved):
+        """The state at t by two steps of half the size, each keeping energy by itself."""
+        if not self.halvings:
+            status, reason = REASONS[ended]
+            seen = {"last |dq|": float(moved), "|phi|": float(np.abs(self.room.phi).max(initial=0.0)), "step": self.h}
+            raise StepFailure(status, f"{reason}; the step in 2 to 64 parts fails too", t, **seen)
+        self.system = None
+        self.counts.rejected += 1
+        half = type(self)(self.settings, self.model, self.h / 2, self.counts, self.until, self.halvings - 1)
+        return half.step(half.step(state, t - self.h / 2), t)
