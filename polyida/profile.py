@@ -1,8 +1,9 @@
 """Time profiles of motors and loads: a value with its first and second derivative in time, and the times of its kinks."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
-from typing import Callable
 
 import numpy as np
 
@@ -17,7 +18,8 @@ REACH = {1: 2e-5, 2: 2e-4}  # s between the values that a first or second deriva
 class Profile:
     """A function of time `value(t)` with `d1(t)`, `d2(t)` and the times `kinks` at which it is not smooth.
 
-    `formula` describes a profile made by this module as plain data (kind, numbers), so that it can be stored in a file.
+    `formula` describes a profile made by this module as plain data (kind, numbers), so that it can be stored in a file. Profiles
+    pickle where the functions do: those of this module always, a user's where they stand in a module.
     `shortest`: the shortest time in which it moves and comes to rest or turns back, s; None where nobody says: solvers look.
     """
 
@@ -82,22 +84,17 @@ def _move(start, end, duration, begin, kind, coefficients):
         raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
     shape = np.polynomial.Polynomial(coefficients)
     start, end, duration, begin = map(float, (start, end, duration, begin))
-    span = end - start
+    orders = (partial(_moved, shape.deriv(order) if order else shape, order, start, end - start, duration, begin) for order in range(3))
+    return Profile(*orders, (begin, begin + duration), (kind, start, end, duration, begin), duration)
 
-    def derivative(order):
-        function, factor = shape.deriv(order) if order else shape, span / duration**order
 
-        def evaluate(t):
-            s = (np.asarray(t, float) - begin) / duration
-            inside = (s > 0) & (s < 1)
-            held = np.where(s >= 1, span, 0.0) + start if order == 0 else 0.0
-            moving = factor * function(np.clip(s, 0.0, 1.0)) + (start if order == 0 else 0.0)
-            return np.where(inside, moving, held)[()]
-
-        return evaluate
-
-    formula = (kind, start, end, duration, begin)
-    return Profile(derivative(0), derivative(1), derivative(2), (begin, begin + duration), formula, duration)
+def _moved(function, order, start, span, duration, begin, t):
+    """A derivative of a move, `function` that of its shape over s."""
+    s = (np.asarray(t, float) - begin) / duration
+    inside = (s > 0) & (s < 1)
+    held = np.where(s >= 1, span, 0.0) + start if order == 0 else 0.0
+    moving = span / duration**order * function(np.clip(s, 0.0, 1.0)) + (start if order == 0 else 0.0)
+    return np.where(inside, moving, held)[()]
 
 
 def sine(amplitude, frequency, phase=0.0):
@@ -105,9 +102,13 @@ def sine(amplitude, frequency, phase=0.0):
     _require_numbers("sine", amplitude=amplitude, frequency=frequency, phase=phase)
     amplitude, frequency, phase = map(float, (amplitude, frequency, phase))
     w = 2 * np.pi * frequency
-    return Profile(lambda t: amplitude * np.sin(w * t + phase), lambda t: amplitude * w * np.cos(w * t + phase),
-                   lambda t: -amplitude * w * w * np.sin(w * t + phase),
+    waves = (np.sin, amplitude), (np.cos, amplitude * w), (np.sin, -amplitude * w * w)
+    return Profile(*(partial(_wave, function, size, w, phase) for function, size in waves),
                    formula=("sine", amplitude, frequency, phase), shortest=0.5 / abs(frequency) if frequency else np.inf)
+
+
+def _wave(function, size, w, phase, t):
+    return size * function(w * t + phase)
 
 
 def from_function(value, d1=None, d2=None, kinks=(), shortest=None):
@@ -126,41 +127,39 @@ def from_function(value, d1=None, d2=None, kinks=(), shortest=None):
     times = np.sort(times)
     if not (shortest is None or (is_number(shortest) and shortest > 0)):
         raise InputError(f"profile.from_function: shortest = {shortest!r} must be a positive time in s")
-    value, d1, d2 = (function and _checked(function) for function in (value, d1, d2))
+    value, d1, d2 = (function and partial(_checked, function) for function in (value, d1, d2))
     given, order = (d1, 1) if d1 else (value, 2)
-    return Profile(value, d1 or _derivative(value, 1, times), d2 or _derivative(given, order, times), tuple(times.tolist()),
-                   shortest=shortest)
+    return Profile(value, d1 or partial(_derivative, value, 1, times), d2 or partial(_derivative, given, order, times),
+                   tuple(times.tolist()), shortest=shortest)
 
 
-def _checked(function):
+def _checked(function, t):
     """A user's function of time, which must give a finite number at a time; at an array of times it may give anything."""
-    name = getattr(function, "__name__", type(function).__name__)
-
-    def value(t):
-        found = function(t)
-        if type(found) is float and isfinite(found):
-            return found
-        if np.ndim(t):
-            return found
-        found = found.item() if isinstance(found, (np.ndarray, np.generic)) and found.ndim == 0 else found
-        if not is_number(found):
-            raise InputError(f"profile {name}: it gives {found!r} at t = {t!r}, a finite number is needed")
-        return float(found)
-
-    return value
+    found = function(t)
+    if type(found) is float and isfinite(found):
+        return found
+    if np.ndim(t):
+        return found
+    found = found.item() if isinstance(found, (np.ndarray, np.generic)) and found.ndim == 0 else found
+    if not is_number(found):
+        name = getattr(function, "__name__", type(function).__name__)
+        raise InputError(f"profile {name}: it gives {found!r} at t = {t!r}, a finite number is needed")
+    return float(found)
 
 
-def _derivative(function, order, kinks):
-    return lambda t: float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
+def _derivative(function, order, kinks, t):
+    return float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
 
 
 def difference(first, second):
     """The profile `first - second`."""
     kinks = tuple(sorted({*first.kinks, *second.kinks}))
-    value, d1, d2 = (
-        lambda t, f=f, g=g: f(t) - g(t) for f, g in ((first.value, second.value), (first.d1, second.d1), (first.d2, second.d2))
-    )
-    return Profile(value, d1, d2, kinks)
+    pairs = (first.value, second.value), (first.d1, second.d1), (first.d2, second.d2)
+    return Profile(*(partial(_less, f, g) for f, g in pairs), kinks)
+
+
+def _less(f, g, t):
+    return f(t) - g(t)
 
 
 def as_profile(given, part):

@@ -38,6 +38,9 @@ class SceneModel(Model):
                            phi_q_varies=bool(bilinear(links).any()))
         self.reference = np.concatenate([body.points for body in self.bodies])
 
+    def __reduce__(self):
+        return type(self), (self.parts, self.gravity)
+
     def drives(self, t):
         """Value, first and second derivative of every profile at time t, (profiles, 3)."""
         at, table = self._driven
