@@ -6,6 +6,7 @@ from functools import partial
 from math import isfinite
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.differences import around, within
 from polyida.errors import InputError
@@ -30,31 +31,31 @@ class Profile:
     formula: tuple = ()
     shortest: float | None = None
 
-    def __call__(self, t):
+    def __call__(self, t: float) -> float:
         return self.value(t)
 
-    def at(self, t):
+    def at(self, t: float) -> tuple[float, float, float]:
         """(value, first, second derivative) at time t."""
         return self.value(t), self.d1(t), self.d2(t)
 
 
-def constant(value):
+def constant(value: float) -> Profile:
     """The same value at all times. Raises InputError where it is no finite number."""
     _require_numbers("constant", value=value)
     return polynomial([value])
 
 
-def polynomial(coefficients):
+def polynomial(coefficients: ArrayLike) -> Profile:
     """`c0 + c1 t + c2 t^2 + ...`. Raises InputError where the coefficients are no finite numbers."""
     given = floats(coefficients)
     if given is None or given.ndim != 1 or not given.size:
         raise InputError(f"profile.polynomial: coefficients = {coefficients!r} must be finite numbers, at least one")
     c = np.polynomial.Polynomial(given)
     first, second = c.deriv(1), c.deriv(2)
-    return Profile(c, first, second, formula=("polynomial", *map(float, coefficients)), shortest=np.inf)
+    return Profile(c, first, second, formula=("polynomial", *given.tolist()), shortest=np.inf)
 
 
-def quintic(start, end, duration, begin=0.0):
+def quintic(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Smooth move `start + (end - start)(10 s^3 - 15 s^4 + 6 s^5)`, s = (t - begin)/duration held to [0, 1].
 
     Velocity and acceleration vanish at both ends. Raises InputError where duration is not positive.
@@ -62,12 +63,12 @@ def quintic(start, end, duration, begin=0.0):
     return _move(start, end, duration, begin, "quintic", [0, 0, 0, 10, -15, 6])
 
 
-def ramp(start, end, duration, begin=0.0):
+def ramp(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Move of class C^4: the ninth-degree smooth step. Raises InputError where duration is not positive."""
     return _move(start, end, duration, begin, "ramp", [0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
 
 
-def linear(start, end, duration, begin=0.0):
+def linear(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Straight move from start to end, with a kink at both ends. Raises InputError where duration is not positive."""
     return _move(start, end, duration, begin, "linear", [0, 1])
 
@@ -84,8 +85,8 @@ def _move(start, end, duration, begin, kind, coefficients):
         raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
     shape = np.polynomial.Polynomial(coefficients)
     start, end, duration, begin = map(float, (start, end, duration, begin))
-    orders = (partial(_moved, shape.deriv(order) if order else shape, order, start, end - start, duration, begin) for order in range(3))
-    return Profile(*orders, (begin, begin + duration), (kind, start, end, duration, begin), duration)
+    value, d1, d2 = (partial(_moved, shape.deriv(order) if order else shape, order, start, end - start, duration, begin) for order in range(3))
+    return Profile(value, d1, d2, (begin, begin + duration), (kind, start, end, duration, begin), duration)
 
 
 def _moved(function, order, start, span, duration, begin, t):
@@ -97,21 +98,22 @@ def _moved(function, order, start, span, duration, begin, t):
     return np.where(inside, moving, held)[()]
 
 
-def sine(amplitude, frequency, phase=0.0):
+def sine(amplitude: float, frequency: float, phase: float = 0.0) -> Profile:
     """`amplitude sin(2 pi frequency t + phase)`; frequency in Hz, phase in rad. Raises InputError for what is no finite number."""
     _require_numbers("sine", amplitude=amplitude, frequency=frequency, phase=phase)
     amplitude, frequency, phase = map(float, (amplitude, frequency, phase))
     w = 2 * np.pi * frequency
     waves = (np.sin, amplitude), (np.cos, amplitude * w), (np.sin, -amplitude * w * w)
-    return Profile(*(partial(_wave, function, size, w, phase) for function, size in waves),
-                   formula=("sine", amplitude, frequency, phase), shortest=0.5 / abs(frequency) if frequency else np.inf)
+    value, d1, d2 = (partial(_wave, function, size, w, phase) for function, size in waves)
+    return Profile(value, d1, d2, formula=("sine", amplitude, frequency, phase), shortest=0.5 / abs(frequency) if frequency else np.inf)
 
 
 def _wave(function, size, w, phase, t):
     return size * function(w * t + phase)
 
 
-def from_function(value, d1=None, d2=None, kinks=(), shortest=None):
+def from_function(value: Callable[[float], float], d1: Callable[[float], float] | None = None, d2: Callable[[float], float] | None = None,
+                  kinks: ArrayLike = (), shortest: float | None = None) -> Profile:
     """A profile from functions of time; derivatives that are not given are differences of values on one side of all kinks.
 
     shortest: its shortest move, s; where that is not given, solvers look for moves that their steps would pass over.
@@ -127,7 +129,8 @@ def from_function(value, d1=None, d2=None, kinks=(), shortest=None):
     times = np.sort(times)
     if not (shortest is None or (is_number(shortest) and shortest > 0)):
         raise InputError(f"profile.from_function: shortest = {shortest!r} must be a positive time in s")
-    value, d1, d2 = (function and partial(_checked, function) for function in (value, d1, d2))
+    value = partial(_checked, value)
+    d1, d2 = (function and partial(_checked, function) for function in (d1, d2))
     given, order = (d1, 1) if d1 else (value, 2)
     return Profile(value, d1 or partial(_derivative, value, 1, times), d2 or partial(_derivative, given, order, times),
                    tuple(times.tolist()), shortest=shortest)
@@ -151,18 +154,19 @@ def _derivative(function, order, kinks, t):
     return float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
 
 
-def difference(first, second):
+def difference(first: Profile, second: Profile) -> Profile:
     """The profile `first - second`."""
     kinks = tuple(sorted({*first.kinks, *second.kinks}))
     pairs = (first.value, second.value), (first.d1, second.d1), (first.d2, second.d2)
-    return Profile(*(partial(_less, f, g) for f, g in pairs), kinks)
+    value, d1, d2 = (partial(_less, f, g) for f, g in pairs)
+    return Profile(value, d1, d2, kinks)
 
 
 def _less(f, g, t):
     return f(t) - g(t)
 
 
-def as_profile(given, part):
+def as_profile(given: "Profile | Callable[[float], float] | float", part: str) -> Profile:
     """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise.
 
     A function is tried at t = 0: it must give a finite number there.
@@ -181,9 +185,9 @@ def as_profile(given, part):
     raise InputError(f"{part}: {given!r} is no time profile: give a number, a function of t, or polyida.profile.*")
 
 
-MAKERS = {"polynomial": lambda *c: polynomial(c), "quintic": quintic, "ramp": ramp, "linear": linear, "sine": sine}
+MAKERS: dict[str, Callable[..., Profile]] = {"polynomial": lambda *c: polynomial(c), "quintic": quintic, "ramp": ramp, "linear": linear, "sine": sine}
 
 
-def from_formula(formula):
+def from_formula(formula: tuple) -> Profile | None:
     """The profile that `Profile.formula` describes, or None where the formula is empty."""
     return MAKERS[formula[0]](*formula[1:]) if formula else None

@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, is_one_of
@@ -22,7 +25,7 @@ class Energy:
     strain: np.ndarray
 
     @property
-    def total(self):
+    def total(self) -> NDArray:
         """kinetic + potential + strain."""
         return self.kinetic + self.potential + self.strain
 
@@ -38,8 +41,8 @@ class Trajectory:
     asked for, frame by frame.
     """
 
-    model: object
-    integrator: object
+    model: Any
+    integrator: Any
     t: np.ndarray
     q: np.ndarray
     v: np.ndarray
@@ -56,7 +59,7 @@ class Trajectory:
     missing: str = "no file holds a model of a user's own"
 
     @property
-    def state(self):
+    def state(self) -> State:
         """The state at which the run ended; `solve(model, t_end, integrator, state=run.state)` goes on from it.
 
         An accepted one has the integrator's memory, so that generalized-alpha with constant steps goes on as if it had
@@ -67,17 +70,17 @@ class Trajectory:
         return State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1], restart=False)
 
     @property
-    def memory(self):
+    def memory(self) -> dict:
         """What the integrator needs to go on from the last frame as if it had not stopped; empty where unknown."""
         return self.state.memory if len(self) and self.state.t == self.t[-1] else {}
 
     @property
-    def success(self):
+    def success(self) -> bool:
         """True where the run reached its end."""
         return self.status in ("done", "stopped")
 
     @property
-    def steps(self):
+    def steps(self) -> int:
         """Accepted steps."""
         return self.counts.steps
 
@@ -85,20 +88,20 @@ class Trajectory:
         return len(self.t)
 
     @cached_property
-    def drift(self):
+    def drift(self) -> NDArray:
         """Largest |phi| of every frame, (frames,), in phi's unit (m for joints)."""
         model = self._known_model("drift")
         return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, self.q)])
 
     @cached_property
-    def velocity_drift(self):
+    def velocity_drift(self) -> NDArray:
         """Largest |phi_q v + phi_t| of every frame, (frames,)."""
         model = self._known_model("velocity_drift")
         frames = zip(self.t, self.q, self.v)
         return np.array([_largest(model.phi_q(t, q) @ v + model.phi_t(t, q)) for t, q, v in frames])
 
     @cached_property
-    def energy(self):
+    def energy(self) -> Energy:
         """Kinetic, potential (gravity) and strain energy of every frame."""
         model = self._known_model("energy")
         kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(self.q, self.v)])
@@ -113,7 +116,7 @@ class Trajectory:
             raise InputError(f"{what}: {self.missing}; the run that was loaded has frames only")
         return guard(self.model)
 
-    def position(self, name):
+    def position(self, name: object) -> NDArray:
         """Path of a mass, load or joint, by name or itself, or of an attachment, (frames, 2), m.
 
         Raises InputError for what is not in the scene.
@@ -135,7 +138,7 @@ class Trajectory:
             side = self.model.attachment(name)
         return self.model.nodes_of(side), side.weights
 
-    def reaction(self, name):
+    def reaction(self, name: str) -> NDArray:
         """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""
         rows = getattr(self.model, "rows", {})
         if not is_one_of(name, rows):
@@ -146,20 +149,20 @@ class Trajectory:
             first += len(q)
         return np.concatenate(found)
 
-    def node_positions(self, frame):
+    def node_positions(self, frame: int) -> NDArray:
         """Positions of all nodes in a frame, (nodes, 2), m."""
         return self.model.reference + self.q[frame].reshape(-1, 2)
 
-    def stress(self, frame):
+    def stress(self, frame: int) -> NDArray:
         """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
         return self.model.stress(self.q[frame])
 
-    def von_mises(self, frame):
+    def von_mises(self, frame: int) -> NDArray:
         """Von Mises stress of every element in a frame, (cells,), Pa, with the stress across the plane where a plate is in plane strain."""
         stress = self.stress(frame)
         return von_mises(stress, self.model.stress_across(stress))
 
-    def summary(self):
+    def summary(self) -> str:
         """One line: how it ended, what it cost, how well it held."""
         c = self.counts
         worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
@@ -170,7 +173,7 @@ class Trajectory:
         return (f"{self.status}: {type(self.integrator).__name__} to {end}, {c.steps} steps ({c.rejected} rejected), "
                 f"{work}{worst}{told}" + (f"; {self.message}" if self.message else ""))
 
-    def save(self, path, overwrite=False):
+    def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""
         save(self, path, overwrite)
 
@@ -179,7 +182,7 @@ def _largest(values):
     return float(np.abs(values).max(initial=0.0))
 
 
-def von_mises(stress, zz=0.0):
+def von_mises(stress: ArrayLike, zz: ArrayLike = 0.0) -> NDArray:
     """Von Mises stress of Cauchy components (..., 3), xx, yy, xy, and zz (...), same unit:
 
         sqrt(((xx - yy)^2 + (yy - zz)^2 + (zz - xx)^2) / 2 + 3 xy^2)

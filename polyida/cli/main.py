@@ -109,7 +109,8 @@ def run(scene: SceneOrNone = None, integrator: Integrator = "alpha", cells: Cell
         resume: _option(Path, RESUME_HELP) = None):
     """Run one integrator on a scene, written to an HDF5 file as it goes."""
     if resume:
-        return _resumed(resume, scene, cells, time)
+        _resumed(resume, scene, cells, time)
+        return
     if scene is None:
         raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
     from polyida.integrate.solve import solve

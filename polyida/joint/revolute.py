@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
 
 
@@ -15,6 +16,6 @@ class Revolute(Joint):
 
     kind = "revolute"
 
-    def rows(self):
+    def rows(self) -> list[Row | Vector]:
         """`x_A - x_B`."""
         return [self.a.x - self.b.x]

@@ -24,7 +24,7 @@ LOWER = ("vertex", "line")
 PREFIX = "section:"
 
 
-def read(path, tolerance=1e-9):
+def read(path: str | Path, tolerance: float = 1e-9) -> PolygonMesh:
     """PolygonMesh of a file of triangles, quads and polygons, of one or several kinds.
 
     Points closer than tolerance times the mesh's size merge, unused ones go, clockwise cells turn. Nodes are
@@ -43,7 +43,7 @@ def read(path, tolerance=1e-9):
         raise InputError(f"mesh file {path} holds inconsistent data: {_short(error)}") from error
 
 
-def write(mesh, path, overwrite=False):
+def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False) -> None:
     """Write a mesh; the suffix gives the format: .vtu, .vtk and .obj hold polygons, others triangles and quads.
 
     .vtu, .vtk and .msh hold the sections too. Whole or not at all: a temporary file beside it is renamed.
@@ -103,7 +103,7 @@ def _quietly(path, action, what="read"):
     try:
         with guarded(path.stat().st_size if path.exists() else 2**28) as said:
             return action(meshio)
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit) as error:  # noqa: BLE001, whatever it is, the file is to blame
         detail = " ".join(said.getvalue().split())[:200] if isinstance(error, SystemExit) else _short(error)
         raise InputError(f"mesh file {path} cannot be {what} as {path.suffix}: {detail or 'no reason given'}") from None
 

@@ -3,11 +3,16 @@
 import inspect
 from dataclasses import dataclass, field
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import is_one_of, reals
+
+if TYPE_CHECKING:
+    from polyida.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -32,14 +37,14 @@ class Problem:
     known_to: dict = field(default_factory=dict)
     measures: dict = field(default_factory=dict)
 
-    def errors(self, **found):
+    def errors(self, **found: ArrayLike) -> dict[str, float]:
         """{name: largest absolute deviation from the reference} of every given value, of the reference's shape.
 
         Raises InputError for a name that the reference does not know, and for another shape.
         """
         return {name: self._error(name, value) for name, value in found.items()}
 
-    def compare(self, run):
+    def compare(self, run: "Trajectory") -> dict[str, float]:
         """`errors` of a run at its end, for all that the reference knows. Raises InputError where it ends elsewhere."""
         if abs(run.t[-1] - self.t_end) > 1e-9 * self.t_end:
             raise InputError(f"problem {self.name!r}: the run ends at t = {run.t[-1]:g} s, "
@@ -75,12 +80,12 @@ MAKERS = {
 }
 
 
-def names():
+def names() -> tuple[str, ...]:
     """Names of all problems."""
     return tuple(MAKERS)
 
 
-def get(name, **options):
+def get(name: str, **options: object) -> Problem:
     """The Problem of this name, made with `options`.
 
     Raises InputError where there is none of that name, and for an option it does not take or cannot be made with,

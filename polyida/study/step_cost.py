@@ -7,7 +7,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -78,7 +78,7 @@ def step_row(scene, dof, integrator, short, long, repeats):
 
 def two_runs(model, member, short, long):
     """(CPU s, counts) of a run to `short` and of one to `long`."""
-    runs = [cpu(lambda: solve(model, t_end, member, every=NO_FRAMES)) for t_end in (short, long)]
+    runs = [cpu(partial(solve, model, t_end, member, every=NO_FRAMES)) for t_end in (short, long)]
     return [(seconds, run.counts) for seconds, run in runs]
 
 
@@ -114,8 +114,7 @@ def moved(model, steps=5):
     """(State, c_m) of a short generalized-alpha run: where the kernels are measured."""
     method, state = GeneralizedAlpha(h=H), consistent_state(model, 0.0, None, None)
     c = method.coefficients
-    for state in method.steps(model, state, steps * H, Counts()):
-        pass
+    *_, state = method.steps(model, state, steps * H, Counts())
     return state, (1 - c.alpha_m) / (c.beta * H * H * (1 - c.alpha_f))
 
 
@@ -141,7 +140,7 @@ def kernels_ms(model):
     times = {}
     for name, (loop, arguments) in timed.items():
         loop(1, *arguments)
-        times[name] = 1e3 * median_cpu(lambda: loop(count, *arguments), 3) / count
+        times[name] = 1e3 * median_cpu(partial(loop, count, *arguments), 3) / count
     times["factor"] = 1e3 * median_cpu(lambda: corotated.corotated(model, blocks, rotation), 3)
     return times
 

@@ -1,5 +1,6 @@
 """The energy-momentum method of Simo and Tarnow (1992) for scenes of St. Venant-Kirchhoff plates."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from polyida.errors import InputError
@@ -7,7 +8,8 @@ from polyida.given import is_number, is_whole
 from polyida.integrate.energy.midpoint import Midpoint
 from polyida.integrate.kinks import at_kink, beside, enough_steps, stretches
 from polyida.integrate.start import on_velocity
-from polyida.integrate.state import State
+from polyida.integrate.state import Counts, State
+from polyida.model import Model
 
 
 @dataclass(frozen=True)
@@ -39,12 +41,12 @@ class EnergyMomentum:
             if not good or isinstance(getattr(self, name), bool):
                 raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")
 
-    def require(self, model):
+    def require(self, model: Model) -> None:
         """Raise InputError unless the model is a scene."""
         if not hasattr(model, "arrays"):
             raise InputError(f"EnergyMomentum: {type(model).__name__} is no scene of plates; use GeneralizedAlpha or IDA")
 
-    def steps(self, model, state, t_end, counts):
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         for begin, end, most in stretches(model, state.t, t_end, self.h):
             state = _ready(model, state, begin)
