@@ -7,9 +7,11 @@ from polyida import differences
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
 from polyida.guarded_model import guard
+from polyida.keywords import named_keywords
 from polyida.model import Model
 
 
+@named_keywords
 def check_derivatives(model: Model, t: float = 0.0, q: ArrayLike | None = None, v: ArrayLike | None = None, a: ArrayLike | None = None,
                       lam: ArrayLike | None = None, seed: int = 0) -> dict[str, float]:
     """Compare every derivative of a model with differences of what it is the derivative of.

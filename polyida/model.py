@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from polyida import differences
 from polyida.errors import InputError
+from polyida.keywords import named_keywords
 
 Matrix = Any  # an array, or one of scipy.sparse
 
 
+@named_keywords
 @dataclass(frozen=True)
 class Needs:
     """What a model needs evaluated anew. Everything that is False is computed once or never.

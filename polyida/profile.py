@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike
 from polyida.differences import around, within
 from polyida.errors import InputError
 from polyida.given import floats, is_number
+from polyida.keywords import named_keywords
 
 REACH = {1: 2e-5, 2: 2e-4}  # s between the values that a first or second derivative is made of; it resolves 1 kHz or 100 Hz
 
 
+@named_keywords
 @dataclass(frozen=True)
 class Profile:
     """A function of time `value(t)` with `d1(t)`, `d2(t)` and the times `kinks` at which it is not smooth.
@@ -39,12 +41,14 @@ class Profile:
         return self.value(t), self.d1(t), self.d2(t)
 
 
+@named_keywords
 def constant(value: float) -> Profile:
     """The same value at all times. Raises InputError where it is no finite number."""
     _require_numbers("constant", value=value)
     return polynomial([value])
 
 
+@named_keywords
 def polynomial(coefficients: ArrayLike) -> Profile:
     """`c0 + c1 t + c2 t^2 + ...`. Raises InputError where the coefficients are no finite numbers."""
     given = floats(coefficients)
@@ -55,6 +59,7 @@ def polynomial(coefficients: ArrayLike) -> Profile:
     return Profile(c, first, second, formula=("polynomial", *given.tolist()), shortest=np.inf)
 
 
+@named_keywords
 def quintic(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Smooth move `start + (end - start)(10 s^3 - 15 s^4 + 6 s^5)`, s = (t - begin)/duration held to [0, 1].
 
@@ -63,11 +68,13 @@ def quintic(start: float, end: float, duration: float, begin: float = 0.0) -> Pr
     return _move(start, end, duration, begin, "quintic", [0, 0, 0, 10, -15, 6])
 
 
+@named_keywords
 def ramp(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Move of class C^4: the ninth-degree smooth step. Raises InputError where duration is not positive."""
     return _move(start, end, duration, begin, "ramp", [0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
 
 
+@named_keywords
 def linear(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Straight move from start to end, with a kink at both ends. Raises InputError where duration is not positive."""
     return _move(start, end, duration, begin, "linear", [0, 1])
@@ -98,6 +105,7 @@ def _moved(function, order, start, span, duration, begin, t):
     return np.where(inside, moving, held)[()]
 
 
+@named_keywords
 def sine(amplitude: float, frequency: float, phase: float = 0.0) -> Profile:
     """`amplitude sin(2 pi frequency t + phase)`; frequency in Hz, phase in rad. Raises InputError for what is no finite number."""
     _require_numbers("sine", amplitude=amplitude, frequency=frequency, phase=phase)
@@ -112,6 +120,7 @@ def _wave(function, size, w, phase, t):
     return size * function(w * t + phase)
 
 
+@named_keywords
 def from_function(value: Callable[[float], float], d1: Callable[[float], float] | None = None, d2: Callable[[float], float] | None = None,
                   kinks: ArrayLike = (), shortest: float | None = None) -> Profile:
     """A profile from functions of time; derivatives that are not given are differences of values on one side of all kinks.
@@ -154,6 +163,7 @@ def _derivative(function, order, kinks, t):
     return float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
 
 
+@named_keywords
 def difference(first: Profile, second: Profile) -> Profile:
     """The profile `first - second`."""
     kinks = tuple(sorted({*first.kinks, *second.kinks}))
@@ -166,6 +176,7 @@ def _less(f, g, t):
     return f(t) - g(t)
 
 
+@named_keywords
 def as_profile(given: "Profile | Callable[[float], float] | float", part: str) -> Profile:
     """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise.
 
@@ -188,6 +199,7 @@ def as_profile(given: "Profile | Callable[[float], float] | float", part: str) -
 MAKERS: dict[str, Callable[..., Profile]] = {"polynomial": lambda *c: polynomial(c), "quintic": quintic, "ramp": ramp, "linear": linear, "sine": sine}
 
 
+@named_keywords
 def from_formula(formula: tuple) -> Profile | None:
     """The profile that `Profile.formula` describes, or None where the formula is empty."""
     return MAKERS[formula[0]](*formula[1:]) if formula else None

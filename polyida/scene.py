@@ -12,11 +12,13 @@ from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
 
 Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | Joint)
 KINDS = {Plate: "plate", PointMass: "mass", PointLoad: "load", EdgeTraction: "traction"}
 
 
+@named_keywords
 class Scene:
     """Flexible plates, joints, motors, masses and loads in the x-y plane.
 

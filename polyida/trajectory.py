@@ -14,6 +14,7 @@ from polyida.guarded_model import guard
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks
 from polyida.io.save import save
+from polyida.keywords import named_keywords
 
 
 @dataclass(frozen=True)
@@ -182,6 +183,7 @@ def _largest(values):
     return float(np.abs(values).max(initial=0.0))
 
 
+@named_keywords
 def von_mises(stress: ArrayLike, zz: ArrayLike = 0.0) -> NDArray:
     """Von Mises stress of Cauchy components (..., 3), xx, yy, xy, and zz (...), same unit:
 

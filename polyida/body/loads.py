@@ -10,9 +10,11 @@ from polyida.body.material import vector2
 from polyida.errors import InputError
 from polyida.given import settle
 from polyida.joint.attachment import Attachment, labelled, require_attachment
+from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile, constant
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class PointLoad:
     """A force (fx, fy), N, at the mean point of an attachment, times a profile of time (1 where none is given)."""
@@ -32,6 +34,7 @@ class PointLoad:
         return np.outer(self.at.weights, np.asarray(self.force, float))
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class EdgeTraction:
     """A traction (tx, ty), Pa, per reference area of a section of the boundary (length times thickness), times a profile of time."""

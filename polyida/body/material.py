@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_one_of, settle
+from polyida.keywords import named_keywords
 
 NUMBERS = ("E", "nu", "rho", "viscosity", "mass_damping")
 
 
+@named_keywords
 @dataclass(frozen=True)
 class Material:
     """St. Venant-Kirchhoff, `S = E/(1 - nu^2) [(1 - nu) E_GL + nu tr(E_GL) I]` in plane stress.

@@ -11,6 +11,7 @@ from polyida.body.material import Material, positive, vector2
 from polyida.errors import InputError
 from polyida.given import is_number, is_one_of, settle
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
+from polyida.keywords import named_keywords
 from polyida.mesh import PolygonMesh
 
 ELEMENTS = ("wachspress", "virtual")
@@ -18,6 +19,7 @@ THINNEST = 1e-8  # of the mesh's extent: below, displacements have no digits lef
 MOST_CORNERS = 16  # beyond, the corner modes of one polygon are 1e-3 of its stiffest and less
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Plate:
     """A flexible plate in plane stress or plane strain, meshed by convex polygons.

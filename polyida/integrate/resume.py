@@ -19,6 +19,7 @@ from polyida.io.reader import named, naming, read
 from polyida.io.save import commit, create, free
 from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore
+from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.threads import one_blas_thread
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
 
 
+@named_keywords
 def resume(path: str | Path, t_end: float | None = None, *, model: Model | None = None, integrator: object = None,
            until: Callable[[float, NDArray, NDArray], float] | bool | None = None, progress: Callable[[float], object] | None = None,
            memory_limit: float = MEMORY_LIMIT) -> "Trajectory":

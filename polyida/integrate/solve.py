@@ -17,6 +17,7 @@ from polyida.integrate.state import Counts, Integrator, State
 from polyida.io.frames import MEMORY_LIMIT
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
+from polyida.keywords import named_keywords
 from polyida.machine import machine_info
 from polyida.model import Model
 from polyida.threads import one_blas_thread
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 MOST_STEPS = 1e12
 
 
+@named_keywords
 def solve(model: Model, t_end: float, integrator: Integrator, *, q0: ArrayLike | None = None, v0: ArrayLike | None = None,
           t0: float = 0.0, state: State | None = None, every: int = 1, output: ArrayLike | None = None,
           until: Callable[[float, NDArray, NDArray], float] | None = None, progress: Callable[[float], object] | None = None,

@@ -8,6 +8,7 @@ from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.guarded_model import guard, require_functions
 from polyida.integrate.state import State
+from polyida.keywords import named_keywords
 from polyida.linear.kkt import KKT, SingularSystem, require_independent
 from polyida.model import Model
 
@@ -15,6 +16,7 @@ EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may b
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
 
 
+@named_keywords
 def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None, v0: ArrayLike | None = None) -> State:
     """A State at t0 that satisfies phi = 0, `phi_q v + phi_t = 0` and the equations of motion.
 

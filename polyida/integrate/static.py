@@ -12,6 +12,7 @@ from polyida.guarded_model import guard, require_functions
 from polyida.integrate.ida.forms import dense
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
+from polyida.keywords import named_keywords
 from polyida.linear.inertia import falling
 from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
 from polyida.model import Model
@@ -43,6 +44,7 @@ class Equilibrium(State):
         return f"equilibrium at t = {self.t:.9g} s, {kinds[self.stable]}"
 
 
+@named_keywords
 def static(model: Model, t: float = 0.0, q0: ArrayLike | None = None, steps: int = 1, tolerance: float = 1e-10,
            max_iterations: int = 50) -> Equilibrium:
     """The Equilibrium at time t: a State at rest with `stable`; one that is not stable comes with a warning.

@@ -9,6 +9,7 @@ from polyida.errors import InputError
 from polyida.io.frames import MEMORY_LIMIT
 from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, from_data
+from polyida.keywords import named_keywords
 from polyida.trajectory import Trajectory
 
 STILL = "another process is still writing it; these are the frames up to its last flush"
@@ -16,6 +17,7 @@ KILLED = "the process that ran it ended without closing the file; it holds the f
 TORN = "; the record of one flush is not whole: cut off by the end of the process, or damaged"
 
 
+@named_keywords
 def load(path: str | Path, memory_limit: float = MEMORY_LIMIT) -> Trajectory:
     """Read a trajectory. Raises InputError naming the file where it is missing, truncated or of another kind.
 

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from polyida.joint.attachment import labelled
 from polyida.joint.formula import Row, Vector, cross
 from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class AngleMotor(Joint):
     """The angle from section a to section b, beyond that of the reference configuration, follows a profile theta(t) in rad.

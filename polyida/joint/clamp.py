@@ -6,8 +6,10 @@ from typing import Any
 from polyida.joint.attachment import Ground, ground
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Clamp(Joint):
     """A section held fast.

@@ -10,6 +10,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_number
+from polyida.keywords import named_keywords
 from polyida.profile import Profile, difference
 
 
@@ -151,11 +152,13 @@ class Row:
         return replace(self, products=tuple(replace(p, one_way=True) for p in self.products))
 
 
+@named_keywords
 def cross(a: Vector, b: Vector) -> Row:
     """`a_x b_y - a_y b_x` of two vectors, a Row."""
     return dot(_vector(a)._times(1j), b)
 
 
+@named_keywords
 def dot(a: Vector, b: Vector) -> Row:
     """`a . b` of two vectors, a Row."""
     return Row(tuple(_product(e, f) for e in _vector(a).pieces for f in _vector(b).pieces))

@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Revolute(Joint):
     """Two points stay together: `phi = x_A - x_B` (2 rows, m). phi_q is constant.

@@ -10,6 +10,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.keywords import named_keywords
 from polyida.mesh import sections, topology
 from polyida.mesh.guarded import guarded
 from polyida.mesh.make.domains import positive
@@ -24,6 +25,7 @@ LOWER = ("vertex", "line")
 PREFIX = "section:"
 
 
+@named_keywords
 def read(path: str | Path, tolerance: float = 1e-9) -> PolygonMesh:
     """PolygonMesh of a file of triangles, quads and polygons, of one or several kinds.
 
@@ -43,6 +45,7 @@ def read(path: str | Path, tolerance: float = 1e-9) -> PolygonMesh:
         raise InputError(f"mesh file {path} holds inconsistent data: {_short(error)}") from error
 
 
+@named_keywords
 def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False) -> None:
     """Write a mesh; the suffix gives the format: .vtu, .vtk and .obj hold polygons, others triangles and quads.
 

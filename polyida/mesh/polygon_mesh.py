@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
+from polyida.keywords import named_keywords
 from polyida.mesh import checks, sections, topology
 
 if TYPE_CHECKING:
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from polyida.mesh.sections import Section
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class PolygonMesh:
     """A plane mesh of polygons. Immutable: the arrays are read-only copies of what was given.

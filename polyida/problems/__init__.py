@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import is_one_of, reals
+from polyida.keywords import named_keywords
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
 
 
+@named_keywords
 @dataclass(frozen=True)
 class Problem:
     """A model with its initial state and what is known of its solution.

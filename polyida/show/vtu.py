@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import is_whole
+from polyida.keywords import named_keywords
 from polyida.show import plates
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 COLLECTION = "run.pvd"
 
 
+@named_keywords
 def vtu(run: "Trajectory", folder: str | Path, overwrite: bool = False, frames: int | ArrayLike | None = None) -> Path:
     """Write one VTU file a frame into `folder`, and run.pvd, which holds their times; returns the path of run.pvd.
 

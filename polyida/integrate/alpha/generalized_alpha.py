@@ -12,6 +12,7 @@ from polyida.integrate.alpha.step_control import adapt
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.moves import cells_of
 from polyida.integrate.state import Counts, State
+from polyida.keywords import named_keywords
 from polyida.linear.kkt import SCALINGS
 from polyida.model import Model
 
@@ -22,6 +23,7 @@ SHARE = 1e-3  # of the local error of a step that Newton may leave, where `toler
 LEAST, MOST = 1e-7, 1e-4  # of the size of q'': bounds of that
 
 
+@named_keywords
 @dataclass(frozen=True)
 class GeneralizedAlpha:
     """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,

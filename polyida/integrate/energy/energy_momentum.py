@@ -9,9 +9,11 @@ from polyida.integrate.energy.midpoint import Midpoint
 from polyida.integrate.kinks import at_kink, beside, enough_steps, stretches
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import Counts, State
+from polyida.keywords import named_keywords
 from polyida.model import Model
 
 
+@named_keywords
 @dataclass(frozen=True)
 class EnergyMomentum:
     """Constant steps that keep energy and momenta in the discrete sense.

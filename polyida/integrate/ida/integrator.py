@@ -18,6 +18,7 @@ from polyida.integrate.moves import cells_of
 from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State, StepFailure
+from polyida.keywords import named_keywords
 from polyida.model import Model
 
 LINEAR = ("auto", "kkt", "whole")
@@ -31,6 +32,7 @@ STATUS = {
 }
 
 
+@named_keywords
 @dataclass(frozen=True)
 class IDA:
     """Backward differentiation formulas of order 1 to 5 with error control, by SUNDIALS' IDA.

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, reals
+from polyida.keywords import named_keywords
 from polyida.mesh.make import walls as w
 
 
@@ -77,6 +78,7 @@ class Domain:
         return Intersection(self, other)
 
 
+@named_keywords
 class Rectangle(Domain):
     """Axis-parallel rectangle; origin is its lower left corner."""
 
@@ -90,6 +92,7 @@ class Rectangle(Domain):
                       w.Line(1, self.lower[1], -1.0), w.Line(1, self.upper[1], 1.0)]
 
 
+@named_keywords
 class Circle(Domain):
     """Disc, m."""
 
@@ -101,6 +104,7 @@ class Circle(Domain):
         self.walls = [w.Capsule(center, center, radius, 1.0)]
 
 
+@named_keywords
 class Union(Domain):
     """Points in either domain."""
 
@@ -114,6 +118,7 @@ class Union(Domain):
         return np.minimum(self.first.distance(points), self.second.distance(points))
 
 
+@named_keywords
 class Intersection(Domain):
     """Points in both domains."""
 
@@ -130,6 +135,7 @@ class Intersection(Domain):
         return np.maximum(self.first.distance(points), self.second.distance(points))
 
 
+@named_keywords
 class Difference(Domain):
     """Points of the first domain that are not in the second."""
 
@@ -155,6 +161,7 @@ class Moved(Domain):
         return self.domain.distance(points - self.offset)
 
 
+@named_keywords
 class Link(Domain):
     """Bar with rounded ends and a pin hole in each: the pins' centres are (0, 0) and (length, 0) from origin.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_whole
+from polyida.keywords import named_keywords
 from polyida.mesh import concave, topology
 from polyida.mesh.make import cleanup, voronoi
 from polyida.mesh.make.domains import Domain, Moved
@@ -29,6 +30,7 @@ def whole(value, what, least, most=10**9):
     return operator.index(value)
 
 
+@named_keywords
 def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) -> PolygonMesh:
     """Polygon mesh of a domain (see polyida.mesh.make.domains); about `cells` convex polygons.
 

@@ -3,12 +3,14 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polyida.keywords import named_keywords
 from polyida.mesh.make import mesher
 from polyida.mesh.make.domains import Rectangle, place, positive
 from polyida.mesh.numbering import renumber, sorted_cells
 from polyida.mesh.polygon_mesh import PolygonMesh
 
 
+@named_keywords
 def rectangle(length: float, height: float, cells: int, seed: int = 0, iterations: int = 40,
               origin: ArrayLike = (0.0, 0.0)) -> PolygonMesh:
     """Polygon mesh of 0 <= x <= length, -height/2 <= y <= height/2 (m), moved by origin.
@@ -43,6 +45,7 @@ def sides(points, length, height):
     return {name: np.flatnonzero(mask) for name, mask in masks.items()}
 
 
+@named_keywords
 def quads(length: float, height: float, nx: int, ny: int, origin: ArrayLike = (0.0, 0.0)) -> PolygonMesh:
     """nx by ny equal quadrilaterals on the plate of rectangle(), with the same sections."""
     points, lower_left, step_x, step_y = _grid(length, height, nx, ny)
@@ -50,6 +53,7 @@ def quads(length: float, height: float, nx: int, ny: int, origin: ArrayLike = (0
     return _structured(points, corners, length, height, origin)
 
 
+@named_keywords
 def triangles(length: float, height: float, nx: int, ny: int, origin: ArrayLike = (0.0, 0.0)) -> PolygonMesh:
     """nx by ny equal rectangles on the plate of rectangle(), each cut in two by alternating diagonals."""
     points, a, step_x, step_y = _grid(length, height, nx, ny)
