@@ -92,17 +92,19 @@ def _move(start, end, duration, begin, kind, coefficients):
         raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
     shape = np.polynomial.Polynomial(coefficients)
     start, end, duration, begin = map(float, (start, end, duration, begin))
-    value, d1, d2 = (partial(_moved, shape.deriv(order) if order else shape, order, start, end - start, duration, begin) for order in range(3))
+    span = end - start
+    value = partial(_moved, shape, span, start, span, duration, begin)
+    d1, d2 = (partial(_moved, shape.deriv(order), span / duration**order, 0.0, 0.0, duration, begin) for order in (1, 2))
     return Profile(value, d1, d2, (begin, begin + duration), (kind, start, end, duration, begin), duration)
 
 
-def _moved(function, order, start, span, duration, begin, t):
-    """A derivative of a move, `function` that of its shape over s."""
+def _moved(function, factor, start, span, duration, begin, t):
+    """`start + factor function(s)` within a move, start before it, start + span behind it: its value or, from 0 to 0, a derivative."""
     s = (np.asarray(t, float) - begin) / duration
-    inside = (s > 0) & (s < 1)
-    held = np.where(s >= 1, span, 0.0) + start if order == 0 else 0.0
-    moving = span / duration**order * function(np.clip(s, 0.0, 1.0)) + (start if order == 0 else 0.0)
-    return np.where(inside, moving, held)[()]
+    if not s.ndim:
+        return factor * function(s) + start if 0 < s < 1 else np.float64(span * (s >= 1) + start)
+    held = np.where(s >= 1, span, 0.0) + start
+    return np.where((s > 0) & (s < 1), factor * function(np.clip(s, 0.0, 1.0)) + start, held)[()]
 
 
 @named_keywords
