@@ -1,11 +1,13 @@
 """The derivatives that a model writes, compared with differences of what they are derivatives of."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida import differences
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
 from polyida.guarded_model import guard
+from polyida.keywords import named_keywords
 from polyida.linear.matrix import dense
 from polyida.model import Model
 
@@ -13,7 +15,9 @@ ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a diffe
 OF_FORCES = ("force_v", "tangent, v")
 
 
-def check_derivatives(model, t=0.0, q=None, v=None, a=None, lam=None, seed=0):
+@named_keywords
+def check_derivatives(model: Model, t: float = 0.0, q: ArrayLike | None = None, v: ArrayLike | None = None, a: ArrayLike | None = None,
+                      lam: ArrayLike | None = None, seed: int = 0) -> dict[str, float]:
     """Compare every derivative of a model with differences of what it is the derivative of.
 
     States that are not given are drawn at random (q of size 1, v of size 1). Returns {name: relative error}, the largest

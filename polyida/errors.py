@@ -7,7 +7,7 @@ class InputError(ValueError):
     It is one line: line breaks go, and the middle of what is longer than 600 characters.
     """
 
-    def __init__(self, message):
+    def __init__(self, message: object) -> None:
         line = " ".join(str(message).split())
         super().__init__(line if len(line) <= 600 else f"{line[:300]} ... {line[-295:]}")
 

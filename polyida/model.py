@@ -2,16 +2,22 @@
 
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polyida import differences
 from polyida.errors import InputError
+from polyida.keywords import named_keywords
 from polyida.linear.kkt import KKT, SingularSystem
 
-NONE = MappingProxyType({})
+Matrix = Any  # an array, or one of scipy.sparse
+NONE: MappingProxyType[str, Any] = MappingProxyType({})
 
 
+
+@named_keywords
 @dataclass(frozen=True)
 class Needs:
     """What a model needs evaluated anew. Everything that is False is computed once or never.
@@ -53,49 +59,49 @@ class Model:
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
-    def mass(self, q):
+    def mass(self, q: NDArray) -> Matrix:
         """Mass matrix M, (n, n), symmetric."""
         raise NotImplementedError
 
-    def force(self, t, q, v):
+    def force(self, t: float, q: NDArray, v: NDArray) -> NDArray:
         """Force g = g_gyr + g_int - g_ext, (n,): what stands on the left of r beside M a."""
         raise NotImplementedError
 
-    def phi(self, t, q):
+    def phi(self, t: float, q: NDArray) -> NDArray:
         """Holonomic constraints, (m,)."""
         return np.zeros(0)
 
-    def phi_q(self, t, q):
+    def phi_q(self, t: float, q: NDArray) -> Matrix:
         """Constraint Jacobian, (m, n)."""
         return np.zeros((0, self.n))
 
-    def force_q(self, t, q, v):
+    def force_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
         """dg/dq, (n, n)."""
         return differences.jacobian(lambda x: self.force(t, x, v), q, self.n)
 
-    def force_v(self, t, q, v):
+    def force_v(self, t: float, q: NDArray, v: NDArray) -> Matrix:
         """dg/dv, (n, n)."""
         return differences.jacobian(lambda x: self.force(t, q, x), v, self.n)
 
-    def mass_a_q(self, q, a):
+    def mass_a_q(self, q: NDArray, a: NDArray) -> Matrix:
         """d(M a)/dq, (n, n)."""
         return differences.jacobian(lambda x: self.mass(x) @ a, q, self.n)
 
-    def reaction_q(self, t, q, lam):
+    def reaction_q(self, t: float, q: NDArray, lam: NDArray) -> Matrix:
         """d(phi_q^T lam)/dq, (n, n)."""
         return differences.jacobian(lambda x: self.phi_q(t, x).T @ lam, q, self.n)
 
-    def phi_t(self, t, q):
+    def phi_t(self, t: float, q: NDArray) -> NDArray:
         """Partial derivative of phi in time, (m,)."""
         if not self.needs.driven:
             return np.zeros(self.m)
         return differences.along(lambda s: self.phi(t + s, q), room=self._smooth(t))
 
-    def phi_rate(self, t, q, v):
+    def phi_rate(self, t: float, q: NDArray, v: NDArray) -> NDArray:
         """`phi_q v + phi_t`, (m,): d phi/dt."""
         return self.phi_q(t, q) @ v + self.phi_t(t, q)
 
-    def phi_bias(self, t, q, v):
+    def phi_bias(self, t: float, q: NDArray, v: NDArray) -> NDArray:
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,), so that d2 phi/dt2 = phi_q a + phi_bias."""
         if not (self.needs.driven or self.needs.phi_q_varies):
             return np.zeros(self.m)
@@ -106,7 +112,7 @@ class Model:
         """The range of s around 0 in which t + s meets no kink."""
         return differences.around(self.kinks(t - 1.0, t + 1.0), t)
 
-    def potential(self, q):
+    def potential(self, q: NDArray) -> float | None:
         """Potential energy of all conservative forces at q, J, or None where the model does not say."""
         return None
 
@@ -115,7 +121,7 @@ class Model:
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
 
-    def objection(self, t, q):
+    def objection(self, t: float, q: NDArray) -> str | None:
         """Why a state cannot be accepted, or None."""
         return None
 
@@ -127,20 +133,21 @@ class Model:
         """Path of a named point over frames q (frames, n): (frames, 2), m; raises InputError where there is none."""
         raise InputError(f"position({name!r}): {type(self).__name__} has no named points; read q")
 
-    def constraint_name(self, row):
+    def constraint_name(self, row: int) -> str:
         """What row `row` of phi is called in a message."""
         return f"phi[{row}]"
 
-    def kinks(self, t0, t1):
+    def kinks(self, t0: float, t1: float) -> tuple[float, ...]:
         """Times in (t0, t1) at which a load or motor profile is not smooth, sorted."""
         return ()
 
-    def residual(self, t, q, v, a, lam):
+    def residual(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
         """`r = M a + g + phi_q^T lam`, (n,)."""
         r = self.mass(q) @ a + self.force(t, q, v)
         return r + self.phi_q(t, q).T @ lam if self.m else r
 
-    def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
+    def tangent(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray,
+                c_m: float, c_v: float, c_q: float) -> Matrix:
         """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n); terms that `needs` excludes are not evaluated."""
         result = c_m * self.mass(q) + c_q * self.force_q(t, q, v)
         if self.needs.velocity_forces and c_v:

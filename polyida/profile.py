@@ -1,23 +1,28 @@
 """Time profiles of motors and loads: a value with its first and second derivative in time, and the times of its kinks."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import isfinite
-from typing import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.differences import around, within
 from polyida.errors import InputError
 from polyida.given import floats, is_number
+from polyida.keywords import named_keywords
 
 REACH = {1: 2e-5, 2: 2e-4}  # s between the values that a first or second derivative is made of; it resolves 1 kHz or 100 Hz
 
 
+@named_keywords
 @dataclass(frozen=True)
 class Profile:
     """A function of time `value(t)` with `d1(t)`, `d2(t)` and the times `kinks` at which it is not smooth.
 
-    `formula` describes a profile made by this module as plain data (kind, numbers), so that it can be stored in a file.
+    `formula` describes a profile made by this module as plain data (kind, numbers), so that it can be stored in a file. Profiles
+    pickle where the functions do: those of this module always, a user's where they stand in a module.
     `shortest`: the shortest time in which it moves and comes to rest or turns back, s; None where nobody says: solvers look.
     """
 
@@ -28,31 +33,34 @@ class Profile:
     formula: tuple = ()
     shortest: float | None = None
 
-    def __call__(self, t):
+    def __call__(self, t: float) -> float:
         return self.value(t)
 
-    def at(self, t):
+    def at(self, t: float) -> tuple[float, float, float]:
         """(value, first, second derivative) at time t."""
         return self.value(t), self.d1(t), self.d2(t)
 
 
-def constant(value):
+@named_keywords
+def constant(value: float) -> Profile:
     """The same value at all times. Raises InputError where it is no finite number."""
     _require_numbers("constant", value=value)
     return polynomial([value])
 
 
-def polynomial(coefficients):
+@named_keywords
+def polynomial(coefficients: ArrayLike) -> Profile:
     """`c0 + c1 t + c2 t^2 + ...`. Raises InputError where the coefficients are no finite numbers."""
     given = floats(coefficients)
     if given is None or given.ndim != 1 or not given.size:
         raise InputError(f"profile.polynomial: coefficients = {coefficients!r} must be finite numbers, at least one")
     c = np.polynomial.Polynomial(given)
     first, second = c.deriv(1), c.deriv(2)
-    return Profile(c, first, second, formula=("polynomial", *map(float, coefficients)), shortest=np.inf)
+    return Profile(c, first, second, formula=("polynomial", *given.tolist()), shortest=np.inf)
 
 
-def quintic(start, end, duration, begin=0.0):
+@named_keywords
+def quintic(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Smooth move `start + (end - start)(10 s^3 - 15 s^4 + 6 s^5)`, s = (t - begin)/duration held to [0, 1].
 
     Velocity and acceleration vanish at both ends. Raises InputError where duration is not positive.
@@ -60,12 +68,14 @@ def quintic(start, end, duration, begin=0.0):
     return _move(start, end, duration, begin, "quintic", [0, 0, 0, 10, -15, 6])
 
 
-def ramp(start, end, duration, begin=0.0):
+@named_keywords
+def ramp(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Move of class C^4: the ninth-degree smooth step. Raises InputError where duration is not positive."""
     return _move(start, end, duration, begin, "ramp", [0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
 
 
-def linear(start, end, duration, begin=0.0):
+@named_keywords
+def linear(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Straight move from start to end, with a kink at both ends. Raises InputError where duration is not positive."""
     return _move(start, end, duration, begin, "linear", [0, 1])
 
@@ -83,34 +93,38 @@ def _move(start, end, duration, begin, kind, coefficients):
     shape = np.polynomial.Polynomial(coefficients)
     start, end, duration, begin = map(float, (start, end, duration, begin))
     span = end - start
-
-    def derivative(order):
-        function, factor = shape.deriv(order) if order else shape, span / duration**order
-
-        def evaluate(t):
-            s = (np.asarray(t, float) - begin) / duration
-            inside = (s > 0) & (s < 1)
-            held = np.where(s >= 1, span, 0.0) + start if order == 0 else 0.0
-            moving = factor * function(np.clip(s, 0.0, 1.0)) + (start if order == 0 else 0.0)
-            return np.where(inside, moving, held)[()]
-
-        return evaluate
-
-    formula = (kind, start, end, duration, begin)
-    return Profile(derivative(0), derivative(1), derivative(2), (begin, begin + duration), formula, duration)
+    value = partial(_moved, shape, span, start, span, duration, begin)
+    d1, d2 = (partial(_moved, shape.deriv(order), span / duration**order, 0.0, 0.0, duration, begin) for order in (1, 2))
+    return Profile(value, d1, d2, (begin, begin + duration), (kind, start, end, duration, begin), duration)
 
 
-def sine(amplitude, frequency, phase=0.0):
+def _moved(function, factor, start, span, duration, begin, t):
+    """`start + factor function(s)` within a move, start before it, start + span behind it: its value or, from 0 to 0, a derivative."""
+    s = (np.asarray(t, float) - begin) / duration
+    if not s.ndim:
+        return factor * function(s) + start if 0 < s < 1 else np.float64(span * (s >= 1) + start)
+    held = np.where(s >= 1, span, 0.0) + start
+    return np.where((s > 0) & (s < 1), factor * function(np.clip(s, 0.0, 1.0)) + start, held)[()]
+
+
+@named_keywords
+def sine(amplitude: float, frequency: float, phase: float = 0.0) -> Profile:
     """`amplitude sin(2 pi frequency t + phase)`; frequency in Hz, phase in rad. Raises InputError for what is no finite number."""
     _require_numbers("sine", amplitude=amplitude, frequency=frequency, phase=phase)
     amplitude, frequency, phase = map(float, (amplitude, frequency, phase))
     w = 2 * np.pi * frequency
-    return Profile(lambda t: amplitude * np.sin(w * t + phase), lambda t: amplitude * w * np.cos(w * t + phase),
-                   lambda t: -amplitude * w * w * np.sin(w * t + phase),
-                   formula=("sine", amplitude, frequency, phase), shortest=0.5 / abs(frequency) if frequency else np.inf)
+    waves = (np.sin, amplitude), (np.cos, amplitude * w), (np.sin, -amplitude * w * w)
+    value, d1, d2 = (partial(_wave, function, size, w, phase) for function, size in waves)
+    return Profile(value, d1, d2, formula=("sine", amplitude, frequency, phase), shortest=0.5 / abs(frequency) if frequency else np.inf)
 
 
-def from_function(value, d1=None, d2=None, kinks=(), shortest=None):
+def _wave(function, size, w, phase, t):
+    return size * function(w * t + phase)
+
+
+@named_keywords
+def from_function(value: Callable[[float], float], d1: Callable[[float], float] | None = None, d2: Callable[[float], float] | None = None,
+                  kinks: ArrayLike = (), shortest: float | None = None) -> Profile:
     """A profile from functions of time; derivatives that are not given are differences of values on one side of all kinks.
 
     shortest: its shortest move, s; where that is not given, solvers look for moves that their steps would pass over.
@@ -126,44 +140,46 @@ def from_function(value, d1=None, d2=None, kinks=(), shortest=None):
     times = np.sort(times)
     if not (shortest is None or (is_number(shortest) and shortest > 0)):
         raise InputError(f"profile.from_function: shortest = {shortest!r} must be a positive time in s")
-    value, d1, d2 = (function and _checked(function) for function in (value, d1, d2))
+    value = partial(_checked, value)
+    d1, d2 = (function and partial(_checked, function) for function in (d1, d2))
     given, order = (d1, 1) if d1 else (value, 2)
-    return Profile(value, d1 or _derivative(value, 1, times), d2 or _derivative(given, order, times), tuple(times.tolist()),
-                   shortest=shortest)
+    return Profile(value, d1 or partial(_derivative, value, 1, times), d2 or partial(_derivative, given, order, times),
+                   tuple(times.tolist()), shortest=shortest)
 
 
-def _checked(function):
+def _checked(function, t):
     """A user's function of time, which must give a finite number at a time; at an array of times it may give anything."""
-    name = getattr(function, "__name__", type(function).__name__)
-
-    def value(t):
-        found = function(t)
-        if type(found) is float and isfinite(found):
-            return found
-        if np.ndim(t):
-            return found
-        found = found.item() if isinstance(found, (np.ndarray, np.generic)) and found.ndim == 0 else found
-        if not is_number(found):
-            raise InputError(f"profile {name}: it gives {found!r} at t = {t!r}, a finite number is needed")
-        return float(found)
-
-    return value
+    found = function(t)
+    if type(found) is float and isfinite(found):
+        return found
+    if np.ndim(t):
+        return found
+    found = found.item() if isinstance(found, (np.ndarray, np.generic)) and found.ndim == 0 else found
+    if not is_number(found):
+        name = getattr(function, "__name__", type(function).__name__)
+        raise InputError(f"profile {name}: it gives {found!r} at t = {t!r}, a finite number is needed")
+    return float(found)
 
 
-def _derivative(function, order, kinks):
-    return lambda t: float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
+def _derivative(function, order, kinks, t):
+    return float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
 
 
-def difference(first, second):
+@named_keywords
+def difference(first: Profile, second: Profile) -> Profile:
     """The profile `first - second`."""
     kinks = tuple(sorted({*first.kinks, *second.kinks}))
-    value, d1, d2 = (
-        lambda t, f=f, g=g: f(t) - g(t) for f, g in ((first.value, second.value), (first.d1, second.d1), (first.d2, second.d2))
-    )
+    pairs = (first.value, second.value), (first.d1, second.d1), (first.d2, second.d2)
+    value, d1, d2 = (partial(_less, f, g) for f, g in pairs)
     return Profile(value, d1, d2, kinks)
 
 
-def as_profile(given, part):
+def _less(f, g, t):
+    return f(t) - g(t)
+
+
+@named_keywords
+def as_profile(given: "Profile | Callable[[float], float] | float", part: str) -> Profile:
     """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise.
 
     A function is tried at t = 0: it must give a finite number there.
@@ -182,9 +198,10 @@ def as_profile(given, part):
     raise InputError(f"{part}: {given!r} is no time profile: give a number, a function of t, or polyida.profile.*")
 
 
-MAKERS = {"polynomial": lambda *c: polynomial(c), "quintic": quintic, "ramp": ramp, "linear": linear, "sine": sine}
+MAKERS: dict[str, Callable[..., Profile]] = {"polynomial": lambda *c: polynomial(c), "quintic": quintic, "ramp": ramp, "linear": linear, "sine": sine}
 
 
-def from_formula(formula):
+@named_keywords
+def from_formula(formula: tuple) -> Profile | None:
     """The profile that `Profile.formula` describes, or None where the formula is empty."""
     return MAKERS[formula[0]](*formula[1:]) if formula else None

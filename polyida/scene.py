@@ -1,5 +1,9 @@
 """What a user writes: parts that are added to a scene, which is then built into one model."""
 
+from typing import Any, TypeVar
+
+from numpy.typing import ArrayLike
+
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.force_element import ForceElement, require_element, sides_of
 from polyida.body.loads import EdgeTraction, PointLoad
@@ -9,22 +13,25 @@ from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
 
+Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | Joint)
 KINDS = {Plate: "plate", PointMass: "mass", PointLoad: "load", EdgeTraction: "traction"}
 KINDS_AND_BASES = (*KINDS, Joint, ForceElement)
 
 
+@named_keywords
 class Scene:
     """Flexible plates, joints, motors, masses, loads and forces of one's own in the x-y plane.
 
     gravity: acceleration (gx, gy), m/s2. `add` parts in any order, then `build` a model; a scene can be added to and built again.
     """
 
-    def __init__(self, gravity=(0.0, 0.0)):
+    def __init__(self, gravity: ArrayLike = (0.0, 0.0)) -> None:
         self.gravity = vector2("Scene", "gravity", gravity)
-        self.parts = {}
+        self.parts: dict[str, Any] = {}
 
-    def add(self, part):
+    def add(self, part: Part) -> Part:
         """Add a part and return it. Parts without a name are called by kind and number ("plate 1").
 
         Raises InputError for what is no part, and for a name that is taken.
@@ -48,7 +55,7 @@ class Scene:
             number += 1
         return f"{kind} {number}"
 
-    def build(self):
+    def build(self) -> SceneModel:
         """The model of the scene as it is now. Raises InputError naming the part that is wrong."""
         plates = [part for part in self.parts.values() if isinstance(part, Plate)]
         if not plates:

@@ -4,7 +4,7 @@ import threading
 from contextlib import contextmanager
 
 _lock = threading.Lock()
-_inside = []  # the limit in force, and one entry for each run within it
+_inside: list = []  # the limit in force, and one entry for each run within it
 
 
 @contextmanager

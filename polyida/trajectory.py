@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, is_one_of, is_whole
@@ -11,6 +14,7 @@ from polyida.guarded_model import guard
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks
 from polyida.io.save import save
+from polyida.keywords import named_keywords
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,7 @@ class Energy:
     strain: np.ndarray
 
     @property
-    def total(self):
+    def total(self) -> NDArray:
         """kinetic + potential + strain."""
         return self.kinetic + self.potential + self.strain
 
@@ -39,8 +43,8 @@ class Trajectory:
     asked for, frame by frame.
     """
 
-    model: object
-    integrator: object
+    model: Any
+    integrator: Any
     t: np.ndarray
     q: np.ndarray
     v: np.ndarray
@@ -57,7 +61,7 @@ class Trajectory:
     missing: str = "no file holds a model of a user's own"
 
     @property
-    def state(self):
+    def state(self) -> State:
         """The state at which the run ended; `solve(model, t_end, integrator, state=run.state)` goes on from it.
 
         An accepted one has the integrator's memory, so that generalized-alpha with constant steps goes on as if it had
@@ -68,17 +72,17 @@ class Trajectory:
         return State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1], restart=False)
 
     @property
-    def memory(self):
+    def memory(self) -> dict:
         """What the integrator needs to go on from the last frame as if it had not stopped; empty where unknown."""
         return self.state.memory if len(self) and self.state.t == self.t[-1] else {}
 
     @property
-    def success(self):
+    def success(self) -> bool:
         """True where the run reached its end."""
         return self.status in ("done", "stopped")
 
     @property
-    def steps(self):
+    def steps(self) -> int:
         """Accepted steps."""
         return self.counts.steps
 
@@ -86,20 +90,20 @@ class Trajectory:
         return len(self.t)
 
     @cached_property
-    def drift(self):
+    def drift(self) -> NDArray:
         """Largest |phi| of every frame, (frames,), in phi's unit (m for joints)."""
         model = self._known_model("drift")
         return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, self.q)])
 
     @cached_property
-    def velocity_drift(self):
+    def velocity_drift(self) -> NDArray:
         """Largest |phi_q v + phi_t| of every frame, (frames,)."""
         model = self._known_model("velocity_drift")
         frames = zip(self.t, self.q, self.v)
         return np.array([_largest(model.phi_q(t, q) @ v + model.phi_t(t, q)) for t, q, v in frames])
 
     @cached_property
-    def energy(self):
+    def energy(self) -> Energy:
         """Kinetic, potential (gravity, force elements) and strain energy of every frame."""
         model = self._known_model("energy")
         kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(self.q, self.v)])
@@ -111,7 +115,7 @@ class Trajectory:
             raise InputError(f"{what}: {self.missing}; the run that was loaded has frames only")
         return guard(self.model)
 
-    def position(self, name):
+    def position(self, name: object) -> NDArray:
         """Path of a mass, load or joint, by name or itself, or of an attachment, (frames, 2), m.
 
         Raises InputError for what is not in the scene.
@@ -119,7 +123,7 @@ class Trajectory:
         model = self._known_model("position")
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
-    def reaction(self, name):
+    def reaction(self, name: str) -> NDArray:
         """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""
         model = self._known_model("reaction")
         if not is_one_of(name, model.rows):
@@ -130,16 +134,16 @@ class Trajectory:
             first += len(q)
         return np.concatenate(found)
 
-    def node_positions(self, frame):
+    def node_positions(self, frame: int) -> NDArray:
         """Positions of all nodes in a frame, (nodes, 2), m."""
         q = self._frame("node_positions", frame)
         return self._scene("node_positions").reference + q.reshape(-1, 2)
 
-    def stress(self, frame):
+    def stress(self, frame: int) -> NDArray:
         """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
         return self._scene("stress").stress(self._frame("stress", frame))
 
-    def von_mises(self, frame):
+    def von_mises(self, frame: int) -> NDArray:
         """Von Mises stress of every element in a frame, (cells,), Pa, with the stress across the plane where a plate is in plane strain."""
         stress = self.stress(frame)
         return von_mises(stress, self.model.stress_across(stress))
@@ -151,12 +155,11 @@ class Trajectory:
         return self.q[frame]
 
     def _scene(self, what):
-        self._known_model(what)
-        if not hasattr(self.model, "reference"):
+        if not self._known_model(what).is_scene:
             raise InputError(f"{what}: {type(self.model).__name__} is no scene's model; read q")
         return self.model
 
-    def summary(self):
+    def summary(self) -> str:
         """One line: how it ended, what it cost, how well it held."""
         c = self.counts
         worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
@@ -168,7 +171,7 @@ class Trajectory:
         return (f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), "
                 f"{work}{worst}{told}" + (f"; {self.message}" if self.message else ""))
 
-    def save(self, path, overwrite=False):
+    def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""
         save(self, path, overwrite)
 
@@ -177,7 +180,8 @@ def _largest(values):
     return float(np.abs(values).max(initial=0.0))
 
 
-def von_mises(stress, zz=0.0):
+@named_keywords
+def von_mises(stress: ArrayLike, zz: ArrayLike = 0.0) -> NDArray:
     """Von Mises stress of Cauchy components (..., 3), xx, yy, xy, and zz (...), same unit:
 
         sqrt(((xx - yy)^2 + (yy - zz)^2 + (zz - xx)^2) / 2 + 3 xy^2)

@@ -127,7 +127,7 @@ def reach_notes(rows):
 
 
 def unit(problem, part):
-    return UNITS.get(problem, SI)["q v lam".split().index(part)]
+    return UNITS.get(problem, SI)[["q", "v", "lam"].index(part)]
 
 
 def curve(axis, rows, x, y, i, label):

@@ -56,6 +56,9 @@ class SceneModel(NamedPoints):
         """|g|, m/s^2."""
         return float(np.hypot(*self.gravity))
 
+    def __reduce__(self):
+        return type(self), (self.parts, self.gravity)
+
     def drives(self, t):
         """Value, first and second derivative of every profile at time t, (profiles, 3)."""
         at, table = self._driven

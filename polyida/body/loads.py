@@ -1,23 +1,27 @@
 """Dead loads: forces that keep their direction, with a time profile."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polyida.body.material import vector2
 from polyida.errors import InputError
 from polyida.given import settle
 from polyida.joint.attachment import Attachment, labelled, require_attachment
+from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile, constant
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class PointLoad:
     """A force (fx, fy), N, at the mean point of an attachment, times a profile of time (1 where none is given)."""
 
     at: Attachment
     force: tuple
-    profile: Profile = constant(1.0)
+    profile: Profile | Callable[[float], float] | float = constant(1.0)
     name: str | None = None
 
     def __post_init__(self):
@@ -25,18 +29,19 @@ class PointLoad:
         require_attachment(label, self.at)
         settle(self, force=tuple(vector2(label, "force", self.force).tolist()), profile=as_profile(self.profile, label))
 
-    def nodal(self):
+    def nodal(self) -> NDArray:
         """Nodal forces on the attachment's nodes at profile value 1, (k, 2), N."""
         return np.outer(self.at.weights, np.asarray(self.force, float))
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class EdgeTraction:
     """A traction (tx, ty), Pa, per reference area of a section of the boundary (length times thickness), times a profile of time."""
 
     at: Attachment
     traction: tuple
-    profile: Profile = constant(1.0)
+    profile: Profile | Callable[[float], float] | float = constant(1.0)
     name: str | None = None
 
     def __post_init__(self):
@@ -47,7 +52,7 @@ class EdgeTraction:
         traction = tuple(vector2(label, "traction", self.traction).tolist())
         settle(self, traction=traction, profile=as_profile(self.profile, label))
 
-    def nodal(self):
+    def nodal(self) -> NDArray:
         """Nodal forces on the section's nodes at profile value 1, (k, 2), N: exact for the elements' linear edges."""
         area = self.at.weights * self.at.length * self.at.body.thickness
         return np.outer(area, np.asarray(self.traction, float))

@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_one_of, settle
+from polyida.keywords import named_keywords
 
 NUMBERS = ("E", "nu", "rho", "viscosity", "mass_damping")
 
 
+@named_keywords
 @dataclass(frozen=True)
 class Material:
     """St. Venant-Kirchhoff, `S = E/(1 - nu^2) [(1 - nu) E_GL + nu tr(E_GL) I]` in plane stress.
@@ -48,19 +50,19 @@ class Material:
         settle(self, **{name: float(getattr(self, name)) for name in NUMBERS})
 
     @property
-    def damped(self):
+    def damped(self) -> bool:
         """Whether the material brakes motion."""
         return self.viscosity > 0 or self.mass_damping > 0
 
     @property
-    def in_plane(self):
+    def in_plane(self) -> tuple[float, float]:
         """(modulus, ratio) that the plane-stress formula takes for this material."""
         if self.plane == "stress":
             return self.E, self.nu
         return self.E / (1 - self.nu**2), self.nu / (1 - self.nu)
 
     @property
-    def across(self):
+    def across(self) -> float:
         """Ratio of the stress across the plane to xx + yy: Hooke's nu in plane strain, which is St. Venant-Kirchhoff's at small strains."""
         return self.nu if self.plane == "strain" else 0.0
 

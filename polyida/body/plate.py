@@ -1,14 +1,17 @@
 """A flexible plate: a polygon mesh of one material and thickness, placed in the plane."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.material import Material, positive, vector2
 from polyida.errors import InputError
 from polyida.given import is_number, is_one_of, settle
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
+from polyida.keywords import named_keywords
 from polyida.mesh import PolygonMesh
 
 ELEMENTS = ("wachspress", "virtual")
@@ -16,6 +19,7 @@ THINNEST = 1e-8  # of the mesh's extent: below, displacements have no digits lef
 MOST_CORNERS = 16  # beyond, the corner modes of one polygon are 1e-3 of its stiffest and less
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Plate:
     """A flexible plate in plane stress or plane strain, meshed by convex polygons.
@@ -64,7 +68,7 @@ class Plate:
                                  'use element="virtual" or a finer mesh')
 
     @cached_property
-    def placed(self):
+    def placed(self) -> PolygonMesh:
         """The mesh turned by `angle`: itself where the angle is zero, so that equal plates share their operator."""
         if self.angle == 0.0:
             return self.mesh
@@ -72,22 +76,22 @@ class Plate:
         return PolygonMesh(self.mesh.points @ np.array([[c, s], [-s, c]]), self.mesh.nodes, self.mesh.offsets, self.mesh.sections)
 
     @cached_property
-    def points(self):
+    def points(self) -> NDArray:
         """Reference positions of the nodes in the scene, (N, 2), m."""
         return self.placed.points + np.asarray(self.origin, float)
 
-    def section(self, selector) -> Attachment:
+    def section(self, selector: str | Callable[[NDArray], NDArray] | ArrayLike) -> Attachment:
         """The mean of a section of the boundary: a name of the mesh, a function of its points, or node indices.
 
         Raises InputError where it selects no node.
         """
         return of_section(self, self._of_mesh(self.mesh.section, selector), _called(selector))
 
-    def rim(self, hole=0) -> Attachment:
+    def rim(self, hole: int | str = 0) -> Attachment:
         """The mean of the rim of a hole of the mesh, by number or section name."""
         return self.section(f"hole {hole}" if isinstance(hole, (int, np.integer)) else hole)
 
-    def node(self, where) -> Attachment:
+    def node(self, where: int | ArrayLike) -> Attachment:
         """One node: its index, or the node nearest to a point (x, y) of the mesh.
 
         A joint at one node does not converge under mesh refinement (its compliance grows with the logarithm of the size): use a

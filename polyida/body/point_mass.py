@@ -5,8 +5,10 @@ from dataclasses import dataclass
 from polyida.body.material import positive
 from polyida.given import settle
 from polyida.joint.attachment import Attachment, labelled, require_attachment
+from polyida.keywords import named_keywords
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class PointMass:
     """A mass (kg, > 0) at the mean point x of an attachment: kinetic energy `m |x'|^2 / 2`, weight `m g`."""

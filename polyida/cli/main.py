@@ -113,7 +113,8 @@ def run(scene: SceneOrNone = None, integrator: Integrator = None, cells: Cells =
         given = {"step": step, "rho-inf": rho_inf, "rtol": rtol, "atol": atol, "out": out, "overwrite": overwrite or None,
                  "integrator": integrator, "cells": None if scene else cells}
         _require_none(given, "--resume goes on with the file's own integrator, settings and place")
-        return _resumed(resume, scene, cells, time)
+        _resumed(resume, scene, cells, time)
+        return
     if scene is None:
         raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
     from polyida.integrate.solve import solve

@@ -57,11 +57,6 @@ class ReferenceOperator:
         """First arguments of kernels.internal_force and kernels.strain_energy."""
         return self.layout, self.corners, self.gradients, self.weights
 
-    @property
-    def tangent_arrays(self):
-        """First arguments of kernels.tangent."""
-        return *self.force_arrays, self.pairs
-
 
 @dataclass(frozen=True, eq=False)
 class CellGroup:

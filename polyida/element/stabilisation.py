@@ -7,7 +7,7 @@ counterpart: S v is not zero in the rigid spin of a warped cell and would brake 
 
 from polyida.compiled import entry
 from polyida.element.lanes import add_pair, load_float, load_integer, load_pair, pair, traced, zero_pair
-from polyida.element.material import add_product, scaled
+from polyida.element.material import scaled
 
 
 def factor(c1, nu):
@@ -39,18 +39,6 @@ def force(indptr, indices, stabilisation, factor, node_offset, u, f):
             other = load_pair(u, 2 * (load_integer(indices, k) + node_offset))
             total = _add_pull(total, load_float(stabilisation, k), other, own)
         add_pair(f, 2 * (row + node_offset), scaled(factor, total))
-
-
-@entry
-def inertia_and_force(indptr, indices, mass, scale, stabilisation, factor, node_offset, a, u, r):
-    """r (N, 2) += scale (mass (x) I2) a + factor (stabilisation (x) I2) u in one walk over the pattern."""
-    for row in range(indptr.shape[0] - 1):
-        inertia, total, own = zero_pair(), zero_pair(), load_pair(u, 2 * (row + node_offset))
-        for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
-            place = 2 * (load_integer(indices, k) + node_offset)
-            inertia = add_product(inertia, load_float(mass, k), load_pair(a, place))
-            total = _add_pull(total, load_float(stabilisation, k), load_pair(u, place), own)
-        add_pair(r, 2 * (row + node_offset), add_product(scaled(scale, inertia), factor, total))
 
 
 @entry

@@ -75,18 +75,6 @@ def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1
                   u0, u1, f, rotation)
 
 
-@entry
-def tangent_midpoint(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, viscosity, u0, u1,
-                     scale, blocks):
-    """Add scale df/du1 of internal_force_midpoint to blocks (M, 2, 2): unsymmetric where u1 differs from u0.
-
-    Half of kernels.tangent at (u0 + u1) / 2 is the symmetric matrix near it.
-    """
-    follow = scale * (0.5 + viscosity)
-    _tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, (2.0 * viscosity, 1.0),
-             (0.5 * scale, follow, follow), MEAN_AND_HALF, u0, u1, blocks)
-
-
 @part
 def _fields(a, b, corners, start, node_offset, m, mix, out):
     """State and direction of the corners against the last one, into out: m pairs of the one, then m of the other."""

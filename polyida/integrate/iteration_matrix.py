@@ -12,13 +12,18 @@ from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.whole import sizes, whole_matrix
 from polyida.integrate.start import require_state
+from polyida.integrate.state import State
+from polyida.keywords import named_keywords
 from polyida.linear.condition import condition, scaled
 from polyida.linear.kkt import assemble, scaling_factors
+from polyida.model import Model
 
 UNKNOWNS = ("q", "v", "a")
 
 
-def condition_number(model, integrator, state, scaling=None, unknown="q", h=None, exact=None):
+@named_keywords
+def condition_number(model: Model, integrator: GeneralizedAlpha | IDA, state: State, scaling: str | None = None,
+                     unknown: str = "q", h: float | None = None, exact: bool | None = None) -> float:
     """Condition number of the `iteration_matrix` of GeneralizedAlpha or IDA at a state.
 
     exact: in the 2-norm, from a dense inverse, right also far beyond 1e16 (by default up to 2000 unknowns); otherwise an

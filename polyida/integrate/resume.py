@@ -1,6 +1,11 @@
 """`resume`: go on with a run that is in a file."""
 
 import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.given import is_number
@@ -15,10 +20,18 @@ from polyida.io.reader import named, naming, read
 from polyida.io.save import commit, create, free
 from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore
+from polyida.keywords import named_keywords
+from polyida.model import Model
 from polyida.threads import one_blas_thread
 
+if TYPE_CHECKING:
+    from polyida.trajectory import Trajectory
 
-def resume(path, t_end=None, *, model=None, integrator=None, until=None, progress=None, memory_limit=MEMORY_LIMIT):
+
+@named_keywords
+def resume(path: str | Path, t_end: float | None = None, *, model: Model | None = None, integrator: object = None,
+           until: Callable[[float, NDArray, NDArray], float] | bool | None = None, progress: Callable[[float], object] | None = None,
+           memory_limit: float = MEMORY_LIMIT) -> "Trajectory":
     """Go on with the run in a file of `solve(..., out=path)` or `save`, to its t_end or another; the whole Trajectory.
 
     It starts at the state of the last flush; frames beyond it are computed again. Fixed-step generalized-alpha to the

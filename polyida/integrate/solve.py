@@ -2,28 +2,41 @@
 
 import math
 import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
 from polyida.guarded_model import guard, require_functions
 from polyida.integrate.running.run import Run
 from polyida.integrate.start import consistent_state, require_state, restarted
-from polyida.integrate.state import Counts
+from polyida.integrate.state import Counts, Integrator, State
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
+from polyida.keywords import named_keywords
 from polyida.machine import machine_info
+from polyida.model import Model
 from polyida.threads import one_blas_thread
+
+if TYPE_CHECKING:
+    from polyida.trajectory import Trajectory
 
 MOST_STEPS = 1e12
 SHORTEST = 1e-15  # s: what is divided by the squares of its steps is still a number in single precision
 APART = 16  # times between t and t + h, at least
 
 
-def solve(model, t_end, integrator, *, q0=None, v0=None, t0=0.0, state=None, every=1, output=None, until=None, progress=None,
-          out=None, overwrite=False, flush_every=100, fsync=False, memory_limit=MEMORY_LIMIT):
+@named_keywords
+def solve(model: Model, t_end: float, integrator: Integrator, *, q0: ArrayLike | None = None, v0: ArrayLike | None = None,
+          t0: float = 0.0, state: State | None = None, every: int = 1, output: ArrayLike | None = None,
+          until: Callable[[float, NDArray, NDArray], float] | None = None, progress: Callable[[float], object] | None = None,
+          out: str | Path | None = None, overwrite: bool = False, flush_every: int = 100, fsync: bool = False,
+          memory_limit: float = MEMORY_LIMIT) -> "Trajectory":
     """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
 
     q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.

@@ -1,18 +1,22 @@
 """Consistent start, the same for every integrator: positions and velocities on the constraints, accelerations and multipliers."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.guarded_model import guard, require_functions
 from polyida.integrate.state import State
+from polyida.keywords import named_keywords
 from polyida.linear.kkt import require_independent
+from polyida.model import Model
 
 EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away
 
 
-def consistent_state(model, t0=0.0, q0=None, v0=None):
+@named_keywords
+def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None, v0: ArrayLike | None = None) -> State:
     """A State at t0 that satisfies phi = 0, `phi_q v + phi_t = 0` and the equations of motion.
 
     1. q0 (zeros where None) is freed of round-off in phi, v0 (made where None) put on the velocity constraint, both in the metric of M.

@@ -1,10 +1,13 @@
 """What an integrator takes and yields: a state, the counts of the work done, and how it says that it cannot go on."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
+
+from polyida.model import Model
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,7 @@ class State:
     memory: dict = field(default_factory=dict)
     restart: bool = True
 
-    def finite(self):
+    def finite(self) -> bool:
         """Whether q and v, and lam, are finite: one product each tells."""
         return math.isfinite(self.q.dot(self.v)) and math.isfinite(self.lam.dot(self.lam))
 
@@ -45,7 +48,7 @@ class Counts:
     solves: int = 0
     backend: str = ""
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """The counts as a plain dictionary."""
         return asdict(self)
 
@@ -56,6 +59,14 @@ class Restart(NamedTuple):
     state: State
     frames: int
     counts: dict
+
+
+class Integrator(Protocol):
+    """What `solve` takes: settings with one method, a user's as well as ours."""
+
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts, /) -> Iterator[State]:
+        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+        ...
 
 
 class StepFailure(Exception):

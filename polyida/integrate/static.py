@@ -4,15 +4,18 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.guarded_model import guard, require_functions
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
+from polyida.keywords import named_keywords
 from polyida.linear.inertia import falling
 from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
 from polyida.linear.matrix import dense
+from polyida.model import Model
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
@@ -29,11 +32,11 @@ class Equilibrium(State):
     falling: int | None = None
 
     @property
-    def stable(self):
+    def stable(self) -> bool | None:
         """True where the energy is least here, False where the structure would leave at a touch, None where it cannot be told."""
         return None if self.falling is None else self.falling == 0
 
-    def summary(self):
+    def summary(self) -> str:
         """The time and the kind of equilibrium, in one line."""
         unknown = "of unknown stability: its forces have no potential, or its matrix breaks down"
         ways = f"{self.falling} direction{'s' if self.falling != 1 else ''}"
@@ -41,7 +44,9 @@ class Equilibrium(State):
         return f"equilibrium at t = {self.t:.9g} s, {kinds[self.stable]}"
 
 
-def static(model, t=0.0, q0=None, steps=1, tolerance=1e-10, max_iterations=50):
+@named_keywords
+def static(model: Model, t: float = 0.0, q0: ArrayLike | None = None, steps: int = 1, tolerance: float = 1e-10,
+           max_iterations: int = 50) -> Equilibrium:
     """The Equilibrium at time t: a State at rest with `stable`; one that is not stable comes with a warning.
 
     The load grows in `steps` equal parts: part s solves `g(q) + phi_q^T lam = (1 - s) g(0)`, g(0) being the load at q = 0.

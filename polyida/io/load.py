@@ -1,5 +1,7 @@
 """`load`: a Trajectory from a file; the scene and the integrator that made it are built again from the file's data."""
 
+from pathlib import Path
+
 import numpy as np
 
 from polyida import registry
@@ -7,6 +9,7 @@ from polyida.errors import InputError
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, from_data
+from polyida.keywords import named_keywords
 from polyida.trajectory import Trajectory
 
 STILL = "another process is still writing it; these are the frames up to its last flush"
@@ -14,7 +17,8 @@ KILLED = "the process that ran it ended without closing the file; it holds the f
 TORN = "; the record of one flush is not whole: cut off by the end of the process, or damaged"
 
 
-def load(path, memory_limit=MEMORY_LIMIT):
+@named_keywords
+def load(path: str | Path, memory_limit: float = MEMORY_LIMIT) -> Trajectory:
     """Read a trajectory. Raises InputError naming the file where it is missing, truncated or of another kind.
 
     Frames beyond `memory_limit` bytes stay in the file and are read when asked for. A file of a run that was killed

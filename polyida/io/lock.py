@@ -7,7 +7,7 @@ from contextlib import suppress
 try:
     import fcntl
 except ImportError:  # not on this system
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
 CAN_TELL = hasattr(fcntl, "F_OFD_GETLK")
 LAYOUT = "hhqqi4x"  # struct flock

@@ -37,7 +37,7 @@ def naming(path):
             yield
         except InputError:
             raise
-        except Exception as error:  # a damaged file fails in the library, in json or here, in ways that nobody can list
+        except Exception as error:  # noqa: BLE001, a damaged file fails in the library, in json or here, in ways that nobody can list
             raise InputError(f"not a whole polyida trajectory ({type(error).__name__}: {error})") from None
 
 

@@ -1,15 +1,19 @@
 """Angle motor: an imposed angle between two sections."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polyida.joint.attachment import labelled
-from polyida.joint.formula import cross
+from polyida.joint.formula import Row, Vector, cross
 from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class AngleMotor(Joint):
     """The angle from section a to section b, beyond that of the reference configuration, follows a profile theta(t) in rad.
@@ -19,7 +23,7 @@ class AngleMotor(Joint):
     a, b: sections, or one of them ground. The torque on b is `-lam |d_A| |d_B|`, N m.
     """
 
-    angle: Profile
+    angle: Profile | Callable[[float], float] | float
     kind = "motor"
 
     def __post_init__(self):
@@ -27,11 +31,11 @@ class AngleMotor(Joint):
         self.require_directions()
         object.__setattr__(self, "angle", as_profile(self.angle, labelled("AngleMotor", self.name)))
 
-    def rows(self):
+    def rows(self) -> list[Row | Vector]:
         """`R(theta + theta0) d_A x d_B`."""
         return [cross(self.a.d.onto(self.b.d).turned(self.angle), self.b.d).one_way().named("angle", "N m")]
 
-    def reaction(self, lam, values):
+    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
         """The torque on b, (frames, 1), N m."""
         sizes = [np.linalg.norm(values(side.d), axis=1) for side in (self.a, self.b)]
         return -lam * (sizes[0] * sizes[1])[:, None]

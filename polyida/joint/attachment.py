@@ -1,8 +1,10 @@
 """Attachments: weighted sets of nodes at which joints, masses and loads take hold of a body."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.material import vector2
 from polyida.errors import InputError
@@ -19,12 +21,12 @@ class Ground:
     point: (2,), m, direction: (2,), of length one; None of `ground` itself.
     """
 
-    point: np.ndarray | None = None
-    direction: np.ndarray | None = None
+    point: Any = None
+    direction: Any = None
     has_direction = True
     body = None
 
-    def at(self, point, direction=(1.0, 0.0)):
+    def at(self, point: ArrayLike, direction: ArrayLike = (1.0, 0.0)) -> "Ground":
         """A place of the ground, m, with a direction, of any length (the x axis where none is given). Raises InputError."""
         place, way = vector2("ground.at", "point", point), vector2("ground.at", "direction", direction)
         if not np.hypot(*way) > 0:
@@ -36,12 +38,12 @@ class Ground:
         return self if self.point is not None else Ground(other.point, other.direction)
 
     @property
-    def x(self):
+    def x(self) -> Vector:
         """Its place, a Vector of a joint's formula."""
         return along(complex(*self.point))
 
     @property
-    def d(self):
+    def d(self) -> Vector:
         """Its direction, a Vector of a joint's formula."""
         return along(complex(*self.direction))
 
@@ -60,7 +62,7 @@ class Attachment:
     reference configuration), None where the set has no extent. length: of the section in m, 0 for a node.
     """
 
-    body: object
+    body: Any
     nodes: np.ndarray
     weights: np.ndarray
     turn_weights: np.ndarray | None
@@ -68,33 +70,33 @@ class Attachment:
     name: str
 
     @property
-    def point(self):
+    def point(self) -> NDArray:
         """Reference position of the point, (2,), m: to the round-off of one place."""
         return self.body.points[self.nodes[0]] + self.weights @ _arms(self.body, self.nodes)
 
     @property
-    def direction(self):
+    def direction(self) -> NDArray | None:
         """Reference direction, (2,), of length one, or None: the same wherever the body lies."""
         return None if self.turn_weights is None else self.turn_weights @ _arms(self.body, self.nodes)
 
     @property
-    def has_direction(self):
+    def has_direction(self) -> bool:
         """Whether there is a direction."""
         return self.turn_weights is not None
 
     @property
-    def x(self):
+    def x(self) -> Vector:
         """Its point, a Vector of a joint's formula."""
         return Vector((Piece(((self, "point", 1 + 0j),)),))
 
     @property
-    def d(self):
+    def d(self) -> Vector:
         """Its direction, a Vector of a joint's formula. Raises InputError where it has none."""
         if not self.has_direction:
             raise InputError(f"{self!r} has no direction; use a section of two nodes or more")
         return Vector((Piece(((self, "direction", 1 + 0j),)),))
 
-    def each(self):
+    def each(self) -> list["Attachment"]:
         """Its nodes, each an attachment of its own."""
         return [of_node(self.body, int(node)) for node in self.nodes]
 

@@ -1,11 +1,15 @@
 """Clamp: a section held fast to the ground, or two sections welded."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from polyida.joint.attachment import Ground, ground
+from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Clamp(Joint):
     """A section held fast.
@@ -17,7 +21,7 @@ class Clamp(Joint):
     single node, which has no direction.
     """
 
-    b: object = ground
+    b: Any = ground
     kind = "clamp"
 
     def __post_init__(self):
@@ -25,7 +29,7 @@ class Clamp(Joint):
         if not any(isinstance(side, Ground) for side in (self.a, self.b)):
             self.require_directions()
 
-    def rows(self):
+    def rows(self) -> list[Row | Vector]:
         """`x_i - X_i` of every node, or `(x_A - x_B, d_A - Q d_B)`."""
         if isinstance(self.b, Ground):
             return [node.x - ground.at(node.point).x for node in self.a.each()]

@@ -10,6 +10,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_number
+from polyida.keywords import named_keywords
 from polyida.profile import Profile, difference
 
 
@@ -44,27 +45,27 @@ class Vector:
 
     pieces: tuple
 
-    def __add__(self, other):
+    def __add__(self, other: "Vector") -> "Vector":
         pieces = {id(piece.profile): piece for piece in self.pieces}
         for piece in _vector(other).pieces:
             known = pieces.get(id(piece.profile))
             pieces[id(piece.profile)] = piece if known is None else known.plus(piece)
         return Vector(tuple(pieces.values()))
 
-    def __sub__(self, other):
+    def __sub__(self, other: "Vector") -> "Vector":
         return self + -_vector(other)
 
-    def __neg__(self):
+    def __neg__(self) -> "Vector":
         return self * -1.0
 
-    def __mul__(self, number):
+    def __mul__(self, number: float) -> "Vector":
         if not is_number(number):
             raise InputError(f"a vector of a joint is multiplied by {number!r}; use a number, pi.cross or pi.dot")
         return self._times(complex(number))
 
     __rmul__ = __mul__
 
-    def turned(self, angle):
+    def turned(self, angle: float | Profile) -> "Vector":
         """The vector turned by an angle in rad: a number, or a profile of time."""
         if isinstance(angle, Profile):
             if any(piece.profile is not None for piece in self.pieces):
@@ -74,7 +75,7 @@ class Vector:
             raise InputError(f"turned: {angle!r} is neither a number in rad nor a profile")
         return self._times(np.exp(1j * angle))
 
-    def onto(self, other):
+    def onto(self, other: "Vector") -> "Vector":
         """The vector turned by the constant angle that lays it along `other` in the reference configuration."""
         here, there = self.rest, _vector(other).rest
         if not (abs(here) > 0 and abs(there) > 0):
@@ -86,7 +87,7 @@ class Vector:
         return Vector(tuple(piece.times(w) for piece in self.pieces))
 
     @property
-    def rest(self):
+    def rest(self) -> complex:
         """Its value in the reference configuration, profiles at zero, as a complex number."""
         return sum((piece.rest for piece in self.pieces), 0j)
 
@@ -114,24 +115,24 @@ class Row:
     label: str = ""
     unit: str = ""
 
-    def __add__(self, other):
+    def __add__(self, other: "Row | float") -> "Row":
         if is_number(other):
-            return replace(self, constant=self.constant + other)
-        other = _row(other)
-        return replace(self, products=self.products + other.products, constant=self.constant + other.constant)
+            return replace(self, constant=self.constant + other)  # type: ignore[arg-type]
+        row = _row(other)
+        return replace(self, products=self.products + row.products, constant=self.constant + row.constant)
 
     __radd__ = __add__
 
-    def __sub__(self, other):
+    def __sub__(self, other: "Row | float") -> "Row":
         return self + (-other)
 
-    def __rsub__(self, other):
+    def __rsub__(self, other: "Row | float") -> "Row":
         return -self + other
 
-    def __neg__(self):
+    def __neg__(self) -> "Row":
         return self * -1.0
 
-    def __mul__(self, number):
+    def __mul__(self, number: float) -> "Row":
         if not is_number(number):
             raise InputError(f"a row of a joint is multiplied by {number!r}, which is no number; products of three vectors are not bilinear")
         scaled = tuple(replace(p, still=p.still.times(complex(number))) for p in self.products)
@@ -139,24 +140,26 @@ class Row:
 
     __rmul__ = __mul__
 
-    def __truediv__(self, number):
+    def __truediv__(self, number: float) -> "Row":
         return self * (1.0 / number)
 
-    def named(self, label, unit=""):
+    def named(self, label: str, unit: str = "") -> "Row":
         """The row with the name and unit of its multiplier."""
         return replace(self, label=label, unit=unit)
 
-    def one_way(self):
+    def one_way(self) -> "Row":
         """The row of a `cross` that vanishes also with a vector turned by half a turn: states with that are not accepted."""
         return replace(self, products=tuple(replace(p, one_way=True) for p in self.products))
 
 
-def cross(a, b):
+@named_keywords
+def cross(a: Vector, b: Vector) -> Row:
     """`a_x b_y - a_y b_x` of two vectors, a Row."""
     return dot(_vector(a)._times(1j), b)
 
 
-def dot(a, b):
+@named_keywords
+def dot(a: Vector, b: Vector) -> Row:
     """`a . b` of two vectors, a Row."""
     return Row(tuple(_product(e, f) for e in _vector(a).pieces for f in _vector(b).pieces))
 

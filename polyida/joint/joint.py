@@ -1,11 +1,15 @@
 """What every joint is: two sides and the formula of its rows."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar, Self
+
+from numpy.typing import NDArray
 
 from polyida import registry
 from polyida.errors import InputError
 from polyida.joint.attachment import Ground, labelled, require_sides
+from polyida.joint.formula import Row, Vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,8 +23,8 @@ class Joint:
     counts as that.
     """
 
-    a: object
-    b: object
+    a: Any
+    b: Any
     name: str | None = field(default=None, kw_only=True)
     kind: ClassVar[str | None] = None  # what a joint without a name is called with a number; the class's name where None
 
@@ -31,22 +35,22 @@ class Joint:
     def __post_init__(self):
         require_sides(labelled(type(self).__name__, self.name), self.a, self.b)
 
-    def rows(self):
+    def rows(self) -> list[Row | Vector]:
         """Rows of phi, a list of Row and Vector."""
         raise NotImplementedError(f"{type(self).__name__} gives no rows()")
 
-    def reaction(self, lam, values):
+    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
         """What it does to its side b, (frames, rows), from its multipliers (frames, rows); `values(vector)` gives (frames, 2)."""
         return lam.copy()
 
-    def require_directions(self):
+    def require_directions(self) -> None:
         """Raise InputError unless both sides have a direction."""
         for side in (self.a, self.b):
             if not side.has_direction:
                 label = labelled(type(self).__name__, self.name)
                 raise InputError(f"{label}: {side!r} has no direction; use a section of two nodes or more")
 
-    def facing(self):
+    def facing(self) -> Self:
         """The joint with plain `ground` put where its other side is in the reference configuration."""
         a, b = (
             side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a))

@@ -2,9 +2,12 @@
 
 from dataclasses import dataclass
 
+from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Revolute(Joint):
     """Two points stay together: `phi = x_A - x_B` (2 rows, m). phi_q is constant.
@@ -15,6 +18,6 @@ class Revolute(Joint):
 
     kind = "revolute"
 
-    def rows(self):
+    def rows(self) -> list[Row | Vector]:
         """`x_A - x_B`."""
         return [self.a.x - self.b.x]

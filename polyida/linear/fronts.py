@@ -216,7 +216,7 @@ def solve_fronts(s, panels, x):
 @part
 def zero(values, at, count):
     """Whether `count` values from `at` on are zero; it mostly ends at the first."""
-    for k in range(at, at + count):
+    for k in range(at, at + count):  # noqa: SIM110, compiled code has no `all`
         if values[k] != 0.0:
             return False
     return True

@@ -10,6 +10,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.keywords import named_keywords
 from polyida.mesh import sections, topology
 from polyida.mesh.guarded import guarded
 from polyida.mesh.make.domains import positive
@@ -24,7 +25,8 @@ LOWER = ("vertex", "line")
 PREFIX = "section:"
 
 
-def read(path, tolerance=1e-9):
+@named_keywords
+def read(path: str | Path, tolerance: float = 1e-9) -> PolygonMesh:
     """PolygonMesh of a file of triangles, quads and polygons, of one or several kinds.
 
     Points closer than tolerance times the mesh's size merge, unused ones go, clockwise cells turn. Nodes are
@@ -43,7 +45,8 @@ def read(path, tolerance=1e-9):
         raise InputError(f"mesh file {path} holds inconsistent data: {_short(error)}") from error
 
 
-def write(mesh, path, overwrite=False):
+@named_keywords
+def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False) -> None:
     """Write a mesh; the suffix gives the format: .vtu, .vtk and .obj hold polygons, others triangles and quads.
 
     .vtu, .vtk and .msh hold the sections too. Whole or not at all: a temporary file beside it is renamed.
@@ -103,7 +106,7 @@ def _quietly(path, action, what="read"):
     try:
         with guarded(path.stat().st_size if path.exists() else 2**28) as said:
             return action(meshio)
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit) as error:  # noqa: BLE001, whatever it is, the file is to blame
         detail = " ".join(said.getvalue().split())[:200] if isinstance(error, SystemExit) else _short(error)
         raise InputError(f"mesh file {path} cannot be {what} as {path.suffix}: {detail or 'no reason given'}") from None
 

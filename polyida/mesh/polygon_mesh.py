@@ -1,16 +1,24 @@
 """PolygonMesh: points, polygons in offset form and named boundary sections."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
+from polyida.keywords import named_keywords
 from polyida.mesh import checks, sections, topology
 
+if TYPE_CHECKING:
+    from polyida.mesh.quality import MeshQuality
+    from polyida.mesh.sections import Section
 
+
+@named_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class PolygonMesh:
     """A plane mesh of polygons. Immutable: the arrays are read-only copies of what was given.
@@ -46,14 +54,14 @@ class PolygonMesh:
         return f"PolygonMesh({self.n_cells} cells, {self.n_nodes} nodes, sections {', '.join(self.sections) or 'none'})"
 
     @property
-    def n_nodes(self):
+    def n_nodes(self) -> int:
         return len(self.points)
 
     @property
-    def n_cells(self):
+    def n_cells(self) -> int:
         return len(self.offsets) - 1
 
-    def cell(self, i):
+    def cell(self, i: int) -> NDArray:
         """Corner nodes of cell i, counter-clockwise."""
         if not -self.n_cells <= i < self.n_cells:
             raise InputError(f"mesh has cells 0..{self.n_cells - 1}, not {i}")
@@ -61,46 +69,46 @@ class PolygonMesh:
         return self.nodes[self.offsets[i]:self.offsets[i + 1]]
 
     @cached_property
-    def cell_areas(self):
+    def cell_areas(self) -> NDArray:
         """(n_cells,), m^2."""
         return topology.areas(self.points, self.nodes, self.offsets)
 
     @cached_property
-    def cell_centroids(self):
+    def cell_centroids(self) -> NDArray:
         """(n_cells, 2), m."""
         return topology.centroids(self.points, self.nodes, self.offsets)
 
     @cached_property
-    def area(self):
+    def area(self) -> float:
         """Sum of the cell areas, m^2."""
         return float(self.cell_areas.sum())
 
     @cached_property
-    def edges(self):
+    def edges(self) -> NDArray:
         """(n_edges, 2) node pairs, each edge once, lower node first."""
         return topology.edges(self.nodes, self.offsets, self.n_nodes)
 
     @cached_property
-    def boundary_edges(self):
+    def boundary_edges(self) -> NDArray:
         """(n_boundary_edges, 2) node pairs, directed so that the domain lies on the left."""
         return topology.boundary_edges(self.nodes, self.offsets, self.n_nodes)
 
     @cached_property
-    def boundary_nodes(self):
+    def boundary_nodes(self) -> NDArray:
         """Sorted nodes on the boundary."""
         return np.unique(self.boundary_edges)
 
-    def quality(self):
+    def quality(self) -> "MeshQuality":
         """MeshQuality: edge ratio, angles, vertex counts, convexity, bandwidth, holes."""
         from polyida.mesh.quality import quality
 
         return quality(self)
 
-    def require_convex(self, tolerance=1e-6):
+    def require_convex(self, tolerance: float = 1e-6) -> None:
         """Raise InputError naming the first corner whose turn (sine of the exterior angle) is not above tolerance."""
         checks.require_convex(self, tolerance)
 
-    def section(self, selector):
+    def section(self, selector: str | Callable[[NDArray], NDArray] | ArrayLike) -> "Section":
         """Section of nodes ordered along the boundary with their tributary lengths.
 
         selector: a section's name, a function points (n, 2) -> mask (n,), of which the boundary nodes are kept, or

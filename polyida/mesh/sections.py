@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.mesh import checks
@@ -21,12 +22,12 @@ class Section:
     name: str
 
     @property
-    def length(self):
+    def length(self) -> float:
         """Length of the section, m; 0 for single nodes."""
         return float(self.lengths.sum())
 
     @property
-    def weights(self):
+    def weights(self) -> NDArray:
         """lengths / length; equal weights where the section has no length. They sum to 1."""
         if self.length > 0.0:
             return self.lengths / self.length

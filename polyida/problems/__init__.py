@@ -3,13 +3,20 @@
 import inspect
 from dataclasses import dataclass, field
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import is_one_of, reals
+from polyida.keywords import named_keywords
+
+if TYPE_CHECKING:
+    from polyida.trajectory import Trajectory
 
 
+@named_keywords
 @dataclass(frozen=True)
 class Problem:
     """A model with its initial state and what is known of its solution.
@@ -32,14 +39,14 @@ class Problem:
     known_to: dict = field(default_factory=dict)
     measures: dict = field(default_factory=dict)
 
-    def errors(self, **found):
+    def errors(self, **found: ArrayLike) -> dict[str, float]:
         """{name: largest absolute deviation from the reference} of every given value, of the reference's shape.
 
         Raises InputError for a name that the reference does not know, and for another shape.
         """
         return {name: self._error(name, value) for name, value in found.items()}
 
-    def compare(self, run):
+    def compare(self, run: "Trajectory") -> dict[str, float]:
         """`errors` of a run at its end, for all that the reference knows. Raises InputError where it ends elsewhere."""
         if not len(getattr(run, "t", ())):
             raise InputError(f"problem {self.name!r}: {type(run).__name__} is no run with frames; give what solve returns")
@@ -77,12 +84,12 @@ MAKERS = {
 }
 
 
-def names():
+def names() -> tuple[str, ...]:
     """Names of all problems."""
     return tuple(MAKERS)
 
 
-def get(name, **options):
+def get(name: str, **options: object) -> Problem:
     """The Problem of this name, made with `options`.
 
     Raises InputError where there is none of that name, and for an option it does not take or cannot be made with,

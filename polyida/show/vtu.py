@@ -1,17 +1,24 @@
 """VTU frames of a run with a PVD collection, for ParaView."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import is_whole
+from polyida.keywords import named_keywords
 from polyida.show import plates
+
+if TYPE_CHECKING:
+    from polyida.trajectory import Trajectory
 
 COLLECTION = "run.pvd"
 
 
-def vtu(run, folder, overwrite=False, frames=None):
+@named_keywords
+def vtu(run: "Trajectory", folder: str | Path, overwrite: bool = False, frames: int | ArrayLike | None = None) -> Path:
     """Write one VTU file a frame into `folder`, and run.pvd, which holds their times; returns the path of run.pvd.
 
     Points are the current positions in m. Point data: displacement (m), velocity (m/s). Cell data: von Mises stress and

@@ -44,7 +44,7 @@ def _formed(parts, unformed, *arguments):
     for part in parts if isinstance(parts, tuple) else (parts,):
         try:
             yield part(*arguments)
-        except Exception as error:  # rows may lack anything: what else they tell must come out all the same
+        except Exception as error:  # noqa: BLE001, rows may lack anything: what else they tell must come out all the same
             reason = (
                 str(error)
                 if isinstance(error, LookupError) and " " in str(error)

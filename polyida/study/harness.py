@@ -4,11 +4,11 @@ import hashlib
 import inspect
 import json
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Callable
 
 from polyida.study.isolation import Worker, attempt, plain
 

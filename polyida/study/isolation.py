@@ -75,7 +75,7 @@ def attempt(function, arguments):
     """{"error": ""} and the dictionary that `function(**arguments)` gives, or the exception as {"error", "traceback"}."""
     try:
         return {"error": ""} | function(**arguments)
-    except Exception as error:  # whatever it is, a task's failure is a row of the table
+    except Exception as error:  # noqa: BLE001, whatever it is, a task's failure is a row of the table
         return {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
 
 

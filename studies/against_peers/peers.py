@@ -136,7 +136,7 @@ class WholeJacobian:
         self.calls += 1
 
 
-def sparse_ida(model, t_end, settings=IDA()):
+def sparse_ida(model, t_end, settings=None):
     """IDA with SuperLU_MT on the whole 2n + 2m matrix to t_end: {"cpu_s", "steps", "setups"}, start included.
 
     Settings' tolerances and order; our fused residual. It can abort the process: call it in one of its own.
@@ -144,6 +144,7 @@ def sparse_ida(model, t_end, settings=IDA()):
     from scipy.sparse import csc_matrix
     from sksundae.ida import IDA as Solver
 
+    settings = settings or IDA()
     system, jacobian = SceneSystem(model, "ggl2", settings.rate), WholeJacobian(model)
     sizes = typical_sizes(model, consistent_state(model, 0.0, None, None), t_end)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own

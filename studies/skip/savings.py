@@ -170,7 +170,7 @@ class Unturned(Stretches):
 class FullNewton(alpha_generic.Steps):
     """The general path with a matrix made anew in every iteration."""
 
-    efforts = (alpha_generic.FULL,)
+    efforts = (alpha_generic.FULL,)  # type: ignore[assignment]
 
 
 def no_border(cells, t_end, repeats):
@@ -240,8 +240,7 @@ def only_what_is_asked(cells, t_end, repeats):
 
     def everything():
         run = done(solve(model, t_end, GeneralizedAlpha(h=H)))
-        run.energy.total
-        return len(run) + len([run.stress(k) for k in range(len(run))])
+        return len(run.energy.total) + len([run.stress(k) for k in range(len(run))])
 
     return sides(plain, everything, repeats)
 

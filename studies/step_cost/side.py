@@ -9,6 +9,7 @@ import json
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 
 import polyida
 from polyida.integrate.solve import solve
@@ -45,7 +46,7 @@ def between(model, member, short, long):
 
 def two_runs(model, member, short, long):
     """(CPU s, counts) of a run to `short` and of one to `long`."""
-    runs = [cpu(lambda: solve(model, t_end, member, every=NO_FRAMES)) for t_end in (short, long)]
+    runs = [cpu(partial(solve, model, t_end, member, every=NO_FRAMES)) for t_end in (short, long)]
     return [(seconds, run.counts) for seconds, run in runs]
 
 

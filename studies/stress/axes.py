@@ -1,7 +1,7 @@
 """The axes of the stress study: what is driven, from benign to harsh, and by which integrators."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Callable
 
 import numpy as np
 

@@ -263,7 +263,7 @@ def beyond_the_material(pressure, name):
 
 def too_soft(modulus, name):
     """The driven plates' weight bends them at the shoulder by 31 N m, `6 M / (t H^2)` = 1.9 MPa: beyond 0.9 E they fold there."""
-    return Stop(("inverted", "objection"), COLLAPSED) if 1.9e6 > 0.9 * modulus else None
+    return Stop(("inverted", "objection"), COLLAPSED) if 0.9 * modulus < 1.9e6 else None
 
 
 def too_thin(width, name):

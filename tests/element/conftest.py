@@ -100,7 +100,7 @@ class Body:
         """Dense tangent (2 n, 2 n) of the body."""
         op, before = self.op, 5
         blocks = np.zeros((before + len(op.indices), 2, 2))
-        kernels.tangent(*op.tangent_arrays, self.first, before, self.c1, self.NU, u, scale, blocks)
+        kernels.tangent(*op.force_arrays, op.pairs, self.first, before, self.c1, self.NU, u, scale, blocks)
         assert not blocks[:before].any()
         return self.dense(blocks[before:])
 

@@ -44,7 +44,7 @@ class TwoStates:
     def tangent(self, kernel, number, a, b, *factors):
         """Dense tangent (2 n, 2 n)."""
         blocks, plate = np.zeros((5 + len(self.op.indices), 2, 2)), self.plate
-        kernel(*self.op.tangent_arrays, self.first, 5, plate.c1, plate.NU, number, a, b, *factors, blocks)
+        kernel(*self.op.force_arrays, self.op.pairs, self.first, 5, plate.c1, plate.NU, number, a, b, *factors, blocks)
         assert not blocks[:5].any()
         return plate.dense(blocks[5:])
 
@@ -160,15 +160,6 @@ def test_midpoint_force_with_viscosity_works_more_by_the_dissipation(plate):
 def test_midpoint_costs_nothing_between_rigid_positions(plate):
     u0, u1 = (plate.plate.displacement(lambda x, angle=angle: rotated(x, angle) + 7 * angle) for angle in (0.4, 1.9))
     assert abs(plate.midpoint(u0, u1, 3.0)).max() < 1e-13 * plate.plate.c1
-
-
-def test_tangent_of_the_midpoint_force(plate):
-    u0, u1 = plate.plate.displacement(wavy), plate.plate.displacement(later)
-    for viscosity in (0.0, 0.4):
-        matrix = plate.tangent(two_states.tangent_midpoint, viscosity, u0, u1, 1.0)
-        assert_gradient(matrix, lambda x: plate.midpoint(u0, x, viscosity), u1, plate.first)
-    half = plate.plate.tangent(u0, scale=0.5)
-    assert abs(plate.tangent(two_states.tangent_midpoint, 0.0, u0, u0, 1.0) - half).max() < 1e-14 * abs(half).max()
 
 
 def test_midpoint_rotation_is_of_the_mean_and_status_of_the_end(plate):

@@ -223,7 +223,7 @@ def test_a_part_that_cannot_be_formed_keeps_no_other_from_it(tmp_path, monkeypat
     study = findings_study(bad)
     data = command(study, [{"number": 1, "error": ""}], tmp_path, monkeypatch)
     assert data["figures"] == {"lost": None, "kept": 1.0} and "a line" in data["notes"]
-    assert sum("not formed: bad: KeyError: 'value'" == line for line in data["notes"]) == 3
+    assert sum(line == "not formed: bad: KeyError: 'value'" for line in data["notes"]) == 3
 
 
 def findings_study(bad):

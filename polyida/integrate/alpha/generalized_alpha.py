@@ -1,6 +1,8 @@
 """Generalized-alpha on index 3 (Chung and Hulbert 1993; Arnold and Bruels 2007), scaled after Bottasso and Bauchau."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Self
 
 from polyida.errors import InputError
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
@@ -9,7 +11,10 @@ from polyida.integrate.alpha.march import march
 from polyida.integrate.alpha.step_control import adapt
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.moves import cells_of
+from polyida.integrate.state import Counts, State
+from polyida.keywords import named_keywords
 from polyida.linear.kkt import SCALINGS
+from polyida.model import Model
 
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
 ABSOLUTE = 1e-3  # m: atol over rtol where only rtol is given, for a start at q = 0
@@ -18,6 +23,7 @@ SHARE = 1e-3  # of the local error of a step that Newton may leave, where `toler
 LEAST, MOST = 1e-7, 1e-4  # of the size of q'': bounds of that
 
 
+@named_keywords
 @dataclass(frozen=True)
 class GeneralizedAlpha:
     """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,
@@ -62,21 +68,21 @@ class GeneralizedAlpha:
     max_num_steps: int = 1_000_000
 
     @classmethod
-    def hht(cls, h, alpha=-0.05, **settings):
+    def hht(cls, h: float, alpha: float = -0.05, **settings) -> Self:
         """Hilber, Hughes, Taylor 1977: alpha_m = 0, alpha_f = -alpha, alpha in [-1/3, 0); second order."""
         if not (is_number(alpha) and -1 / 3 <= alpha < 0):
             raise InputError(f"GeneralizedAlpha.hht: alpha = {alpha!r} must be in [-1/3, 0); index 3 is unstable at 0")
         return cls(h, member=_tuple(Coefficients.second_order(0.0, -alpha)), **settings)
 
     @classmethod
-    def wbz(cls, h, alpha=-0.05, **settings):
+    def wbz(cls, h: float, alpha: float = -0.05, **settings) -> Self:
         """Wood, Bossak, Zienkiewicz 1980: alpha_m = alpha, alpha_f = 0, alpha in (-1, 0); second order."""
         if not (is_number(alpha) and -1 < alpha < 0):
             raise InputError(f"GeneralizedAlpha.wbz: alpha = {alpha!r} must be in (-1, 0); index 3 is unstable at 0")
         return cls(h, member=_tuple(Coefficients.second_order(alpha, 0.0)), **settings)
 
     @classmethod
-    def newmark(cls, h, beta=0.3025, gamma=0.6, **settings):
+    def newmark(cls, h: float, beta: float = 0.3025, gamma: float = 0.6, **settings) -> Self:
         """Newmark 1959: alpha_m = alpha_f = 0. Index 3 needs gamma > 1/2, which makes it first order; the trapezoidal
         rule (1/4, 1/2) is refused: its constraint forces grow without bound."""
         return cls(h, member=(0.0, 0.0, beta, gamma), **settings)
@@ -116,11 +122,11 @@ class GeneralizedAlpha:
         )
 
     @property
-    def coefficients(self):
+    def coefficients(self) -> Coefficients:
         """The member's coefficients."""
         return Coefficients(*self.member) if self.member is not None else Coefficients.chung_hulbert(self.rho_inf)
 
-    def newton_tolerance(self, scale):
+    def newton_tolerance(self, scale: float) -> tuple[float, float, float]:
         """(least, most, share): Newton may leave share times the change of q'' in a step, within least and most times q''.
 
         scale: h^2 q'' over the q that goes with it.
@@ -130,11 +136,11 @@ class GeneralizedAlpha:
         return LEAST, MOST, SHARE * max(abs(self.coefficients.error), 1 / 12) * scale
 
     @property
-    def adaptive(self):
+    def adaptive(self) -> bool:
         """Whether the step follows the local error."""
         return self.rtol is not None or self.atol is not None
 
-    def steps(self, model, state, t_end, counts):
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         if self.extrapolate:
             from polyida.integrate.alpha.richardson import extrapolated
@@ -142,7 +148,7 @@ class GeneralizedAlpha:
             return extrapolated(self, model, state, t_end, counts)
         return self.in_pieces(model, state, t_end, counts)
 
-    def in_pieces(self, model, state, t_end, counts, split=1):
+    def in_pieces(self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1) -> Iterator[State]:
         """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
         engine, most_steps = self._engine(model, counts), counts.steps + counts.rejected + self.max_num_steps
         look = cells_of(self.h, t_end - state.t) if self.adaptive else (self.h,)
@@ -155,7 +161,7 @@ class GeneralizedAlpha:
             for state in piece:
                 yield state
 
-    def by_points(self, model):
+    def by_points(self, model: Model) -> bool:
         """Whether the linear algebra is that of a scene, whose joints act through a few points."""
         return self.linear != "kkt" and model.compiled
 

@@ -10,7 +10,7 @@ class Grid(NamedTuple):
 
     begin: float
     end: float
-    count: int
+    count: int  # type: ignore[assignment]  # a tuple has a method of this name, of no use here
     done: int = 0
 
     @property

@@ -1,5 +1,6 @@
 """The energy-momentum method of Simo and Tarnow (1992), with the discrete derivative of Gonzalez (1996) beyond plates."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from polyida.errors import InputError
@@ -8,9 +9,12 @@ from polyida.integrate.energy.general import General, WithForces, require_genera
 from polyida.integrate.energy.midpoint import Midpoint
 from polyida.integrate.kinks import at_kink, beside, enough_steps, stretches
 from polyida.integrate.start import on_velocity
-from polyida.integrate.state import State
+from polyida.integrate.state import Counts, State
+from polyida.keywords import named_keywords
+from polyida.model import Model
 
 
+@named_keywords
 @dataclass(frozen=True)
 class EnergyMomentum:
     """Constant steps that keep energy and momenta in the discrete sense.
@@ -45,12 +49,12 @@ class EnergyMomentum:
             if not good or isinstance(getattr(self, name), bool):
                 raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")
 
-    def require(self, model):
+    def require(self, model: Model) -> None:
         """Raise InputError unless it takes the model: any scene; one's own with a potential, constant mass, phi at most quadratic."""
         if not (model.compiled or model.own_forces):
             require_general(model)
 
-    def steps(self, model, state, t_end, counts):
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         kind = Midpoint if model.compiled else WithForces if model.own_forces else General
         for begin, end, most in stretches(model, state.t, t_end, self.h):

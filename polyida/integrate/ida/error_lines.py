@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 _ERROR = re.compile(r"\[IDA\w*, Error: -?\d+\] (.*)", re.DOTALL)
 _lock = threading.Lock()
-_open = []  # the filter in place and, as often as it is in use, a further entry
+_open: list = []  # the filter in place and, as often as it is in use, a further entry
 
 
 class _Filter:

@@ -1,9 +1,11 @@
 """IDA of SUNDIALS: variable-step, variable-order BDF on a stabilised form of the model's equations."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_one_of, is_whole
@@ -15,7 +17,9 @@ from polyida.integrate.kinks import at_kink, beside, segments, stops
 from polyida.integrate.moves import cells_of
 from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import far_side
-from polyida.integrate.state import StepFailure
+from polyida.integrate.state import Counts, State, StepFailure
+from polyida.keywords import named_keywords
+from polyida.model import Model
 
 LINEAR = ("auto", "kkt", "whole")
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a number is given
@@ -28,6 +32,7 @@ STATUS = {
 }
 
 
+@named_keywords
 @dataclass(frozen=True)
 class IDA:
     """Backward differentiation formulas of order 1 to 5 with error control, by SUNDIALS' IDA.
@@ -80,7 +85,7 @@ class IDA:
         positive = len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries)
         _check("atol", self.atol, positive, "must be positive")
 
-    def tolerances(self, n, sizes):
+    def tolerances(self, n: int, sizes: tuple[float, float]) -> tuple[float | NDArray, float | NDArray]:
         """Absolute tolerances (of q, of v) for n coordinates and a model's `sizes`, (length, speed).
 
         InputError where their number does not fit.
@@ -95,24 +100,24 @@ class IDA:
                f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}")
         return np.array(self.atol[:n]), np.array(self.atol[n:])
 
-    def told(self, memory):
+    def told(self, memory: dict) -> str:
         """What a summary says of the absolute tolerances that a run took from its model; memory of one of its states."""
         if self.atol is not None or "sizes" not in memory:
             return ""
         return "atol {:.1e} of q, {:.1e} of v".format(*self.tolerances(1, memory["sizes"]))
 
-    def order(self, model):
+    def order(self, model: Model) -> int:
         """The largest BDF order used on this model."""
         return self.max_order or (2 if model.flexible else 5)
 
-    def require_reach(self, model, state, t_end):
+    def require_reach(self, model: Model, state: State, t_end: float) -> None:
         """Raise InputError where times near t_end are too far apart, as numbers, to resolve the model's motion."""
         length, speed = typical_sizes(model, state, t_end - state.t)
         if math.ulp(t_end) > length / speed:
             raise InputError(f"IDA: t_end = {t_end:g} s is too far: times there are {math.ulp(t_end):.2g} s apart, and "
                              f"the model moves within {length / speed:.2g} s")
 
-    def steps(self, model, state, t_end, counts):
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.
 
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.

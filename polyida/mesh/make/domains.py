@@ -5,9 +5,11 @@ Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012).
 """
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, reals
+from polyida.keywords import named_keywords
 from polyida.mesh.make import walls as w
 
 
@@ -48,12 +50,15 @@ class Domain:
     """Base: subclasses set walls (list), lower and upper corner of the bounding box, and distance(points) -> (n,)."""
 
     convex = False
+    walls: list
+    lower: NDArray
+    upper: NDArray
 
-    def distance(self, points):
+    def distance(self, points: NDArray) -> NDArray:
         """Signed distance, m: negative inside, exact at the walls, a bound elsewhere."""
         return np.max([wall.distance(points) for wall in self.walls], axis=0)
 
-    def on_boundary(self, points):
+    def on_boundary(self, points: NDArray) -> NDArray:
         """(n,) mask: on a wall, with points of the domain nearby (walls that coincide may have none)."""
         size = float(np.max(self.upper - self.lower))
         on = np.abs(self.distance(points)) < 1e-9 * size
@@ -63,22 +68,23 @@ class Domain:
         ring = 1e-6 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return on & np.any([self.distance(points + step) < 0.0 for step in ring], axis=0)
 
-    def __or__(self, other):
+    def __or__(self, other: "Domain") -> "Union":
         return Union(self, other)
 
-    def __sub__(self, other):
+    def __sub__(self, other: "Domain") -> "Difference":
         return Difference(self, other)
 
-    def __and__(self, other):
+    def __and__(self, other: "Domain") -> "Intersection":
         return Intersection(self, other)
 
 
+@named_keywords
 class Rectangle(Domain):
     """Axis-parallel rectangle; origin is its lower left corner."""
 
     convex = True
 
-    def __init__(self, length, height, origin=(0.0, 0.0)):
+    def __init__(self, length: float, height: float, origin: ArrayLike = (0.0, 0.0)) -> None:
         size = np.array([positive(length, "rectangle length"), positive(height, "rectangle height")])
         self.lower = place(origin, "rectangle origin")
         self.upper = self.lower + size
@@ -86,34 +92,37 @@ class Rectangle(Domain):
                       w.Line(1, self.lower[1], -1.0), w.Line(1, self.upper[1], 1.0)]
 
 
+@named_keywords
 class Circle(Domain):
     """Disc, m."""
 
     convex = True
 
-    def __init__(self, radius, center=(0.0, 0.0)):
+    def __init__(self, radius: float, center: ArrayLike = (0.0, 0.0)) -> None:
         radius, center = positive(radius, "circle radius"), place(center, "circle center")
         self.lower, self.upper = center - radius, center + radius
         self.walls = [w.Capsule(center, center, radius, 1.0)]
 
 
+@named_keywords
 class Union(Domain):
     """Points in either domain."""
 
-    def __init__(self, first, second):
+    def __init__(self, first: Domain, second: Domain) -> None:
         _require_domains("union", first, second)
         self.first, self.second = first, second
         self.lower, self.upper = np.minimum(first.lower, second.lower), np.maximum(first.upper, second.upper)
         self.walls = first.walls + second.walls
 
-    def distance(self, points):
+    def distance(self, points: NDArray) -> NDArray:
         return np.minimum(self.first.distance(points), self.second.distance(points))
 
 
+@named_keywords
 class Intersection(Domain):
     """Points in both domains."""
 
-    def __init__(self, first, second):
+    def __init__(self, first: Domain, second: Domain) -> None:
         _require_domains("intersection", first, second)
         self.first, self.second = first, second
         self.lower, self.upper = np.maximum(first.lower, second.lower), np.minimum(first.upper, second.upper)
@@ -122,20 +131,21 @@ class Intersection(Domain):
         self.convex = first.convex and second.convex
         self.walls = first.walls + second.walls
 
-    def distance(self, points):
+    def distance(self, points: NDArray) -> NDArray:
         return np.maximum(self.first.distance(points), self.second.distance(points))
 
 
+@named_keywords
 class Difference(Domain):
     """Points of the first domain that are not in the second."""
 
-    def __init__(self, first, second):
+    def __init__(self, first: Domain, second: Domain) -> None:
         _require_domains("difference", first, second)
         self.first, self.second = first, second
         self.lower, self.upper = first.lower, first.upper
         self.walls = first.walls + [wall.flipped() for wall in second.walls]
 
-    def distance(self, points):
+    def distance(self, points: NDArray) -> NDArray:
         return np.maximum(self.first.distance(points), -self.second.distance(points))
 
 
@@ -147,17 +157,18 @@ class Moved(Domain):
         self.lower, self.upper = domain.lower + offset, domain.upper + offset
         self.walls = [wall.moved(offset) for wall in domain.walls]
 
-    def distance(self, points):
+    def distance(self, points: NDArray) -> NDArray:
         return self.domain.distance(points - self.offset)
 
 
+@named_keywords
 class Link(Domain):
     """Bar with rounded ends and a pin hole in each: the pins' centres are (0, 0) and (length, 0) from origin.
 
     height is the bar's width and the ends' diameter. The holes become the sections 'hole 0' and 'hole 1'.
     """
 
-    def __init__(self, length, height, pin_radius, origin=(0.0, 0.0)):
+    def __init__(self, length: float, height: float, pin_radius: float, origin: ArrayLike = (0.0, 0.0)) -> None:
         length, height = positive(length, "link length"), positive(height, "link height")
         pin_radius = positive(pin_radius, "link pin radius")
         if 2 * pin_radius >= min(height, length):

@@ -4,11 +4,13 @@ Source: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Opti
 """
 
 import operator
+from contextlib import suppress
 
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_whole
+from polyida.keywords import named_keywords
 from polyida.mesh import concave, topology
 from polyida.mesh.make import cleanup, voronoi
 from polyida.mesh.make.domains import Domain, Moved
@@ -17,6 +19,7 @@ from polyida.mesh.numbering import renumber
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.sections import automatic
 
+ATTEMPTS = 8  # with other seeds, where cells leave a part of the boundary without any
 FARTHEST = 1e6  # sizes from the origin: beyond, the walls' round-off is that of the mesher's tolerances
 
 
@@ -27,7 +30,8 @@ def whole(value, what, least, most=10**9):
     return operator.index(value)
 
 
-def polygonize(domain, cells, seed=0, iterations=40):
+@named_keywords
+def polygonize(domain: Domain, cells: int, seed: int = 0, iterations: int = 40) -> PolygonMesh:
     """Polygon mesh of a domain (see polyida.mesh.make.domains); about `cells` convex polygons.
 
     Nodes of the boundary lie on the domain's boundary, corners where walls meet are exact. Cells that a concave corner
@@ -66,12 +70,10 @@ def raw_polygons(domain, cells, seed, iterations):
     rng = np.random.default_rng(seed)
     area = voronoi.estimated_area(domain, rng)
     corners = np.zeros((0, 2)) if domain.convex else concave.domain_corners(domain)
-    for attempt in range(8):
-        try:
+    for _ in range(ATTEMPTS - 1):
+        with suppress(voronoi.Unresolved):
             return _attempt(domain, cells, rng, area, corners, iterations)
-        except voronoi.Unresolved:
-            if attempt == 7:
-                raise
+    return _attempt(domain, cells, rng, area, corners, iterations)
 
 
 def _attempt(domain, cells, rng, area, corners, iterations, tolerance=5e-3):

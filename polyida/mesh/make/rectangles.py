@@ -1,14 +1,18 @@
 """Meshes of a plate 0 <= x <= length, |y| <= height/2: mirrored polygons, structured quads and triangles."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from polyida.keywords import named_keywords
 from polyida.mesh.make import mesher
 from polyida.mesh.make.domains import Rectangle, place, positive
 from polyida.mesh.numbering import renumber, sorted_cells
 from polyida.mesh.polygon_mesh import PolygonMesh
 
 
-def rectangle(length, height, cells, seed=0, iterations=40, origin=(0.0, 0.0)):
+@named_keywords
+def rectangle(length: float, height: float, cells: int, seed: int = 0, iterations: int = 40,
+              origin: ArrayLike = (0.0, 0.0)) -> PolygonMesh:
     """Polygon mesh of 0 <= x <= length, -height/2 <= y <= height/2 (m), moved by origin.
 
     Half the plate is meshed and mirrored about y = 0: the corners and the mid nodes (0, 0) and (length, 0) are exact.
@@ -41,14 +45,16 @@ def sides(points, length, height):
     return {name: np.flatnonzero(mask) for name, mask in masks.items()}
 
 
-def quads(length, height, nx, ny, origin=(0.0, 0.0)):
+@named_keywords
+def quads(length: float, height: float, nx: int, ny: int, origin: ArrayLike = (0.0, 0.0)) -> PolygonMesh:
     """nx by ny equal quadrilaterals on the plate of rectangle(), with the same sections."""
     points, lower_left, step_x, step_y = _grid(length, height, nx, ny)
     corners = np.stack([lower_left, lower_left + step_x, lower_left + step_x + step_y, lower_left + step_y], axis=1)
     return _structured(points, corners, length, height, origin)
 
 
-def triangles(length, height, nx, ny, origin=(0.0, 0.0)):
+@named_keywords
+def triangles(length: float, height: float, nx: int, ny: int, origin: ArrayLike = (0.0, 0.0)) -> PolygonMesh:
     """nx by ny equal rectangles on the plate of rectangle(), each cut in two by alternating diagonals."""
     points, a, step_x, step_y = _grid(length, height, nx, ny)
     b, c, d = a + step_x, a + step_x + step_y, a + step_y
