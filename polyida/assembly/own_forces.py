@@ -11,8 +11,8 @@ from polyida.given import is_number, read_only, reals
 class OwnForce:
     """A force element in its scene: its sides are at `x = rest + A q`, A (2 sides, n) sparse; the ground's rows are zero.
 
-    extent: the scene's size, m, over which derivatives are taken. not_finite: in words, which of its functions last gave what is not
-    finite for arguments that are; else empty.
+    extent: the scene's size, m, over which derivatives are taken. not_finite: in words, which of its functions last gave what
+    is not finite for arguments that are; else empty.
     """
 
     def __init__(self, name, element, model):
@@ -64,10 +64,12 @@ class OwnForce:
         except ValueError as error:
             if "read-only" not in str(error):
                 raise
-            raise InputError(f"{self.name}: {name} writes into its arguments, which belong to the integrator: take a copy first") from error
+            wrong = "writes into its arguments, which belong to the integrator: take a copy first"
+            raise InputError(f"{self.name}: {name} {wrong}") from error
         found = reals(given)
         if found is None or found.shape != shape:
-            raise InputError(f"{self.name}: {name} must return real numbers of shape {shape}, not {type(given).__name__} of shape {_shape(given)}")
+            what = f"{type(given).__name__} of shape {_shape(given)}"
+            raise InputError(f"{self.name}: {name} must return real numbers of shape {shape}, not {what}")
         bad = not np.isfinite(found).all() and np.isfinite(x).all() and np.isfinite(v).all()
         self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite" if bad else ""
         return found

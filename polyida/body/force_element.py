@@ -10,9 +10,9 @@ from polyida.joint.attachment import Attachment, Ground, labelled
 class ForceElement:
     """A force on attachments, written in Python: a frozen dataclass with a field `name`, `sides()` and `forces(t, x, v)`.
 
-    Its fields (numbers, profiles, attachments) are its data and are saved with it. Its functions get the places x, m, and velocities v, m/s,
-    of its sides, (sides, 2) each, to read only. What it does not write of the rest is taken by differences, or is not there. A scene with
-    such forces goes through the integrators' plain paths, which its summaries say.
+    Its fields (numbers, profiles, attachments) are its data and are saved with it. Its functions get the places x, m, and
+    velocities v, m/s, of its sides, (sides, 2) each, to read only. What it does not write of the rest is taken by differences,
+    or is not there. A scene with such forces goes through the integrators' plain paths, which its summaries say.
     """
 
     name = None
@@ -47,7 +47,8 @@ def require_element(element):
     kind = type(element)
     label = labelled(kind.__name__, element.name)
     if not (is_dataclass(kind) and any(field.name == "name" for field in fields(kind))):
-        raise InputError(f"{label}: its class must be a dataclass with a field `name: str | None = None`; decorate it with @dataclass(frozen=True, eq=False)")
+        needs = "a dataclass with a field `name: str | None = None`; decorate it with @dataclass(frozen=True, eq=False)"
+        raise InputError(f"{label}: its class must be {needs}")
     for function in ("sides", "forces"):
         if getattr(kind, function) is getattr(ForceElement, function):
             raise InputError(f"{label}: its class gives no {function}()")
@@ -57,8 +58,10 @@ def sides_of(name, element):
     """The sides of a force element, looked at. Raises InputError naming it."""
     sides = element.sides()
     if not isinstance(sides, (tuple, list)) or not any(isinstance(side, Attachment) for side in sides):
-        raise InputError(f"{name}: sides() gave {sides!r:.80}; it must give a tuple of attachments, like (self.at,), of a body one at least")
+        wanted = "a tuple of attachments, like (self.at,), one at least of a body"
+        raise InputError(f"{name}: sides() gave {str(sides)[:80]}; it must give {wanted}")
     for side in sides:
         if not isinstance(side, Attachment) and not (isinstance(side, Ground) and side.point is not None):
-            raise InputError(f"{name}: the side {side!r:.80} is no attachment; use plate.section(...), plate.node(...) or ground.at(point)")
+            hint = "use plate.section(...), plate.node(...) or ground.at(point)"
+            raise InputError(f"{name}: the side {str(side)[:80]} is no attachment; {hint}")
     return tuple(sides)

@@ -118,11 +118,6 @@ def test_damping_only_takes_energy(scenes, damping):
     assert np.all(np.diff(energy) <= 1e-9 * np.ptp(energy)) and energy[-1] < energy[0]
 
 
-def test_a_model_that_is_no_scene_is_refused():
-    with pytest.raises(pi.InputError, match="no scene"):
-        pi.solve(pi.problems.get("pendulum").model, 0.1, pi.EnergyMomentum(h=1e-3), q0=[-1.0, 0.0])
-
-
 @pytest.mark.parametrize("setting", [{"h": 0.0}, {"h": True}, {"tolerance": 2.0}, {"max_iterations": 0}])
 def test_bad_settings(setting):
     with pytest.raises(pi.InputError, match=next(iter(setting))):

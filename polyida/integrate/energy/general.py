@@ -1,11 +1,12 @@
 """Steps of the energy-momentum method on models of one's own, by the discrete derivative, and the same on scenes with force elements.
 
-The force at the middle is not the difference of the potential; Gonzalez (J. Nonlinear Sci. 6 (1996) 449-467) adds along M dq what is missing:
+The work of the force at the middle is not the difference of the potential; Gonzalez (J. Nonlinear Sci. 6 (1996) 449-467) adds what is
+missing, along M dq:
 
     M (v_1 - v_0)/h + g(t_m, q_m, v_m) + [V_1 - V_0 - V'] M dq / (dq^T M dq) + phi_q(q_m)^T lam = 0,     V' = grad V(q_m) . dq
 
-Forces beyond the potential act at the middle. With a constraint that is at most quadratic `phi_q(q_m) dq = phi_1 - phi_0`, so it does no work.
-The matrix, one a step, leaves out the derivative of the bracket, which is of second order in dq: Newton contracts without.
+Forces beyond the potential act at the middle. With a constraint that is at most quadratic `phi_q(q_m) dq = phi_1 - phi_0`, so it does
+no work. The matrix, one a step, leaves out the derivative of the bracket, which is of second order in dq: Newton contracts without.
 """
 
 from types import SimpleNamespace
@@ -137,7 +138,7 @@ class WithForces(General):
 def require_general(model):
     """Raise InputError, naming what is in the way, unless the discrete derivative takes a model of one's own.
 
-    What its functions are like is seen at two places and, of phi, on the way between.
+    What its functions are like is seen at places drawn at random.
     """
     model, random = guard(model, "EnergyMomentum"), np.random.default_rng(0)
     q, d = random.standard_normal((2, model.n))

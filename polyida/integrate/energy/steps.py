@@ -1,4 +1,11 @@
-"""Steps with the forces at the middle, whatever solves them: what one begins from, what becomes of its end, and halves where it fails."""
+"""Steps with the forces at the middle, whatever solves them: what one begins from, what becomes of its end, and halves where it fails.
+
+`phi = 0` at both ends leaves `v_1 = 2 (q_1 - q_0)/h - v_0` off `phi_q v + phi_t = 0` by as much as v_0 was, the other way round: what a
+motor's jerk once put there would alternate for ever, and show in lam divided by h. So where phi is driven v_1 is moved onto it, along
+M^-1 phi_q^T, where lam takes up what a step misses; of a motor's energy 4e-13 a step were measured so at 20 rad/s and 4 ms.
+Where nothing drives there is an energy to keep, and v_1 off its constraint by O(h^2) has it. So the next step begins from that v_1
+(memory "v_free"), which keeps energy and momenta, and the frame has v_1 put on the constraint and made as fast as it was.
+"""
 
 import numpy as np
 
@@ -23,10 +30,6 @@ class Steps:
 
     A kind of them says what `_room()` they need and how to `_solve(state, t)`: (how it ended, last |dq|), the step being left in
     u0, v0, u1, lam and phi of the room, and `fresh`, whether the matrix was made in it.
-
-    `phi = 0` at both ends leaves `v_1 = 2 (q_1 - q_0)/h - v_0` off its constraint. Where nothing drives, so that there is an energy to
-    keep, the next step begins from that v_1 (memory "v_free"), which keeps energy and momenta, and the frame has it put on the
-    constraint and as fast as it takes to have its energy.
     """
 
     def __init__(self, settings, model, h, counts, until=np.inf, halvings=6):
