@@ -190,7 +190,7 @@ def now():
 
 def test_a_side_of_a_pair_times_as_many_steps_as_it_was_asked_for(now):
     row = now()
-    assert row["steps"] == 40 and row["newton_iterations"] >= 1 and row["ms_per_step"] > 0
+    assert row["steps"] == 40 and row["newton_iterations"] >= 1 and np.isfinite(row["ms_per_step"])
 
 
 def test_a_ratio_is_that_of_now_over_before(monkeypatch, tmp_path):
