@@ -299,18 +299,3 @@ def test_a_jump_of_driven_velocity_at_start_middle_and_end(form):
 def test_a_scene_without_joints_falls(scenes, form):
     states, _ = run(scenes.single()[0].build(), IDA(form=form), 0.1)
     assert np.allclose(states[-1].q.reshape(-1, 2), [0.0, -0.5 * 9.81 * 0.1**2], rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("form", ["ggl2", "ggl1"])
-def test_phi_is_held_by_any_callbacks(scenes, form):
-    """Constraint rows with phi_q of the iterate close phi quadratically, also where the factor is old."""
-    model = scenes.jointed("motor between", bend=0.0).build()
-    for linear in ("auto", "kkt"):
-        states, _ = run(model, IDA(rtol=1e-5, form=form, linear=linear), 0.1)
-        assert max(np.abs(model.phi(s.t, s.q)).max() for s in states) < 1e-12 * model.extent
-
-
-@pytest.mark.parametrize("name", ["pendulum", "car-axis", "andrews"])
-def test_phi_is_held_on_any_model(name):
-    p, states, _, _ = run_problem(name, IDA(rtol=1e-7))
-    assert max(np.abs(p.model.phi(s.t, s.q)).max() for s in states) < 1e-12

@@ -16,7 +16,7 @@ Unknowns y = (q, v, multipliers); equations
 Sources: Gear, Gupta, Leimkuhler 1985 (ggl2); Gear 1988 and Anantharaman, Hiller 1991 (ggl1); Baumgarte 1972.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,15 +49,11 @@ FORMS = {
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks of the iteration matrix at one state: M, C (or None), B (m, n) and the rows P + cj Q0 + cj^2 Q1 on dq.
-
-    of_rows: the B in these rows, which may be that of a later state.
-    """
+    """Blocks of the iteration matrix at one state: M, C (or None), B (m, n) and the rows P + cj Q0 + cj^2 Q1 on dq."""
 
     M: np.ndarray
     C: np.ndarray
     B: np.ndarray
-    of_rows: np.ndarray
     P: np.ndarray
     Q0: np.ndarray
     Q1: np.ndarray
@@ -187,26 +183,9 @@ class System:
         q, v, a, _, _ = self.split(y.copy(), yp.copy())
         B = dense(model.phi_q(t, q))
         triples = [self._derivatives(order, t, q, v, a, B) for order in self.form.rows]
+        P, Q0, Q1 = (self._sum(rows) if self.form.combined else np.vstack(rows) for rows in zip(*triples))
         C = model.force_v(t, q, v) if model.needs.velocity_forces else None
-        return Blocks(model.mass(q), C, B, B, *self._joined(triples), self.form.stabilised, self.form.integrated)
-
-    @property
-    def rows_vary(self):
-        """Whether phi_q does."""
-        needs = self.model.needs
-        return self.model.m > 0 and (needs.driven or needs.phi_q_varies)
-
-    def with_rows_at(self, blocks, t, y):
-        """The Blocks with phi_q of (t, y) in the constraint rows; the border's columns and phi_q's slopes stay."""
-        B = dense(self.model.phi_q(self.clamp(t), y[:blocks.n].copy()))
-        D, zero = B - blocks.of_rows, np.zeros_like(B)
-        changes = [[D if order == k else zero for k in range(3)] for order in self.form.rows]
-        P, Q0, Q1 = (old + change for old, change in zip((blocks.P, blocks.Q0, blocks.Q1), self._joined(changes)))
-        return replace(blocks, of_rows=B, P=P, Q0=Q0, Q1=Q1)
-
-    def _joined(self, triples):
-        """(P, Q0, Q1) of the derivatives that make the form's rows."""
-        return tuple(self._sum(rows) if self.form.combined else np.vstack(rows) for rows in zip(*triples))
+        return Blocks(model.mass(q), C, B, P, Q0, Q1, self.form.stabilised, self.form.integrated)
 
     def _derivatives(self, order, t, q, v, a, B):
         """(c_q, c_v, c_a) of one derivative of phi; d(phi_q v)/dq is phi_q's slope along v, by symmetry."""

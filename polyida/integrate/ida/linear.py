@@ -8,7 +8,6 @@ IDA asks for `J d = r`, J = dF/dy + cj dF/dy'. With y = (q, v, lam, mu) and mu o
                                         |dmu |            P = c_q,  Q = c_v + cj c_a
 
 The first row gives dv; what remains is `S = K + cj C + cj^2 M` bordered by as many rows as there are multipliers.
-Where phi_q varies, P and Q have that of the iterate, not of the factor's state: phi is closed quadratically.
 IDA runs its GMRES on it with this solve as preconditioner. Its product with the matrix is replaced by handing the
 vector through, and the solve that follows it by an echo: one real solve a Newton iteration, none to confirm it.
 """
@@ -82,7 +81,7 @@ class EchoedSolve:
             self.setup(t, y, yp, res, cj)
         self.counts.newton_iterations += 1
         self.counts.solves += 1
-        self.reduced(t, y, r, z)
+        self.reduced(t, r, z)
 
 
 class ReducedSolve(EchoedSolve):
@@ -95,22 +94,19 @@ class ReducedSolve(EchoedSolve):
         self.counts.tangents += 1
         self.counts.factorizations += 1
         if self.blocks.border:
-            self.X = self.inverse(np.asfortranarray(self.blocks.columns(cj)))
             self._border()
 
     def _border(self):
-        blocks = self.blocks
-        self.rows, self.velocity_rows = blocks.rows(self.cj)
+        blocks, cj = self.blocks, self.cj
+        self.rows, self.velocity_rows = blocks.rows(cj)
+        self.X = self.inverse(np.asfortranarray(blocks.columns(cj)))
         small = self.rows @ self.X
         if blocks.stabilised:
             small[:, blocks.m:] -= self.velocity_rows @ blocks.B.T
         self.inner = dense_factor(small)
 
-    def reduced(self, t, y, r, z):
-        """z = J^-1 r, with phi_q of y in the constraint rows: with that of the factor's y, phi would fall only as Newton contracts."""
-        if self.system.rows_vary:
-            self.blocks = self.system.with_rows_at(self.blocks, t, y)
-            self._border()
+    def reduced(self, t, r, z):
+        """z = J^-1 r."""
         n, m, blocks, cj = self.blocks.n, self.blocks.m, self.blocks, self.cj
         r1 = r[:n]
         dq = self.inverse(r[n:2 * n] + blocks.damping_product(cj, r1))

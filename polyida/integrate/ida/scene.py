@@ -209,7 +209,7 @@ class SceneSolve(EchoedSolve):
         momentum_reach(model.arrays, self.plain, self.scratch, w, self.massive.reach)
         self.counts.solves += 4 * model.n_points
 
-    def reduced(self, t, y, r, z):
+    def reduced(self, t, r, z):
         """z = J^-1 r; nan where there is no factor."""
         model, system = self.system.model, self.system
         if not math.isfinite(self.cj) or not solve(model.arrays, self.plain, self.massive, self.scratch, system.room,

@@ -83,7 +83,7 @@ class WholeSolve(EchoedSolve):
         self.counts.tangents += 1
         self.counts.factorizations += 1
 
-    def reduced(self, t, y, r, z):
+    def reduced(self, t, r, z):
         """z = J^-1 r."""
         z[:] = self.columns * self.inverse(self.rows * r)
 
