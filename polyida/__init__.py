@@ -13,7 +13,7 @@ _PLACES = {
     "State": "integrate.state", "Counts": "integrate.state",
     "GeneralizedAlpha": "integrate.alpha.generalized_alpha", "EnergyMomentum": "integrate.energy.energy_momentum", "IDA": "integrate.ida.integrator",
 }
-_MODULES = {"mesh": "mesh", "profile": "profile", "problems": "problems", "export": "show.vtu", "study": "study", "show": "show"}
+_MODULES = {"mesh": "mesh", "profile": "profile", "registry": "registry", "problems": "problems", "export": "show.vtu", "study": "study", "show": "show"}
 
 __version__ = "0.1.0"
 __all__ = [*_PLACES, *_MODULES]
