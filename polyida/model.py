@@ -116,7 +116,7 @@ class Model:
         """Potential energy of all conservative forces at q, J, or None where the model does not say."""
         return None
 
-    def potentials(self, q):
+    def potentials(self, q: NDArray) -> tuple[float, float]:
         """(potential of loads, strain energy), J; nan where the model does not say."""
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
@@ -125,11 +125,11 @@ class Model:
         """Why a state cannot be accepted, or None."""
         return None
 
-    def attachment(self, name):
+    def attachment(self, name: Any) -> Any:
         """What a part of this name holds on to; raises InputError where there is none."""
         raise InputError(f"{type(self).__name__} has no named points, so none called {name!r}; read q")
 
-    def position(self, name, q):
+    def position(self, name: Any, q: NDArray) -> NDArray:
         """Path of a named point over frames q (frames, n): (frames, 2), m; raises InputError where there is none."""
         raise InputError(f"position({name!r}): {type(self).__name__} has no named points; read q")
 
@@ -158,7 +158,7 @@ class Model:
             result = result + c_q * self.reaction_q(t, q, lam)
         return result
 
-    def mass_system(self, t, q):
+    def mass_system(self, t: float, q: NDArray) -> Any:
         """The factored `[[M, B^T], [B, 0]]` at (t, q), B = phi_q; its `solve(r, phi)` gives (dq, dlam) as linear/kkt.py's.
 
         Raises InputError where it is singular.

@@ -23,13 +23,15 @@ for integrator in (pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.ID
 """
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session):
-    """Fill the kernels' cache in a process of its own.
+    """Fill the kernels' cache in a process of its own, before there are workers.
 
     The process that compiles a kernel and those that load it may differ in the last bit (what is inlined decides how sums are
     reassociated), and some tests compare runs of two processes to the bit.
     """
-    subprocess.run([sys.executable, "-c", WARM_UP], check=True)
+    if not hasattr(session.config, "workerinput"):
+        subprocess.run([sys.executable, "-c", WARM_UP], check=True)
 
 
 def mesh(cells=20):

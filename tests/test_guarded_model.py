@@ -265,7 +265,7 @@ def test_what_only_scenes_have_is_said_to_be_missing():
             ask()
     with pytest.raises(pi.InputError, match="no joint is called 'tip'"):
         run.reaction("tip")
-    with pytest.raises(pi.InputError, match="EnergyMomentum: Pendulum is no scene"):
+    with pytest.raises(pi.InputError, match=r"EnergyMomentum: Pendulum gives no potential\(q\)"):
         pi.solve(Overdressed.__base__(), 0.1, pi.EnergyMomentum(h=1e-2), **START)
 
 

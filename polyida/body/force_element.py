@@ -2,6 +2,8 @@
 
 from dataclasses import fields, is_dataclass
 
+from numpy.typing import NDArray
+
 from polyida import registry
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground, labelled
@@ -21,23 +23,23 @@ class ForceElement:
         super().__init_subclass__(**options)
         registry.parts[registry.name_of(cls)] = cls
 
-    def sides(self):
+    def sides(self) -> tuple:
         """What it acts on: a tuple of attachments and places of the ground (`ground.at`)."""
         raise NotImplementedError
 
-    def forces(self, t, x, v):
+    def forces(self, t: float, x: NDArray, v: NDArray) -> NDArray:
         """Forces on the sides, (sides, 2), N."""
         raise NotImplementedError
 
-    def forces_x(self, t, x, v):
+    def forces_x(self, t: float, x: NDArray, v: NDArray) -> NDArray | None:
         """Derivatives of the forces in the places, (sides, 2, sides, 2), N/m; None: by differences."""
         return None
 
-    def forces_v(self, t, x, v):
+    def forces_v(self, t: float, x: NDArray, v: NDArray) -> NDArray | None:
         """Derivatives of the forces in the velocities, (sides, 2, sides, 2), N s/m; None: by differences."""
         return None
 
-    def energy(self, x):
+    def energy(self, x: NDArray) -> float | None:
         """Potential energy at the places x, J, of which `forces` are the falling slope, as far as they have one; None: they have none."""
         return None
 

@@ -164,7 +164,7 @@ def idle(model, state):
 
 @pytest.mark.parametrize("change, found", [(one_turn_less, "turned angle"), (longer, "length"), (idle, "kinetic energy")])
 def test_turns_that_are_none_are_found(monkeypatch, change, found):
-    monkeypatch.setattr(identities, "integrator", lambda name: Turning(change))
+    monkeypatch.setattr(identities, "integrator", lambda name, rtol: Turning(change))
     _, checks = identities.many_turns(3, "alpha")
     assert [check for check in checks if found in check.name and check.share > 1]
 
