@@ -3,7 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
-from polyida.joint.attachment import Ground, ground
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.joint.attachment import Ground, ground, labelled
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
@@ -18,7 +21,7 @@ class Clamp(Joint):
     Between bodies: point and direction of both sections move as one, `phi = (x_A - x_B, d_A - Q d_B)` (4 rows), Q being the
     rotation between the directions in the reference configuration. phi_q is constant in both cases.
     Multipliers: force on b, N; of the direction a moment over length. Raises InputError where a section between bodies is a
-    single node, which has no direction.
+    single node, which has no direction, and for a place of the ground other than where the section is.
     """
 
     b: Any = ground
@@ -26,8 +29,14 @@ class Clamp(Joint):
 
     def __post_init__(self):
         super().__post_init__()
-        if not any(isinstance(side, Ground) for side in (self.a, self.b)):
+        grounds = [isinstance(side, Ground) for side in (self.a, self.b)]
+        if not any(grounds):
             self.require_directions()
+            return
+        place, held = (self.a, self.b) if grounds[0] else (self.b, self.a)
+        if place.point is not None and not np.array_equal(place.point, held.point):
+            label = labelled("Clamp", self.name)
+            raise InputError(f"{label}: it holds {held!r} where that is at rest, not at {place!r}; give ground itself, and place the body there")
 
     def rows(self) -> list[Row | Vector]:
         """`x_i - X_i` of every node, or `(x_A - x_B, d_A - Q d_B)`."""

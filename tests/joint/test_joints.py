@@ -139,3 +139,44 @@ def test_hole_rims(scenes):
         assert np.allclose(rim.point, scenes.rotation(0.7) @ place, atol=2e-3)
         assert np.linalg.norm(rim.direction) == pytest.approx(1.0)
         assert rim.length == pytest.approx(2 * np.pi * 0.05, rel=0.05)
+
+
+def test_a_clamp_is_where_its_section_is_at_rest(scenes):
+    upper = scenes.plate("upper")
+    with pytest.raises(pi.InputError, match="Clamp 'root'.*where that is at rest, not at ground at"):
+        pi.Clamp(pi.ground.at((0.3, 0.0)), upper.section("left"), name="root")
+
+
+@pytest.mark.parametrize("wrong, told", [
+    (lambda a, b: [a.x * b.x], "multiplied by"), (lambda a, b: [a.x + 1.0], "needs a vector"), (lambda a, b: a.x, "must give a list of rows"),
+    (lambda a, b: [pi.cross(a.d, b.x) + a.d], "is added to"), (lambda a, b: [3.0], "needs a vector"),
+    (lambda a, b: [a.d.turned("fast")], "neither a number in rad nor a profile"), (lambda a, b: [a.x - b.x + b.d], "does not hold at rest"),
+])
+def test_formulas_that_are_none_are_told(scenes, wrong, told):
+    joint = type("Wrong", (pi.Joint,), {"rows": lambda self: wrong(self.a, self.b)})
+    scene, upper, lower = scenes.pair()
+    scene.add(joint(upper.section("right"), lower.section("left"), name="odd"))
+    with pytest.raises(pi.InputError, match=told):
+        scene.build()
+
+
+def test_a_formula_of_two_turned_vectors_and_sums(scenes):
+    """Both sides turned by profiles, numbers and sums: against the same written out."""
+
+    class Odd(pi.Joint):
+        def rows(self):
+            p, q = pi.profile.sine(0.3, 0.7), pi.profile.polynomial([0.0, 0.2, -0.1])
+            apart = self.b.x - self.a.x
+            return [2.0 * pi.dot(self.a.d.turned(p), self.b.d.turned(q)) - pi.dot(self.a.d, self.b.d) * 2.0 + pi.dot(apart, apart) / 3.0]
+
+    scene, upper, lower = scenes.pair()
+    scene.add(pi.Revolute(pi.ground, upper.section("left")))
+    scene.add(Odd(upper.section("right"), lower.section("left"), name="odd"))
+    model, random = scene.build(), np.random.default_rng(0)
+    q = 0.1 * random.standard_normal(model.n)
+    a, b, t = upper.section("right"), lower.section("left"), 0.4
+    x_a, x_b, d_a, d_b = (side(model, s, q, w) for s, w in ((a, a.weights), (b, b.weights), (a, a.turn_weights), (b, b.turn_weights)))
+    turn = scenes.rotation(0.3 * np.sin(1.4 * np.pi * t)), scenes.rotation(0.2 * t - 0.1 * t * t)
+    exact = 2.0 * (turn[0] @ d_a) @ (turn[1] @ d_b) - 2.0 * d_a @ d_b + (x_b - x_a) @ (x_b - x_a) / 3.0
+    assert model.phi(t, q)[model.rows["odd"]] == pytest.approx([exact], abs=1e-13)
+    assert max(pi.check_derivatives(model, t, q=q).values()) < 1e-6
