@@ -54,6 +54,7 @@ class Model:
     reference = None  # places of its nodes at q = 0, (nodes, 2), m
     bodies = ()  # its plates
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
+    labels = units = ()  # of the rows of phi: what each is called, and the unit of its multiplier
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
     motor_profiles = ()  # which of them turn rows of phi
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next

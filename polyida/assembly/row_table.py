@@ -33,15 +33,13 @@ class RowTable:
         self.labels[first:] = _called(name, self.labels[first:])
 
     def _require_closed(self, name, joint, row):
-        driven = any(product.turning.profile is not None for product in row.products)
-        if not driven and abs(_at_rest(row)) > CLOSED * self._size:
+        if not row.driven and abs(_at_rest(row)) > CLOSED * self._size:
             a, b = joint.a, joint.b
             raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; its sides are {a!r} at {_place(a)} and "
                              f"{b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; place the bodies so that they meet")
 
     def _row(self, name, row):
         """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
-        driven = any(product.turning.profile is not None for product in row.products)
         small = abs(_at_rest(row)) <= ROUND * self._size
         linear = [product for product in row.products if product.linear]
         slopes = {}
@@ -50,7 +48,7 @@ class RowTable:
                 for point, w in self._weights(one).items():
                     slopes[point] = slopes.get(point, 0j) + w.conjugate() * other.constant
         number = len(self._constants)
-        self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (_at_rest(row) if small or not driven else 0.0))
+        self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (_at_rest(row) if small or not row.driven else 0.0))
         self._slopes.append(slopes)
         for product in row.products:
             if not product.linear:

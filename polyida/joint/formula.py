@@ -143,6 +143,11 @@ class Row:
     def __truediv__(self, number: float) -> "Row":
         return self * (1.0 / number)
 
+    @property
+    def driven(self):
+        """Whether a profile turns a vector in it."""
+        return any(product.turning.profile is not None for product in self.products)
+
     def named(self, label: str, unit: str = "") -> "Row":
         """The row with the name and unit of its multiplier."""
         return replace(self, label=label, unit=unit)
@@ -171,8 +176,9 @@ def rows_of(formula):
             yield item
         else:
             vector = _vector(item)
-            yield dot(along(1 + 0j), vector).named("x", "N")
-            yield dot(along(1j), vector).named("y", "N")
+            places = any(part == "point" for piece in vector.pieces for _, part, _ in piece.terms)
+            for label, axis in (("x", 1 + 0j), ("y", 1j)):
+                yield dot(along(axis), vector).named(label, "N" if places else "N m")
 
 
 def along(direction):

@@ -85,7 +85,7 @@ def reactions(runs, names, limit=8):
         for (name, k), axis in zip(panels, axes.ravel()):
             for i, (label, run) in enumerate(runs.items()):
                 axis.plot(run.t, run.reaction(name)[:, k], label=plain(label), **line(i))
-            axis.set(title=plain(name), ylabel=_unit(first.reaction(name).shape[1], k))
+            axis.set(title=plain(name), ylabel=_quantity(first.model, name, k))
         for axis in axes.ravel()[len(panels):]:
             axis.set_visible(False)
         for axis in axes.ravel()[max(len(panels) - columns, 0):len(panels)]:
@@ -181,6 +181,10 @@ def _wide_left(made, axes):
     return made.add_subplot(grid[:, 0]), axes[:, 1]
 
 
-def _unit(components, k):
-    """Axis label of component k of a reaction; joints of other than one or two rows mix units."""
-    return {1: ("torque, N m",), 2: ("force x, N", "force y, N")}.get(components, [f"multiplier {k}"] * components)[k]
+def _quantity(model, name, k):
+    """Axis label of component k of a reaction, as its row says; a row without a unit has a multiplier."""
+    row = model.rows[name].start + k
+    unit, label = (model.units[row], model.labels[row]) if model.units else ("", "")
+    axis = label.rsplit(" ", 1)[-1] if label.endswith((" x", " y")) else ""
+    word = {"N": "force", "N m": "torque"}.get(unit)
+    return f"{word} {axis}".rstrip() + f", {unit}" if word else f"multiplier {k}"

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 
+import polyida as pi
 from polyida.errors import InputError
 from polyida.model import Model
 from polyida.show import plates, plots
@@ -38,6 +39,20 @@ def test_reactions_have_a_panel_a_component_and_say_the_unit(runs):
     figure = plots.reactions(runs, ["elbow", "elbow motor"])
     labels = [axes.get_ylabel() for axes in figure.axes if axes.get_visible()]
     assert labels == ["force x, N", "force y, N", "torque, N m"]
+
+
+def test_reactions_say_what_their_own_rows_are(scenes):
+    """One row need not be a motor's; the directions of a clamp have moments."""
+    class Slot(pi.Joint):
+        def rows(self):
+            return [pi.cross(self.a.d, self.b.x - self.a.x)]
+
+    scene, upper, lower = scenes.pair()
+    scene.add(Slot(pi.ground.at((0.0, 0.0)), upper.section("left"), name="rail"))
+    scene.add(pi.Clamp(upper.section("right"), lower.section("left"), name="weld"))
+    run = pi.solve(scene.build(), 2e-3, pi.GeneralizedAlpha(h=1e-3))
+    labels = [axes.get_ylabel() for axes in plots.reactions({"alpha": run}, ["rail", "weld"]).axes if axes.get_visible()]
+    assert labels == ["multiplier 0", "force x, N", "force y, N", "torque x, N m", "torque y, N m"]
 
 
 def test_reactions_of_many_joints_are_cut_at_the_limit(runs):
