@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from polyida import differences
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
-from polyida.linear.kkt import KKT, SingularSystem
+from polyida.linear.kkt import KKT
+from polyida.linear.lu import SingularSystem
+from polyida.linear.step_matrix import StepMatrix
 
 Matrix = Any  # an array, or one of scipy.sparse
 NONE: MappingProxyType[str, Any] = MappingProxyType({})
@@ -45,6 +47,8 @@ class Model:
     m: int
     needs: Needs = Needs()
     is_scene = False  # True of a scene, whose functions are tested and called as they are
+    alike = False  # True where all coordinates are of one kind, m: Newton's |dq| is then their plain root mean square, by mass elsewhere
+    carries = False  # True where `increments` tells what phi gains in a step
     compiled = False  # True of a scene without Python in it: integrators have compiled loops over its `arrays`
     own_forces = ()  # the force elements of a scene
     remark = ""  # what a run's summary says of the model
@@ -158,6 +162,17 @@ class Model:
         if self.needs.phi_q_varies and self.m:
             result = result + c_q * self.reaction_q(t, q, lam)
         return result
+
+    def step_matrix(self, linear: str = "auto") -> Any:
+        """A StepMatrix of this model (linear/step_matrix.py), not factored yet; linear: which back-end, where there are several."""
+        return StepMatrix(self)
+
+    def increments(self, t0: float, t1: float, ends: tuple[float, float], h: float, q: NDArray, v: NDArray) -> Any:
+        """A function (dd, dv, phi, rate) -> (phi, rate) behind a step of h from (q, v) at t0 in which q moves by h v + dd and v by dv.
+
+        To the round-off of what is gained, not of q; where `carries` is True. ends: t0 and t1, beside them within where there is a kink.
+        """
+        raise NotImplementedError
 
     def mass_system(self, t: float, q: NDArray) -> Any:
         """The factored `[[M, B^T], [B, 0]]` at (t, q), B = phi_q; its `solve(r, phi)` gives (dq, dlam) as linear/kkt.py's.

@@ -10,11 +10,14 @@ from polyida.assembly import joints as rows
 from polyida.assembly.arrays import bilinear
 from polyida.assembly.build import assemble, bodies_of, of_kind
 from polyida.assembly.damping import add_damping, damped_blocks
+from polyida.assembly.increments import Increments
 from polyida.assembly.mass_system import MassSystem, at_rest
 from polyida.assembly.named_points import NamedPoints
 from polyida.assembly.own_forces import OwnForces
+from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.body.force_element import ForceElement
 from polyida.element import kernels
+from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
 
 
@@ -26,9 +29,8 @@ class SceneModel(NamedPoints):
     of phi and lam that belongs to each joint. Matrices are scipy.sparse.
     """
 
-    compiled, looks_apart = True, 1024  # its joints hold on to points of their own, only motors turn rows
-
-    is_scene = True
+    is_scene = alike = carries = compiled = True
+    looks_apart = 1024  # its joints hold on to points of their own, only motors turn rows
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
@@ -224,6 +226,20 @@ class SceneModel(NamedPoints):
     def mass_system(self, t, q):
         """The system of M and phi_q through the points of the joints; without motors made once."""
         return MassSystem(self, t, q) if self.needs.driven or self.needs.phi_q_varies else self.once(at_rest)
+
+    def step_matrix(self, linear="auto"):
+        """The plates' factor in the frame of their nodal rotations; with force elements, whose slopes that has not, the sparse one."""
+        return SceneStepMatrix(self, linear) if self.compiled else StepMatrix(self)
+
+    def increments(self, t0, t1, ends, h, q, v):
+        """What the rows gain in a step, by their exact differences."""
+        return Increments(self, t0, t1, ends, h, q, v)
+
+    def rotation(self, q):
+        """Raw nodal rotations at q, (nodes, 2): area-weighted sums of (F11 + F22, F21 - F12)."""
+        rotation = np.empty((self.n_nodes, 2))
+        self.evaluate(0.0, q, np.zeros(self.n), np.zeros(self.m), rotation)
+        return rotation
 
     def objection(self, t, q):
         """Why a state cannot be accepted, or None: an element turned inside out, or a motor on the wrong half-turn."""

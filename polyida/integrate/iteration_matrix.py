@@ -58,7 +58,7 @@ def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None
 
 def _alpha(model, integrator, state, unknown):
     c, h = integrator.coefficients, integrator.h
-    to_a, to_v = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)), c.gamma / (c.beta * h)
+    to_a, to_v = c.rates(h)
     tangent = model.tangent(state.t, state.q, state.v, state.a, state.lam, to_a, to_v, 1.0)
     phi_q = model.phi_q(state.t, state.q)
     divided = {"q": 1.0, "v": to_v, "a": to_a}[unknown]

@@ -71,6 +71,11 @@ def beside(t, side):
     return t + math.copysign(32 * math.ulp(max(abs(t), 1.0)), side)
 
 
+def inner_side(model, t, h):
+    """t, or next to it where there is a kink: before it where a step of h > 0 ends there."""
+    return beside(t, -h) if at_kink(model, t) else t
+
+
 def _bent(model, state, begin, end):
     if _curved(lambda t: model.force(t, state.q, state.v), begin, end):
         return True

@@ -13,7 +13,8 @@ from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
 from polyida.keywords import named_keywords
 from polyida.linear.inertia import falling
-from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
+from polyida.linear.kkt import KKT, require_independent, scaling_factors
+from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.model import Model
 

@@ -7,7 +7,8 @@ factor L D L^T are the negative entries of D (Sylvester).
 
 import numpy as np
 
-from polyida.linear.kkt import SingularSystem, assemble, scaling_factors
+from polyida.linear.kkt import assemble, scaling_factors
+from polyida.linear.lu import SingularSystem
 
 SYMMETRIC = 1e-6  # largest deviation of K from its transpose, over its largest entry, that derivatives by differences explain
 

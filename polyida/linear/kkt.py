@@ -12,6 +12,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.linear.independence import MOST, coordinate_sizes, involved, least, rows_of
+from polyida.linear.lu import LU
 
 DEPENDENT = 1e-6  # smallest singular value of the rows of phi_q, made of length one, below which they are
 SCALINGS = ("none", "bottasso", "physical")
@@ -58,36 +59,16 @@ def assemble(tangent, phi_q, scaling=Scaling(), pull=None):
 
 
 class KKT:
-    """A factorization of the system; `solve` any number of right-hand sides."""
+    """A factorization of the system; `solve` any number of right-hand sides. Raises SingularSystem."""
 
     def __init__(self, tangent, phi_q, scaling=Scaling(), pull=None):
         self.n, self.scaling = tangent.shape[0], scaling
-        matrix = assemble(tangent, phi_q, scaling, pull)
-        if isinstance(matrix, np.ndarray):
-            from scipy.linalg import lu_factor, lu_solve
-
-            if not np.isfinite(matrix).all():
-                raise SingularSystem("the iteration matrix is not finite")
-            factors = lu_factor(matrix, check_finite=False)
-            if not np.all(np.abs(np.diag(factors[0])) > 0):
-                raise SingularSystem("the iteration matrix is singular")
-            self._solve = lambda b: lu_solve(factors, b, check_finite=False)
-        else:
-            from scipy.sparse.linalg import splu
-
-            try:
-                self._solve = splu(matrix).solve
-            except RuntimeError as error:
-                raise SingularSystem("the iteration matrix is singular") from error
+        self.lu = LU(assemble(tangent, phi_q, scaling, pull), pivoting=True)
 
     def solve(self, r, phi):
         """(dq, dlam) for the residuals r (n,) and phi (m,)."""
-        x = self._solve(-np.concatenate([self.scaling.row * r, phi]))
+        x = self.lu.solve(-np.concatenate([self.scaling.row * r, phi]))
         return x[: self.n], self.scaling.column * x[self.n:]
-
-
-class SingularSystem(Exception):
-    """The system has no unique solution."""
 
 
 def require_independent(model, phi_q, q):

@@ -14,9 +14,8 @@ from polyida.assembly import joints as joint_rows
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
-from polyida.integrate.alpha import generic as alpha_generic
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.alpha.stretches import Stretches
+from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
@@ -139,13 +138,13 @@ def engines(saving, count="factorizations"):
 class Driven(GeneralizedAlpha):
     """Generalized-alpha by another engine: the class of its steps."""
 
-    engine: type = Stretches
+    engine: type = Steps
 
     def _engine(self, model, counts):
         return self.engine(self, model, counts)
 
 
-class OneByOne(Stretches):
+class OneByOne(Steps):
     """Compiled stretches of one step."""
 
     chunk_bytes = 1
@@ -159,18 +158,22 @@ class Forgetful(OneByOne):
         yield from super()._stretch(*place)
 
 
-class Unturned(Stretches):
+class Unturned(Steps):
     """Compiled stretches whose factor stays in the frame in which it was made."""
 
-    def _factor(self, *place):
-        super()._factor(*place)
-        self.system = self.system._replace(turns=False)
+    def _take(self, system):
+        super()._take(system)
+        if system is not None:
+            system.corotated = system.corotated._replace(turns=False)
 
 
-class FullNewton(alpha_generic.Steps):
-    """The general path with a matrix made anew in every iteration."""
+class FullNewton(OneByOne):
+    """A matrix made anew in every iteration."""
 
-    efforts = (alpha_generic.FULL,)  # type: ignore[assignment]
+    def _steps(self, method, first, last, frames):
+        if method.max_iterations == 1:
+            return super()._steps(method, first, last, frames)
+        return self._full_newton(first, frames)
 
 
 def no_border(cells, t_end, repeats):
@@ -258,7 +261,7 @@ def no_frames(cells, t_end, repeats):
 ALPHA, KKT, GENERAL_IDA = GeneralizedAlpha(h=H), GeneralizedAlpha(h=H, linear="kkt"), IDA(linear="kkt")
 ENGINES = {  # saving: with it, without it
     "co-rotated factor": (ALPHA, Driven(H, engine=Unturned)),
-    "stale matrix": (Driven(H, engine=alpha_generic.Steps), Driven(H, engine=FullNewton)),
+    "stale matrix": (Driven(H, engine=OneByOne), Driven(H, engine=FullNewton)),
     "factor kept": (Driven(H, engine=OneByOne), Driven(H, engine=Forgetful)),
     "compiled stretches": (ALPHA, Driven(H, engine=OneByOne)),
 }
@@ -270,7 +273,7 @@ SAVINGS = {  # name: (what is counted, how it is switched off, measure)
     "no damping: dg/dv": ("evaluations", "Needs.velocity_forces set, general IDA", again("velocity", GENERAL_IDA)),
     "no border": ("solves", "a mass of next to nothing on a free plate", no_border),
     "co-rotated factor": ("factorizations", "the factor stays in its frame, compiled", engines("co-rotated factor")),
-    "stale matrix": ("factorizations", "full Newton on the whole matrix", engines("stale matrix")),
+    "stale matrix": ("factorizations", "full Newton; both back in Python after each step", engines("stale matrix")),
     "factor kept": ("factorizations", "a new one every step; both back in Python after each", engines("factor kept")),
     "compiled stretches": ("steps", "back to Python after every step", engines("compiled stretches", "steps")),
     "compiled IDA callbacks": ("residuals", "general callbacks", settings("residuals", IDA(), GENERAL_IDA)),

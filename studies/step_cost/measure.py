@@ -84,7 +84,7 @@ def moved(model, steps=5):
     method, state = GeneralizedAlpha(h=H), consistent_state(model, 0.0, None, None)
     c = method.coefficients
     *_, state = method.steps(model, state, steps * H, Counts())
-    return state, (1 - c.alpha_m) / (c.beta * H * H * (1 - c.alpha_f))
+    return state, c.rates(H)[0]
 
 
 def kernels_ms(model):

@@ -134,7 +134,7 @@ def test_a_saving_that_is_switched_off_is_counted(saving):
 def test_a_row_of_an_engine_differs_in_one_switch(saving):
     """Both sides are the same settings, and their motions agree to Newton's tolerance: what is switched off is work alone."""
     on, off = savings.ENGINES[saving]
-    one, other = (replace(side, engine=savings.Stretches) if isinstance(side, savings.Driven) else side for side in (on, off))
+    one, other = (replace(side, engine=savings.Steps) if isinstance(side, savings.Driven) else side for side in (on, off))
     assert all(getattr(one, field.name) == getattr(other, field.name) for field in fields(savings.GeneralizedAlpha))
     model = plates.double_plate(6).build()
     ends = [solve(model, 0.1, side, every=10**9).position("tip")[-1] for side in (on, off)]

@@ -27,6 +27,10 @@ class Coefficients:
         gamma = 0.5 - alpha_m + alpha_f
         return cls(alpha_m, alpha_f, (gamma + 0.5) ** 2 / 4, gamma)
 
+    def rates(self, h):
+        """(dq''/dq, dv/dq) in a step of h."""
+        return (1 - self.alpha_m) / (self.beta * h * h * (1 - self.alpha_f)), self.gamma / (self.beta * h)
+
     @property
     def error(self):
         """C in the local error of q, `C h^2 (q''_1 - q''_0)`: `C = 1/6 - (alpha_m - alpha_f)/2 - beta`."""

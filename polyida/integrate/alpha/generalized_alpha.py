@@ -2,18 +2,20 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 from polyida.errors import InputError
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.alpha.family import Coefficients, require_damping
 from polyida.integrate.alpha.march import march
 from polyida.integrate.alpha.step_control import adapt
+from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.moves import cells_of
 from polyida.integrate.state import Counts, State
 from polyida.keywords import named_keywords
 from polyida.linear.kkt import SCALINGS
+from polyida.linear.step_matrix import WholeMatrix
 from polyida.model import Model
 
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
@@ -46,9 +48,9 @@ class GeneralizedAlpha:
     whose Newton fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4,
     ... 2^max_halvings parts. scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from
     the first step) or "plain" (a_0 = q''). incremental_phi: carry phi of a scene by its increments, clean down to h =
-    1e-9, or take it from positions with their round-off. linear: "auto", "fronts", "band" or "superlu" for scenes,
-    "kkt": the whole matrix in plain code, as for a model of one's own; `scaling` acts there only. Raises InputError for
-    a setting out of range.
+    1e-9, or take it from positions with their round-off. linear: "auto", or for scenes also "fronts", "band" or "superlu": the
+    model's step matrix with a border of its constraints; "kkt": the whole matrix of both, in plain code; `scaling` acts there
+    only. Raises InputError for a setting out of range.
     """
 
     h: float
@@ -161,18 +163,12 @@ class GeneralizedAlpha:
             for state in piece:
                 yield state
 
-    def by_points(self, model: Model) -> bool:
-        """Whether the linear algebra is that of a scene, whose joints act through a few points."""
-        return self.linear != "kkt" and model.compiled
-
     def _engine(self, model, counts):
-        if self.by_points(model):
-            from polyida.integrate.alpha.stretches import Stretches
-
-            return Stretches(self, model, counts)
-        from polyida.integrate.alpha.generic import Steps
-
         return Steps(self, model, counts)
+
+    def step_matrix(self, model: Model) -> Any:
+        """The model's step matrix, by `linear` and, where that is "kkt", `scaling`."""
+        return WholeMatrix(model, self.scaling) if self.linear == "kkt" else model.step_matrix(self.linear)
 
 
 def _four(given):

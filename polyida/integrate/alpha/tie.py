@@ -14,6 +14,7 @@ import numpy as np
 from polyida.assembly import joints
 from polyida.assembly.mass_system import point_columns
 from polyida.compiled import part
+from polyida.integrate.alpha.step import DD, Q, V, pairs
 from polyida.linear.dense import solve_small
 
 
@@ -79,31 +80,28 @@ def project(s, t, wanted, x):
 
 
 @part
-def part_constraints(s, drives, w, t, to_v):
-    """phi in w becomes rate/gamma', for the solve of x; t.bias what is left for y, phi - rate/gamma'."""
-    velocity_rate(s, drives, w.dz, w.v, t)
-    for k in range(w.phi.shape[0]):
+def part_constraints(s, drives, dz, v, phi, t, to_v):
+    """phi becomes rate/gamma', for the solve of x; t.bias what is left for y, phi - rate/gamma'."""
+    velocity_rate(s, drives, dz, v, t)
+    for k in range(phi.shape[0]):
         share = t.rate[k] / to_v
-        t.bias[k] = w.phi[k] - share
-        w.phi[k] = share
+        t.bias[k] = phi[k] - share
+        phi[k] = share
 
 
 @part
-def slip(s, p, y, w, t):
+def slip(s, p, y, x, t):
     """Add y to the step."""
-    if not project(s, t, t.bias, w.dd):
-        return False
-    for i in range(w.u.shape[0]):
-        for k in range(2):
-            w.u[i, k] = y.u[i, k] + (p.h * y.v[i, k] + w.dd[i, k])
-    return True
+    past, now = y.past, x.now
+    good = project(s, t, t.bias, pairs(now[DD]))
+    for i in range(now.shape[1]):
+        now[Q, i] = past[Q, i] + (p.h * past[V, i] + now[DD, i])
+    return good
 
 
 @part
-def settle(s, drives, w, t):
-    """Take what the tolerance left of the velocity constraint's violation out of v."""
-    joints.point_values(s, w.u, w.dz)
-    velocity_rate(s, drives, w.dz, w.v, t)
-    for k in range(w.rate.shape[0]):
-        w.rate[k] = 0.0
-    return project(s, t, t.rate, w.v)
+def settle(s, drives, dz, v, rate, t):
+    """Take what the tolerance left of the velocity constraint's violation out of v (nodes, 2); rate is zero then."""
+    velocity_rate(s, drives, dz, v, t)
+    rate[:] = 0.0
+    return project(s, t, t.rate, v)

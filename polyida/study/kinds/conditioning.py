@@ -95,7 +95,7 @@ def fastest(model, state):
 def alpha_blocks(model, state, h, rho_inf=0.9):
     """(S, B, beta h^2) of generalized-alpha's Newton matrix at a state."""
     c = GeneralizedAlpha(h=h, rho_inf=rho_inf).coefficients
-    to_a, to_v = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)), c.gamma / (c.beta * h)
+    to_a, to_v = c.rates(h)
     s = state
     tangent = model.tangent(s.t, s.q, s.v, s.a, s.lam, to_a, to_v, 1.0)
     return tangent, model.phi_q(s.t, s.q), c.beta * h * h

@@ -11,7 +11,7 @@ import numpy as np
 from polyida import profile
 from polyida.body.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.alpha.increment import Carried, start_values
+from polyida.integrate.alpha.start import start_values
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.linear.kkt import KKT, scaling_factors
@@ -151,15 +151,15 @@ def _stall(model, state, settings, iterations=14):
     matrix.
     """
     c, h = settings.coefficients, settings.h
-    to_a, to_v = (1 - c.alpha_m) / (c.beta * h * h * (1 - c.alpha_f)), c.gamma / (c.beta * h)
+    to_a, to_v = c.rates(h)
     dd, v, a, lam, t = h * h / 2 * state.a, state.v + h * state.a, state.a.copy(), state.lam.copy(), state.t + h
-    carried = Carried(model, state.t, t, h, state, *start_values(model, state)) if settings.incremental_phi else None
+    carried, start = model.increments(state.t, t, (state.t, t), h, state.q, state.v), start_values(model, state)
     matrix = model.tangent(t, state.q + h * v, v, a, lam, to_a, to_v, 1.0)
     system = KKT(matrix, model.phi_q(t, state.q + h * v), scaling_factors(settings.scaling, c.beta * h * h, matrix))
     sizes = []
     for _ in range(iterations):
         q = state.q + (h * state.v + dd)
-        phi = carried(dd, h * a)[0] if carried else model.phi(t, q)
+        phi = carried(dd, h * a, *start)[0] if settings.incremental_phi else model.phi(t, q)
         dq, dlam = system.solve(model.residual(t, q, v, a, lam), phi)
         dd, v, a, lam = dd + dq, v + to_v * dq, a + to_a * dq, lam + dlam
         sizes.append([np.abs(dq).max() * to_a / np.abs(state.a).max(), np.abs(dlam).max() / np.abs(state.lam).max()])

@@ -1,0 +1,42 @@
+"""The step matrix of a scene: the plates' factor in the frame of the nodal rotations, joints through their few points."""
+
+import numpy as np
+
+from polyida.assembly.damping import symmetric_blocks
+from polyida.linear import corotated
+from polyida.linear.factor import NotFactorable
+from polyida.linear.lu import SingularSystem
+
+
+class SceneStepMatrix:
+    """`S = c_m M + c_v C + K` of a scene, C and K as if at rest and so symmetric; made from q alone (linear/corotated.py).
+
+    corotated, room: the factor and its scratch, for compiled loops. solves: those that its border took.
+    """
+
+    caution = 1.0
+
+    def __init__(self, model, linear="auto"):
+        self.model, self.linear, self.made_at, self.solves = model, linear, np.zeros(0), 2 * model.n_points
+
+    def factor(self, t, q, v, a, lam, c_m, c_v):
+        """Factor S at q; the rest is not looked at. Raises SingularSystem."""
+        model, self.made_at, self.c_m = self.model, q, c_m
+        blocks = symmetric_blocks(model, q.reshape(-1, 2), c_m, c_v)
+        try:
+            self.corotated, self.backend = corotated.corotated(model, blocks, model.rotation(q), self.linear)
+        except NotFactorable as error:
+            raise SingularSystem(str(error)) from None
+        self.room = corotated.room(model, self.corotated)
+
+    def again(self, made_at, c_m, c_v):
+        """Factor S as it was factored before."""
+        self.factor(np.nan, made_at, None, None, None, c_m, c_v)
+
+    def saddle(self, t, q, lam, r, phi):
+        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, S in the frame of q and B that of (t, q). Raises SingularSystem."""
+        model, dq, dlam = self.model, np.empty((self.model.n_nodes, 2)), np.empty(self.model.m)
+        at = model.drives(t), model.rotation(q), model.dz(q), np.array(lam, float)
+        if not corotated.solve(model.arrays.links, self.corotated, self.room, *at, np.reshape(r, dq.shape), np.array(phi), self.c_m, dq, dlam):
+            raise SingularSystem("the constraints' system is singular")
+        return dq.ravel(), dlam

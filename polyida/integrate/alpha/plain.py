@@ -1,0 +1,99 @@
+"""The plain loop of generalized-alpha, for any model: what `scene.py` does in one compiled loop, by the same pieces."""
+
+import numpy as np
+
+from polyida.integrate.alpha.step import (
+    A_ALG, DD, DLAM, DONE, DQ, LAM, NOT_FINITE, PHI, RATE, REFACTOR, SINGULAR, TOO_NEAR, Q, V, begin, correct, finish,
+)
+from polyida.integrate.kinks import inner_side
+from polyida.integrate.state import StepFailure
+from polyida.linear.lu import SingularSystem
+
+
+class PlainLoop:
+    """Steps one by one, so that each state is there before the model's functions are called again."""
+
+    longest = 1
+
+    def __init__(self, settings, model, counts, memory, trial):
+        self.model, self.counts, self.memory, self.trial = model, counts, memory, trial
+        self.tied = settings.form == "stabilised" and model.m > 0
+
+    def prepare(self, times, method):
+        """Get ready for steps between the times."""
+        self.before, self.end = times
+        self.inner = inner_side(self.model, self.end, method.h)
+        self.increments = None
+        if method.incremental:
+            ends, past = (inner_side(self.model, self.before, -method.h), self.inner), self.memory.past
+            self.increments = self.model.increments(self.before, self.end, ends, method.h, past[Q], past[V])
+
+    def factor(self, system, p):
+        """Factor the system at the trial state. Raises SingularSystem."""
+        q, v, a = self.trial.now[:3].copy()
+        system.factor(self.inner, q, v, a, self.trial.rows[LAM].copy(), p.to_a, p.to_v)
+
+    def steps(self, p, system, first, last, *frame):
+        """Take the step with a factored system: (steps, how it ended, last |dq|). Raises StepFailure where the model objects."""
+        ended, moved = self._newton(p, system)
+        if ended == DONE:
+            ended = finish(p, self.memory, self.trial, *(part[0] for part in frame))
+        return int(ended in (DONE, TOO_NEAR)), ended, moved
+
+    def _newton(self, p, system):
+        y, x, model = self.memory, self.trial, self.model
+        last = begin(p, y, x)
+        for iteration in range(p.max_iterations):
+            q, v, a = x.now[:3].copy()
+            lam, phi = x.rows[LAM].copy(), self._closed(p)
+            r = model.residual(self.inner, q, v, a, lam)
+            self.counts.residuals += 1
+            if not (np.isfinite(r).all() and np.isfinite(phi).all()):
+                return NOT_FINITE, last
+            try:
+                slip = self._correct(p, system, q, v, lam, r, phi)
+            except SingularSystem:
+                return SINGULAR, last
+            moved, settled, hopeless, allowed = correct(p, y, x, iteration == 1, last)
+            if self.tied:
+                x.now[DD] += slip
+                x.now[Q] = y.past[Q] + (p.h * y.past[V] + x.now[DD])
+            if settled and np.abs(self._closed(p)).max(initial=0.0) <= allowed:
+                return self._settled(), moved
+            if hopeless:
+                return REFACTOR, moved
+            last = moved
+        return REFACTOR, last
+
+    def _closed(self, p):
+        """phi at the trial state, carried or from the positions."""
+        x, y = self.trial, self.memory
+        if self.increments is None:
+            x.rows[PHI], x.rows[RATE] = self.model.phi(self.end, x.now[Q].copy()), y.closed[RATE]
+            return x.rows[PHI]
+        a_alg, dd = y.past[A_ALG], x.now[DD]
+        dv = p.h * ((1.0 - p.gamma) * a_alg + p.gamma * (dd / p.h**2 - (0.5 - p.beta) * a_alg) / p.beta)
+        x.rows[PHI], x.rows[RATE] = self.increments(dd, dv, y.closed[PHI], y.closed[RATE])
+        return x.rows[PHI]
+
+    def _correct(self, p, system, q, v, lam, r, phi):
+        """Fill dq and dlam of one iteration; in the stabilised form the slip of q against v."""
+        self.counts.solves += 1
+        self.counts.newton_iterations += 1
+        rate = self._off(q, v) / p.to_v if self.tied else phi
+        self.trial.now[DQ], self.trial.rows[DLAM] = system.saddle(self.inner, q, lam, r, rate)
+        return self.model.mass_system(self.inner, q).solve(np.zeros_like(r), phi - rate)[0] if self.tied else 0.0
+
+    def _off(self, q, v):
+        return self.model.phi_q(self.inner, q) @ v + self.model.phi_t(self.inner, q)
+
+    def _settled(self):
+        """What is left of a settled step: the velocity's constraint in the stabilised form, and what the model says of the state."""
+        x = self.trial
+        q, v = x.now[Q].copy(), x.now[V].copy()
+        if objection := self.model.objection(self.end, q):
+            raise StepFailure("objection", objection, self.end)
+        if self.tied:
+            x.now[V] += self.model.mass_system(self.end, q).solve(np.zeros_like(v), self._off(q, v))[0]
+            x.rows[RATE] = 0.0
+        return DONE

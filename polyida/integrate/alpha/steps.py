@@ -1,0 +1,191 @@
+"""Steps of generalized-alpha on one model: stretches of a loop, factors where it asks for one, states from frames."""
+
+import numpy as np
+
+from polyida.integrate.alpha.start import extent, start_values
+from polyida.integrate.alpha.step import (
+    AGE, AHEAD, BEHIND, CHANGE, CONTRACTION, DONE, EARLIER, ERROR, FRESHEN, HALF_TURN, INVERTED, MASSES, MOVED, NOT_FINITE, PHI, RATE,
+    REFACTOR, SHARES, SINGULAR, TOO_FAR, TOO_NEAR, A, LAM, Method, empty, predict,
+)
+from polyida.integrate.alpha.step_control import Kept, calm_error, weights
+from polyida.integrate.state import State, StepFailure
+from polyida.linear.lu import SingularSystem
+
+ADAPTIVE = 32  # steps of a stretch whose step may change any time
+REASONS = {
+    REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
+    INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
+    NOT_FINITE: ("not finite", "the motion is not finite"),
+    HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
+    SINGULAR: ("singular", "the constraints' system is singular"),
+}
+
+
+class Steps:
+    """Steps on one model: `begin` sets state and h, `run` goes on from there.
+
+    verdict: "far" or "near" where adaptive steps should be shorter or longer.
+    """
+
+    chunk_bytes = 4_000_000  # of frames that one compiled stretch fills
+
+    def __init__(self, settings, model, counts):
+        self.settings, self.model, self.counts = settings, model, counts
+        self.memory, self.trial = empty(model.n, model.m)
+        self.loop = _loop(settings, model)(settings, model, counts, self.memory, self.trial)
+        self.caution = settings.step_matrix(model).caution
+        self.system = self.verdict = None
+        self.kept, self.pause = Kept(), 0
+
+    def begin(self, state, h):
+        """Go on from a state that `started` has made ready for steps of h.
+
+        memory["pause"]: the number of steps (of counts) after which a stretch ends, for what it leaves in memory there.
+        """
+        self.pause = state.memory.get("pause", self.pause)
+        s, c, y, model = self.settings, self.settings.coefficients, self.memory, self.model
+        to_a, to_v = c.rates(h)
+        least, most, share = s.newton_tolerance(to_a * h * h)
+        self.method = Method(
+            h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q),
+            s.incremental_phi and model.carries, s.max_iterations, abs(c.error) * h * h if s.adaptive else 0.0, s.rtol or 0.0,
+            s.atol or 0.0, calm_error(h, s.h))
+        y.past[:CHANGE], y.past[CHANGE:MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
+        y.closed[LAM], (y.closed[PHI], y.closed[RATE]) = state.lam, start_values(model, state)
+        self._weigh(weights(model, state.q))
+        y.marks[:] = 0.0
+        self.verdict = None
+        self._take(self.kept.take(h))
+
+    def _weigh(self, masses):
+        self.memory.past[MASSES], self.memory.past[SHARES] = masses, 1.0 / len(masses) if self.model.alike else masses
+
+    def _take(self, system):
+        self.system = system
+        self.memory.marks[CONTRACTION], self.memory.marks[AGE] = 1.0, FRESHEN
+
+    def recall(self, memory):
+        """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
+        self.memory.past[CHANGE], self.memory.past[EARLIER] = memory["change"], memory["earlier"]
+        self._weigh(memory.get("weights", self.memory.past[MASSES].copy()))
+        if len(memory["factored_at"]):
+            self._factor(lambda system, p: system.again(memory["factored_at"], p.to_a, p.to_v), float("nan"))
+        self.memory.marks[:] = memory["marks"]
+        self.method = self.method._replace(extent=float(memory["extent"]))
+
+    def run(self, grid):
+        """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
+        done, self.verdict = grid.done, None
+        most = min(self.loop.longest, ADAPTIVE if self.settings.adaptive else np.inf)
+        longest = int(max(1, min(most, self.chunk_bytes // (48 * max(1, self.model.n)))))
+        while done < grid.count and self.verdict is None:
+            left = self.pause - self.counts.steps
+            end = min(done + (left if 0 < left < longest else longest), grid.count)
+            for state in self._stretch(np.array([grid.time(k) for k in range(done, end + 1)]), grid, done):
+                done += 1
+                yield state
+
+    def _stretch(self, times, grid, done):
+        """The states at times[1:]."""
+        count = len(times) - 1
+        frames = [np.empty((count, size)) for size in (*[self.model.n] * 3, self.model.m)]
+        self.times = times
+        self.loop.prepare(times, self.method)
+        first, fresh = 0, False
+        while first < count:
+            if self.system is None:
+                predict(self.method, self.memory, self.trial)
+                self._factor_here(first)
+                fresh = True
+            steps, ended, moved = self._steps(self.method, first, count, frames)
+            if steps == 0 and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
+                steps, ended, moved = self._full_newton(first, frames)
+            for k in range(first, first + steps):
+                whole = k == count - 1 or (k == first + steps - 1 and ended == TOO_NEAR)
+                yield self._state(times[k + 1], *(frame[k] for frame in frames), grid.after(done + k + 1) if whole else None)
+            first, fresh = first + steps, fresh and not steps
+            if ended in (TOO_FAR, TOO_NEAR):
+                self.verdict = "far" if ended == TOO_FAR else "near"
+                return
+            if ended != DONE:
+                self._refactor_or_fail(ended, fresh, times[first + 1], moved)
+
+    def _steps(self, method, first, last, frames):
+        return self.loop.steps(method, self.system, first, last, *(frame[first:last] for frame in frames))
+
+    def _refactor_or_fail(self, ended, fresh, t, moved):
+        if not fresh and ended not in (HALF_TURN, SINGULAR):
+            self.system = None
+            self.memory.marks[AHEAD] = self.memory.marks[BEHIND] = 0.0
+            return
+        status, reason = REASONS[ended]
+        phi = float(np.abs(self.trial.rows[PHI]).max(initial=0))
+        raise StepFailure(status, reason, t, **{"last |dq|": float(moved), "|phi|": phi})
+
+    def _full_newton(self, first, frames):
+        """One step with a matrix made anew in every iteration."""
+        y, method = self.memory, self.method._replace(max_iterations=1)
+        y.marks[MOVED] = y.marks[AHEAD] = y.marks[BEHIND] = 0.0
+        predict(method, y, self.trial)
+        for _ in range(self.settings.max_iterations):
+            self._factor_here(first)
+            steps, ended, moved = self._steps(method, first, first + 1, frames)
+            if ended != REFACTOR or steps or not np.isfinite(moved):
+                break
+            y.marks[MOVED] = moved
+        y.marks[MOVED] = 0.0
+        return steps, ended, moved
+
+    @property
+    def error(self):
+        """The largest local error seen since the last change of h or look at it, over what is allowed."""
+        return float(self.memory.marks[ERROR])
+
+    def state(self, t):
+        """The last accepted state with all that a run goes on from."""
+        y = self.memory
+        return self._state(t, *y.past[:A + 1].copy(), y.closed[LAM].copy(), None, True)
+
+    def _state(self, t, q, v, a, lam, place, whole=False):
+        """A State; at the end of a stretch with all that the next one starts from."""
+        return State(float(t), q, v, a, lam, self._memory(place) if whole or place is not None else {}, restart=place is not None)
+
+    def _memory(self, place):
+        y, p = self.memory, self.method
+        made = np.zeros(0) if self.system is None else self.system.made_at
+        memory = dict(zip(("a_alg", "change", "earlier"), y.past[A + 1:MASSES].copy()))
+        memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made, "extent": p.extent}
+        if self.model.needs.mass_varies:
+            memory["weights"] = y.past[MASSES].copy()
+        if p.incremental:
+            memory |= {"phi": y.closed[PHI].copy(), "rate": y.closed[RATE].copy()}
+        return memory if place is None else memory | {"grid": place}
+
+    def _factor_here(self, first):
+        self._factor(lambda system, p: self.loop.factor(system, p), self.times[first + 1])
+
+    def _factor(self, make, t):
+        """A new factor, made by make(system, method)."""
+        system = self.settings.step_matrix(self.model)
+        self.counts.tangents += 1
+        self.counts.factorizations += 1
+        try:
+            make(system, self.method)
+        except SingularSystem as error:
+            raise StepFailure("singular", str(error), t) from None
+        self.counts.backend = system.backend
+        self.counts.solves += system.solves
+        self._take(system)
+        if self.settings.adaptive:
+            self.kept.keep(self.method.h, system)
+
+
+def _loop(settings, model):
+    """The compiled loop of a scene, or the plain one."""
+    if model.compiled and settings.linear != "kkt":
+        from polyida.integrate.alpha.scene import SceneLoop
+
+        return SceneLoop
+    from polyida.integrate.alpha.plain import PlainLoop
+
+    return PlainLoop

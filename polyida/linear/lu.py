@@ -1,0 +1,48 @@
+"""LU factors of any square matrix, dense or sparse, real or complex."""
+
+import numpy as np
+
+SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+
+
+class SingularSystem(Exception):
+    """The system has no unique solution."""
+
+
+class LU:
+    """A factor of A (n, n): LAPACK's, dense, or SuperLU's, sparse. Raises SingularSystem where A is singular or not finite.
+
+    pivoting: SuperLU's too with partial pivoting; by default it keeps the order of minimum degree on the pattern of A + A^T.
+    """
+
+    def __init__(self, matrix, pivoting=False):
+        sparse = hasattr(matrix, "tocsc")
+        if not np.isfinite(matrix.data if sparse else matrix).all():
+            raise SingularSystem("the iteration matrix is not finite")
+        self._solve = _sparse(matrix.tocsc(), {} if pivoting else SYMMETRIC) if sparse else _dense(np.asarray(matrix))
+
+    def solve(self, b, transposed=False):
+        """A^-1 b, or A^-T b, b (n,) or (n, k)."""
+        return self._solve(b, transposed)
+
+
+def _dense(matrix):
+    from scipy.linalg import get_lapack_funcs
+
+    if not matrix.size:
+        return lambda b, transposed: np.array(b)
+    getrf, getrs = get_lapack_funcs(("getrf", "getrs"), (matrix,))
+    lu, pivots, info = getrf(matrix)
+    if info:
+        raise SingularSystem("the iteration matrix is singular")
+    return lambda b, transposed: getrs(lu, pivots, b, trans=int(transposed))[0]
+
+
+def _sparse(matrix, options):
+    from scipy.sparse.linalg import splu
+
+    try:
+        lu = splu(matrix, **options)
+    except RuntimeError as error:  # what SuperLU raises where the matrix is singular
+        raise SingularSystem("the iteration matrix is singular") from error
+    return lambda b, transposed: lu.solve(b, trans="T" if transposed else "N")

@@ -1,0 +1,63 @@
+"""The step matrix of a model, `S = c_m M + c_v C + K`: factored at one state, used near it while Newton contracts."""
+
+import numpy as np
+
+from polyida.linear.border import Border
+from polyida.linear.kkt import KKT, scaling_factors
+from polyida.linear.lu import LU, SingularSystem
+from polyida.linear.matrix import dense
+
+
+class StepMatrix:
+    """`S = c_m M + c_v C + K` of any model, C = dr/dv and K = dr/dq there; c_m and c_v are real or complex.
+
+    made_at: what the factor was made from, in one array; `again` makes it anew from that. solves: those that its border took.
+    Where S alone is singular, as with coordinates that have no mass, `saddle` takes the whole matrix with its constraints.
+    """
+
+    backend = ""
+    caution = 0.5  # share of Newton's tolerance: a matrix that does not turn with its bodies contracts ever slower in a step
+
+    def __init__(self, model):
+        self.model, self.made_at, self.solves = model, np.zeros(0), 0
+
+    def factor(self, t, q, v, a, lam, c_m, c_v):
+        """Factor S at a state. Raises SingularSystem where that, or the border of its constraints, is singular."""
+        S, B = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), self.model.phi_q(t, q)
+        self.made_at, self.whole = np.concatenate([[t], q, v, a, lam]), None
+        try:
+            self.lu, self.border = LU(S), None
+            self.saddle(t, q, lam, np.zeros(self.model.n), np.zeros(self.model.m))
+        except SingularSystem:
+            self.whole = KKT(S, B, scaling_factors("physical", 1 / abs(c_m), S))
+
+    def again(self, made_at, c_m, c_v):
+        """Factor S as it was factored before."""
+        self.factor(float(made_at[0]), *np.split(made_at[1:], np.cumsum([self.model.n] * 3)), c_m, c_v)
+
+    def solve(self, t, q, lam, b, transposed=False):
+        """S^-1 b, or S^-T b, b (n,) or (n, k), near to where S was factored."""
+        return self.lu.solve(b, transposed)
+
+    def saddle(self, t, q, lam, r, phi):
+        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, the latter with B of (t, q) itself. Raises SingularSystem."""
+        if self.whole:
+            return self.whole.solve(r, phi)
+        B = self.model.phi_q(t, q)
+        if self.border is None or self.model.needs.phi_q_varies:
+            self.border = Border(self.lu.solve, dense(B).T)
+        return self.border.solve(self.lu.solve(-r), B, -phi)
+
+
+class WholeMatrix(StepMatrix):
+    """The same by one factor of `[[S, B^T], [B, 0]]`, scaled on request; its B is as old as S."""
+
+    def __init__(self, model, scaling):
+        super().__init__(model)
+        self.scaling = scaling
+
+    def factor(self, t, q, v, a, lam, c_m, c_v):
+        """Factor the whole matrix at a state. Raises SingularSystem."""
+        S = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0)
+        self.made_at = np.concatenate([[t], q, v, a, lam])
+        self.whole = KKT(S, self.model.phi_q(t, q), scaling_factors(self.scaling, 1 / abs(c_m), S))
