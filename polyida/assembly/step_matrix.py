@@ -20,8 +20,8 @@ class SceneStepMatrix:
         self.model, self.linear, self.made_at, self.solves = model, linear, np.zeros(0), 2 * model.n_points
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
-        """Factor S at q; the rest is not looked at. Raises SingularSystem."""
-        model, self.made_at, self.c_m = self.model, q, c_m
+        """Factor S at q; t and lam, for the curvature of the joints, are those of `solve` alone. Raises SingularSystem."""
+        model, self.made_at, self.c_m, self.at = self.model, q, c_m, (t, lam)
         blocks = symmetric_blocks(model, q.reshape(-1, 2), c_m, c_v)
         try:
             self.corotated, self.backend = corotated.corotated(model, blocks, model.rotation(q), self.linear)
@@ -33,10 +33,21 @@ class SceneStepMatrix:
         """Factor S as it was factored before."""
         self.factor(np.nan, made_at, None, None, None, c_m, c_v)
 
+    def solve(self, q, b, transposed=False):
+        """S^-1 b, b (n,) or (n, k), in the frame of q; S is symmetric. Raises SingularSystem."""
+        free = self.corotated._replace(place=np.arange(len(self.corotated.active)))
+        room = self.room._replace(**dict(zip(("small", "right", "last"), corotated.small_room(len(free.active)))))
+        columns = [self._solved(free, room, *self.at, q, -column, np.zeros(0))[0] for column in np.reshape(b, (len(q), -1)).T]
+        return np.stack(columns, axis=1).reshape(np.shape(b))
+
     def saddle(self, t, q, lam, r, phi):
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, S in the frame of q and B that of (t, q). Raises SingularSystem."""
-        model, dq, dlam = self.model, np.empty((self.model.n_nodes, 2)), np.empty(self.model.m)
+        return self._solved(self.corotated, self.room, t, lam, q, r, phi)
+
+    def _solved(self, factored, room, t, lam, q, r, phi):
+        model, dq, dlam = self.model, np.empty((self.model.n_nodes, 2)), np.empty(len(phi))
         at = model.drives(t), model.rotation(q), model.dz(q), np.array(lam, float)
-        if not corotated.solve(model.arrays.links, self.corotated, self.room, *at, np.reshape(r, dq.shape), np.array(phi), self.c_m, dq, dlam):
+        r, phi = np.array(r, float).reshape(dq.shape), np.array(phi, float)
+        if not corotated.solve(model.arrays.links, factored, room, *at, r, phi, self.c_m, dq, dlam):
             raise SingularSystem("the constraints' system is singular")
         return dq.ravel(), dlam

@@ -13,10 +13,10 @@ from polyida.linear.lu import SingularSystem
 
 
 class Border:
-    """Columns C (n, k) on a factored S: `X = S^-1 C` is made once."""
+    """Columns C (n, k) on a factored S, as `X = S^-1 C`."""
 
-    def __init__(self, inverse, columns):
-        self.X = inverse(columns) if columns.shape[1] else np.zeros(columns.shape)
+    def __init__(self, X):
+        self.X = X
 
     def solve(self, y, rows, below, corner=0.0):
         """(x, w) from `y = S^-1 b`, rows R (k, n), below (k,) and corner D, (k, k) or 0. Raises SingularSystem."""

@@ -98,7 +98,12 @@ def room(model, system):
     width = system.factor.band.shape[1]
     return Room(np.zeros(model.n + width, np.float32), np.empty((model.n_nodes, 2)), np.empty((model.n_points, 2)),
                 np.empty((model.n_points, 2)), np.empty((points, points)), np.empty(len(model.arrays.links.row_columns)), np.empty((points, points)),
-                np.empty((points, m)), np.empty((size, size)), np.empty(size), np.empty(size, np.int64), np.empty(points))
+                np.empty((points, m)), *small_room(size), np.empty(points))
+
+
+def small_room(size):
+    """Of the dense system of the border: matrix, right-hand side, last columns."""
+    return np.empty((size, size)), np.empty(size), np.empty(size, np.int64)
 
 
 @part

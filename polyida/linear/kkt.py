@@ -51,7 +51,7 @@ def assemble(tangent, phi_q, scaling=Scaling(), pull=None):
             return (scaling.row * tangent).tocsc()
         return block_array([[scaling.row * tangent, scaling.row * scaling.column * csr_array(pull).T], [border, None]], format="csc")
     n, m = tangent.shape[0], phi_q.shape[0]
-    matrix = np.zeros((n + m, n + m))
+    matrix = np.zeros((n + m, n + m), np.result_type(tangent, float))
     matrix[:n, :n] = scaling.row * tangent
     matrix[:n, n:] = scaling.row * scaling.column * pull.T
     matrix[n:, :n] = phi_q

@@ -23,14 +23,12 @@ class LU:
 
     def solve(self, b, transposed=False):
         """A^-1 b, or A^-T b, b (n,) or (n, k)."""
-        return self._solve(b, transposed)
+        return self._solve(b, transposed) if np.size(b) else np.array(b)
 
 
 def _dense(matrix):
     from scipy.linalg import get_lapack_funcs
 
-    if not matrix.size:
-        return lambda b, transposed: np.array(b)
     getrf, getrs = get_lapack_funcs(("getrf", "getrs"), (matrix,))
     lu, pivots, info = getrf(matrix)
     if info:

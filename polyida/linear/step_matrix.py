@@ -20,33 +20,35 @@ class StepMatrix:
 
     def __init__(self, model):
         self.model, self.made_at, self.solves = model, np.zeros(0), 0
+        self.lu = self.border = self.whole = None
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
-        """Factor S at a state. Raises SingularSystem where that, or the border of its constraints, is singular."""
-        S, B = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), self.model.phi_q(t, q)
-        self.made_at, self.whole = np.concatenate([[t], q, v, a, lam]), None
+        """Factor S at a state. Raises SingularSystem where S is, with its constraints."""
+        S = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0)
+        self.made_at, self.lu, self.border, self.whole = np.concatenate([[t], q, v, a, lam]), None, None, None
         try:
-            self.lu, self.border = LU(S), None
-            self.saddle(t, q, lam, np.zeros(self.model.n), np.zeros(self.model.m))
+            self.lu = LU(S)
         except SingularSystem:
-            self.whole = KKT(S, B, scaling_factors("physical", 1 / abs(c_m), S))
+            self.whole = KKT(S, self.model.phi_q(t, q), scaling_factors("physical", 1 / abs(c_m), S))
 
     def again(self, made_at, c_m, c_v):
         """Factor S as it was factored before."""
         self.factor(float(made_at[0]), *np.split(made_at[1:], np.cumsum([self.model.n] * 3)), c_m, c_v)
 
-    def solve(self, t, q, lam, b, transposed=False):
-        """S^-1 b, or S^-T b, b (n,) or (n, k), near to where S was factored."""
+    def solve(self, q, b, transposed=False):
+        """S^-1 b, or S^-T b, b (n,) or (n, k), at q near to where S was factored. Raises SingularSystem where S has no inverse."""
+        if self.lu is None:
+            raise SingularSystem("the step matrix is singular")
         return self.lu.solve(b, transposed)
 
     def saddle(self, t, q, lam, r, phi):
-        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, the latter with B of (t, q) itself. Raises SingularSystem."""
+        """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
         if self.whole:
             return self.whole.solve(r, phi)
         B = self.model.phi_q(t, q)
         if self.border is None or self.model.needs.phi_q_varies:
-            self.border = Border(self.lu.solve, dense(B).T)
-        return self.border.solve(self.lu.solve(-r), B, -phi)
+            self.border = Border(self.solve(q, dense(B).T))
+        return self.border.solve(self.solve(q, -r), B, -phi)
 
 
 class WholeMatrix(StepMatrix):

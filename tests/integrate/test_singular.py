@@ -121,10 +121,10 @@ def test_scenes_with_motors_run(scenes, model, t, message):
     assert pi.solve(scenes.jointed(model).build(), t, pi.GeneralizedAlpha(h=1e-3)).message == message
 
 
-@pytest.mark.parametrize("form", ["index1", "index2"])
-def test_what_drifts_apart_is_stopped_and_named(form):
+@pytest.mark.parametrize("form, rtol", [("index1", 1e-3), ("index2", 1e-2)])
+def test_what_drifts_apart_is_stopped_and_named(form, rtol):
     p = pi.problems.get("pendulum")
-    run = pi.solve(p.model, p.t_end, pi.IDA(rtol=1e-3, form=form), q0=p.q0, v0=p.v0)
+    run = pi.solve(p.model, p.t_end, pi.IDA(rtol=rtol, form=form), q0=p.q0, v0=p.v0)
     assert run.status == "drift" and "phi[0] has drifted apart by" in run.message
     assert run.drift.max() < 1e-2 * np.sqrt(0.5) * 1.05 and run.t[-1] < p.t_end
 

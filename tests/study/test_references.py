@@ -104,7 +104,7 @@ def test_a_measured_run_has_errors_and_counts():
 
 
 def test_a_run_that_fails_is_a_row():
-    row = measure("pendulum", "IDA index3", 1e-5, True)
+    row = measure("pendulum", "IDA index3", 1e-7, True)
     assert "error_q" not in row and "max_num_steps" in row["outcome"]
 
 

@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from polyida.integrate.alpha.step import (
-    A_ALG, DD, DLAM, DONE, DQ, LAM, NOT_FINITE, PHI, RATE, REFACTOR, SINGULAR, TOO_NEAR, Q, V, begin, correct, finish,
-)
+from polyida.integrate.alpha import step
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import StepFailure
 from polyida.linear.lu import SingularSystem
@@ -26,62 +24,62 @@ class PlainLoop:
         self.increments = None
         if method.incremental:
             ends, past = (inner_side(self.model, self.before, -method.h), self.inner), self.memory.past
-            self.increments = self.model.increments(self.before, self.end, ends, method.h, past[Q], past[V])
+            self.increments = self.model.increments(self.before, self.end, ends, method.h, past[step.Q], past[step.V])
 
     def factor(self, system, p):
         """Factor the system at the trial state. Raises SingularSystem."""
         q, v, a = self.trial.now[:3].copy()
-        system.factor(self.inner, q, v, a, self.trial.rows[LAM].copy(), p.to_a, p.to_v)
+        system.factor(self.inner, q, v, a, self.trial.rows[step.LAM].copy(), p.to_a, p.to_v)
 
     def steps(self, p, system, first, last, *frame):
         """Take the step with a factored system: (steps, how it ended, last |dq|). Raises StepFailure where the model objects."""
         ended, moved = self._newton(p, system)
-        if ended == DONE:
-            ended = finish(p, self.memory, self.trial, *(part[0] for part in frame))
-        return int(ended in (DONE, TOO_NEAR)), ended, moved
+        if ended == step.DONE:
+            ended = step.finish(p, self.memory, self.trial, *(part[0] for part in frame))
+        return int(ended in (step.DONE, step.TOO_NEAR)), ended, moved
 
     def _newton(self, p, system):
         y, x, model = self.memory, self.trial, self.model
-        last = begin(p, y, x)
+        last = step.begin(p, y, x)
         for iteration in range(p.max_iterations):
             q, v, a = x.now[:3].copy()
-            lam, phi = x.rows[LAM].copy(), self._closed(p)
+            lam, phi = x.rows[step.LAM].copy(), self._closed(p)
             r = model.residual(self.inner, q, v, a, lam)
             self.counts.residuals += 1
             if not (np.isfinite(r).all() and np.isfinite(phi).all()):
-                return NOT_FINITE, last
+                return step.NOT_FINITE, last
             try:
                 slip = self._correct(p, system, q, v, lam, r, phi)
             except SingularSystem:
-                return SINGULAR, last
-            moved, settled, hopeless, allowed = correct(p, y, x, iteration == 1, last)
+                return step.SINGULAR, last
+            moved, settled, hopeless, allowed = step.correct(p, y, x, iteration == 1, last)
             if self.tied:
-                x.now[DD] += slip
-                x.now[Q] = y.past[Q] + (p.h * y.past[V] + x.now[DD])
+                x.now[step.DD] += slip
+                x.now[step.Q] = y.past[step.Q] + (p.h * y.past[step.V] + x.now[step.DD])
             if settled and np.abs(self._closed(p)).max(initial=0.0) <= allowed:
                 return self._settled(), moved
             if hopeless:
-                return REFACTOR, moved
+                return step.REFACTOR, moved
             last = moved
-        return REFACTOR, last
+        return step.REFACTOR, last
 
     def _closed(self, p):
         """phi at the trial state, carried or from the positions."""
         x, y = self.trial, self.memory
         if self.increments is None:
-            x.rows[PHI], x.rows[RATE] = self.model.phi(self.end, x.now[Q].copy()), y.closed[RATE]
-            return x.rows[PHI]
-        a_alg, dd = y.past[A_ALG], x.now[DD]
+            x.rows[step.PHI], x.rows[step.RATE] = self.model.phi(self.end, x.now[step.Q].copy()), y.closed[step.RATE]
+            return x.rows[step.PHI]
+        a_alg, dd = y.past[step.A_ALG], x.now[step.DD]
         dv = p.h * ((1.0 - p.gamma) * a_alg + p.gamma * (dd / p.h**2 - (0.5 - p.beta) * a_alg) / p.beta)
-        x.rows[PHI], x.rows[RATE] = self.increments(dd, dv, y.closed[PHI], y.closed[RATE])
-        return x.rows[PHI]
+        x.rows[step.PHI], x.rows[step.RATE] = self.increments(dd, dv, y.closed[step.PHI], y.closed[step.RATE])
+        return x.rows[step.PHI]
 
     def _correct(self, p, system, q, v, lam, r, phi):
         """Fill dq and dlam of one iteration; in the stabilised form the slip of q against v."""
         self.counts.solves += 1
         self.counts.newton_iterations += 1
         rate = self._off(q, v) / p.to_v if self.tied else phi
-        self.trial.now[DQ], self.trial.rows[DLAM] = system.saddle(self.inner, q, lam, r, rate)
+        self.trial.now[step.DQ], self.trial.rows[step.DLAM] = system.saddle(self.inner, q, lam, r, rate)
         return self.model.mass_system(self.inner, q).solve(np.zeros_like(r), phi - rate)[0] if self.tied else 0.0
 
     def _off(self, q, v):
@@ -90,10 +88,10 @@ class PlainLoop:
     def _settled(self):
         """What is left of a settled step: the velocity's constraint in the stabilised form, and what the model says of the state."""
         x = self.trial
-        q, v = x.now[Q].copy(), x.now[V].copy()
+        q, v = x.now[step.Q].copy(), x.now[step.V].copy()
         if objection := self.model.objection(self.end, q):
             raise StepFailure("objection", objection, self.end)
         if self.tied:
-            x.now[V] += self.model.mass_system(self.end, q).solve(np.zeros_like(v), self._off(q, v))[0]
-            x.rows[RATE] = 0.0
-        return DONE
+            x.now[step.V] += self.model.mass_system(self.end, q).solve(np.zeros_like(v), self._off(q, v))[0]
+            x.rows[step.RATE] = 0.0
+        return step.DONE

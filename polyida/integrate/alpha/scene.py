@@ -9,10 +9,8 @@ from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
 from polyida.assembly.increments import drive_table, gain_table
 from polyida.compiled import entry, part
+from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
-from polyida.integrate.alpha.step import (
-    A_ALG, DD, DLAM, DONE, DQ, HALF_TURN, INVERTED, LAM, NOT_FINITE, PHI, Q, R, RATE, REFACTOR, SINGULAR, TOO_FAR, A, V, begin, correct, finish, pairs,
-)
 from polyida.integrate.kinks import inner_side
 from polyida.linear import corotated
 
@@ -36,23 +34,23 @@ def scratch(model):
 @part
 def hold_points(s, y, w):
     """The points at the last state, before a step."""
-    joints.point_values(s, pairs(y.past[Q]), w.points[START])
-    joints.point_values(s, pairs(y.past[V]), w.points[VX])
-    joints.point_values(s, pairs(y.past[A_ALG]), w.points[AX])
+    joints.point_values(s, step.pairs(y.past[step.Q]), w.points[START])
+    joints.point_values(s, step.pairs(y.past[step.V]), w.points[VX])
+    joints.point_values(s, step.pairs(y.past[step.A_ALG]), w.points[AX])
 
 
 @part
 def carry(s, p, drives, gains, y, x, w):
     """phi and rate at the trial state from what the step adds."""
     dx, dv, ax = w.points[DX], w.points[DV], w.points[AX]
-    joints.point_values(s, pairs(x.now[DD]), dx)
+    joints.point_values(s, step.pairs(x.now[step.DD]), dx)
     for f in range(dx.shape[0]):
         for k in range(2):
             a1 = (dx[f, k] / (p.h * p.h) - (0.5 - p.beta) * ax[f, k]) / p.beta
             dv[f, k] = p.h * ((1.0 - p.gamma) * ax[f, k] + p.gamma * a1)
     for k in range(x.rows.shape[1]):
-        x.rows[PHI, k], x.rows[RATE, k] = y.closed[PHI, k], y.closed[RATE, k]
-    joints.joint_change(s, drives, gains, p.h, w.points[START], w.points[VX], dx, dv, x.rows[PHI], x.rows[RATE])
+        x.rows[step.PHI, k], x.rows[step.RATE, k] = y.closed[step.PHI, k], y.closed[step.RATE, k]
+    joints.joint_change(s, drives, gains, p.h, w.points[START], w.points[VX], dx, dv, x.rows[step.PHI], x.rows[step.RATE])
 
 
 @part
@@ -61,53 +59,53 @@ def closed(s, p, before, drives, gains, y, x, w):
     if p.incremental:
         carry(s, p, before, gains, y, x, w)
     else:
-        joints.point_values(s, pairs(x.now[Q]), w.points[DZ])
-        joints.joint_forces(s, drives, w.points[DZ], x.rows[LAM], x.rows[PHI], w.points[FORCES])
+        joints.point_values(s, step.pairs(x.now[step.Q]), w.points[DZ])
+        joints.joint_forces(s, drives, w.points[DZ], x.rows[step.LAM], x.rows[step.PHI], w.points[FORCES])
     worst = 0.0
     for k in range(x.rows.shape[1]):
-        worst = max(worst, abs(x.rows[PHI, k]))
+        worst = max(worst, abs(x.rows[step.PHI, k]))
     return worst
 
 
 @part
 def newton(s, c, room, p, tie, damp, before, drives, gains, y, x, w, counts):
     """Newton's iteration from the predicted state, or on from where it was. Returns how it ended and the last |dq|."""
-    last, now = begin(p, y, x), x.now
-    u, dq, r, dz = pairs(now[Q]), pairs(now[DQ]), pairs(now[R]), w.points[DZ]
-    lam, phi, dlam = x.rows[LAM], x.rows[PHI], x.rows[DLAM]
+    last, now = step.begin(p, y, x), x.now
+    u, dq, r, dz = step.pairs(now[step.Q]), step.pairs(now[step.DQ]), step.pairs(now[step.R]), w.points[DZ]
+    lam, phi, dlam = x.rows[step.LAM], x.rows[step.PHI], x.rows[step.DLAM]
     hold_points(s.links, y, w)
     for iteration in range(p.max_iterations):
-        det, cosine = kernels.equilibrium(s, drives, u, pairs(now[A]), lam, r, phi, w.rotation, dz, w.points[FORCES])
+        det, cosine = kernels.equilibrium(s, drives, u, step.pairs(now[step.A]), lam, r, phi, w.rotation, dz, w.points[FORCES])
         counts[0] += 1
         if not det > 0.0:
-            return (INVERTED if det <= 0.0 else NOT_FINITE), last
+            return (step.INVERTED if det <= 0.0 else step.NOT_FINITE), last
         if damp is not None:
-            add_damping(s.plates, u, pairs(now[V]), damp, r)
+            add_damping(s.plates, u, step.pairs(now[step.V]), damp, r)
         if p.incremental:
             carry(s.links, p, before, gains, y, x, w)
         if tie is not None:
-            alpha_tie.part_constraints(s.links, drives, dz, pairs(now[V]), phi, tie, p.to_v)
+            alpha_tie.part_constraints(s.links, drives, dz, step.pairs(now[step.V]), phi, tie, p.to_v)
         good = corotated.solve(s.links, c, room, drives, w.rotation, dz, lam, r, phi, p.to_a, dq, dlam)
         counts[1] += 1
-        moved, settled, hopeless, allowed = correct(p, y, x, iteration == 1, last)
+        moved, settled, hopeless, allowed = step.correct(p, y, x, iteration == 1, last)
         if tie is not None:
             good = alpha_tie.slip(s.links, p, y, x, tie) and good
         if not good:
-            return SINGULAR, last
+            return step.SINGULAR, last
         if settled and closed(s.links, p, before, drives, gains, y, x, w) <= allowed:
             if tie is not None:
                 joints.point_values(s.links, u, dz)
-                alpha_tie.settle(s.links, drives, dz, pairs(now[V]), x.rows[RATE], tie)
-            return (DONE if cosine > 0.0 else HALF_TURN), moved
+                alpha_tie.settle(s.links, drives, dz, step.pairs(now[step.V]), x.rows[step.RATE], tie)
+            return (step.DONE if cosine > 0.0 else step.HALF_TURN), moved
         if hopeless:
-            return REFACTOR, moved
+            return step.REFACTOR, moved
         last = moved
-    return REFACTOR, last
+    return step.REFACTOR, last
 
 
 @entry
 def stretch(s, c, room, p, tie, damp, drives, gains, y, x, w, counts, qs, vs, accelerations, lams):
-    """Steps until the frames, the factor's use or that of h end; drives begin with those of the last state.
+    """Steps until the frames, the factor's use or that of h end; drives step.begin with those of the last state.
 
     tie: of the stabilised form, or None; damp: scratch (nodes, 2) of a damped scene, or None. What is None is not
     compiled. Frames go to qs, vs, accelerations (steps, n), lams (steps, m). Returns (steps, end, last |dq|).
@@ -115,12 +113,12 @@ def stretch(s, c, room, p, tie, damp, drives, gains, y, x, w, counts, qs, vs, ac
     moved = 0.0
     for k in range(lams.shape[0]):
         end, moved = newton(s, c, room, p, tie, damp, drives[k], drives[k + 1], gains[k], y, x, w, counts)
-        if end != DONE:
+        if end != step.DONE:
             return k, end, moved
-        end = finish(p, y, x, qs[k], vs[k], accelerations[k], lams[k])
-        if end != DONE:
-            return (k if end == TOO_FAR else k + 1), end, moved
-    return lams.shape[0], DONE, moved
+        end = step.finish(p, y, x, qs[k], vs[k], accelerations[k], lams[k])
+        if end != step.DONE:
+            return (k if end == step.TOO_FAR else k + 1), end, moved
+    return lams.shape[0], step.DONE, moved
 
 
 class SceneLoop:
@@ -142,7 +140,7 @@ class SceneLoop:
 
     def factor(self, system, p):
         """Factor the system at the trial state. Raises SingularSystem."""
-        system.factor(np.nan, self.trial.now[Q].copy(), None, None, None, p.to_a, p.to_v)
+        system.factor(np.nan, self.trial.now[step.Q].copy(), None, None, None, p.to_a, p.to_v)
         self.counts.residuals += 1
 
     def steps(self, p, system, first, last, *frames):

@@ -2,22 +2,19 @@
 
 import numpy as np
 
+from polyida.integrate.alpha import step
 from polyida.integrate.alpha.start import extent, start_values
-from polyida.integrate.alpha.step import (
-    AGE, AHEAD, BEHIND, CHANGE, CONTRACTION, DONE, EARLIER, ERROR, FRESHEN, HALF_TURN, INVERTED, MASSES, MOVED, NOT_FINITE, PHI, RATE,
-    REFACTOR, SHARES, SINGULAR, TOO_FAR, TOO_NEAR, A, LAM, Method, empty, predict,
-)
 from polyida.integrate.alpha.step_control import Kept, calm_error, weights
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
 ADAPTIVE = 32  # steps of a stretch whose step may change any time
 REASONS = {
-    REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
-    INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
-    NOT_FINITE: ("not finite", "the motion is not finite"),
-    HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
-    SINGULAR: ("singular", "the constraints' system is singular"),
+    step.REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
+    step.INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
+    step.NOT_FINITE: ("not finite", "the motion is not finite"),
+    step.HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
+    step.SINGULAR: ("singular", "the constraints' system is singular"),
 }
 
 
@@ -31,7 +28,7 @@ class Steps:
 
     def __init__(self, settings, model, counts):
         self.settings, self.model, self.counts = settings, model, counts
-        self.memory, self.trial = empty(model.n, model.m)
+        self.memory, self.trial = step.empty(model.n, model.m)
         self.loop = _loop(settings, model)(settings, model, counts, self.memory, self.trial)
         self.caution = settings.step_matrix(model).caution
         self.system = self.verdict = None
@@ -46,28 +43,28 @@ class Steps:
         s, c, y, model = self.settings, self.settings.coefficients, self.memory, self.model
         to_a, to_v = c.rates(h)
         least, most, share = s.newton_tolerance(to_a * h * h)
-        self.method = Method(
+        self.method = step.Method(
             h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q),
             s.incremental_phi and model.carries, s.max_iterations, abs(c.error) * h * h if s.adaptive else 0.0, s.rtol or 0.0,
             s.atol or 0.0, calm_error(h, s.h))
-        y.past[:CHANGE], y.past[CHANGE:MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
-        y.closed[LAM], (y.closed[PHI], y.closed[RATE]) = state.lam, start_values(model, state)
+        y.past[:step.CHANGE], y.past[step.CHANGE:step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
+        y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
         self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
         self.verdict = None
         self._take(self.kept.take(h))
 
     def _weigh(self, masses):
-        self.memory.past[MASSES], self.memory.past[SHARES] = masses, 1.0 / len(masses) if self.model.alike else masses
+        self.memory.past[step.MASSES], self.memory.past[step.SHARES] = masses, 1.0 / len(masses) if self.model.alike else masses
 
     def _take(self, system):
         self.system = system
-        self.memory.marks[CONTRACTION], self.memory.marks[AGE] = 1.0, FRESHEN
+        self.memory.marks[step.CONTRACTION], self.memory.marks[step.AGE] = 1.0, step.FRESHEN
 
     def recall(self, memory):
         """Take up Newton's memory at a restart, with the factor that it had, so that the run is the same bit by bit."""
-        self.memory.past[CHANGE], self.memory.past[EARLIER] = memory["change"], memory["earlier"]
-        self._weigh(memory.get("weights", self.memory.past[MASSES].copy()))
+        self.memory.past[step.CHANGE], self.memory.past[step.EARLIER] = memory["change"], memory["earlier"]
+        self._weigh(memory.get("weights", self.memory.past[step.MASSES].copy()))
         if len(memory["factored_at"]):
             self._factor(lambda system, p: system.again(memory["factored_at"], p.to_a, p.to_v), float("nan"))
         self.memory.marks[:] = memory["marks"]
@@ -94,57 +91,57 @@ class Steps:
         first, fresh = 0, False
         while first < count:
             if self.system is None:
-                predict(self.method, self.memory, self.trial)
+                step.predict(self.method, self.memory, self.trial)
                 self._factor_here(first)
                 fresh = True
             steps, ended, moved = self._steps(self.method, first, count, frames)
-            if steps == 0 and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
+            if steps == 0 and fresh and ended in (step.REFACTOR, step.INVERTED, step.NOT_FINITE):
                 steps, ended, moved = self._full_newton(first, frames)
             for k in range(first, first + steps):
-                whole = k == count - 1 or (k == first + steps - 1 and ended == TOO_NEAR)
+                whole = k == count - 1 or (k == first + steps - 1 and ended == step.TOO_NEAR)
                 yield self._state(times[k + 1], *(frame[k] for frame in frames), grid.after(done + k + 1) if whole else None)
             first, fresh = first + steps, fresh and not steps
-            if ended in (TOO_FAR, TOO_NEAR):
-                self.verdict = "far" if ended == TOO_FAR else "near"
+            if ended in (step.TOO_FAR, step.TOO_NEAR):
+                self.verdict = "far" if ended == step.TOO_FAR else "near"
                 return
-            if ended != DONE:
+            if ended != step.DONE:
                 self._refactor_or_fail(ended, fresh, times[first + 1], moved)
 
     def _steps(self, method, first, last, frames):
         return self.loop.steps(method, self.system, first, last, *(frame[first:last] for frame in frames))
 
     def _refactor_or_fail(self, ended, fresh, t, moved):
-        if not fresh and ended not in (HALF_TURN, SINGULAR):
+        if not fresh and ended not in (step.HALF_TURN, step.SINGULAR):
             self.system = None
-            self.memory.marks[AHEAD] = self.memory.marks[BEHIND] = 0.0
+            self.memory.marks[step.AHEAD] = self.memory.marks[step.BEHIND] = 0.0
             return
         status, reason = REASONS[ended]
-        phi = float(np.abs(self.trial.rows[PHI]).max(initial=0))
+        phi = float(np.abs(self.trial.rows[step.PHI]).max(initial=0))
         raise StepFailure(status, reason, t, **{"last |dq|": float(moved), "|phi|": phi})
 
     def _full_newton(self, first, frames):
         """One step with a matrix made anew in every iteration."""
         y, method = self.memory, self.method._replace(max_iterations=1)
-        y.marks[MOVED] = y.marks[AHEAD] = y.marks[BEHIND] = 0.0
-        predict(method, y, self.trial)
+        y.marks[step.MOVED] = y.marks[step.AHEAD] = y.marks[step.BEHIND] = 0.0
+        step.predict(method, y, self.trial)
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
-            if ended != REFACTOR or steps or not np.isfinite(moved):
+            if ended != step.REFACTOR or steps or not np.isfinite(moved):
                 break
-            y.marks[MOVED] = moved
-        y.marks[MOVED] = 0.0
+            y.marks[step.MOVED] = moved
+        y.marks[step.MOVED] = 0.0
         return steps, ended, moved
 
     @property
     def error(self):
         """The largest local error seen since the last change of h or look at it, over what is allowed."""
-        return float(self.memory.marks[ERROR])
+        return float(self.memory.marks[step.ERROR])
 
     def state(self, t):
         """The last accepted state with all that a run goes on from."""
         y = self.memory
-        return self._state(t, *y.past[:A + 1].copy(), y.closed[LAM].copy(), None, True)
+        return self._state(t, *y.past[:step.A + 1].copy(), y.closed[step.LAM].copy(), None, True)
 
     def _state(self, t, q, v, a, lam, place, whole=False):
         """A State; at the end of a stretch with all that the next one starts from."""
@@ -153,12 +150,12 @@ class Steps:
     def _memory(self, place):
         y, p = self.memory, self.method
         made = np.zeros(0) if self.system is None else self.system.made_at
-        memory = dict(zip(("a_alg", "change", "earlier"), y.past[A + 1:MASSES].copy()))
+        memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1:step.MASSES].copy()))
         memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made, "extent": p.extent}
         if self.model.needs.mass_varies:
-            memory["weights"] = y.past[MASSES].copy()
+            memory["weights"] = y.past[step.MASSES].copy()
         if p.incremental:
-            memory |= {"phi": y.closed[PHI].copy(), "rate": y.closed[RATE].copy()}
+            memory |= {"phi": y.closed[step.PHI].copy(), "rate": y.closed[step.RATE].copy()}
         return memory if place is None else memory | {"grid": place}
 
     def _factor_here(self, first):

@@ -16,7 +16,7 @@ Unknowns y = (q, v, multipliers); equations
 Sources: Gear, Gupta, Leimkuhler 1985 (ggl2); Gear 1988 and Anantharaman, Hiller 1991 (ggl1); Baumgarte 1972.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -144,9 +144,14 @@ class System:
         """Why the model cannot stand at an accepted (t, q), or None."""
         return self.model.objection(self.clamp(t), q)
 
+    @property
+    def holds_phi(self):
+        """Whether phi itself is a row."""
+        return 0 in self.form.rows and not self.form.combined
+
     def opened(self, state, allowed):
         """What has drifted from phi = 0 by more than `allowed`, in q, at a State, or None; of a form that holds phi nothing has."""
-        if not self.model.m or 0 in self.form.rows and not self.form.combined:
+        if not self.model.m or self.holds_phi:
             return None
         t, model = self.clamp(state.t), self.model
         apart = np.abs(model.phi(t, state.q)) / np.linalg.norm(dense(model.phi_q(t, state.q)), axis=1)
@@ -172,20 +177,32 @@ class System:
         position, velocity, acceleration = rows
         return acceleration + 2 * self.rate * velocity + self.rate**2 * position
 
-    def iteration_matrix(self, t, y, yp, cj):
-        """S = K + cj C + cj^2 M, (n, n)."""
-        q, v, a, lam, _ = self.split(y.copy(), yp.copy())
-        return self.model.tangent(self.clamp(t), q, v, a, lam, cj * cj, cj, 1.0)
+    def at(self, t, y, yp):
+        """(t, q, v, a, lam) for the model."""
+        return self.clamp(t), *self.split(y.copy(), yp.copy())[:4]
 
     def blocks(self, t, y, yp):
         """The Blocks at (t, y, y')."""
-        model, t = self.model, self.clamp(t)
-        q, v, a, _, _ = self.split(y.copy(), yp.copy())
-        B = dense(model.phi_q(t, q))
-        triples = [self._derivatives(order, t, q, v, a, B) for order in self.form.rows]
-        P, Q0, Q1 = (self._sum(rows) if self.form.combined else np.vstack(rows) for rows in zip(*triples))
+        model, (t, q, v, a, _) = self.model, self.at(t, y, yp)
         C = model.force_v(t, q, v) if model.needs.velocity_forces else None
-        return Blocks(model.mass(q), C, B, P, Q0, Q1, self.form.stabilised, self.form.integrated)
+        return Blocks(model.mass(q), C, *self._rows(t, q, v, a), self.form.stabilised, self.form.integrated)
+
+    @property
+    def rows_vary(self):
+        """Whether phi_q does, in rows of phi and its first derivative; those of the second cost too much to be made anew."""
+        needs = self.model.needs
+        return self.model.m > 0 and (needs.driven or needs.phi_q_varies) and max(self.form.rows) < 2
+
+    def with_rows_at(self, blocks, t, y, yp):
+        """The Blocks with the constraint rows of (t, y, y')."""
+        B, P, Q0, Q1 = self._rows(*self.at(t, y, yp)[:4])
+        return replace(blocks, B=B, P=P, Q0=Q0, Q1=Q1)
+
+    def _rows(self, t, q, v, a):
+        """B and the form's rows (P, Q0, Q1)."""
+        B = dense(self.model.phi_q(t, q))
+        triples = [self._derivatives(order, t, q, v, a, B) for order in self.form.rows]
+        return B, *(self._sum(rows) if self.form.combined else np.vstack(rows) for rows in zip(*triples))
 
     def _derivatives(self, order, t, q, v, a, B):
         """(c_q, c_v, c_a) of one derivative of phi; d(phi_q v)/dq is phi_q's slope along v, by symmetry."""

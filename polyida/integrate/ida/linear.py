@@ -13,44 +13,15 @@ vector through, and the solve that follows it by an echo: one real solve a Newto
 """
 
 import math
+from contextlib import suppress
 
 import numpy as np
 
+from polyida.linear.border import Border
+from polyida.linear.lu import SingularSystem
+from polyida.linear.step_matrix import StepMatrix
+
 SAME_CJ = 1e-3  # relative change of cj below which the factor serves on
-
-def factor(matrix):
-    """A function b -> matrix^-1 b, b (n,) or (n, k); it returns NaN where the matrix is singular or not finite.
-
-    Sparse matrices go to SuperLU in symmetric mode with minimum degree on the pattern of A + A^T, dense ones to LAPACK.
-    """
-    return _sparse_factor(matrix) if hasattr(matrix, "tocsc") else dense_factor(np.asarray(matrix))
-
-
-def _sparse_factor(matrix):
-    from scipy.sparse.linalg import splu
-
-    if not np.isfinite(matrix.data).all():
-        return not_a_number
-    options = {"SymmetricMode": True}
-    try:
-        return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).solve
-    except RuntimeError:  # what SuperLU raises where the matrix is singular
-        return not_a_number
-
-
-def dense_factor(matrix):
-    """As `factor`, for a dense matrix (LAPACK LU with partial pivoting)."""
-    from scipy.linalg.lapack import dgetrf, dgetrs
-
-    if not matrix.size:
-        return np.copy
-    lu, pivots, info = dgetrf(matrix)
-    return not_a_number if info else lambda b: dgetrs(lu, pivots, b)[0]
-
-
-def not_a_number(b):
-    """The answer of a factor that there is not: IDA takes it for a failure and tries a smaller step."""
-    return np.full(np.shape(b), np.nan)
 
 
 class EchoedSolve:
@@ -81,41 +52,46 @@ class EchoedSolve:
             self.setup(t, y, yp, res, cj)
         self.counts.newton_iterations += 1
         self.counts.solves += 1
-        self.reduced(t, r, z)
+        try:
+            self.reduced(t, y, yp, r, z)
+        except SingularSystem:
+            z[:] = math.nan
 
 
 class ReducedSolve(EchoedSolve):
-    """The preconditioner of `system` (integrate/ida/forms.py) for any model."""
+    """The preconditioner of `system` (integrate/ida/forms.py) for any model: its step matrix with a border."""
+
+    def __init__(self, system, counts):
+        super().__init__(system, counts)
+        self.step = StepMatrix(system.model)
 
     def setup(self, t, y, yp, res, cj):
-        """Evaluate the blocks at (t, y, y'), factor S and the border."""
-        self.cj, self.blocks = cj, self.system.blocks(t, y, yp)
-        self.inverse = factor(self.system.iteration_matrix(t, y, yp, cj))
+        """Evaluate the blocks at (t, y, y'), factor S."""
+        self.cj, self.blocks, self.border = cj, self.system.blocks(t, y, yp), None
         self.counts.tangents += 1
         self.counts.factorizations += 1
-        if self.blocks.border:
-            self._border()
+        with suppress(SingularSystem):  # then it has no solve
+            self.step.factor(*self.system.at(t, y, yp), cj * cj, cj)
 
-    def _border(self):
-        blocks, cj = self.blocks, self.cj
-        self.rows, self.velocity_rows = blocks.rows(cj)
-        self.X = self.inverse(np.asfortranarray(blocks.columns(cj)))
-        small = self.rows @ self.X
+    def reduced(self, t, y, yp, r, z):
+        """z = J^-1 r, constraint rows and columns those of (t, y, y'): with those of the factor's state phi falls only as Newton contracts.
+
+        Where phi is a row and not linear, what it bends by over dq is taken out too: one iteration closes it.
+        """
+        if self.system.rows_vary:
+            self.blocks, self.border = self.system.with_rows_at(self.blocks, t, y, yp), None
+        n, m, blocks, cj, q, r1 = self.blocks.n, self.blocks.m, self.blocks, self.cj, y[:self.blocks.n].copy(), r[:self.blocks.n]
+        rows, velocity_rows = blocks.rows(cj)
+        corner = np.zeros((rows.shape[0], rows.shape[0]))
         if blocks.stabilised:
-            small[:, blocks.m:] -= self.velocity_rows @ blocks.B.T
-        self.inner = dense_factor(small)
-
-    def reduced(self, t, r, z):
-        """z = J^-1 r."""
-        n, m, blocks, cj = self.blocks.n, self.blocks.m, self.blocks, self.cj
-        r1 = r[:n]
-        dq = self.inverse(r[n:2 * n] + blocks.damping_product(cj, r1))
-        dv = -r1
-        if blocks.border:
-            w = self.inner(self.rows @ dq - r[2 * n:] - self.velocity_rows @ r1)
-            dq = dq - self.X @ w
-            if blocks.stabilised:
-                dv = dv + blocks.B.T @ w[m:]
-            z[2 * n:] = w / cj if blocks.integrated else w
-        z[:n] = dq
-        z[n:2 * n] = dv + cj * dq
+            corner[:, m:] = velocity_rows @ blocks.B.T
+        self.border = self.border or Border(self.step.solve(q, blocks.columns(cj)))
+        free, below = self.step.solve(q, r[n:2 * n] + blocks.damping_product(cj, r1)), r[2 * n:] + velocity_rows @ r1
+        dq, w = self.border.solve(free, rows, below, corner)
+        if self.system.rows_vary and self.system.holds_phi:
+            phi, at = self.system.model.phi, self.system.clamp(t)
+            below[:m] -= phi(at, q + dq) - phi(at, q) - r[2 * n:2 * n + m]
+            dq, w = self.border.solve(free, rows, below, corner)
+        z[:n], z[n:2 * n], z[2 * n:] = dq, cj * dq - r1, w / cj if blocks.integrated else w
+        if blocks.stabilised:
+            z[n:2 * n] += blocks.B.T @ w[m:]

@@ -10,13 +10,13 @@ import numpy as np
 
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
-from polyida.assembly.damping import add_damping, symmetric_blocks
+from polyida.assembly.damping import add_damping
 from polyida.compiled import entry
 from polyida.integrate.ida.border import stabilised_border
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.linear import EchoedSolve
 from polyida.linear import corotated
-from polyida.linear.factor import NotFactorable
+from polyida.linear.lu import SingularSystem
 
 
 class Room(NamedTuple):
@@ -193,25 +193,28 @@ class SceneSystem(System):
 class SceneSolve(EchoedSolve):
     """IDA's linear callbacks for a SceneSystem: a co-rotated factor of the plates and the border."""
 
+    def __init__(self, system, counts):
+        super().__init__(system, counts)
+        self.step = system.model.step_matrix()
+
     def setup(self, t, y, yp, res, cj):
-        """Factor `S = K + cj C + cj^2 M` at y, in the frame of the rotations that the last residual saw."""
-        model, w = self.system.model, self.system.room
-        blocks = symmetric_blocks(model, w.u, cj * cj, cj)
+        """Factor S at y."""
+        step = self.step
         self.counts.tangents += 1
         self.counts.factorizations += 1
         try:
-            self.plain, self.counts.backend = corotated.corotated(model, blocks, w.rotation)
-        except NotFactorable:
+            step.factor(*self.system.at(t, y, yp), cj * cj, cj)
+        except SingularSystem:
             self.cj = math.nan
             return
-        self.cj, self.scratch = cj, corotated.room(model, self.plain)
-        self.massive = self.plain._replace(reach=np.zeros_like(self.plain.reach))
-        momentum_reach(model.arrays, self.plain, self.scratch, w, self.massive.reach)
-        self.counts.solves += 4 * model.n_points
+        self.cj, self.counts.backend = cj, step.backend
+        self.massive = step.corotated._replace(reach=np.zeros_like(step.corotated.reach))
+        momentum_reach(step.model.arrays, step.corotated, step.room, self.system.room, self.massive.reach)
+        self.counts.solves += 2 * step.solves
 
-    def reduced(self, t, r, z):
-        """z = J^-1 r; nan where there is no factor."""
-        model, system = self.system.model, self.system
-        if not math.isfinite(self.cj) or not solve(model.arrays, self.plain, self.massive, self.scratch, system.room,
+    def reduced(self, t, y, yp, r, z):
+        """z = J^-1 r, joints as the last residual saw them; nan where there is no factor."""
+        model, system, step = self.step.model, self.system, self.step
+        if not math.isfinite(self.cj) or not solve(model.arrays, step.corotated, self.massive, step.room, system.room,
                                                    model.drives(system.clamp(t)), self.cj, system.form.integrated, system.damp, r, z):
             z[:] = math.nan

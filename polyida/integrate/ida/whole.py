@@ -14,10 +14,13 @@ s is the mean size of the diagonal of `S = K + cj C + cj^2 M`. Raw, the conditio
 index2) or h^-1 (the others), cj = 1/h; scaled, it is flat. Source: as linear/kkt.py's, for the unknowns of index 2.
 """
 
+from contextlib import suppress
+
 import numpy as np
 
-from polyida.integrate.ida.linear import EchoedSolve, dense_factor, not_a_number
+from polyida.integrate.ida.linear import EchoedSolve
 from polyida.linear.condition import scaled
+from polyida.linear.lu import LU, SingularSystem
 from polyida.linear.matrix import dense
 
 SCALINGS = ("characteristic", "none")
@@ -38,7 +41,7 @@ def sizes(scaling, form, n, m, cj, s):
 def whole_matrix(system, t, y, yp, cj):
     """(J, typical size s of S) at (t, y, y'): CSC where the model's matrices are sparse, dense otherwise."""
     blocks = system.blocks(t, y, yp)
-    K = system.iteration_matrix(t, y, yp, 0.0)
+    K = system.model.tangent(*system.at(t, y, yp), 0.0, 0.0, 1.0)
     damping = cj * blocks.M if blocks.C is None else cj * blocks.M + blocks.C
     s = float(np.mean(np.abs(K.diagonal() + cj * damping.diagonal())))
     unit = cj if blocks.integrated else 1.0
@@ -79,21 +82,12 @@ class WholeSolve(EchoedSolve):
         self.cj, model = cj, self.system.model
         J, s = whole_matrix(self.system, t, y, yp, cj)
         self.rows, self.columns = sizes(self.scaling, self.system.form, model.n, model.m, cj, s)
-        self.inverse = _factor(scaled(J, self.rows, self.columns))
         self.counts.tangents += 1
         self.counts.factorizations += 1
+        self.lu = None
+        with suppress(SingularSystem):
+            self.lu = LU(scaled(J, self.rows, self.columns), pivoting=True)
 
-    def reduced(self, t, r, z):
-        """z = J^-1 r."""
-        z[:] = self.columns * self.inverse(self.rows * r)
-
-
-def _factor(matrix):
-    if isinstance(matrix, np.ndarray):
-        return dense_factor(matrix)
-    from scipy.sparse.linalg import splu
-
-    try:
-        return splu(matrix).solve if np.isfinite(matrix.data).all() else not_a_number
-    except RuntimeError:  # what SuperLU raises where the matrix is singular
-        return not_a_number
+    def reduced(self, t, y, yp, r, z):
+        """z = J^-1 r; nan, for which IDA tries a smaller step, where J is singular."""
+        z[:] = self.columns * self.lu.solve(self.rows * r) if self.lu else np.nan

@@ -1,0 +1,28 @@
+"""LU factors: dense and sparse, real and complex, as they are and transposed, singular and not finite."""
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_array
+
+from polyida.linear.lu import LU, SingularSystem
+
+KINDS = {"dense": np.asarray, "sparse": csc_array}
+
+
+@pytest.mark.parametrize("pivoting", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("unit", [1.0, 1.0 + 2.0j])
+def test_solves(kind, unit, pivoting):
+    random = np.random.default_rng(0)
+    matrix = unit * (5 * np.eye(4) + random.standard_normal((4, 4)))
+    b = random.standard_normal((4, 2)).astype(matrix.dtype)
+    lu = LU(KINDS[kind](matrix), pivoting)
+    assert np.allclose(matrix @ lu.solve(b), b, rtol=0, atol=1e-13)
+    assert np.allclose(matrix.T @ lu.solve(b[:, 0], transposed=True), b[:, 0], rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("value", [1.0, np.nan, np.inf])
+def test_what_has_no_inverse(kind, value):
+    with pytest.raises(SingularSystem):
+        LU(KINDS[kind](np.full((2, 2), value)))

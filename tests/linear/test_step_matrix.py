@@ -1,0 +1,93 @@
+"""The step matrix and its border: against dense solves, at another state than the factor's, and where S has no inverse."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida import problems
+from polyida.linear.border import Border
+from polyida.linear.lu import LU, SingularSystem
+from polyida.linear.step_matrix import StepMatrix, WholeMatrix
+
+
+@pytest.fixture
+def moving():
+    """(model, a state far from rest)."""
+    p, random = problems.get("andrews"), np.random.default_rng(1)
+    q, v, a, lam = (0.3 * random.standard_normal(k) for k in (7, 7, 7, 6))
+    return p.model, (0.0, p.q0 + q, v, a, lam)
+
+
+def saddle(model, state, S, r, phi):
+    B = model.phi_q(*state[:2])
+    return np.linalg.solve(np.block([[S, B.T], [B, np.zeros((model.m, model.m))]]), -np.concatenate([r, phi]))
+
+
+@pytest.mark.parametrize("c_m, c_v", [(1e6, 1e3), (1e6 + 2e6j, 1e3 + 1e3j)])
+@pytest.mark.parametrize("make", [StepMatrix, lambda model: WholeMatrix(model, "bottasso")])
+def test_the_saddle_is_that_of_the_whole_matrix(moving, make, c_m, c_v):
+    model, state = moving
+    r, phi, system = *(np.random.default_rng(2).standard_normal(k) for k in (model.n, model.m)), make(model)
+    system.factor(*state, c_m, c_v)
+    exact = saddle(model, state, model.tangent(*state, c_m, c_v, 1.0), r, phi)
+    assert np.allclose(np.concatenate(system.saddle(*state[:2], state[4], r, phi)), exact, rtol=1e-8)
+
+
+def test_constraints_hold_with_an_old_factor(moving):
+    model, state = moving
+    system, r, phi = StepMatrix(model), np.ones(model.n), np.linspace(1.0, 2.0, model.m)
+    system.factor(*state, 1e6, 1e3)
+    dq, _ = system.saddle(0.0, state[1] + 0.2, state[4], r, phi)
+    assert np.allclose(model.phi_q(0.0, state[1] + 0.2) @ dq, -phi, rtol=1e-9)
+
+
+def test_made_again_from_what_it_was_made_from(moving):
+    model, state = moving
+    one, two, b = StepMatrix(model), StepMatrix(model), np.ones(model.n)
+    one.factor(*state, 1e6, 1e3)
+    two.again(one.made_at, 1e6, 1e3)
+    assert np.array_equal(one.solve(state[1], b), two.solve(state[1], b))
+    assert np.allclose(model.tangent(*state, 1e6, 1e3, 1.0).T @ one.solve(state[1], b, transposed=True), b, rtol=0, atol=1e-8)
+
+
+class Massless(pi.Model):
+    """A spring pulls a mass along a massless rod's end: S has no inverse, with the constraint it has."""
+
+    n, m = 2, 1
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+
+    def mass(self, q):
+        return np.diag([1.0, 0.0])
+
+    def force(self, t, q, v):
+        return np.array([q[0], 0.0])
+
+    def phi(self, t, q):
+        return np.array([q[1] - 2.0 * q[0]])
+
+    def phi_q(self, t, q):
+        return np.array([[-2.0, 1.0]])
+
+
+def test_coordinates_without_mass_go_through_the_whole_matrix():
+    model = Massless()
+    system, state = StepMatrix(model), (0.0, np.array([1.0, 2.0]), np.zeros(2), np.zeros(2), np.zeros(1))
+    system.factor(*state, 1e4, 1e2)
+    exact = saddle(model, state, np.diag([1e4 + 1.0, 0.0]), np.ones(2), np.ones(1))
+    assert np.allclose(np.concatenate(system.saddle(0.0, state[1], state[4], np.ones(2), np.ones(1))), exact)
+    with pytest.raises(SingularSystem):
+        system.solve(state[1], np.ones(2))
+
+
+def test_a_border_with_a_corner():
+    random = np.random.default_rng(4)
+    S, C, R, D = (random.standard_normal(shape) + 3 * np.eye(*shape) for shape in ((5, 5), (5, 2), (2, 5), (2, 2)))
+    b, below = random.standard_normal(5), random.standard_normal(2)
+    lu = LU(S)
+    x, w = Border(lu.solve(C)).solve(lu.solve(b), R, below, D)
+    assert np.allclose(np.concatenate([x, w]), np.linalg.solve(np.block([[S, C], [R, D]]), np.concatenate([b, below])))
+
+
+def test_dependent_constraints_are_singular():
+    with pytest.raises(SingularSystem, match="constraints"):
+        Border(np.ones((3, 2))).solve(np.ones(3), np.ones((2, 3)), np.ones(2))
