@@ -86,7 +86,7 @@ def model_of(stored, drives):
 
     if "scene" not in stored.about:
         return None
-    parts, gravity = from_data(stored.about["scene"], stored.arrays.group("scene"), drives.get)
+    parts, gravity = from_data(stored.about["scene"], stored.arrays("scene"), drives.get)
     scene = Scene(gravity)
     for part in parts.values():
         scene.add(part)
@@ -101,8 +101,8 @@ def model_of(stored, drives):
 
 def _drives(stored):
     """{key: profile through the values that the run saw}."""
-    times = stored.rows("t", 0, stored.count)
-    return {key: _interpolated(times, stored.rows(key, 0, stored.count)) for key in stored.about["drives"]}
+    times = np.asarray(stored.columns["t"])
+    return {key: _interpolated(times, np.asarray(stored.columns[key])) for key in stored.about["drives"]}
 
 
 def _interpolated(times, samples):

@@ -7,14 +7,15 @@ import tempfile
 import time
 import zlib
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.io.frames import held
+from polyida.io.frames import columns, held
 from polyida.io.layout import FORMAT, HEAD, frames_at_once, shapes_of, width_of
-from polyida.io.lock import CAN_TELL, being_written, lock, unlock
+from polyida.io.lock import CAN_TELL, being_written, lock, require_unwritten
 
 ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is known to be needed
 SLOT_CHUNK = 1 << 16
@@ -31,56 +32,57 @@ class NotWritten(Exception):
         super().__init__(f"{path}: {os.strerror(number) if number else error}")
 
 
-class Writer:
-    """A file under construction, held open by its descriptor; made by `create` or `temporary`. Methods raise NotWritten.
+@contextmanager
+def _taken(path):
+    """Have what the disk does not take raise NotWritten."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        raise NotWritten(path, error) from None
 
-    path: where it lies; shown: where it is to be. count: frames in whole blocks. drives: {name: profile}.
+
+class Writer:
+    """A file under construction, held open by its descriptor: beside `shown`, where `publishing` brings it. Methods raise NotWritten.
+
+    path: where it lies. count: frames in whole blocks. drives: {name: profile}.
     """
 
-    def __init__(self, path, n, m, about=None, arrays=None, drives=None, fsync=False):
+    def __init__(self, shown, n, m, about=None, arrays=None, drives=None, fsync=False):
         import h5py
 
-        self.path, self.shown, self.count, self.commits = path, path, 0, 0
+        self.shown, self.path, self.count, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0, 0
         self.drives, self.fsync, self.shapes = drives or {}, fsync, shapes_of(n, m, drives or {})
         self.rows = frames_at_once(width_of(self.shapes))
         self._block = self.rows * 8 * width_of(self.shapes)
         self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
-        self.descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        with _taken(shown):
+            self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            lock(self.descriptor)
-            self._file = h5py.File(path, "w", libver="v110", locking=False)
-            self._make(about, arrays or {})
-            self._file.flush()
-            self._start = self._file.id.get_filesize()
-        except OSError as error:
-            os.close(self.descriptor)
-            raise NotWritten(path, error) from None
+            with _taken(shown):
+                lock(self.descriptor)
+                self._file = h5py.File(self.path, "w", libver="v110", locking=False)
+                self._make(about, arrays or {})
+                self._file.flush()
+                self._start = self._file.id.get_filesize()
+        except NotWritten:
+            self._discard()
+            raise
 
     @classmethod
     def create(cls, path, *contents, **options):
-        """A file beside `path` that comes to its place by `publish`."""
-        hidden = path.with_name(f".polyida-{uuid4().hex}.part")
+        """A file that comes to `path` by `publishing`. Raises InputError."""
+        _remove_leftovers(path.parent)
         try:
-            _remove_leftovers(path.parent)
-            hidden.touch(exist_ok=False)
-            file = cls(hidden, *contents, **options)
-        except (OSError, NotWritten) as error:
-            with suppress(OSError):
-                hidden.unlink(missing_ok=True)
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"{path}: no file can be written there ({reason})") from None
-        file.shown = path
-        return file
+            return cls(path, *contents, **options)
+        except NotWritten as error:
+            raise InputError(f"no file can be written there: {error}") from None
 
     @classmethod
     def temporary(cls, n, m):
         """A file without a name in the folder for temporary files; it is gone when nobody reads it any more."""
-        handle, path = tempfile.mkstemp(prefix="polyida-", suffix=".h5")
-        os.close(handle)
-        try:
-            return cls(path, n, m)
-        finally:
-            os.unlink(path)
+        file = cls(Path(tempfile.gettempdir()) / "frames.h5", n, m)
+        os.unlink(file.path)
+        return file
 
     def _make(self, about, arrays):
         for name, shape in self.shapes.items():
@@ -103,14 +105,12 @@ class Writer:
     def append(self, block):
         """Append frames, a list of arrays in the order of `shapes`: as many as a chunk holds, or the run's last ones."""
         end = self.count + len(block[0])
-        try:
+        with _taken(self.shown):
             self._reserve(end)
             for name, values in zip(self.shapes, block):
                 if name in self._datasets:
                     self._datasets[name].resize(end, axis=0)
                     self._datasets[name][self.count : end] = values
-        except (OSError, RuntimeError) as error:
-            raise NotWritten(self.shown, error) from None
         self.count = end
 
     def commit(self, record, numbers, tail, last=False):
@@ -119,25 +119,20 @@ class Writer:
         last: into both slots, so that damage to one of them does no harm.
         """
         record |= {"frames": self.count + len(tail[0]), "tail": len(tail[0])}
-        numbers = np.concatenate([np.ravel(x) for x in (*numbers, *tail)])
+        numbers = np.concatenate([np.ravel(x) for x in (*numbers, *tail)]).tobytes()
         for _ in range(1 + last):
             text = json.dumps(record | {"commit": self.commits}, default=_listed).encode()
-            body = text + numbers.tobytes()
-            slot = np.frombuffer(HEAD.pack(len(body), zlib.crc32(body), len(text)) + body, np.uint8)
-            try:
-                self._slots = max(self._slots, 2 * (len(slot) + SLOT_CHUNK))
+            body = text + numbers
+            content = np.frombuffer(HEAD.pack(len(body), zlib.crc32(body), len(text)) + body, np.uint8)
+            with _taken(self.shown):
+                self._slots = max(self._slots, 2 * (len(content) + SLOT_CHUNK))
                 self._reserve(self.count)
                 self._flush()
-                self._put(self._file[f"slot {self.commits % 2}"], slot)
+                slot = self._file[f"slot {self.commits % 2}"]
+                slot.resize(max(len(slot), len(content)), axis=0)
+                slot[: len(content)] = content
                 self._flush()
-            except (OSError, RuntimeError) as error:
-                raise NotWritten(self.shown, error) from None
             self.commits += 1
-
-    def _put(self, dataset, values):
-        if len(dataset) < len(values):
-            dataset.resize(len(values), axis=0)
-        dataset[: len(values)] = values
 
     def _flush(self):
         self._file.flush()
@@ -185,39 +180,31 @@ class Writer:
 
     def in_place(self):
         """Whether the file is still where it was published."""
-        try:
+        with suppress(OSError):
             return os.path.samestat(os.stat(self.shown), os.fstat(self.descriptor))
-        except OSError:
-            return False
+        return False
 
     def frames(self, limit):
         """{name: frames} of a temporary file, to which nothing is added any more."""
         os.close(self.descriptor)
-        tail = {name: np.zeros((0, *shape)) for name, shape in self.shapes.items()}
-        return held(self._file, self.shapes, self.count, tail, limit, self.shown)
+        nothing = {name: np.zeros((0, *shape)) for name, shape in self.shapes.items()}
+        return held(columns(self._datasets, nothing, self.count, self.shown), limit)
 
     def close(self):
         """Close the file; it holds what was committed. Its descriptor stays open, to be read from and closed."""
         try:
-            self._file.close()
-            _trim(self.descriptor)
-        except (OSError, RuntimeError) as error:
-            raise NotWritten(self.shown, error) from None
+            with _taken(self.shown):
+                self._file.close()
+                _trim(self.descriptor)
         finally:
-            unlock(self.descriptor)
+            lock(self.descriptor, on=False)
 
     def _discard(self):
-        with suppress(NotWritten):
+        with suppress(Exception):
             self.close()
         os.close(self.descriptor)
         with suppress(OSError):
             os.unlink(self.path)
-
-
-def require_unwritten(path):
-    """Raise InputError where a living process writes the file."""
-    if being_written(path):
-        raise InputError(f"{path}: another process is still writing it; it is not replaced")
 
 
 def _remove_leftovers(folder):
@@ -245,9 +232,8 @@ def _move_new(source, target):
     except FileExistsError:
         raise
     except OSError:  # a file system without links
-        if os.path.exists(target):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
-        os.rename(source, target)
+        target.touch(exist_ok=False)
+        os.replace(source, target)
     else:
         os.unlink(source)
 
