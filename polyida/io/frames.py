@@ -69,7 +69,7 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
 
     def _pieces(self, rows):
         """The rows of that number, in their order, a bounded number at once."""
-        step = frames_at_once(self.shape[1])
+        step = frames_at_once(int(np.prod(self.shape[1:])))
         for run in np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1):
             for part in np.split(run, range(step, len(run), step)):
                 yield self._read(part[0], part[-1] + 1) if len(part) else self._read(0, 0)

@@ -99,7 +99,7 @@ class Stored:
             self._found = _datasets(file, size)
             self.about = json.loads(self._array("about").astype(np.uint8).tobytes())
             self.record, numbers = self._newest()
-            self.n, self.m = (self._dataset(name, (None, None)).shape[1] if name in file else 0 for name in ("q", "lam"))
+            self.n, self.m = (self._dataset(name, None, None).shape[1] if name in file else 0 for name in ("q", "lam"))
             self.shapes = shapes_of(self.n, self.m, dict.fromkeys(self.about["drives"]))
             self.seconds = float(self.record["cpu_seconds"]), float(self.record["wall_seconds"])
             self.counts = counts_of(self.record["counts"])
@@ -108,23 +108,19 @@ class Stored:
             file.close()
             raise
 
-    def close(self):
-        """Close the file."""
-        self.file.close()
-
-    def _dataset(self, name, shape):
-        """The dataset of that name, None in its shape where any length is right, not read."""
+    def _dataset(self, name, *shape):
+        """The dataset of that name, not read; of this shape where one is given, None in it where any length is right."""
         if name not in self._found:
             raise InputError(f"{name} is not in the file")
         there = self._found[name].shape
-        if len(shape) != len(there) or any(b not in (None, a) for a, b in zip(there, shape)):
+        if shape and (len(shape) != len(there) or any(b not in (None, a) for a, b in zip(there, shape))):
             raise InputError(f"{name} has the shape {there}; {shape} is needed")
         return self._found[name]
 
     def _array(self, name):
         """A dataset read whole: finite float64, int64, or bytes."""
         try:
-            values = np.asarray(self._dataset(name, self._found[name].shape if name in self._found else ())[()])
+            values = np.asarray(self._dataset(name)[()])
         except OSError as error:
             raise InputError(f"{name} is damaged ({error})") from None
         if values.dtype != np.uint8:
@@ -149,7 +145,7 @@ class Stored:
 
     def _slot(self, name):
         """(record, numbers) of a slot, None where it is not whole, () where nothing was written yet."""
-        dataset = self._dataset(name, (None,))
+        dataset = self._dataset(name, None)
         if self.live:
             dataset.refresh()
         stored = dataset[()].astype(np.uint8).tobytes()
@@ -165,7 +161,7 @@ class Stored:
         """Split the numbers of a slot into the state to go on from and the frames behind the last block."""
         record, n, m = self.record, self.n, self.m
         self.count, rows = int(record["frames"]), int(record["tail"])
-        found = {name: self._dataset(name, (None, *shape)) for name, shape in self.shapes.items() if shape != (0,)}
+        found = {name: self._dataset(name, None, *shape) for name, shape in self.shapes.items() if shape != (0,)}
         least = min(map(len, found.values()))
         if not 0 <= rows <= self.count <= least + rows:
             raise InputError(f"it holds {least} frames, {self.count - rows} are stated; the file is damaged")
@@ -190,41 +186,37 @@ class Stored:
 
         Raises InputError where no frame is whole.
         """
+        good, why = min((self._whole(name, frames) for name, frames in self.columns.items()), key=lambda found: found[0])
+        if good == self.count:
+            return ""
+        if good == 0:
+            raise InputError(f"all its frames are damaged: {why}")
+        message = f"frames {good} to {self.count - 1} are damaged ({why}); these are the ones before"
+        self.count, self.restart = good, None
+        for frames in self.columns.values():
+            frames.cut(good)
+        return message
+
+    def _whole(self, name, frames):
+        """(how many frames of a column come before the first that is damaged, what that is)."""
         step, last = frames_at_once(width_of(self.shapes)), -np.inf
         for first in range(0, self.count, step):
-            end = min(first + step, self.count)
-            good, why = self._whole(first, end, last)
-            if good == 0:
-                raise InputError(f"all its frames are damaged: {why}")
-            if good < end:
-                message = f"frames {good} to {self.count - 1} are damaged ({why}); these are the ones before"
-                self.count, self.restart = good, None
-                for frames in self.columns.values():
-                    frames.cut(good)
-                return message
-            last = self.columns["t"].rows(end - 1, end)[0]
-        return ""
-
-    def _whole(self, first, end, last):
-        """(the first frame from `first` to `end` that is not whole, or `end`; why). last: the time before."""
-        reason = ""
-        for name, frames in self.columns.items():
             try:
-                values = frames.rows(first, end)
+                values = frames.rows(first, min(first + step, self.count))
             except OSError as error:
                 return first, f"{name}: {'its checksum does not fit' if 'filter' in str(error) else error}"
             wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-            falls = np.diff(values, prepend=last) < 0 if name == "t" else np.zeros_like(wrong)
+            falls = np.diff(values, prepend=last) < 0 if name == "t" else wrong
             if (wrong | falls).any():
-                end = first + int((wrong | falls).argmax())
-                reason = f"{name}: " + ("values that are not finite" if wrong.any() else "the times do not increase")
-        return end, reason
+                return first + int((wrong | falls).argmax()), f"{name}: " + ("values that are not finite" if wrong.any() else "the times do not increase")
+            last = values[-1]
+        return self.count, ""
 
     def frames(self, limit):
         """{name: frames} of t, q, v, a and lam; the file is closed where all are in memory."""
         frames = held({name: self.columns[name] for name in FRAMES}, limit)
         if not any(isinstance(values, StoredFrames) for values in frames.values()):
-            self.close()
+            self.file.close()
         return frames
 
 

@@ -13,7 +13,6 @@ from uuid import uuid4
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.io.frames import columns, held
 from polyida.io.layout import FORMAT, HEAD, frames_at_once, shapes_of, width_of
 from polyida.io.lock import CAN_TELL, being_written, lock, require_unwritten
 
@@ -47,21 +46,21 @@ class Writer:
     path: where it lies. count: frames in whole blocks. drives: {name: profile}.
     """
 
-    def __init__(self, shown, n, m, about=None, arrays=None, drives=None, fsync=False):
+    def __init__(self, shown, n, m, about, arrays, drives, fsync=False):
         import h5py
 
         self.shown, self.path, self.count, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0, 0
-        self.drives, self.fsync, self.shapes = drives or {}, fsync, shapes_of(n, m, drives or {})
+        self.drives, self.fsync, self.shapes = drives, fsync, shapes_of(n, m, drives)
         self.rows = frames_at_once(width_of(self.shapes))
         self._block = self.rows * 8 * width_of(self.shapes)
-        self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
+        self._reserved, self._slots = 0, 2 * (self._block + SLOT_CHUNK)
         with _taken(shown):
             self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
             with _taken(shown):
                 lock(self.descriptor)
                 self._file = h5py.File(self.path, "w", libver="v110", locking=False)
-                self._make(about, arrays or {})
+                self._make(about, arrays)
                 self._file.flush()
                 self._start = self._file.id.get_filesize()
         except NotWritten:
@@ -69,29 +68,25 @@ class Writer:
             raise
 
     @classmethod
-    def create(cls, path, *contents, **options):
+    def create(cls, path, *contents):
         """A file that comes to `path` by `publishing`. Raises InputError."""
         _remove_leftovers(path.parent)
         try:
-            return cls(path, *contents, **options)
+            return cls(path, *contents)
         except NotWritten as error:
             raise InputError(f"no file can be written there: {error}") from None
 
     @classmethod
     def temporary(cls, n, m):
         """A file without a name in the folder for temporary files; it is gone when nobody reads it any more."""
-        file = cls(Path(tempfile.gettempdir()) / "frames.h5", n, m)
+        file = cls(Path(tempfile.gettempdir()) / "frames.h5", n, m, {"drives": {}}, {}, {}, False)
         os.unlink(file.path)
         return file
 
     def _make(self, about, arrays):
         for name, shape in self.shapes.items():
             if shape != (0,):
-                self._datasets[name] = self._file.create_dataset(
-                    name, (0, *shape), "f8", maxshape=(None, *shape), chunks=(self.rows, *shape), fletcher32=True
-                )
-        if about is None:
-            return
+                self._file.create_dataset(name, (0, *shape), "f8", maxshape=(None, *shape), chunks=(self.rows, *shape), fletcher32=True)
         self._file.attrs["format"] = FORMAT
         text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
         for key, values in {"about": text, **arrays}.items():
@@ -108,9 +103,9 @@ class Writer:
         with _taken(self.shown):
             self._reserve(end)
             for name, values in zip(self.shapes, block):
-                if name in self._datasets:
-                    self._datasets[name].resize(end, axis=0)
-                    self._datasets[name][self.count : end] = values
+                if name in self._file:
+                    self._file[name].resize(end, axis=0)
+                    self._file[name][self.count : end] = values
         self.count = end
 
     def commit(self, record, numbers, tail, last=False):
@@ -176,19 +171,16 @@ class Writer:
             raise InputError(f"{self.shown}: the file cannot be put there ({error.strerror})") from None
         self.path = self.shown
         if self.fsync:
-            _sync_folder(self.shown.parent)
+            with suppress(OSError):  # a system that brings no names to the disk
+                folder = os.open(self.shown.parent, os.O_RDONLY)
+                os.fsync(folder)
+                os.close(folder)
 
     def in_place(self):
         """Whether the file is still where it was published."""
         with suppress(OSError):
             return os.path.samestat(os.stat(self.shown), os.fstat(self.descriptor))
         return False
-
-    def frames(self, limit):
-        """{name: frames} of a temporary file, to which nothing is added any more."""
-        os.close(self.descriptor)
-        nothing = {name: np.zeros((0, *shape)) for name, shape in self.shapes.items()}
-        return held(columns(self._datasets, nothing, self.count, self.shown), limit)
 
     def close(self):
         """Close the file; it holds what was committed. Its descriptor stays open, to be read from and closed."""
@@ -215,27 +207,16 @@ def _remove_leftovers(folder):
                 path.unlink()
 
 
-def _sync_folder(folder):
-    """Bring the names in a folder to the disk, where the system can."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
 def _move_new(source, target):
     """Move a file to a name that is free, or fail."""
     try:
         os.link(source, target)
+        os.unlink(source)
     except FileExistsError:
         raise
     except OSError:  # a file system without links
         target.touch(exist_ok=False)
         os.replace(source, target)
-    else:
-        os.unlink(source)
 
 
 def _trim(descriptor):
