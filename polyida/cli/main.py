@@ -16,6 +16,7 @@ from polyida.cli.terminal import tolerate_letters, writable
 from polyida.errors import InputError
 
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
+LISTED = {"compared": "quantity", "source": "source"}
 HELP = "Flexible multibody dynamics with polygonal finite elements. Start with: polyida compare double-plate"
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
                   help=HELP)
@@ -162,17 +163,22 @@ def _saved(result, path):
 
 
 @app.command("list")
-def list_scenes():
-    """List the scenes and problems that have a name: what is compared with which reference."""
-    from polyida import problems
+def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", help="A file of yours, with what it adds.")] = None):
+    """List the problems and studies that have a name: what is compared with which reference."""
+    from polyida import registry
     from polyida.problems.about import ABOUT
-    from polyida.study.job import maker
+    from polyida.study import scene_file
+
+    if file:
+        scene_file.executed(file)
 
     def brief(name):
-        quantity, source = (ABOUT[name][key].split(";")[0] for key in ("quantity", "source"))
-        return f"{_description(maker(name))}\ncompared: {quantity}\nsource: {source}\n"
+        about = [f"{told}: {ABOUT[name][key].split(';')[0]}" for told, key in LISTED.items() if name in ABOUT]
+        return "\n".join([_description(registry.find(registry.problems, name)), *about, ""])
 
-    _table(None, ["name", "what it is"], [[name, brief(name)] for name in problems.names()])
+    _table(None, ["name", "what it is"], [[name, brief(name)] for name in registry.problems])
+    if registry.studies:
+        _table(None, ["study", "what it is"], [[name, registry.find(registry.studies, name).title] for name in registry.studies])
 
 
 @app.command()
@@ -219,15 +225,31 @@ def export(file: RunFile, vtu: Annotated[Path, typer.Option(metavar="FOLDER", he
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
-def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="NAME", help="A script in ./studies.")]):
-    """Run a study of the folder ./studies; options after NAME (--quick, --out, --fresh) go to it."""
+def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="NAME", help="A script in ./studies, or my_study.py:NAME.")]):
+    """Run a study of the folder ./studies or of a file of yours; options after NAME (--quick, --out, --fresh) go to it."""
     import subprocess
 
+    from polyida import registry
+
+    if ".py" in name or name in registry.studies:
+        _run_study(name, context.args, context.obj)
+        return
     script = Path("studies") / f"{name}.py"
     if not script.is_file():
         known = ", ".join(sorted(path.stem for path in Path("studies").glob("*.py"))) or "none; run it in a clone of the repository"
         raise InputError(f"no study {name!r} in ./studies; there are: {known}")
     raise typer.Exit(subprocess.run([sys.executable, str(script), *context.args], check=False).returncode)
+
+
+def _run_study(name, arguments, command):
+    """Run a registered study, or the one that `my_study.py:NAME` names."""
+    from polyida import registry
+    from polyida.cli.study import main as run_study
+    from polyida.study import scene_file
+    from polyida.study.harness import Study
+
+    book = registry.studies
+    run_study(registry.find(book, name) or scene_file.named(name, book, Study, "studies"), arguments, command)
 
 
 def _load(file):
@@ -241,7 +263,7 @@ def _load(file):
 
 def _description(function):
     """First line of what a problem's function, or its module where that holds one problem, says of itself."""
-    described = sys.modules[function.__module__] if function.__name__ == "problem" else function
+    described = sys.modules[function.__module__] if getattr(function, "__name__", "") == "problem" else function
     return (described.__doc__ or "").strip().split("\n")[0]
 
 

@@ -16,8 +16,8 @@ from polyida.study.harness import of_other_code, plain, results, write_whole
 CELL = 40  # characters of a table's cell
 
 
-def main(study, arguments=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`.
+def main(study, arguments=None, command=None):
+    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`. command: what was typed, of a study that is no script.
 
     Prints the table, writes figures.json and pictures. Failed tasks are rows and lines; figures that need them are
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
@@ -28,10 +28,10 @@ def main(study, arguments=None):
     out = Path(options.out or "-".join([study.name, *_given(study, options), *["quick"] * options.quick]))
     tasks = out / "tasks"
     try:
-        study, command = _meant(study, options)
+        study, typed = _meant(study, options)
         rows = _results(study, options, out)
         found = findings(study, rows, out)
-        data = _write_figures(command, rows, found, out)
+        data = _write_figures(command or typed, rows, found, out)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

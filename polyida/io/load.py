@@ -1,5 +1,6 @@
 """`load`: a Trajectory from a file; the scene and the integrator that made it are built again from the file's data."""
 
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -65,10 +66,10 @@ def _model(stored):
 
 
 def integrator_of(stored):
-    """The integrator with its settings, or its name where its class is not in `registry.integrators`."""
+    """The integrator with its settings, or its name where `registry.integrators` has no dataclass of that name."""
     kind, settings = stored.about["integrator"]["kind"], stored.about["integrator"]["settings"]
     known = registry.find(registry.integrators, kind)
-    return str(kind) if known is None else known(**settings)
+    return known(**settings) if is_dataclass(known) else str(kind)
 
 
 def model_of(stored, drives):

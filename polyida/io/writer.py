@@ -53,7 +53,7 @@ class Writer:
         self.drives, self.fsync, self.shapes = drives, fsync, shapes_of(n, m, drives)
         self.rows = frames_at_once(width_of(self.shapes))
         self._block = self.rows * 8 * width_of(self.shapes)
-        self._reserved, self._slots = 0, 2 * (self._block + SLOT_CHUNK)
+        self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
         with _taken(shown):
             self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
@@ -86,7 +86,8 @@ class Writer:
     def _make(self, about, arrays):
         for name, shape in self.shapes.items():
             if shape != (0,):
-                self._file.create_dataset(name, (0, *shape), "f8", maxshape=(None, *shape), chunks=(self.rows, *shape), fletcher32=True)
+                options = {"maxshape": (None, *shape), "chunks": (self.rows, *shape), "fletcher32": True}
+                self._datasets[name] = self._file.create_dataset(name, (0, *shape), "f8", **options)
         self._file.attrs["format"] = FORMAT
         text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
         for key, values in {"about": text, **arrays}.items():
@@ -103,9 +104,9 @@ class Writer:
         with _taken(self.shown):
             self._reserve(end)
             for name, values in zip(self.shapes, block):
-                if name in self._file:
-                    self._file[name].resize(end, axis=0)
-                    self._file[name][self.count : end] = values
+                if dataset := self._datasets.get(name):
+                    dataset.resize(end, axis=0)
+                    dataset[self.count : end] = values
         self.count = end
 
     def commit(self, record, numbers, tail, last=False):
