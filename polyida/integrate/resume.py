@@ -21,8 +21,8 @@ from polyida.io.save import commit, create, free
 from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore
 from polyida.keywords import named_keywords
+from polyida.machine import one_blas_thread
 from polyida.model import Model
-from polyida.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

@@ -19,9 +19,8 @@ from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
 from polyida.keywords import named_keywords
-from polyida.machine import machine_info
+from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
-from polyida.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

@@ -12,7 +12,7 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration, consistent_state
-from polyida.threads import one_blas_thread
+from polyida.machine import one_blas_thread
 
 PARTS = ("q", "v", "lam")
 NEWTON = 1e-8  # Newton's tolerance where generalized-alpha is a reference
