@@ -97,14 +97,3 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __reduce__(self):
         return np.array, (np.asarray(self),)
-
-
-def columns(datasets, tails, count, path):
-    """{name: StoredFrames} of the first `count` frames; one without a dataset is of no width."""
-    return {name: StoredFrames(datasets.get(name, np.zeros((count, 0))), tail, count, path) for name, tail in tails.items()}
-
-
-def held(columns, limit):
-    """{name: frames} of StoredFrames: t as an array, and the others, unless all are over `limit` bytes and they not small beside it."""
-    whole = sum(frames.nbytes for frames in columns.values()) <= limit
-    return {name: np.asarray(frames) if whole or name == "t" or 32 * frames.nbytes <= limit else frames for name, frames in columns.items()}

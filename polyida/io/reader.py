@@ -12,7 +12,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State
-from polyida.io.frames import StoredFrames, columns, held
+from polyida.io.frames import StoredFrames
 from polyida.io.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, frames_at_once, shapes_of, width_of
 from polyida.io.lock import being_written
 from polyida.io.source import Source
@@ -172,7 +172,9 @@ class Stored:
         if min(sizes) < 0 or sum(sizes) != len(numbers) or not np.isfinite(numbers).all():
             raise InputError("the last frames, or the state to go on from, are damaged")
         parts = [part.reshape(shape) for part, shape in zip(np.split(numbers, np.cumsum(sizes)), shapes)]
-        self.columns = columns(found, dict(zip(self.shapes, parts[-len(self.shapes) :])), self.count, self.path)
+        tails = dict(zip(self.shapes, parts[-len(self.shapes) :]))
+        none = np.zeros((self.count, 0))  # of no width: lam without constraints
+        self.columns = {name: StoredFrames(found.get(name, none), tail, self.count, self.path) for name, tail in tails.items()}
         self.restart = self._restart([name for name, _ in memory], parts) if record["restart"] else None
 
     def _restart(self, names, parts):
@@ -213,11 +215,16 @@ class Stored:
         return self.count, ""
 
     def frames(self, limit):
-        """{name: frames} of t, q, v, a and lam; the file is closed where all are in memory."""
-        frames = held({name: self.columns[name] for name in FRAMES}, limit)
-        if not any(isinstance(values, StoredFrames) for values in frames.values()):
+        """{name: frames} of t, q, v, a and lam: arrays, but StoredFrames where all are over `limit` bytes and they not small beside it.
+
+        The file is closed where none are left there.
+        """
+        found = {name: self.columns[name] for name in FRAMES}
+        whole = sum(values.nbytes for values in found.values()) <= limit
+        found = {name: np.asarray(x) if whole or name == "t" or 32 * x.nbytes <= limit else x for name, x in found.items()}
+        if not any(isinstance(values, StoredFrames) for values in found.values()):
             self.file.close()
-        return frames
+        return found
 
 
 def counts_of(stored):

@@ -4,7 +4,7 @@ import importlib.util
 import sys
 import traceback
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from polyida import registry
@@ -67,10 +67,11 @@ def _execute(path):
     It has the name that `import` gives it, so that other processes find its functions and result files its classes,
     where that is free.
     """
-    place = path.resolve()
+    place, known = path.resolve(), None
     sys.path.insert(0, str(place.parent))
     importlib.invalidate_caches()
-    known = importlib.util.find_spec(path.stem) if path.stem.isidentifier() else None
+    with suppress(ImportError, ValueError):
+        known = importlib.util.find_spec(path.stem)
     name = path.stem if known and known.origin == str(place) else f"scene_file_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
