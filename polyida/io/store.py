@@ -81,9 +81,5 @@ class FrameStore:
                 self.file.close()
             return read_open(self.file.descriptor, self.file.shown).frames(self.limit)
         parts = [*self._full, [values[: self._rows] for values in self._block]]
-        self._full, result = [], {}
-        for k, name in enumerate(FRAMES):
-            result[name] = np.concatenate([block[k] for block in parts])
-            for block in parts:
-                block[k] = None
-        return result
+        self._full = []
+        return {name: np.concatenate([block.pop(0) for block in parts]) for name in FRAMES}
