@@ -37,9 +37,7 @@ def look(i):
 
 def loglog(axes, x, y, i, label=None):
     """One line of finite positive values on two logarithmic axes."""
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-    axes.loglog(x[good], y[good], label=label, **look(i))
+    axes.loglog(*_positive(x, y), label=label, **look(i))
 
 
 def nested(colour, ring, rings, dash="-"):
@@ -137,8 +135,12 @@ def drawn(function):
 
 def fitted(x, y):
     """Slope of log y over log x by least squares; NaN where there are fewer than two finite positive points."""
+    x, y = _positive(x, y)
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len(np.unique(x)) > 1 else float("nan")
+
+
+def _positive(x, y):
+    """The points whose coordinates are finite and positive both."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-    if len(np.unique(x[good])) < 2:
-        return float("nan")
-    return float(np.polyfit(np.log(x[good]), np.log(y[good]), 1)[0])
+    return x[good], y[good]
