@@ -72,15 +72,7 @@ def slope_line(axes, slope, x, y, label=None, beside=(2, 2)):
 def aim_line(axes, y, label):
     """A thin dashed line across the axes at y, with what it is written above its left end."""
     axes.axhline(y, color="#777777", linewidth=0.8, linestyle=(0, (5, 3)), zorder=1)
-    axes.annotate(
-        label,
-        (0, y),
-        xycoords=("axes fraction", "data"),
-        xytext=(3, 2),
-        textcoords="offset points",
-        fontsize=7,
-        color="#555555",
-    )
+    axes.annotate(label, (0, y), xycoords=("axes fraction", "data"), xytext=(3, 2), textcoords="offset points", fontsize=7, color="#555555")
 
 
 def legend(made, axes, columns=4):
