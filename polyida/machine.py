@@ -1,10 +1,14 @@
-"""What a result was made with: versions of the packages that compute, and the processor. No host or user names."""
+"""The machine: what a result was made with, with no host or user names, and how many of its threads a run takes."""
 
 import os
 import platform
+import threading
+from contextlib import contextmanager
 from functools import cache
 from importlib import metadata
 
+_lock = threading.Lock()
+_inside: list = []  # the limit in force, and one entry for each run within it
 PACKAGES = ("polyida", "numpy", "scipy", "numba", "scikit-sundae")
 
 
@@ -41,3 +45,21 @@ def processor():
 def footer(data=None):
     """One line that says on what a result was made, from `machine_info()` or the same data read from a file."""
     return ", ".join(f"{name} {value}" for name, value in (data or machine_info()).items())
+
+
+@contextmanager
+def one_blas_thread():
+    """Limit the BLAS libraries of this process to one thread: on small matrices more cost more than they bring. The last of several runs at once gives back what was set."""
+    from threadpoolctl import threadpool_limits
+
+    with _lock:
+        if not _inside:
+            _inside.append(threadpool_limits(limits=1, user_api="blas"))
+        _inside.append(None)
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside.pop()
+            if len(_inside) == 1:
+                _inside.pop().restore_original_limits()

@@ -1,13 +1,14 @@
 """What can be found by name: a dictionary for each sort of thing, to which users add what is theirs.
 
-A value is a class, or "module:name" of one that is imported when it is asked for. parts: plates, joints, masses and loads, by the name
-that a file calls them; a class of joints enters when it is defined. integrators: by the name that a file calls them. A file holds
-names and numbers; what makes objects of them is looked up here.
+A value is the thing itself, or "module:name" of one that is imported when it is asked for. parts, integrators: classes, by the name that
+a file of a run calls them; a class of joints or forces enters when it is defined. Files hold names and numbers; what makes objects of
+them is looked up here. problems: functions that give a `polyida.problems.Problem`, their arguments its options. studies: a `Study` each.
 """
 
 from importlib import import_module
+from typing import Any
 
-parts = {
+parts: dict[str, Any] = {
     "Plate": "polyida.body.plate:Plate",
     "PointMass": "polyida.body.point_mass:PointMass",
     "PointLoad": "polyida.body.loads:PointLoad",
@@ -16,15 +17,30 @@ parts = {
     "AngleMotor": "polyida.joint.angle_motor:AngleMotor",
     "Clamp": "polyida.joint.clamp:Clamp",
 }
-integrators = {
+integrators: dict[str, Any] = {
     "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",
     "EnergyMomentum": "polyida.integrate.energy.energy_momentum:EnergyMomentum",
     "IDA": "polyida.integrate.ida.integrator:IDA",
 }
+problems: dict[str, Any] = {
+    "pendulum": "polyida.problems.pendulum:problem",
+    "car-axis": "polyida.problems.car_axis:problem",
+    "andrews": "polyida.problems.andrews:problem",
+    "double-plate": "polyida.problems.plates:double_plate_problem",
+    "double-plate-motors": "polyida.problems.plates:double_plate_motors_problem",
+    "plate-chain": "polyida.problems.plates:plate_chain_problem",
+    "spin-up-beam": "polyida.problems.spin_up_beam:problem",
+    "rigid-limit": "polyida.problems.rigid_limit:problem",
+}
+studies: dict[str, Any] = {}  # those of the repository are the scripts of ./studies
 
 
 def name_of(kind):
-    """What a file calls a class: its name where it is polyida's, with its module before it where it is a user's."""
+    """What a file calls a class: its name where it is polyida's; where it is a user's, the one it has here, or its own with its module."""
+    for book in (parts, integrators):
+        for name, known in book.items():
+            if known is kind:
+                return name
     return kind.__name__ if kind.__module__.startswith("polyida.") else f"{kind.__module__}.{kind.__qualname__}"
 
 

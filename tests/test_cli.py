@@ -318,3 +318,74 @@ def test_a_terminal_of_few_letters_will_do(odd):
 
 
 CALL = "import sys; from polyida.cli.main import main; sys.exit(main())"
+
+
+OWN = '''
+from dataclasses import dataclass
+import polyida as pi
+from polyida.problems import Problem
+from polyida.study.harness import Study
+from scene import build
+
+class Slot(pi.Joint):
+    def rows(self):
+        return [pi.cross(self.a.d, self.b.x - self.a.x)]
+
+@dataclass(frozen=True)
+class Mine:
+    h: float
+
+    def steps(self, model, state, t_end, counts):
+        return pi.EnergyMomentum(h=self.h).steps(model, state, t_end, counts)
+
+def swing(cells=6):
+    """A plate that swings on a rail."""
+    scene = build(cells)
+    scene.add(Slot(pi.ground.at((1.0, 0.0), direction=(0.0, 1.0)), next(iter(scene.parts.values())).section("right"), name="rail"))
+    return Problem("swing", scene.build(), None, None, 0.01)
+
+def square(number):
+    return {"square": number**2}
+
+pi.registry.problems["rail-swing"] = swing
+pi.registry.integrators["mine"] = Mine
+pi.registry.studies["squares"] = Study("squares", "Squares of numbers", lambda quick: [{"number": k} for k in range(3)], square,
+                                       lambda rows: {"largest": rows[-1]["square"]}, isolated=True, fresh=False)
+'''
+READ = """
+import sys, own_things, polyida as pi
+run = pi.load(sys.argv[1])
+print(run.model.joints["rail"].__class__ is own_things.Slot, run.integrator == own_things.Mine(1e-5), pi.problems.get("rail-swing", cells=4).name)
+"""
+
+
+@pytest.fixture
+def own(folder):
+    """A file that adds to the registry, which is as it was afterwards."""
+    (folder / "own_things.py").write_text(OWN)
+    books = (pi.registry.parts, pi.registry.problems, pi.registry.integrators, pi.registry.studies)
+    before, path = [dict(book) for book in books], [*sys.path]
+    yield "own_things.py"
+    for book, kept in zip(books, before):
+        book.clear()
+        book.update(kept)
+    sys.path[:] = path
+    for name in ("own_things", "scene"):
+        sys.modules.pop(name, None)
+
+
+def test_what_a_file_adds_to_the_registry_is_found_when_the_file_is_named(own, folder, capsys):
+    assert main(["list", own]) == 0
+    out = capsys.readouterr().out
+    assert "rail-swing" in out and "A plate that swings on a rail." in out and "Squares of numbers" in out
+    assert main(["run", f"{own}:rail-swing", "--cells", "4", "--integrator", "mine", "--out", "run.h5"]) == 0
+    assert main(["study", f"{own}:squares", "--out", "s"]) == 0
+    figures = json.loads((folder / "s" / "figures.json").read_text())
+    assert figures["figures"] == {"largest": 4.0} and figures["command"] == f"polyida study {own}:squares --out s"
+    done = subprocess.run([sys.executable, "-c", READ, "run.h5"], cwd=folder, capture_output=True, text=True, check=True,
+                          env=os.environ | {"PYTHONPATH": str(Path(pi.__file__).parents[1])})
+    assert done.stdout.split() == ["True", "True", "swing"]
+
+
+def test_a_study_that_a_file_does_not_have_is_told_with_those_it_has(own, capsys):
+    assert "own_things.py: it has no 'cubes'; studies there: none" in refused(capsys, "study", f"{own}:cubes")

@@ -10,8 +10,8 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import polyida as pi
+from polyida.machine import one_blas_thread
 from polyida.problems import plates
-from polyida.threads import one_blas_thread
 
 FRAMES = ("t", "q", "v", "a", "lam")
 METHODS = {

@@ -6,13 +6,12 @@ import numpy as np
 
 from polyida.assembly import collapse
 from polyida.assembly import equilibrium as compiled
-from polyida.assembly import joints as rows
 from polyida.assembly.arrays import bilinear
 from polyida.assembly.build import assemble, bodies_of, of_kind
+from polyida.assembly.constraints import Constraints
 from polyida.assembly.damping import add_damping, damped_blocks
 from polyida.assembly.increments import Increments
 from polyida.assembly.mass_system import MassSystem, at_rest
-from polyida.assembly.named_points import NamedPoints
 from polyida.assembly.own_forces import OwnForces
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.body.force_element import ForceElement
@@ -21,7 +20,7 @@ from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
 
 
-class SceneModel(NamedPoints):
+class SceneModel(Constraints):
     """Plates, joints, masses and forces as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
 
     bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read; own_forces: the
@@ -61,28 +60,6 @@ class SceneModel(NamedPoints):
     def __reduce__(self):
         return type(self), (self.parts, self.gravity)
 
-    def drives(self, t):
-        """Value, first and second derivative of every profile at time t, (profiles, 3)."""
-        at, table = self._driven
-        if at != t:
-            table = np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
-            self._driven = t, table
-        return table.copy()
-
-    def kinks(self, t0, t1):
-        """Times in (t0, t1) at which a profile is not smooth, sorted."""
-        first, end = np.searchsorted(self._kinks, t0, side="right"), np.searchsorted(self._kinks, t1)
-        return tuple(self._kinks[first:end].tolist())
-
-    @cached_property
-    def _kinks(self):
-        """All of them, sorted: they are asked for at every one of them."""
-        return np.unique(np.array([kink for profile in self.profiles for kink in profile.kinks], float))
-
-    def constraint_name(self, row):
-        """The joint and axis of a row of phi."""
-        return self.labels[row]
-
     def evaluate(self, t, q, a, lam, rotation=None):
         """(r (n,), phi (m,), rotation, least det F, least motor cosine) in one compiled pass."""
         r, phi = np.empty((self.n_nodes, 2)), np.empty(self.m)
@@ -110,12 +87,6 @@ class SceneModel(NamedPoints):
     def not_finite(self):
         """Which of a user's functions last gave what is not finite, in words; empty where none."""
         return self.own_forces.not_finite
-
-    def phi(self, t, q):
-        """Constraints, (m,), in m (points) and, without unit, as |d_A| |d_B| sin(angle error) (motors)."""
-        phi, dz = np.empty(self.m), self.dz(q)
-        rows.joint_forces(self.arrays.links, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
-        return phi
 
     def force(self, t, q, v):
         """g = g_int - g_ext, (n,)."""
@@ -152,49 +123,6 @@ class SceneModel(NamedPoints):
 
         return splu(self._nodal_mass, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
-    def phi_q(self, t, q):
-        """Constraint Jacobian, (m, n) sparse; constant unless `needs.phi_q_varies` or `needs.driven`."""
-        return self._jacobian(t, q) if self.needs.driven or self.needs.phi_q_varies else self._phi_q
-
-    @cached_property
-    def _phi_q(self):
-        return self._jacobian(0.0, np.zeros(self.n))
-
-    def _jacobian(self, t, q):
-        from scipy.sparse import csr_array
-
-        return csr_array(self._slopes(t, q) @ self._points_t.T)
-
-    def _slopes(self, t, q):
-        from scipy.sparse import csr_array
-
-        s = self.arrays.links
-        slopes = np.empty(len(s.row_columns))
-        rows.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
-        return csr_array((slopes, s.row_columns, s.row_start), (self.m, 2 * self.n_points))
-
-    def phi_z(self, t, q):
-        """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
-        return self._slopes(t, q).toarray()
-
-    def phi_t(self, t, q):
-        """Partial derivative of phi in time, (m,)."""
-        return self._rates(t, q, np.zeros(self.n))[0]
-
-    def phi_rate(self, t, q, v):
-        """`phi_q v + phi_t`, (m,)."""
-        return self.phi_z(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
-
-    def phi_bias(self, t, q, v):
-        """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""
-        return self._rates(t, q, v)[1]
-
-    def _rates(self, t, q, v):
-        phi_t, rate, bias = np.zeros((3, self.m))
-        if self.needs.driven or self.needs.phi_q_varies:
-            rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, rate, bias)
-        return phi_t, bias
-
     def force_q(self, t, q, v):
         """dg/dq, (n, n) sparse."""
         return self._forces_q(t, q, v, 0.0, 1.0)
@@ -208,14 +136,6 @@ class SceneModel(NamedPoints):
         from scipy.sparse import csc_array
 
         return csc_array((self.n, self.n))
-
-    def reaction_q(self, t, q, lam):
-        """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the rows on the points."""
-        from scipy.sparse import csr_array
-
-        curvature = np.zeros((2 * self.n_points, 2 * self.n_points))
-        rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), curvature)
-        return self._points_t @ csr_array(curvature) @ self._points_t.T
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
         """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n) sparse."""
@@ -249,11 +169,6 @@ class SceneModel(NamedPoints):
             return f"{where} is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
         return None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
 
-    def _flipped(self, t, q):
-        """Name of a joint whose angle error is beyond a quarter turn."""
-        row = rows.flipped(self.arrays.links, self.drives(t), self.dz(q))
-        return next((name for name, part in self.rows.items() if part.start <= row < part.stop), None)
-
     def potential(self, q):
         """Strain energy and potential of gravity, J, relative to the reference configuration, and energy of force elements."""
         return self.strain_energy(q) + self.gravity_potential(q) + self.own_forces.energy(q)
@@ -270,27 +185,6 @@ class SceneModel(NamedPoints):
         """Potential of gravity on plates and masses, J, zero at q = 0."""
         at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
         return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
-
-    def dz(self, q):
-        """Displacements of the points that joints and masses hold on to, (points, 2)."""
-        dz = np.empty((self.n_points, 2))
-        rows.point_values(self.arrays.links, self._nodal(q), dz)
-        return dz
-
-    @cached_property
-    def _points_t(self):
-        """A^T as a sparse matrix, (n, 2 points)."""
-        from scipy.sparse import csr_array, kron
-
-        return csr_array(kron(self._points_s, np.eye(2)).T)
-
-    @cached_property
-    def _points_s(self):
-        """A of one direction, (points, nodes)."""
-        from scipy.sparse import csr_array
-
-        s = self.arrays.links
-        return csr_array((s.point_weights, s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
 
     @cached_property
     def pattern(self):
@@ -338,17 +232,3 @@ class SceneModel(NamedPoints):
         if make not in self._kept:
             self._kept[make] = make(self)
         return self._kept[make]
-
-    def _nodal(self, q):
-        """q as (nodes, 2) for the kernels, which do not check bounds."""
-        return _sized(q, self.n, "q").reshape(-1, 2)
-
-    def _flat(self, lam):
-        return _sized(lam, self.m, "lam")
-
-
-def _sized(values, size, name):
-    array = np.array(values, float)
-    if array.shape != (size,):
-        raise ValueError(f"{name} has shape {array.shape}, the model needs ({size},)")
-    return array

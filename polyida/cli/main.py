@@ -5,17 +5,17 @@ Exit codes: 0 done, 1 a run failed (what it has is kept), 2 the input was wrong.
 
 import shlex
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from polyida.cli.places import free, made, make
-from polyida.cli.terminal import tolerate_letters, writable
+from polyida.cli.terminal import bars, error, lines, table, tolerate_letters, writable
 from polyida.errors import InputError
 
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
+LISTED = {"compared": "quantity", "source": "source"}
 HELP = "Flexible multibody dynamics with polygonal finite elements. Start with: polyida compare double-plate"
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
                   help=HELP)
@@ -51,8 +51,8 @@ def main(args=None):
             return _run(args)
     except SystemExit as stop:
         return stop.code or 0
-    except InputError as error:
-        _error(" ".join(str(error).split()), getattr(error, "trace", ""))
+    except InputError as wrong:
+        error(" ".join(str(wrong).split()), getattr(wrong, "trace", ""))
         return 2
 
 
@@ -64,7 +64,7 @@ def _run(args):
         app(args, prog_name="polyida", obj=shlex.join(["polyida", *args]))
     except SystemExit as stop:
         if stop.code == INTERRUPTED:
-            _error("interrupted")
+            error("interrupted")
         return stop.code or 0
     return 0
 
@@ -88,17 +88,17 @@ def compare(context: typer.Context, scene: Scene,
     from polyida.study.job import load
 
     job = load(scene, time=time, step=step, cells=cells)
-    folder = free(out, Path(f"{job.name}-compare"), overwrite, _lines)
-    with made(folder), _progress() as tell:
+    folder = free(out, Path(f"{job.name}-compare"), overwrite, lines)
+    with made(folder), bars() as tell:
         found = run_all(job, rtol, tell)
         written = report.write(found, folder, context.obj, lambda what: tell("writing the report", None, what))
     headings, rows = page.table(found)
     columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
-    _table(f"{job.name}: {page.system(job)}", columns[0], columns[1:])
-    _lines(*found.notes, style="red")
-    _lines(*(f"{label}: {run.message}" for label, run in found.runs.items() if run.success and run.message))
+    table(f"{job.name}: {page.system(job)}", columns[0], columns[1:])
+    lines(*found.notes, style="red")
+    lines(*(f"{label}: {run.message}" for label, run in found.runs.items() if run.success and run.message))
     frames = folder / "frames" / "run.pvd"
-    _lines(page.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
+    lines(page.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
     if not found.success:
         raise typer.Exit(1)
 
@@ -123,9 +123,9 @@ def run(scene: SceneOrNone = None, integrator: Integrator = None, cells: Cells =
 
     job, integrator = load(scene, time=time, step=step, cells=cells), integrator or "alpha"
     member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
-    path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, _lines)
+    path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, lines)
     make(path.parent)
-    with _progress() as tell, job.code():
+    with bars() as tell, job.code():
         tell("preparing kernels", None)
         warm_up(job, member)
         result = solve(job.model, job.time, member, q0=job.q0, v0=job.v0,
@@ -148,31 +148,36 @@ def _resumed(path, scene, cells, time):
 
     job = load(scene, time=time, cells=cells) if scene else None
     end = time or _load(path).plan.get("t_end") or 1.0
-    with _progress() as tell, job.code() if job else nullcontext():
+    with bars() as tell, job.code() if job else nullcontext():
         result = resume(path, time, model=job and job.model, progress=lambda t: tell("going on", t / end))
     _saved(result, path)
 
 
 def _saved(result, path):
     """Say how a run ended and where it is; leave with 1 where it failed."""
-    _lines(result.summary(), style=None if result.success else "red")
-    _lines(f"Saved: {path}")
+    lines(result.summary(), style=None if result.success else "red")
+    lines(f"Saved: {path}")
     if not result.success:
         raise typer.Exit(INTERRUPTED if result.status == "interrupted" else 1)
 
 
 @app.command("list")
-def list_scenes():
-    """List the scenes and problems that have a name: what is compared with which reference."""
-    from polyida import problems
+def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", help="A file of yours, with what it adds.")] = None):
+    """List the problems and studies that have a name: what is compared with which reference."""
+    from polyida import registry
     from polyida.problems.about import ABOUT
-    from polyida.study.job import maker
+    from polyida.study import scene_file
+
+    if file:
+        scene_file.executed(file)
 
     def brief(name):
-        quantity, source = (ABOUT[name][key].split(";")[0] for key in ("quantity", "source"))
-        return f"{_description(maker(name))}\ncompared: {quantity}\nsource: {source}\n"
+        about = [f"{told}: {ABOUT[name][key].split(';')[0]}" for told, key in LISTED.items() if name in ABOUT]
+        return "\n".join([_description(registry.find(registry.problems, name)), *about, ""])
 
-    _table(None, ["name", "what it is"], [[name, brief(name)] for name in problems.names()])
+    table(None, ["name", "what it is"], [[name, brief(name)] for name in registry.problems])
+    if registry.studies:
+        table(None, ["study", "what it is"], [[name, registry.find(registry.studies, name).title] for name in registry.studies])
 
 
 @app.command()
@@ -182,7 +187,7 @@ def show(file: RunFile):
     counts, machine = (", ".join(f"{key} {value}" for key, value in data.items())
                        for data in (loaded.counts.as_dict(), loaded.machine))
     kind, n, m = type(loaded.model).__name__, loaded.q.shape[1], loaded.lam.shape[1]
-    _table(str(file), ["", ""], [
+    table(str(file), ["", ""], [
         ["run", loaded.summary()],
         ["frames", f"{len(loaded.t)}" + (f", t = {loaded.t[0]:g} .. {loaded.t[-1]:g} s" if len(loaded.t) else "")],
         ["model", f"{kind}, {n} coordinates, {m} constraints"],
@@ -199,12 +204,12 @@ def animate(file: RunFile, out: _option(Path, "GIF file; beside the run by defau
     """Draw the plates of a saved run as an animated GIF, coloured by von Mises stress."""
     from polyida.show.animation import gif
 
-    loaded, path = _load(file), free(out, file.with_suffix(".gif"), overwrite, _lines)
+    loaded, path = _load(file), free(out, file.with_suffix(".gif"), overwrite, lines)
     make(path.parent)
     total = min(frames, len(loaded.t))
-    with _progress() as tell:
+    with bars() as tell:
         gif(loaded, path, frames=frames, overwrite=overwrite, progress=lambda done: tell("drawing", done / total))
-    _lines(f"Written: {path}")
+    lines(f"Written: {path}")
 
 
 @app.command()
@@ -215,19 +220,35 @@ def export(file: RunFile, vtu: Annotated[Path, typer.Option(metavar="FOLDER", he
 
     loaded = _load(file)
     make(vtu.parent)
-    _lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
+    lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
-def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="NAME", help="A script in ./studies.")]):
-    """Run a study of the folder ./studies; options after NAME (--quick, --out, --fresh) go to it."""
+def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="NAME", help="A script in ./studies, or my_study.py:NAME.")]):
+    """Run a study of the folder ./studies or of a file of yours; options after NAME (--quick, --out, --fresh) go to it."""
     import subprocess
 
+    from polyida import registry
+
+    if ".py" in name or name in registry.studies:
+        _run_study(name, context.args, context.obj)
+        return
     script = Path("studies") / f"{name}.py"
     if not script.is_file():
         known = ", ".join(sorted(path.stem for path in Path("studies").glob("*.py"))) or "none; run it in a clone of the repository"
         raise InputError(f"no study {name!r} in ./studies; there are: {known}")
     raise typer.Exit(subprocess.run([sys.executable, str(script), *context.args], check=False).returncode)
+
+
+def _run_study(name, arguments, command):
+    """Run a registered study, or the one that `my_study.py:NAME` names."""
+    from polyida import registry
+    from polyida.cli.study import main as run_study
+    from polyida.study import scene_file
+    from polyida.study.harness import Study
+
+    book = registry.studies
+    run_study(registry.find(book, name) or scene_file.named(name, book, Study, "studies"), arguments, command)
 
 
 def _load(file):
@@ -241,47 +262,5 @@ def _load(file):
 
 def _description(function):
     """First line of what a problem's function, or its module where that holds one problem, says of itself."""
-    described = sys.modules[function.__module__] if function.__name__ == "problem" else function
+    described = sys.modules[function.__module__] if getattr(function, "__name__", "") == "problem" else function
     return (described.__doc__ or "").strip().split("\n")[0]
-
-
-@contextmanager
-def _progress():
-    """A function tell(label, fraction, detail="") behind which a progress bar a label stands, on the error stream."""
-    from polyida.show.progress import bars
-
-    with bars() as tell:
-        yield tell
-
-
-def _table(title, headings, rows):
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=title and Text(title), title_justify="left", box=box.SIMPLE_HEAD, show_header=any(headings))
-    for i, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if i == 0 or len(headings) == 2 else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*map(Text, row))
-    Console().print(table)
-
-
-def _lines(*lines, style=None):
-    from rich.console import Console
-    from rich.text import Text
-
-    for line in filter(None, lines):
-        Console().print(Text(line, style=style or ""), soft_wrap=True)
-
-
-def _error(message, trace=""):
-    """One red line on the error stream; under it the user's own traceback where the fault is in their file."""
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(stderr=True)
-    console.print(Text(message, style="red"), soft_wrap=True)
-    if trace:
-        console.print(Text(trace), soft_wrap=True)

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import math
 import sys
 from itertools import chain
 from pathlib import Path
@@ -10,14 +9,15 @@ from pathlib import Path
 from polyida.cli.terminal import tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
+from polyida.show.page import finite
 from polyida.study.findings import findings
 from polyida.study.harness import of_other_code, plain, results, write_whole
 
 CELL = 40  # characters of a table's cell
 
 
-def main(study, arguments=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`.
+def main(study, arguments=None, command=None):
+    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`. command: what was typed, of a study that is no script.
 
     Prints the table, writes figures.json and pictures. Failed tasks are rows and lines; figures that need them are
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
@@ -28,10 +28,10 @@ def main(study, arguments=None):
     out = Path(options.out or "-".join([study.name, *_given(study, options), *["quick"] * options.quick]))
     tasks = out / "tasks"
     try:
-        study, command = _meant(study, options)
+        study, typed = _meant(study, options)
         rows = _results(study, options, out)
         found = findings(study, rows, out)
-        data = _write_figures(command, rows, found, out)
+        data = _write_figures(command or typed, rows, found, out)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
@@ -84,17 +84,9 @@ def _write_figures(command, rows, found, out):
     """figures.json, and what it holds: strict JSON, so that what is not finite is null there."""
     kept = [{name: value for name, value in row.items() if name != "traceback"} for row in rows]
     data = {"figures": found.figures, "notes": found.notes, "rows": kept, "machine": machine_info(), "command": command}
-    text = json.dumps(_finite(json.loads(json.dumps(data, default=plain))), indent=1, allow_nan=False)
+    text = json.dumps(finite(json.loads(json.dumps(data, default=plain))), indent=1, allow_nan=False)
     write_whole(out / "figures.json", text)
     return json.loads(text)
-
-
-def _finite(value):
-    if isinstance(value, dict):
-        return {name: _finite(entry) for name, entry in value.items()}
-    if isinstance(value, list):
-        return [_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def parser(study):

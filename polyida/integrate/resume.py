@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.given import is_number
-from polyida.guarded_model import guard
 from polyida.integrate.running.run import Run
 from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.layout import FRAMES
 from polyida.io.load import integrator_of, model_of
-from polyida.io.reader import named, naming, read
+from polyida.io.reader import naming, read
 from polyida.io.save import commit, create, free
 from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore
 from polyida.keywords import named_keywords
+from polyida.machine import one_blas_thread
 from polyida.model import Model
-from polyida.threads import one_blas_thread
+from polyida.model.guarded import guard
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -43,12 +43,12 @@ def resume(path: str | Path, t_end: float | None = None, *, model: Model | None 
     """
     _require(t_end, until, progress, memory_limit)
     stored = read(path)
-    with named(path):
+    with naming(path, everything=False):
         try:
             model, integrator, plan = _asked(stored, t_end, model, integrator, until)
             store = _continued(stored, model, integrator, plan, memory_limit)
         finally:
-            stored.close()
+            stored.file.close()
     restart, (cpu, wall) = stored.restart, stored.seconds
     clocks = time.perf_counter() - wall, time.process_time() - cpu
     run = Run(model, integrator, plan, store, Counts(**restart.counts), clocks, until or None, progress)
@@ -119,8 +119,6 @@ def _continued(stored, model, integrator, plan, memory_limit):
     file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, dict(stored.about["machine"]))
     with file.publishing(True):
         store = FrameStore(stored.n, stored.m, memory_limit, file)
-        for first in range(0, restart.frames, file.rows):
-            end = min(first + file.rows, restart.frames)
-            store.extend([stored.rows(name, first, end) for name in FRAMES])
+        store.extend([stored.columns[name] for name in FRAMES], restart.frames)
         commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart)
     return store

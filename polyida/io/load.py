@@ -1,5 +1,6 @@
 """`load`: a Trajectory from a file; the scene and the integrator that made it are built again from the file's data."""
 
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT) -> Trajectory:
         try:
             return _trajectory(stored, memory_limit)
         except BaseException:
-            stored.close()
+            stored.file.close()
             raise
 
 
@@ -47,20 +48,9 @@ def _trajectory(stored, memory_limit):
         status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
     if damage:
         status, message = "damaged", damage
-    return Trajectory(
-        model,
-        integrator_of(stored),
-        **stored.frames(memory_limit),
-        status=status,
-        message=message,
-        counts=stored.counts,
-        cpu_seconds=stored.seconds[0],
-        wall_seconds=stored.seconds[1],
-        machine=dict(about["machine"]),
-        restart=stored.restart,
-        plan=dict(about["plan"]),
-        missing=missing,
-    )
+    return Trajectory(model, integrator_of(stored), **stored.frames(memory_limit), status=status, message=message, counts=stored.counts,
+                      cpu_seconds=stored.seconds[0], wall_seconds=stored.seconds[1], machine=dict(about["machine"]),
+                      restart=stored.restart, plan=dict(about["plan"]), missing=missing)
 
 
 def _model(stored):
@@ -68,16 +58,18 @@ def _model(stored):
     if stored.about["drives"] and not stored.count:
         return None, "its profiles are functions of a user's own, of which the file holds no value yet"
     try:
-        return model_of(stored, _drives(stored)), Trajectory.missing
+        times = np.asarray(stored.columns["t"])
+        drives = {key: _interpolated(times, np.asarray(stored.columns[key])) for key in stored.about["drives"]}
+        return model_of(stored, drives), Trajectory.missing
     except UnknownPart as unknown:
         return None, f"the file's scene cannot be built: {unknown}"
 
 
 def integrator_of(stored):
-    """The integrator with its settings, or its name where its class is not in `registry.integrators`."""
+    """The integrator with its settings, or its name where `registry.integrators` has no dataclass of that name."""
     kind, settings = stored.about["integrator"]["kind"], stored.about["integrator"]["settings"]
     known = registry.find(registry.integrators, kind)
-    return str(kind) if known is None else known(**settings)
+    return known(**settings) if is_dataclass(known) else str(kind)
 
 
 def model_of(stored, drives):
@@ -86,26 +78,19 @@ def model_of(stored, drives):
 
     if "scene" not in stored.about:
         return None
-    parts, gravity = from_data(stored.about["scene"], stored.arrays.group("scene"), drives.get)
+    parts, gravity = from_data(stored.about["scene"], stored.arrays("scene"), drives.get)
     scene = Scene(gravity)
     for part in parts.values():
         scene.add(part)
     model = scene.build()
     if (model.n, model.m) != (stored.n, stored.m):
-        raise InputError(
-            f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; "
-            "the file is damaged"
-        )
+        raise InputError(f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; "
+                         "the file is damaged")
     return model
 
 
-def _drives(stored):
-    """{key: profile through the values that the run saw}."""
-    times = stored.rows("t", 0, stored.count)
-    return {key: _interpolated(times, stored.rows(key, 0, stored.count)) for key in stored.about["drives"]}
-
-
 def _interpolated(times, samples):
+    """The profile through the values (frames, 3) that a run saw."""
     from scipy.interpolate import CubicHermiteSpline
 
     from polyida.profile import Profile, constant

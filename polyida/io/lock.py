@@ -4,6 +4,8 @@ import os
 import struct
 from contextlib import suppress
 
+from polyida.errors import InputError
+
 try:
     import fcntl
 except ImportError:  # not on this system
@@ -13,30 +15,26 @@ CAN_TELL = hasattr(fcntl, "F_OFD_GETLK")
 LAYOUT = "hhqqi4x"  # struct flock
 
 
-def lock(descriptor):
-    """Mark an open file until the process ends, closes or unlocks it; nothing where the system has no such locks."""
+def lock(file, on=True):
+    """Mark an open file until the process ends or closes it, or take the mark off; nothing where the system has no such locks."""
     if CAN_TELL:
         with suppress(OSError):
-            fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, _request(fcntl.F_WRLCK))
-
-
-def unlock(descriptor):
-    """Take the mark off."""
-    if CAN_TELL:
-        with suppress(OSError):
-            fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, _request(fcntl.F_UNLCK))
+            fcntl.fcntl(file, fcntl.F_OFD_SETLK, _request(fcntl.F_WRLCK if on else fcntl.F_UNLCK))
 
 
 def being_written(path):
     """Whether a process that lives is writing the file; False where there is none, or the system cannot tell."""
-    if not CAN_TELL:
-        return False
-    try:
-        with open(path, "rb") as file:
+    if CAN_TELL:
+        with suppress(OSError), open(path, "rb") as file:
             answer = fcntl.fcntl(file, fcntl.F_OFD_GETLK, _request(fcntl.F_RDLCK))
-    except OSError:
-        return False
-    return struct.unpack(LAYOUT, answer)[0] != fcntl.F_UNLCK
+            return struct.unpack(LAYOUT, answer)[0] != fcntl.F_UNLCK
+    return False
+
+
+def require_unwritten(path):
+    """Raise InputError where a living process writes the file."""
+    if being_written(path):
+        raise InputError(f"{path}: another process is still writing it; it is not replaced")
 
 
 def _request(kind):

@@ -1,6 +1,7 @@
 """Result files opened and looked through: what they hold, what of it is whole."""
 
 import json
+import math
 import os
 import time
 import zlib
@@ -11,9 +12,8 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State
-from polyida.io.checked import Checked
-from polyida.io.frames import StoredFrames, held, rows_of
-from polyida.io.layout import FORMAT, HEAD, frames_at_once, shapes_of, width_of
+from polyida.io.frames import StoredFrames
+from polyida.io.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, frames_at_once, shapes_of, width_of
 from polyida.io.lock import being_written
 from polyida.io.source import Source
 
@@ -21,24 +21,16 @@ TRIES, PAUSE = 50, 0.01  # s: at a file that is being written
 
 
 @contextmanager
-def named(path):
-    """Have every InputError name the file."""
+def naming(path, everything=True):
+    """Have every InputError name the file; with `everything`, whatever goes wrong in reading it is such an error."""
     try:
         yield
     except InputError as error:
         raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-
-
-@contextmanager
-def naming(path):
-    """Turn whatever goes wrong in reading a file into one InputError that names it."""
-    with named(path):
-        try:
-            yield
-        except InputError:
+    except Exception as error:  # noqa: BLE001, a damaged file fails in the library, in json or here, in ways that nobody can list
+        if not everything:
             raise
-        except Exception as error:  # noqa: BLE001, a damaged file fails in the library, in json or here, in ways that nobody can list
-            raise InputError(f"not a whole polyida trajectory ({type(error).__name__}: {error})") from None
+        raise InputError(f"{path}: not a whole polyida trajectory ({type(error).__name__}: {error})") from None
 
 
 def read(path):
@@ -50,50 +42,64 @@ def read(path):
     if not found:
         wrong = isinstance(path, (str, Path)) and f"{path}: no such file"
         raise InputError(wrong or f"{path!r:.100} must be the path of a file")
+    if not being_written(path):
+        with naming(path):
+            return read_open(os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0)), Path(path))
     with naming(path):
-        live = being_written(path)
-        return Stored(_opened(path, live), Path(path), os.path.getsize(path), live)
+        import h5py
+
+        file = h5py.File(path, "r", libver="latest", swmr=True, locking=False)
+        return Stored(file, Path(path), os.path.getsize(path), live=True)
 
 
 def read_open(descriptor, path):
-    """The Stored of a file that this process has written, by its descriptor, whatever lies at its path by now."""
+    """The Stored of a file that nobody writes, by its descriptor, which it owns, whatever lies at its path by now."""
+    import h5py
+
+    source = Source(descriptor)
     with naming(path):
-        source = Source(descriptor)
-        return Stored(_h5(source), path, source.size)
+        return Stored(h5py.File(source, "r"), path, source.size)
 
 
-def _opened(path, live):
-    """The file opened for reading, also while it is written or after its writer was killed. Raises OSError."""
+def _datasets(file, size):
+    """{path: dataset} of an open file that nobody vouches for, none of them read yet: all together not more than fit in its `size`.
+
+    No links to other files, no virtual, external or compressed datasets, no numbers but integers and floats. Raises
+    InputError naming the dataset.
+    """
     import h5py
 
-    if live:
-        return h5py.File(path, "r", libver="latest", swmr=True, locking=False)
-    source = Source(os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0)))
-    return _h5(source) if source.marked else h5py.File(path, "r", locking=False)
-
-
-def _h5(source):
-    import h5py
-
-    return h5py.File(source, "r")
+    found, claimed = {}, 0
+    file.visititems(lambda name, node: found.update({name: node}) if isinstance(node, h5py.Dataset) else None)
+    for name, node in found.items():
+        if node.dtype.kind not in "fiu" or node.shape is None:
+            raise InputError(f"{name} does not hold numbers")
+        made = node.id.get_create_plist()
+        if node.is_virtual or node.external or {made.get_filter(k)[0] for k in range(made.get_nfilters())} - {h5py.h5z.FILTER_FLETCHER32}:
+            raise InputError(f"{name} is virtual, external or compressed")
+        claimed += node.dtype.itemsize * math.prod(node.shape)
+        chunk = node.dtype.itemsize * math.prod(node.chunks or (0,))
+        if max(claimed, chunk) > 2 * size + BLOCK_BYTES:
+            raise InputError(f"{name} claims {max(claimed, chunk)} bytes, the file has {size}")
+    return found
 
 
 class Stored:
     """An open file, checked: plain data `about`, the last whole `record`, `restart`, where the run goes on, or None.
 
     torn: whether a slot is not whole. counts; seconds: (CPU, wall). n, m: of the model. count: frames that hold.
-    arrays: the datasets. Raises InputError, or whatever a damaged file makes fail.
+    columns: {name: StoredFrames} of t, q, v, a, lam and the drives. Raises InputError, or whatever a damaged file makes fail.
     """
 
     def __init__(self, file, path, size, live=False):
-        self.file, self.path, self.live, self.arrays = file, path, live, Checked(file, size)
+        self.file, self.path, self.live = file, path, live
         try:
             if str(file.attrs.get("format")) != FORMAT:
                 raise InputError(f"not a polyida trajectory (format {file.attrs.get('format')!r}, {FORMAT!r} is needed)")
-            self.about = json.loads(self.arrays.array("about", (None,)).astype(np.uint8).tobytes())
+            self._found = _datasets(file, size)
+            self.about = json.loads(self._array("about").astype(np.uint8).tobytes())
             self.record, numbers = self._newest()
-            self.n = self.arrays.dataset("q", (None, None)).shape[1]
-            self.m = self.arrays.dataset("lam", (None, None)).shape[1] if "lam" in file else 0
+            self.n, self.m = (self._dataset(name, None, None).shape[1] if name in file else 0 for name in ("q", "lam"))
             self.shapes = shapes_of(self.n, self.m, dict.fromkeys(self.about["drives"]))
             self.seconds = float(self.record["cpu_seconds"]), float(self.record["wall_seconds"])
             self.counts = counts_of(self.record["counts"])
@@ -102,9 +108,30 @@ class Stored:
             file.close()
             raise
 
-    def close(self):
-        """Close the file."""
-        self.file.close()
+    def _dataset(self, name, *shape):
+        """The dataset of that name, not read; of this shape where one is given, None in it where any length is right."""
+        if name not in self._found:
+            raise InputError(f"{name} is not in the file")
+        there = self._found[name].shape
+        if shape and (len(shape) != len(there) or any(b not in (None, a) for a, b in zip(there, shape))):
+            raise InputError(f"{name} has the shape {there}; {shape} is needed")
+        return self._found[name]
+
+    def _array(self, name):
+        """A dataset read whole: finite float64, int64, or bytes."""
+        try:
+            values = np.asarray(self._dataset(name)[()])
+        except OSError as error:
+            raise InputError(f"{name} is damaged ({error})") from None
+        if values.dtype != np.uint8:
+            values = values.astype(np.float64 if values.dtype.kind == "f" else np.int64)
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise InputError(f"{name} holds values that are not finite")
+        return values
+
+    def arrays(self, group):
+        """{path in the group: array} of a group that may be missing."""
+        return {name.removeprefix(f"{group}/"): self._array(name) for name in self._found if name.startswith(f"{group}/")}
 
     def _newest(self):
         """(record, numbers) of the newer whole slot; one that is being written is waited for."""
@@ -118,17 +145,15 @@ class Stored:
 
     def _slot(self, name):
         """(record, numbers) of a slot, None where it is not whole, () where nothing was written yet."""
-        dataset = self.arrays.dataset(name, (None,))
+        dataset = self._dataset(name, None)
         if self.live:
             dataset.refresh()
         stored = dataset[()].astype(np.uint8).tobytes()
         if not stored:
             return ()
-        if len(stored) < HEAD.size:
-            return None
-        length, check, text = HEAD.unpack_from(stored)
+        length, check, text = HEAD.unpack_from(stored.ljust(HEAD.size, b"\0"))
         body = stored[HEAD.size : HEAD.size + length]
-        if len(body) != length or zlib.crc32(body) != check:
+        if not body or len(body) != length or zlib.crc32(body) != check:
             return None
         return json.loads(body[:text]), np.frombuffer(body[text:], float)
 
@@ -136,9 +161,10 @@ class Stored:
         """Split the numbers of a slot into the state to go on from and the frames behind the last block."""
         record, n, m = self.record, self.n, self.m
         self.count, rows = int(record["frames"]), int(record["tail"])
-        lengths = [len(self.arrays.dataset(name, (None, *shape))) for name, shape in self.shapes.items() if shape != (0,)]
-        if not 0 <= rows <= self.count <= min(lengths) + rows:
-            raise InputError(f"it holds {min(lengths)} frames, {self.count - rows} are stated; the file is damaged")
+        found = {name: self._dataset(name, None, *shape) for name, shape in self.shapes.items() if shape != (0,)}
+        least = min(map(len, found.values()))
+        if not 0 <= rows <= self.count <= least + rows:
+            raise InputError(f"it holds {least} frames, {self.count - rows} are stated; the file is damaged")
         memory = [(str(name), tuple(map(int, shape))) for name, shape in record["memory"]]
         shapes = [(), (n,), (n,), (n,), (m,), *(shape for _, shape in memory)] if record["restart"] else []
         shapes += [(rows, *shape) for shape in self.shapes.values()]
@@ -146,12 +172,13 @@ class Stored:
         if min(sizes) < 0 or sum(sizes) != len(numbers) or not np.isfinite(numbers).all():
             raise InputError("the last frames, or the state to go on from, are damaged")
         parts = [part.reshape(shape) for part, shape in zip(np.split(numbers, np.cumsum(sizes)), shapes)]
-        self.tail = dict(zip(self.shapes, parts[-len(self.shapes) :]))
-        self.restart = self._restart(memory, parts) if record["restart"] else None
+        tails = dict(zip(self.shapes, parts[-len(self.shapes) :]))
+        none = np.zeros((self.count, 0))  # of no width: lam without constraints
+        self.columns = {name: StoredFrames(found.get(name, none), tail, self.count, self.path) for name, tail in tails.items()}
+        self.restart = self._restart([name for name, _ in memory], parts) if record["restart"] else None
 
-    def _restart(self, memory, parts):
-        told, names = self.record["restart"], [name for name, _ in memory]
-        state = State(float(parts[0]), *parts[1:5], dict(zip(names, parts[5:])))
+    def _restart(self, names, parts):
+        told, state = self.record["restart"], State(float(parts[0]), *parts[1:5], dict(zip(names, parts[5:])))
         if not 0 <= int(told["frames"]) <= self.count:
             raise InputError("the state to go on from is damaged")
         return Restart(state, int(told["frames"]), counts_of(told["counts"]).as_dict())
@@ -161,51 +188,43 @@ class Stored:
 
         Raises InputError where no frame is whole.
         """
+        good, why = min((self._whole(name, frames) for name, frames in self.columns.items()), key=lambda found: found[0])
+        if good == self.count:
+            return ""
+        if good == 0:
+            raise InputError(f"all its frames are damaged: {why}")
+        message = f"frames {good} to {self.count - 1} are damaged ({why}); these are the ones before"
+        self.count, self.restart = good, None
+        for frames in self.columns.values():
+            frames.cut(good)
+        return message
+
+    def _whole(self, name, frames):
+        """(how many frames of a column come before the first that is damaged, what that is)."""
         step, last = frames_at_once(width_of(self.shapes)), -np.inf
         for first in range(0, self.count, step):
-            end = min(first + step, self.count)
-            good, why = self._whole(first, end, last)
-            if good < end:
-                if good == 0:
-                    raise InputError(f"all its frames are damaged: {why}")
-                message = f"frames {good} to {self.count - 1} are damaged ({why}); these are the ones before"
-                self.count, self.restart = good, None
-                return message
-            last = self.rows("t", first, end)[-1]
-        return ""
-
-    def _whole(self, first, end, last):
-        """(the first frame from `first` to `end` that is not whole, or `end`; why). last: the time before."""
-        reason = ""
-        for name in (name for name, shape in self.shapes.items() if shape != (0,)):
             try:
-                values = self.rows(name, first, end)
+                values = frames.rows(first, min(first + step, self.count))
             except OSError as error:
                 return first, f"{name}: {'its checksum does not fit' if 'filter' in str(error) else error}"
             wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-            falls = np.diff(values, prepend=last) < 0 if name == "t" else np.zeros_like(wrong)
+            falls = np.diff(values, prepend=last) < 0 if name == "t" else wrong
             if (wrong | falls).any():
-                end = first + int((wrong | falls).argmax())
-                reason = f"{name}: " + ("values that are not finite" if wrong.any() else "the times do not increase")
-        return end, reason
-
-    def rows(self, name, first, end):
-        """Frames first to end of t, q, v, a, lam or a drive. Raises OSError where a checksum does not fit."""
-        if self.shapes[name] == (0,):
-            return np.zeros((end - first, 0))
-        return rows_of(self.file[name], self._tail(name), self.count, first, end)
-
-    def _tail(self, name):
-        stored = int(self.record["frames"]) - int(self.record["tail"])
-        return self.tail[name][: max(0, self.count - stored)]
+                return first + int((wrong | falls).argmax()), f"{name}: " + ("values that are not finite" if wrong.any() else "the times do not increase")
+            last = values[-1]
+        return self.count, ""
 
     def frames(self, limit):
-        """{name: frames}; the file is closed where all are in memory."""
-        shapes = shapes_of(self.n, self.m)
-        frames = held(self.file, shapes, self.count, {name: self._tail(name) for name in shapes}, limit, self.path)
-        if not any(isinstance(values, StoredFrames) for values in frames.values()):
-            self.close()
-        return frames
+        """{name: frames} of t, q, v, a and lam: arrays, but StoredFrames where all are over `limit` bytes and they not small beside it.
+
+        The file is closed where none are left there.
+        """
+        found = {name: self.columns[name] for name in FRAMES}
+        whole = sum(values.nbytes for values in found.values()) <= limit
+        found = {name: np.asarray(x) if whole or name == "t" or 32 * x.nbytes <= limit else x for name, x in found.items()}
+        if not any(isinstance(values, StoredFrames) for values in found.values()):
+            self.file.close()
+        return found
 
 
 def counts_of(stored):

@@ -10,9 +10,10 @@ from polyida import registry
 from polyida.errors import InputError
 from polyida.given import is_flag
 from polyida.io.layout import FRAMES
+from polyida.io.lock import require_unwritten
 from polyida.io.scene_data import to_data
 from polyida.io.store import FrameStore
-from polyida.io.writer import Writer, require_unwritten
+from polyida.io.writer import Writer
 
 
 def save(run, path, overwrite=False):
@@ -20,9 +21,8 @@ def save(run, path, overwrite=False):
     path, n, m = free(path, overwrite), run.q.shape[1], run.lam.shape[1]
     file = create(path, run.model, run.integrator, n, m, run.plan, run.machine)
     with file.publishing(overwrite):
-        store, step = FrameStore(n, m, file=file), file.rows
-        for first in range(0, len(run), step):
-            store.extend([getattr(run, name)[first : first + step] for name in FRAMES])
+        store = FrameStore(n, m, file=file)
+        store.extend([getattr(run, name) for name in FRAMES], len(run))
         store.put_away()
         commit(store, run.status, run.message, run.counts, (run.cpu_seconds, run.wall_seconds), run.restart, last=True)
         file.close()
@@ -57,21 +57,13 @@ def free(given, overwrite):
 
 def create(path, model, integrator, n, m, plan, machine):
     """A Writer with what is known before the run: integrator, scene, what was asked for, on what machine."""
-    about, arrays, drives = describe(model, integrator)
-    about |= {"plan": plan, "machine": machine}
-    return Writer.create(path, n, m, about, arrays, drives, fsync=bool(plan.get("fsync")))
-
-
-def describe(model, integrator):
-    """(plain data, {key: array}, {dataset: profile that has no formula}) of a model and an integrator."""
     kind = integrator if isinstance(integrator, str) else registry.name_of(type(integrator))
     settings = asdict(integrator) if is_dataclass(integrator) else {}
-    about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "drives": {}}
-    if not model.parts:
-        return about, {}, {}
-    about["scene"], arrays, named = to_data(model.parts, model.gravity)
-    about["drives"], drives = {key: name for key, (name, _) in named.items()}, {key: profile for key, (_, profile) in named.items()}
-    return about, {f"scene/{key}": array for key, array in arrays.items()}, drives
+    about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "plan": plan, "machine": machine}
+    scene, arrays, drives = to_data(model.parts, model.gravity) if model.parts else (None, {}, {})
+    about |= ({"scene": scene} if scene else {}) | {"drives": {key: name for key, (name, _) in drives.items()}}
+    profiles = {key: profile for key, (_, profile) in drives.items()}
+    return Writer.create(path, n, m, about, {f"scene/{key}": array for key, array in arrays.items()}, profiles, bool(plan.get("fsync")))
 
 
 def commit(store, status, message, counts, seconds, restart, last=False):

@@ -6,21 +6,23 @@ again and again for hours. Here the mark is taken off in what is read, not in th
 (bytes 44 to 47) made to fit. Source: HDF5 File Format Specification 3.0; checksum: Bob Jenkins, lookup3.
 """
 
+import io
 import os
 import struct
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-LENGTH = 48  # of the superblock
+START, LENGTH = b"\x89HDF\r\n\x1a\n\3\x08", 48  # of a superblock of version 3
+MASK = 0xFFFFFFFF
 
 
-class Source:
+class Source(io.RawIOBase):
     """A readable file object on a descriptor, which it owns; position and reads are its own, also after a fork."""
 
     def __init__(self, descriptor):
         self._descriptor, self._at, self.size = descriptor, 0, os.fstat(descriptor).st_size
-        head = _read_at(descriptor, LENGTH, 0)
-        self.marked = head[:8] == SIGNATURE and len(head) == LENGTH and head[8:10] == b"\3\x08" and head[11] != 0
-        self._head = _unmarked(head, self.size) if self.marked else head
+        self._head = b""
+        head = self._part(LENGTH)
+        marked = head[:10] == START and len(head) == LENGTH and head[11] != 0
+        self._head = _unmarked(head, self.size) if marked else head
 
     def __del__(self):
         os.close(self._descriptor)
@@ -34,26 +36,21 @@ class Source:
         """As of a file."""
         return self._at
 
-    def read(self, size=-1):
-        """As of a file, the superblock repaired."""
-        begin = self._at
-        data = _read_at(self._descriptor, self.size - begin if size < 0 else size, begin)
-        self._at += len(data)
-        return data if begin >= LENGTH else self._head[begin : begin + len(data)] + data[LENGTH - begin :]
-
     def readinto(self, buffer):
         """As of a file, the superblock repaired."""
         view = memoryview(buffer).cast("B")
-        data = self.read(len(view))
+        data = self._part(len(view))
         view[: len(data)] = data
+        self._at += len(data)
         return len(data)
 
-
-def _read_at(descriptor, size, begin):
-    if hasattr(os, "pread"):
-        return os.pread(descriptor, size, begin)
-    os.lseek(descriptor, begin, os.SEEK_SET)
-    return os.read(descriptor, size)
+    def _part(self, size):
+        if hasattr(os, "pread"):
+            data = os.pread(self._descriptor, size, self._at)
+        else:
+            os.lseek(self._descriptor, self._at, os.SEEK_SET)
+            data = os.read(self._descriptor, size)
+        return self._head[self._at : self._at + len(data)] + data[max(0, len(self._head) - self._at) :]
 
 
 def _unmarked(head, size):
@@ -62,33 +59,19 @@ def _unmarked(head, size):
 
 
 def checksum(data):
-    """lookup3 of bytes whose number is a multiple of four, not of twelve."""
-    words = list(struct.unpack(f"<{len(data) // 4}I", data))
-    a = b = c = (0xDEADBEEF + len(data)) & 0xFFFFFFFF
-    while len(words) > 3:
-        a, b, c = _mixed(a + words[0], b + words[1], c + words[2])
-        words = words[3:]
-    a, b, c = (x + y & 0xFFFFFFFF for x, y in zip((a, b, c), words + [0, 0]))
-    for shift_c, shift_a, shift_b in ((14, 11, 25), (16, 4, 14), (24, None, None)):
-        c = _less(c ^ b, b, shift_c)
-        if shift_a:
-            a = _less(a ^ c, c, shift_a)
-            b = _less(b ^ a, a, shift_b)
-    return c
-
-
-def _mixed(a, b, c):
-    for shift in (4, 6, 8, 16, 19, 4):
-        a = (a - c & 0xFFFFFFFF) ^ _turned(c, shift)
-        c = c + b & 0xFFFFFFFF
-        a, b, c = b, c, a
-    return a, b, c
-
-
-def _less(x, y, shift):
-    return x - _turned(y, shift) & 0xFFFFFFFF
+    """lookup3 of the 44 bytes before a superblock's checksum."""
+    words = [*struct.unpack("<11I", data), 0]
+    a = b = c = 0xDEADBEEF + len(data)
+    for k in (0, 3, 6):
+        a, b, c = a + words[k], b + words[k + 1], c + words[k + 2]
+        for shift in (4, 6, 8, 16, 19, 4):
+            a, b, c = b, b + c & MASK, (a - c & MASK) ^ _turned(c, shift)
+    x, y, z = c, b + words[10] & MASK, a + words[9] & MASK
+    for shift in (14, 11, 25, 16, 4, 14, 24):
+        x, y, z = z, (x ^ y) - _turned(y, shift) & MASK, y
+    return y
 
 
 def _turned(x, shift):
-    x &= 0xFFFFFFFF
-    return (x << shift | x >> 32 - shift) & 0xFFFFFFFF
+    x &= MASK
+    return (x << shift | x >> 32 - shift) & MASK

@@ -1,10 +1,13 @@
 """Frames of a run as they come: in memory while they are small, in a file beyond or from the start."""
 
+from contextlib import suppress
+
 import numpy as np
 
 from polyida.io.frames import MEMORY_LIMIT
 from polyida.io.layout import FRAMES, frames_at_once, shapes_of, width_of
-from polyida.io.writer import Writer
+from polyida.io.reader import read_open
+from polyida.io.writer import NotWritten, Writer
 
 
 class FrameStore:
@@ -31,10 +34,11 @@ class FrameStore:
         """Keep a state."""
         self._keep([getattr(state, name) for name in FRAMES])
 
-    def extend(self, frames):
-        """Keep frames, a list of arrays in the order of FRAMES."""
-        for frame in zip(*frames):
-            self._keep(frame)
+    def extend(self, columns, count):
+        """Keep the first `count` of frames, arrays or StoredFrames in the order of FRAMES."""
+        for first in range(0, count, self.file.rows):
+            for frame in zip(*(values[first : min(first + self.file.rows, count)] for values in columns)):
+                self._keep(frame)
 
     def _keep(self, frame):
         row = self._rows
@@ -71,13 +75,11 @@ class FrameStore:
         self.file, self._full = file, []
 
     def arrays(self):
-        """{name: frames} of all that was kept and put away, arrays or StoredFrames. The store is used up then."""
+        """{name: frames} of all that was kept, or committed to a file, arrays or StoredFrames. The store is used up then."""
         if self.file:
-            return self.file.frames(self.limit)
+            with suppress(NotWritten):
+                self.file.close()
+            return read_open(self.file.descriptor, self.file.shown).frames(self.limit)
         parts = [*self._full, [values[: self._rows] for values in self._block]]
-        self._full, result = [], {}
-        for k, name in enumerate(FRAMES):
-            result[name] = np.concatenate([block[k] for block in parts])
-            for block in parts:
-                block[k] = None
-        return result
+        self._full = []
+        return {name: np.concatenate([block.pop(0) for block in parts]) for name in FRAMES}

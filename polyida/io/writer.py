@@ -7,14 +7,14 @@ import tempfile
 import time
 import zlib
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.io.frames import held
 from polyida.io.layout import FORMAT, HEAD, frames_at_once, shapes_of, width_of
-from polyida.io.lock import CAN_TELL, being_written, lock, unlock
+from polyida.io.lock import CAN_TELL, being_written, lock, require_unwritten
 
 ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is known to be needed
 SLOT_CHUNK = 1 << 16
@@ -31,65 +31,63 @@ class NotWritten(Exception):
         super().__init__(f"{path}: {os.strerror(number) if number else error}")
 
 
-class Writer:
-    """A file under construction, held open by its descriptor; made by `create` or `temporary`. Methods raise NotWritten.
+@contextmanager
+def _taken(path):
+    """Have what the disk does not take raise NotWritten."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        raise NotWritten(path, error) from None
 
-    path: where it lies; shown: where it is to be. count: frames in whole blocks. drives: {name: profile}.
+
+class Writer:
+    """A file under construction, held open by its descriptor: beside `shown`, where `publishing` brings it. Methods raise NotWritten.
+
+    path: where it lies. count: frames in whole blocks. drives: {name: profile}.
     """
 
-    def __init__(self, path, n, m, about=None, arrays=None, drives=None, fsync=False):
+    def __init__(self, shown, n, m, about, arrays, drives, fsync=False):
         import h5py
 
-        self.path, self.shown, self.count, self.commits = path, path, 0, 0
-        self.drives, self.fsync, self.shapes = drives or {}, fsync, shapes_of(n, m, drives or {})
+        self.shown, self.path, self.count, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0, 0
+        self.drives, self.fsync, self.shapes = drives, fsync, shapes_of(n, m, drives)
         self.rows = frames_at_once(width_of(self.shapes))
         self._block = self.rows * 8 * width_of(self.shapes)
         self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
-        self.descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        with _taken(shown):
+            self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            lock(self.descriptor)
-            self._file = h5py.File(path, "w", libver="v110", locking=False)
-            self._make(about, arrays or {})
-            self._file.flush()
-            self._start = self._file.id.get_filesize()
-        except OSError as error:
-            os.close(self.descriptor)
-            raise NotWritten(path, error) from None
+            with _taken(shown):
+                lock(self.descriptor)
+                self._file = h5py.File(self.path, "w", libver="v110", locking=False)
+                self._make(about, arrays)
+                self._file.flush()
+                self._start = self._file.id.get_filesize()
+        except NotWritten:
+            self._discard()
+            raise
 
     @classmethod
-    def create(cls, path, *contents, **options):
-        """A file beside `path` that comes to its place by `publish`."""
-        hidden = path.with_name(f".polyida-{uuid4().hex}.part")
+    def create(cls, path, *contents):
+        """A file that comes to `path` by `publishing`. Raises InputError."""
+        _remove_leftovers(path.parent)
         try:
-            _remove_leftovers(path.parent)
-            hidden.touch(exist_ok=False)
-            file = cls(hidden, *contents, **options)
-        except (OSError, NotWritten) as error:
-            with suppress(OSError):
-                hidden.unlink(missing_ok=True)
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"{path}: no file can be written there ({reason})") from None
-        file.shown = path
-        return file
+            return cls(path, *contents)
+        except NotWritten as error:
+            raise InputError(f"no file can be written there: {error}") from None
 
     @classmethod
     def temporary(cls, n, m):
         """A file without a name in the folder for temporary files; it is gone when nobody reads it any more."""
-        handle, path = tempfile.mkstemp(prefix="polyida-", suffix=".h5")
-        os.close(handle)
-        try:
-            return cls(path, n, m)
-        finally:
-            os.unlink(path)
+        file = cls(Path(tempfile.gettempdir()) / "frames.h5", n, m, {"drives": {}}, {}, {}, False)
+        os.unlink(file.path)
+        return file
 
     def _make(self, about, arrays):
         for name, shape in self.shapes.items():
             if shape != (0,):
-                self._datasets[name] = self._file.create_dataset(
-                    name, (0, *shape), "f8", maxshape=(None, *shape), chunks=(self.rows, *shape), fletcher32=True
-                )
-        if about is None:
-            return
+                options = {"maxshape": (None, *shape), "chunks": (self.rows, *shape), "fletcher32": True}
+                self._datasets[name] = self._file.create_dataset(name, (0, *shape), "f8", **options)
         self._file.attrs["format"] = FORMAT
         text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
         for key, values in {"about": text, **arrays}.items():
@@ -103,14 +101,12 @@ class Writer:
     def append(self, block):
         """Append frames, a list of arrays in the order of `shapes`: as many as a chunk holds, or the run's last ones."""
         end = self.count + len(block[0])
-        try:
+        with _taken(self.shown):
             self._reserve(end)
             for name, values in zip(self.shapes, block):
-                if name in self._datasets:
-                    self._datasets[name].resize(end, axis=0)
-                    self._datasets[name][self.count : end] = values
-        except (OSError, RuntimeError) as error:
-            raise NotWritten(self.shown, error) from None
+                if dataset := self._datasets.get(name):
+                    dataset.resize(end, axis=0)
+                    dataset[self.count : end] = values
         self.count = end
 
     def commit(self, record, numbers, tail, last=False):
@@ -119,25 +115,20 @@ class Writer:
         last: into both slots, so that damage to one of them does no harm.
         """
         record |= {"frames": self.count + len(tail[0]), "tail": len(tail[0])}
-        numbers = np.concatenate([np.ravel(x) for x in (*numbers, *tail)])
+        numbers = np.concatenate([np.ravel(x) for x in (*numbers, *tail)]).tobytes()
         for _ in range(1 + last):
             text = json.dumps(record | {"commit": self.commits}, default=_listed).encode()
-            body = text + numbers.tobytes()
-            slot = np.frombuffer(HEAD.pack(len(body), zlib.crc32(body), len(text)) + body, np.uint8)
-            try:
-                self._slots = max(self._slots, 2 * (len(slot) + SLOT_CHUNK))
+            body = text + numbers
+            content = np.frombuffer(HEAD.pack(len(body), zlib.crc32(body), len(text)) + body, np.uint8)
+            with _taken(self.shown):
+                self._slots = max(self._slots, 2 * (len(content) + SLOT_CHUNK))
                 self._reserve(self.count)
                 self._flush()
-                self._put(self._file[f"slot {self.commits % 2}"], slot)
+                slot = self._file[f"slot {self.commits % 2}"]
+                slot.resize(max(len(slot), len(content)), axis=0)
+                slot[: len(content)] = content
                 self._flush()
-            except (OSError, RuntimeError) as error:
-                raise NotWritten(self.shown, error) from None
             self.commits += 1
-
-    def _put(self, dataset, values):
-        if len(dataset) < len(values):
-            dataset.resize(len(values), axis=0)
-        dataset[: len(values)] = values
 
     def _flush(self):
         self._file.flush()
@@ -181,43 +172,32 @@ class Writer:
             raise InputError(f"{self.shown}: the file cannot be put there ({error.strerror})") from None
         self.path = self.shown
         if self.fsync:
-            _sync_folder(self.shown.parent)
+            with suppress(OSError):  # a system that brings no names to the disk
+                folder = os.open(self.shown.parent, os.O_RDONLY)
+                os.fsync(folder)
+                os.close(folder)
 
     def in_place(self):
         """Whether the file is still where it was published."""
-        try:
+        with suppress(OSError):
             return os.path.samestat(os.stat(self.shown), os.fstat(self.descriptor))
-        except OSError:
-            return False
-
-    def frames(self, limit):
-        """{name: frames} of a temporary file, to which nothing is added any more."""
-        os.close(self.descriptor)
-        tail = {name: np.zeros((0, *shape)) for name, shape in self.shapes.items()}
-        return held(self._file, self.shapes, self.count, tail, limit, self.shown)
+        return False
 
     def close(self):
         """Close the file; it holds what was committed. Its descriptor stays open, to be read from and closed."""
         try:
-            self._file.close()
-            _trim(self.descriptor)
-        except (OSError, RuntimeError) as error:
-            raise NotWritten(self.shown, error) from None
+            with _taken(self.shown):
+                self._file.close()
+                _trim(self.descriptor)
         finally:
-            unlock(self.descriptor)
+            lock(self.descriptor, on=False)
 
     def _discard(self):
-        with suppress(NotWritten):
+        with suppress(Exception):
             self.close()
         os.close(self.descriptor)
         with suppress(OSError):
             os.unlink(self.path)
-
-
-def require_unwritten(path):
-    """Raise InputError where a living process writes the file."""
-    if being_written(path):
-        raise InputError(f"{path}: another process is still writing it; it is not replaced")
 
 
 def _remove_leftovers(folder):
@@ -228,28 +208,16 @@ def _remove_leftovers(folder):
                 path.unlink()
 
 
-def _sync_folder(folder):
-    """Bring the names in a folder to the disk, where the system can."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
 def _move_new(source, target):
     """Move a file to a name that is free, or fail."""
     try:
         os.link(source, target)
+        os.unlink(source)
     except FileExistsError:
         raise
     except OSError:  # a file system without links
-        if os.path.exists(target):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from None
-        os.rename(source, target)
-    else:
-        os.unlink(source)
+        target.touch(exist_ok=False)
+        os.replace(source, target)
 
 
 def _trim(descriptor):

@@ -1,13 +1,13 @@
-"""Ready problems with references: `get(name)` gives a Problem, `names()` what there is."""
+"""Ready problems with references: `get(name)` gives a Problem, `names()` what there is. A user's own enters `polyida.registry.problems`."""
 
 import inspect
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polyida import registry
 from polyida.errors import InputError
 from polyida.given import is_one_of, reals
 from polyida.keywords import named_keywords
@@ -71,22 +71,9 @@ class Problem:
         return float(np.abs(value - self.reference[name]).max())
 
 
-# name -> "module:function"; the function returns a Problem and may take options
-MAKERS = {
-    "pendulum": "polyida.problems.pendulum:problem",
-    "car-axis": "polyida.problems.car_axis:problem",
-    "andrews": "polyida.problems.andrews:problem",
-    "double-plate": "polyida.problems.plates:double_plate_problem",
-    "double-plate-motors": "polyida.problems.plates:double_plate_motors_problem",
-    "plate-chain": "polyida.problems.plates:plate_chain_problem",
-    "spin-up-beam": "polyida.problems.spin_up_beam:problem",
-    "rigid-limit": "polyida.problems.rigid_limit:problem",
-}
-
-
 def names() -> tuple[str, ...]:
     """Names of all problems."""
-    return tuple(MAKERS)
+    return tuple(registry.problems)
 
 
 def get(name: str, **options: object) -> Problem:
@@ -95,10 +82,9 @@ def get(name: str, **options: object) -> Problem:
     Raises InputError where there is none of that name, and for an option it does not take or cannot be made with,
     naming the options there are.
     """
-    if not is_one_of(name, MAKERS):
-        raise InputError(f"problem {name!r} is unknown; there are {', '.join(MAKERS)}")
-    module, function = MAKERS[name].split(":")
-    make = getattr(import_module(module), function)
+    if not is_one_of(name, registry.problems):
+        raise InputError(f"problem {name!r} is unknown; there are {', '.join(registry.problems)}")
+    make = registry.find(registry.problems, name)
     known = tuple(inspect.signature(make).parameters)
     takes = f"its options are {', '.join(known)}" if known else "it has no options"
     for option in options:

@@ -43,12 +43,7 @@ def rigid_motion(t_end):
     from scipy.integrate import solve_ivp
 
     run = solve_ivp(
-        lambda t, y: np.concatenate([y[2:], accelerations(*y)]),
-        (0.0, t_end),
-        np.zeros(4),
-        method="DOP853",
-        rtol=1e-12,
-        atol=1e-13,
+        lambda t, y: np.concatenate([y[2:], accelerations(*y)]), (0.0, t_end), np.zeros(4), method="DOP853", rtol=1e-12, atol=1e-13
     )
     return run.y[:, -1]
 
@@ -57,10 +52,7 @@ def rigid_state(model, t_end):
     """{"q", "v", "lam"} of the model with both plates rigid; lam are the forces of the joints on their sides b, N."""
     motion = rigid_motion(t_end)
     (a1, a2, w1, w2), (b1, b2) = motion, accelerations(*motion)
-    along, across = (
-        np.array([[np.cos(a), np.sin(a)] for a in (a1, a2)]),
-        np.array([[-np.sin(a), np.cos(a)] for a in (a1, a2)]),
-    )
+    along, across = (np.array([[np.cos(a), np.sin(a)] for a in (a1, a2)]), np.array([[-np.sin(a), np.cos(a)] for a in (a1, a2)]))
     q, v, root, drift, pull = [], [], np.zeros(2), np.zeros(2), np.zeros(2)
     centres = []
     for k, (body, w, b) in enumerate(zip(model.bodies, (w1, w2), (b1, b2))):

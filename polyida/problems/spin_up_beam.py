@@ -43,9 +43,7 @@ def spin_up_beam(nx=130, ny=1, element="wachspress"):
     """The beam on nx by ny quadrilaterals, turned by "motor" at its left edge; "tip" is the mean of the right one."""
     from polyida.mesh import quads
 
-    beam = Plate(
-        quads(LENGTH, HEIGHT, nx, ny), Material(EA / HEIGHT, 0.0, LINE_MASS / HEIGHT), 1.0, name="beam", element=element
-    )
+    beam = Plate(quads(LENGTH, HEIGHT, nx, ny), Material(EA / HEIGHT, 0.0, LINE_MASS / HEIGHT), 1.0, name="beam", element=element)
     scene = Scene()
     scene.add(beam)
     scene.add(Revolute(ground, beam.section("left"), name="hub"))

@@ -60,6 +60,15 @@ def page(comparison, folder, captions, machine, command):
     )
 
 
+def finite(value):
+    """Plain data in which numbers that JSON cannot hold are None."""
+    if isinstance(value, dict):
+        return {name: finite(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _figure(folder, name, caption):
     data = base64.b64encode((folder / f"{name}.png").read_bytes()).decode()
     return (f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{data}">'

@@ -1,12 +1,11 @@
 """The folder of a comparison: report.html, its pictures as PNG and PDF, figures.json, the runs, VTU frames."""
 
 import json
-import math
 from pathlib import Path
 
 from polyida.machine import machine_info
 from polyida.show import plots
-from polyida.show.page import page
+from polyida.show.page import finite, page
 from polyida.show.style import save
 
 FRAMES = 50  # VTU frames written at most
@@ -22,7 +21,7 @@ def write(comparison, folder, command, tell=lambda what: None):
     for label, run in comparison.runs.items():  # first what cannot be made again in a moment
         tell(f"{label}.h5")
         run.save(folder / f"{label}.h5", overwrite=True)
-    data = {"figures": comparison.figures, "rows": _finite(comparison.rows), "machine": machine, "command": command}
+    data = {"figures": comparison.figures, "rows": finite(comparison.rows), "machine": machine, "command": command}
     (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     captions = _draw(comparison, folder, tell)
     if shown := _drawable(comparison):
@@ -81,11 +80,3 @@ def _drawable(comparison):
     """The first run whose plates can be drawn, or None."""
     runs = [run for run in comparison.runs.values() if len(run.t) > 1 and run.model.bodies]
     return runs[0] if runs else None
-
-
-def _finite(rows):
-    """Rows in which numbers that JSON cannot hold are null."""
-    def held(value):
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    return [{key: held(value) for key, value in row.items()} for row in rows]

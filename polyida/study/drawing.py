@@ -37,9 +37,7 @@ def look(i):
 
 def loglog(axes, x, y, i, label=None):
     """One line of finite positive values on two logarithmic axes."""
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-    axes.loglog(x[good], y[good], label=label, **look(i))
+    axes.loglog(*_positive(x, y), label=label, **look(i))
 
 
 def nested(colour, ring, rings, dash="-"):
@@ -74,15 +72,7 @@ def slope_line(axes, slope, x, y, label=None, beside=(2, 2)):
 def aim_line(axes, y, label):
     """A thin dashed line across the axes at y, with what it is written above its left end."""
     axes.axhline(y, color="#777777", linewidth=0.8, linestyle=(0, (5, 3)), zorder=1)
-    axes.annotate(
-        label,
-        (0, y),
-        xycoords=("axes fraction", "data"),
-        xytext=(3, 2),
-        textcoords="offset points",
-        fontsize=7,
-        color="#555555",
-    )
+    axes.annotate(label, (0, y), xycoords=("axes fraction", "data"), xytext=(3, 2), textcoords="offset points", fontsize=7, color="#555555")
 
 
 def legend(made, axes, columns=4):
@@ -137,8 +127,12 @@ def drawn(function):
 
 def fitted(x, y):
     """Slope of log y over log x by least squares; NaN where there are fewer than two finite positive points."""
+    x, y = _positive(x, y)
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len(np.unique(x)) > 1 else float("nan")
+
+
+def _positive(x, y):
+    """The points whose coordinates are finite and positive both."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-    if len(np.unique(x[good])) < 2:
-        return float("nan")
-    return float(np.polyfit(np.log(x[good]), np.log(y[good]), 1)[0])
+    return x[good], y[good]

@@ -12,7 +12,7 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration, consistent_state
-from polyida.threads import one_blas_thread
+from polyida.machine import one_blas_thread
 
 PARTS = ("q", "v", "lam")
 NEWTON = 1e-8  # Newton's tolerance where generalized-alpha is a reference
@@ -45,13 +45,9 @@ def _piece(model, t, end, y, wanted, rtol):
         return np.concatenate([y[n:], consistent_acceleration(model, t, y[:n], y[n:])[0]])
 
     at = np.union1d(wanted, [end])
-    run = solve_ivp(
-        rate, (t, end), y, method="DOP853", t_eval=at, rtol=rtol, atol=rtol * 1e-3, first_step=min(1e-6, end - t)
-    )
+    run = solve_ivp(rate, (t, end), y, method="DOP853", t_eval=at, rtol=rtol, atol=rtol * 1e-3, first_step=min(1e-6, end - t))
     known = dict(zip(at, run.y.T))
-    return [
-        (known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in wanted
-    ], run.y[:, -1]
+    return [(known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in wanted], run.y[:, -1]
 
 
 def by_explicit(model, t_end, rtol):

@@ -31,11 +31,7 @@ def findings(study, rows, folder):
 def failures(study, rows):
     """A line for each failed task."""
     names = {name for task in study.tasks(False) + study.tasks(True) for name in task}
-    failed = [
-        (", ".join(f"{name} {row[name]}" for name in row if name in names), row["error"])
-        for row in rows
-        if row.get("error")
-    ]
+    failed = [(", ".join(f"{name} {row[name]}" for name in row if name in names), row["error"]) for row in rows if row.get("error")]
     return [f"failed: {name[:100]}: {error}" for name, error in failed]
 
 
@@ -45,9 +41,5 @@ def _formed(parts, unformed, *arguments):
         try:
             yield part(*arguments)
         except Exception as error:  # noqa: BLE001, rows may lack anything: what else they tell must come out all the same
-            reason = (
-                str(error)
-                if isinstance(error, LookupError) and " " in str(error)
-                else f"{type(error).__name__}: {error}"
-            )
+            reason = str(error) if isinstance(error, LookupError) and " " in str(error) else f"{type(error).__name__}: {error}"
             unformed.append(f"not formed: {part.__name__.strip('_')}: {reason}")

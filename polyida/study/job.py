@@ -3,9 +3,9 @@
 import inspect
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
 
+from polyida import registry
 from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.study import scene_file
@@ -46,7 +46,7 @@ def load(spec, time=None, step=None, **build_options):
     """
     given = {key: value for key, value in build_options.items() if value is not None}
     if ".py" in spec:
-        file, build = Path(spec.rpartition(":")[0]), scene_file.function(spec)
+        file, build = Path(spec.rpartition(":")[0]), scene_file.named(spec, registry.problems)
         with scene_file.users_code(file):
             job = _job(_name(file, spec), _call(spec, build, given), file)
     else:
@@ -64,25 +64,14 @@ def _name(file, spec):
     return file.stem if function == "build" else f"{file.stem}-{function}"
 
 
-def maker(name):
-    """The function that makes a registered problem."""
-    from polyida.problems import MAKERS
-
-    module, function = MAKERS[name].split(":")
-    return getattr(import_module(module), function)
-
-
 def _registered(name, options):
-    """The job of a registered problem; its step is a thousandth of its time."""
+    """The job of a registered problem."""
     from polyida import problems
 
-    if name not in problems.names():
-        known = ", ".join(problems.names())
-        raise InputError(f"scene {name!r} is unknown; there are {known}, or give my_scene.py:build")
-    _require_taken(name, maker(name), options)
-    problem = problems.get(name, **options)
-    time, point = problem.t_end, _default_point(problem.model)
-    return Job(name, problem.model, time, time / 1000, problem.q0, problem.v0, point, published=problem.reference)
+    if name not in registry.problems:
+        raise InputError(f"scene {name!r} is unknown; there are {', '.join(registry.problems)}, or give my_scene.py:build")
+    _require_taken(name, registry.find(registry.problems, name), options)
+    return _job(name, problems.get(name, **options))
 
 
 def _call(spec, build, options):
@@ -97,13 +86,17 @@ def _require_taken(name, function, options):
 
 
 def _job(name, result, file=None):
-    """A Job from a Scene, a model, or a pair of one of them and a dictionary of options."""
+    """A Job from a Scene, a model, or a pair of one of them and a dictionary of options; or a Problem: its step is a thousandth of its time."""
     from polyida.model import Model
+    from polyida.problems import Problem
     from polyida.scene import Scene
 
+    if isinstance(result, Problem):
+        point, time = _default_point(result.model), result.t_end
+        return Job(name, result.model, time, time / 1000, result.q0, result.v0, point, file, result.reference)
     made, options = result if isinstance(result, tuple) and len(result) == 2 else (result, {})
     if not isinstance(made, Scene | Model) or not isinstance(options, dict):
-        wanted = "a Scene, a Model or (one of them, options) is needed"
+        wanted = "a Scene, a Model, (one of them, options) or a Problem is needed"
         raise InputError(f"{name}: its function returned {type(result).__name__}; {wanted}")
     if unknown := set(options) - set(OPTIONS):
         raise InputError(f"{name}: unknown option {min(unknown, key=str)!r}; known: {', '.join(OPTIONS)}")
@@ -129,17 +122,27 @@ def _default_point(model):
 
 
 def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
-    """"alpha", "ida" or "energy" with the settings given; InputError for an unknown name and for a setting of another one."""
+    """"alpha", "ida", "energy" or a registered integrator with the settings given.
+
+    Raises InputError for an unknown name and for a setting of another one.
+    """
     from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.energy.energy_momentum import EnergyMomentum
     from polyida.integrate.ida.integrator import IDA
 
     makers = {"alpha": (GeneralizedAlpha, ("step", "rho_inf")), "ida": (IDA, ("rtol", "atol")), "energy": (EnergyMomentum, ("step",))}
-    if name not in makers:
-        raise InputError(f"integrator {name!r} is unknown; there are {', '.join(makers)}")
-    maker, own = makers[name]
+    if name not in makers and name not in registry.integrators:
+        raise InputError(f"integrator {name!r} is unknown; there are {', '.join([*makers, *registry.integrators])}")
+    maker, own = makers.get(name) or _registered_integrator(name)
     given = {key: value for key, value in (("step", step), ("rho_inf", rho_inf), ("rtol", rtol), ("atol", atol)) if value is not None}
     if strange := [key for key in given if key not in own]:
         raise InputError(f"--{strange[0].replace('_', '-')} is no setting of {name}; its settings are {', '.join(own)}")
     given.pop("step", None)
-    return maker(**given) if name == "ida" else maker(h=job.step, **given)
+    return maker(h=job.step, **given) if "step" in own else maker(**given)
+
+
+def _registered_integrator(name):
+    """(its class, which of the settings it takes)."""
+    maker = registry.find(registry.integrators, name)
+    taken = inspect.signature(maker).parameters
+    return maker, [key for key in ("step", "rho_inf", "rtol", "atol") if key.replace("step", "h") in taken]

@@ -39,9 +39,7 @@ class Case:
 
     def errors(self, state):
         """{"error_q", "error_v", "error_lam"}: largest absolute deviations at t_end."""
-        return {
-            f"error_{part}": float(np.abs(getattr(state, part) - value).max()) for part, value in self.reference.items()
-        }
+        return {f"error_{part}": float(np.abs(getattr(state, part) - value).max()) for part, value in self.reference.items()}
 
 
 def published(name, sizes):

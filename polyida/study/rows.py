@@ -60,13 +60,9 @@ def each(rows, name):
 
 def named(row, *names):
     """A row in words by these entries: numbers with their names, absent ones left out."""
-    return ", ".join(
-        str(row[name]) if isinstance(row[name], str) else f"{name} {row[name]:g}" for name in names if name in row
-    )
+    return ", ".join(str(row[name]) if isinstance(row[name], str) else f"{name} {row[name]:g}" for name in names if name in row)
 
 
 def stopped(rows, *names, length=150):
     """Lines of the runs that did not come to their end, named by these entries, with their reason."""
-    return [
-        f"{named(row, *names)}: {row['outcome'][:length]}" for row in pick(rows) if row.get("outcome", "done") != "done"
-    ]
+    return [f"{named(row, *names)}: {row['outcome'][:length]}" for row in pick(rows) if row.get("outcome", "done") != "done"]

@@ -1,11 +1,13 @@
-"""A function of a user's file, given as `my_scene.py:build`. The file is code and is executed: give what you trust."""
+"""What a user's file makes, given as `my_scene.py:build`. The file is code and is executed: give what you trust."""
 
 import importlib.util
 import sys
 import traceback
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from polyida import registry
 from polyida.errors import InputError
 
 
@@ -20,22 +22,29 @@ class SceneFileError(InputError):
         self.trace = trace
 
 
-def function(spec):
-    """The function that `file.py:name` names. Raises InputError where file or function is missing or the file fails."""
+def named(spec, book, kind=Callable, what="functions"):
+    """What `file.py:name` names: a `kind` of the file's, or one that it has added to `book`, a dictionary of the registry.
+
+    Raises InputError where file or name is missing or the file fails.
+    """
     path, _, name = spec.rpartition(":")
     if not path.endswith(".py"):
-        raise InputError(f"{spec}: say which function builds the scene, as in my_scene.py:build")
-    path = Path(path)
+        raise InputError(f"{spec}: say which of its {what} is meant, as in my_scene.py:build")
+    module = executed(Path(path))
+    found = getattr(module, name, None) or registry.find(book, name)
+    if not isinstance(found, kind):
+        own = [key for key, value in vars(module).items()
+               if isinstance(value, kind) and getattr(value, "__module__", module.__name__) == module.__name__]
+        raise InputError(f"{path}: it has no {name!r}; {what} there: {', '.join(own) or 'none'}")
+    return found
+
+
+def executed(path):
+    """The module that a user's file makes; what it adds to the registry is there then. Raises InputError as `named` does."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     with users_code(path):
-        module = _execute(path)
-    found = getattr(module, name, None)
-    if not callable(found):
-        own = [key for key, value in vars(module).items()
-               if callable(value) and getattr(value, "__module__", None) == module.__name__]
-        raise InputError(f"{path}: it has no function {name!r}; functions there: {', '.join(own) or 'none'}")
-    return found
+        return _execute(path)
 
 
 @contextmanager
@@ -53,11 +62,20 @@ def users_code(path):
 
 
 def _execute(path):
-    """Import the file as a module, with its folder first on the path, as Python does for a script."""
-    spec = importlib.util.spec_from_file_location(f"scene_file_{path.stem}", path)
+    """Import the file as a module, with its folder first on the path, as Python does for a script.
+
+    It has the name that `import` gives it, so that other processes find its functions and result files its classes,
+    where that is free.
+    """
+    place, known = path.resolve(), None
+    sys.path.insert(0, str(place.parent))
+    importlib.invalidate_caches()
+    with suppress(ImportError, ValueError):
+        known = importlib.util.find_spec(path.stem)
+    name = path.stem if known and known.origin == str(place) else f"scene_file_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    sys.path.insert(0, str(path.resolve().parent))
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
 

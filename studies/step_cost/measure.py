@@ -22,9 +22,9 @@ from polyida.integrate.state import Counts
 from polyida.linear import corotated
 from polyida.linear.factor import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
+from polyida.machine import one_blas_thread
 from polyida.problems import plates
 from polyida.study.isolation import run_isolated
-from polyida.threads import one_blas_thread
 from step_cost.side import NO_FRAMES, between, cells_for, cpu
 
 H = 1e-3  # step of generalized-alpha, s

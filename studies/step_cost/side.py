@@ -15,8 +15,8 @@ import polyida
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
+from polyida.machine import one_blas_thread
 from polyida.problems.plates import double_plate
-from polyida.threads import one_blas_thread
 
 LARGE = 50_000  # coordinates from which on a run's start is dear
 NO_FRAMES = 10**9  # keep every so many steps: the first and the last frame alone

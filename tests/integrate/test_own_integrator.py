@@ -144,3 +144,11 @@ def test_it_sees_the_guarded_functions_of_a_user_s_model():
 
     with pytest.raises(pi.InputError, match="Wrong.force must return"):
         pi.solve(Wrong(), END, Calls())
+
+
+def test_a_registered_one_that_is_no_dataclass_comes_back_by_its_name(tmp_path, monkeypatch):
+    """Its settings are in no file, so that it cannot be made again; the run is there all the same."""
+    monkeypatch.setitem(pi.registry.integrators, "mine", Mine)
+    solved(Mine(end=END), out=tmp_path / "run.h5")
+    again = pi.load(tmp_path / "run.h5")
+    assert again.integrator == "mine" and len(again) == 11 and again.summary().startswith("done: mine")

@@ -7,17 +7,16 @@ from itertools import islice
 import numpy as np
 
 from polyida.given import is_number
-from polyida.guarded_model import guard
 from polyida.integrate.moves import unseen
 from polyida.integrate.running import ctrl_c
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.running.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, StepFailure
-from polyida.io.reader import read_open
 from polyida.io.save import commit
 from polyida.io.writer import NotWritten
 from polyida.machine import machine_info
+from polyida.model.guarded import guard
 from polyida.trajectory import Trajectory
 
 FLUSH_SECONDS = 2.0
@@ -97,7 +96,7 @@ class Run:
         """Note where the run can go on; a flush where it is due."""
         if state.restart:
             self.restart = Restart(state, self.store.count, vars(self.counts).copy())
-        if self.streams and (
+        if self.store.file and (
             self.counts.steps - self.flushed_steps >= self.plan["flush_every"]
             or time.monotonic() - self.flushed_at >= FLUSH_SECONDS
         ):
@@ -134,7 +133,6 @@ class Run:
             self.sampler.end(self.last)
             if self.store.file:
                 self.store.put_away()
-            if self.streams:
                 self._commit(status, message, self.restart, last=True)
         except NotWritten as error:
             status, message = self._cut_off(error, f"{status} {message}")
@@ -156,7 +154,7 @@ class Run:
         """(status, message) where the disk takes no more: the frames in the file are those that hold."""
         status, message = error.status, f"{error}; {detail}"
         with suppress(NotWritten):
-            if self.streams:
+            if self.store.file:
                 self._commit(status, message, self.flushed, last=True)
         return status, message
 
@@ -165,27 +163,9 @@ class Run:
         if self.streams and not self.store.file.in_place():
             gone = f"{self.store.file.shown} was removed or replaced: these frames are in no file"
             message = f"{message}; {gone}" if message else gone
-        frames = self._close() if self.streams else self.store.arrays()
-        return Trajectory(
-            self.model,
-            self.integrator,
-            **frames,
-            status=status,
-            message=message,
-            counts=self.counts,
-            cpu_seconds=cpu,
-            wall_seconds=wall,
-            machine=machine_info(),
-            restart=self.flushed if self.streams else self.restart,
-            plan=self.plan,
-        )
-
-    def _close(self):
-        """The frames, read from the closed file, by whatever name it goes."""
-        file = self.store.file
-        with suppress(NotWritten):
-            file.close()
-        return read_open(file.descriptor, file.shown).frames(self.store.limit)
+        restart = self.flushed if self.store.file else self.restart
+        return Trajectory(self.model, self.integrator, **self.store.arrays(), status=status, message=message, counts=self.counts,
+                          cpu_seconds=cpu, wall_seconds=wall, machine=machine_info(), restart=restart, plan=self.plan)
 
 
 def _again(run, state, counts):

@@ -78,13 +78,7 @@ class Until:
             return after
         from scipy.optimize import brentq
 
-        at = brentq(
-            lambda t: self._value(between(before, after, t)),
-            before.t,
-            after.t,
-            xtol=1e-300,
-            rtol=4 * np.finfo(float).eps,
-        )
+        at = brentq(lambda t: self._value(between(before, after, t)), before.t, after.t, xtol=1e-300, rtol=4 * np.finfo(float).eps)
         return between(before, after, at)
 
     def _value(self, state):

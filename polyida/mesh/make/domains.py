@@ -40,12 +40,6 @@ def place(value, what):
     return pair
 
 
-def _require_domains(name, *parts):
-    for part in parts:
-        if not isinstance(part, Domain):
-            raise InputError(f"{name} of {part!r}; both parts must be domains such as Rectangle or Circle")
-
-
 class Domain:
     """Base: subclasses set walls (list), lower and upper corner of the bounding box, and distance(points) -> (n,)."""
 
@@ -104,44 +98,49 @@ class Circle(Domain):
         self.walls = [w.Capsule(center, center, radius, 1.0)]
 
 
+class Pair(Domain):
+    """Two domains as one."""
+
+    def __init__(self, first: Domain, second: Domain) -> None:
+        for part in (first, second):
+            if not isinstance(part, Domain):
+                raise InputError(f"{type(self).__name__.lower()} of {part!r}; both parts must be domains such as Rectangle or Circle")
+        self.first, self.second, self.walls = first, second, first.walls + second.walls
+
+
 @named_keywords
-class Union(Domain):
+class Union(Pair):
     """Points in either domain."""
 
     def __init__(self, first: Domain, second: Domain) -> None:
-        _require_domains("union", first, second)
-        self.first, self.second = first, second
+        super().__init__(first, second)
         self.lower, self.upper = np.minimum(first.lower, second.lower), np.maximum(first.upper, second.upper)
-        self.walls = first.walls + second.walls
 
     def distance(self, points: NDArray) -> NDArray:
         return np.minimum(self.first.distance(points), self.second.distance(points))
 
 
 @named_keywords
-class Intersection(Domain):
+class Intersection(Pair):
     """Points in both domains."""
 
     def __init__(self, first: Domain, second: Domain) -> None:
-        _require_domains("intersection", first, second)
-        self.first, self.second = first, second
+        super().__init__(first, second)
         self.lower, self.upper = np.maximum(first.lower, second.lower), np.minimum(first.upper, second.upper)
         if not (self.upper > self.lower).all():
             raise InputError("intersection of two domains is empty: their bounding boxes do not overlap")
         self.convex = first.convex and second.convex
-        self.walls = first.walls + second.walls
 
     def distance(self, points: NDArray) -> NDArray:
         return np.maximum(self.first.distance(points), self.second.distance(points))
 
 
 @named_keywords
-class Difference(Domain):
+class Difference(Pair):
     """Points of the first domain that are not in the second."""
 
     def __init__(self, first: Domain, second: Domain) -> None:
-        _require_domains("difference", first, second)
-        self.first, self.second = first, second
+        super().__init__(first, second)
         self.lower, self.upper = first.lower, first.upper
         self.walls = first.walls + [wall.flipped() for wall in second.walls]
 

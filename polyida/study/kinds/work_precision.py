@@ -41,9 +41,7 @@ def cheapest(rows, error, level):
     """CPU seconds at which the lower envelope of runs reaches an error level, interpolated on logarithmic axes; NaN
     where none does.
     """
-    pairs = sorted(
-        (row["cpu_s"], row[error]) for row in rows if np.isfinite(row.get(error) or np.nan) and row[error] > 0
-    )
+    pairs = sorted((row["cpu_s"], row[error]) for row in rows if np.isfinite(row.get(error) or np.nan) and row[error] > 0)
     before = None
     for cpu, found in pairs:
         if found <= level:
