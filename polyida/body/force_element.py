@@ -1,27 +1,19 @@
 """What every force of one's own is: sides, and the forces on them."""
 
-from dataclasses import fields, is_dataclass
-
 from numpy.typing import NDArray
 
-from polyida import registry
+from polyida.body.own_part import OwnPart, require_whole
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment, Ground, labelled
+from polyida.joint.attachment import Attachment, Ground
 
 
-class ForceElement:
+class ForceElement(OwnPart):
     """A force on attachments, written in Python: a frozen dataclass with a field `name`, `sides()` and `forces(t, x, v)`.
 
     Its fields (numbers, profiles, attachments) are its data and are saved with it. Its functions get the places x, m, and
     velocities v, m/s, of its sides, (sides, 2) each, to read only. What it does not write of the rest is taken by differences,
     or is not there. A scene with such forces goes through the integrators' plain paths, which its summaries say.
     """
-
-    name = None
-
-    def __init_subclass__(cls, **options):
-        super().__init_subclass__(**options)
-        registry.parts[registry.name_of(cls)] = cls
 
     def sides(self) -> tuple:
         """What it acts on: a tuple of attachments and places of the ground (`ground.at`)."""
@@ -46,14 +38,7 @@ class ForceElement:
 
 def require_element(element):
     """Raise InputError unless the class of a force element is whole."""
-    kind = type(element)
-    label = labelled(kind.__name__, element.name)
-    if not (is_dataclass(kind) and any(field.name == "name" for field in fields(kind))):
-        needs = "a dataclass with a field `name: str | None = None`; decorate it with @dataclass(frozen=True, eq=False)"
-        raise InputError(f"{label}: its class must be {needs}")
-    for function in ("sides", "forces"):
-        if getattr(kind, function) is getattr(ForceElement, function):
-            raise InputError(f"{label}: its class gives no {function}()")
+    require_whole(element, ForceElement, ("sides", "forces"))
 
 
 def sides_of(name, element):
@@ -64,6 +49,6 @@ def sides_of(name, element):
         raise InputError(f"{name}: sides() gave {str(sides)[:80]}; it must give {wanted}")
     for side in sides:
         if not isinstance(side, Attachment) and not (isinstance(side, Ground) and side.point is not None):
-            hint = "use plate.section(...), plate.node(...) or ground.at(point)"
+            hint = "use plate.section(...), plate.node(...), body.at(...) or ground.at(point)"
             raise InputError(f"{name}: the side {str(side)[:80]} is no attachment; {hint}")
     return tuple(sides)
