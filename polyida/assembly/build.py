@@ -7,9 +7,11 @@ import numpy as np
 
 from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
 from polyida.assembly.own_bodies import at_own, carried_by_own
+from polyida.assembly.own_laws import laws_of
 from polyida.assembly.points import Points
 from polyida.assembly.row_table import Drives, RowTable
 from polyida.body.body import points_of
+from polyida.body.force_element import ForceElement
 from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
@@ -89,10 +91,11 @@ def extent_of(bodies, own):
 
 
 def assemble(bodies, own, parts, gravity):
-    """(SceneArrays, Points, RowTable, Drives) of the parts."""
+    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts."""
     first_node = first_nodes(bodies, own)
     points, drives = Points(first_node), Drives()
-    table = RowTable(points, drives, extent_of(bodies, own))
+    size = extent_of(bodies, own)
+    table = RowTable(points, drives, size)
     for name, joint in of_kind(parts, Joint).items():
         table.add(name, joint.facing())
     for body in own:
@@ -107,9 +110,10 @@ def assemble(bodies, own, parts, gravity):
     for mass in carried_by_own(parts):
         first = first_node[id(mass.at.body)]
         fields["weight"][first : first + len(mass.at.nodes)] += mass.at.share(mass.mass * np.asarray(gravity))
+    laws = None if own else laws_of(of_kind(parts, ForceElement), points, drives, size)
     links = Links(**points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
     arrays = SceneArrays(Plates(**fields), links)
-    return arrays, points, table, drives
+    return arrays, points, table, drives, laws
 
 
 def operator_arrays(bodies):

@@ -10,6 +10,7 @@ from polyida.assembly import joints as rows
 from polyida.assembly.arrays import bilinear, concatenated
 from polyida.assembly.build import assemble, bodies_of, extent_of, first_nodes, of_kind
 from polyida.assembly.damping import add_damping, damped_blocks
+from polyida.assembly.laws import add_own_forces
 from polyida.assembly.mass_system import MassSystem, at_rest
 from polyida.assembly.named_points import NamedPoints
 from polyida.assembly.own_bodies import Elastic, own_bodies_of, own_mass
@@ -24,7 +25,7 @@ class SceneModel(NamedPoints):
 
     bodies: the plates in order, each with its slice of the nodes; own_bodies: those of a user's own, whose coordinates are pairs behind
     the nodes. arrays: all that the compiled kernels read; own_forces: the force elements and bodies' elastic forces, which are
-    Python. compiled: whether there is nothing of one's own, so that kernels take whole steps. `rows` names the slice of phi and lam
+    Python; laws: these by number where all of them are compiled. compiled: whether there is nothing of one's own, so that kernels take whole steps. `rows` names the slice of phi and lam
     that belongs to each joint or body. Matrices are scipy.sparse.
     """
 
@@ -38,7 +39,7 @@ class SceneModel(NamedPoints):
         n_plates = self.bodies[-1].nodes.stop if self.bodies else 0
         self.own_bodies = own_bodies_of(parts, n_plates)
         self.first_node, self.extent = first_nodes(self.bodies, self.own_bodies), extent_of(self.bodies, self.own_bodies)
-        self.arrays, points, table, drives = assemble(self.bodies, self.own_bodies, parts, gravity)
+        self.arrays, points, table, drives, self.laws = assemble(self.bodies, self.own_bodies, parts, gravity)
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
         self.n_nodes = self.own_bodies[-1].nodes.stop if self.own_bodies else n_plates
@@ -105,7 +106,12 @@ class SceneModel(NamedPoints):
         """r with what `evaluate` leaves out: damping and force elements."""
         if self.needs.velocity_forces:
             add_damping(self.arrays.plates, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
-        self.own_forces.take_from(r, t, q, v)
+        if self.laws is None:
+            self.own_forces.take_from(r, t, q, v)
+            return r
+        add_own_forces(self.laws, self.arrays.links, self.drives(t), self._nodal(q), self._nodal(v), r.reshape(-1, 2))
+        if not np.isfinite(r).all():
+            self.own_forces.take_from(r, t, q, v)  # which knows by whose doing
         return r
 
     def call_all(self, t, q, v):
