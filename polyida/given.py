@@ -55,6 +55,15 @@ def floats(value):
     return array if array is not None and np.isfinite(array).all() else None
 
 
+def complexes(value):
+    """The value as an array of complex numbers, finite or not, or None where it is anything else."""
+    try:
+        array = np.asarray(value)
+        return array.astype(complex) if array.dtype.kind in "iufcb" else None
+    except (TypeError, ValueError, OverflowError):
+        return None
+
+
 def is_flag(value):
     """Whether it is True or False."""
     return isinstance(value, (bool, np.bool_))

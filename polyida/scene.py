@@ -5,9 +5,11 @@ from typing import Any, TypeVar
 from numpy.typing import ArrayLike
 
 from polyida.assembly.scene_model import SceneModel
+from polyida.body.body import Body, require_body
 from polyida.body.force_element import ForceElement, require_element, sides_of
 from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.material import vector2
+from polyida.body.own_part import OwnPart
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
@@ -15,14 +17,14 @@ from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 
-Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | Joint)
+Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | Joint | OwnPart)
 KINDS = {Plate: "plate", PointMass: "mass", PointLoad: "load", EdgeTraction: "traction"}
-KINDS_AND_BASES = (*KINDS, Joint, ForceElement)
+KINDS_AND_BASES = (*KINDS, Joint, ForceElement, Body)
 
 
 @named_keywords
 class Scene:
-    """Flexible plates, joints, motors, masses, loads and forces of one's own in the x-y plane.
+    """Flexible plates, joints, motors, masses, loads, bodies and forces of one's own in the x-y plane.
 
     gravity: acceleration (gx, gy), m/s2. `add` parts in any order, then `build` a model; a scene can be added to and built again.
     """
@@ -41,6 +43,8 @@ class Scene:
             raise InputError(f"Scene.add: {part!r} is no part of a scene; parts are {known}")
         if isinstance(part, ForceElement):
             require_element(part)
+        if isinstance(part, Body):
+            require_body(part)
         if any(part is known for known in self.parts.values()):
             raise InputError(f"Scene.add: {part.name or kind_of(part)!r} is in the scene already")
         name = part.name or self._next_name(kind_of(part))
@@ -57,12 +61,12 @@ class Scene:
 
     def build(self) -> SceneModel:
         """The model of the scene as it is now. Raises InputError naming the part that is wrong."""
-        plates = [part for part in self.parts.values() if isinstance(part, Plate)]
-        if not plates:
-            raise InputError("Scene.build: the scene has no plate")
+        bodies = [part for part in self.parts.values() if isinstance(part, (Plate, Body))]
+        if not bodies:
+            raise InputError("Scene.build: the scene has no plate and no other body")
         for name, part in self.parts.items():
             for side in _sides(name, part):
-                if isinstance(side, Attachment) and not any(side.body is plate for plate in plates):
+                if isinstance(side, Attachment) and not any(side.body is body for body in bodies):
                     raise InputError(f"{name}: {side!r} is of a body that is not in the scene; add it with scene.add")
         return SceneModel(self.parts, self.gravity)
 
@@ -71,7 +75,7 @@ def kind_of(part):
     """What a part without a name is called with a number."""
     if isinstance(part, Joint):
         return part.kind or type(part).__name__.lower()
-    if isinstance(part, ForceElement):
+    if isinstance(part, (ForceElement, Body)):
         return type(part).__name__.lower()
     return next(word for kind, word in KINDS.items() if isinstance(part, kind))
 

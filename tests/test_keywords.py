@@ -8,7 +8,7 @@ import pytest
 import polyida as pi
 from polyida.keywords import KeywordError, named_keywords
 
-NOT_CALLED = {"Model", "Joint", "ForceElement", "Trajectory", "InputError", "LockingWarning", "ground"}  # to be derived from, or handed out
+NOT_CALLED = {"Model", "Joint", "ForceElement", "Body", "Trajectory", "InputError", "LockingWarning", "ground"}  # to be derived from, or handed out
 EACH_STEP = {"State", "Counts"}  # made in the loops of integrators
 PUBLIC = {f"pi.{name}": getattr(pi, name) for name in sorted({*pi.__all__} - NOT_CALLED - EACH_STEP) if callable(getattr(pi, name))}
 PUBLIC |= {f"pi.mesh.{name}": getattr(pi.mesh, name) for name in pi.mesh.__all__ if name not in ("Domain", "MeshQuality", "Section")}

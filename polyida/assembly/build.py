@@ -6,8 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
+from polyida.assembly.own_bodies import at_own, carried_by_own
+from polyida.assembly.own_laws import laws_of
 from polyida.assembly.points import Points
 from polyida.assembly.row_table import Drives, RowTable
+from polyida.body.body import points_of
+from polyida.body.force_element import ForceElement
 from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
@@ -75,21 +79,41 @@ def operator_of(plate):
     return reference_operator(plate.placed)
 
 
-def assemble(bodies, parts, gravity):
-    """(SceneArrays, Points, RowTable, Drives) of the parts."""
-    first_node = {body.plate: body.nodes.start for body in bodies}
+def first_nodes(bodies, own):
+    """{id of a body: its first node in the scene}; pairs of bodies of one's own stand behind the plates' nodes."""
+    return {id(body.plate): body.nodes.start for body in bodies} | {id(body.body): body.nodes.start for body in own}
+
+
+def extent_of(bodies, own):
+    """Size of the scene, m: of the places of nodes and of the points of bodies of one's own; 1 where they are in one place."""
+    places = [body.points for body in bodies] + [point.point[None] for body in own for point in points_of(body.body)]
+    return float(np.ptp(concatenated(places, float, (2,)), axis=0).max(initial=0.0)) or 1.0
+
+
+def assemble(bodies, own, parts, gravity):
+    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts."""
+    first_node = first_nodes(bodies, own)
     points, drives = Points(first_node), Drives()
-    corners = np.concatenate([body.points for body in bodies])
-    table = RowTable(points, drives, np.ptp(corners, axis=0).max())
+    size = extent_of(bodies, own)
+    table = RowTable(points, drives, size)
     for name, joint in of_kind(parts, Joint).items():
-        table.add(name, joint)
+        table.add(name, joint.facing())
+    for body in own:
+        if body.body.rows():
+            table.add(body.name, body.body)
     for mass in of_kind(parts, PointMass).values():
-        points.mass[points.add(mass.at)] += mass.mass
+        if not at_own(mass):
+            points.mass[points.add(mass.at)] += mass.mass
     loads = of_kind(parts, PointLoad, EdgeTraction)
     fields = operator_arrays(bodies) | body_arrays(bodies, gravity) | load_arrays(loads, drives, first_node)
+    fields["weight"] = np.concatenate([fields["weight"], *(body.weight(gravity) for body in own)])
+    for mass in carried_by_own(parts):
+        first = first_node[id(mass.at.body)]
+        fields["weight"][first : first + len(mass.at.nodes)] += mass.at.share(mass.mass * np.asarray(gravity))
+    laws = None if own else laws_of(of_kind(parts, ForceElement), points, drives, size)
     links = Links(**points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
     arrays = SceneArrays(Plates(**fields), links)
-    return arrays, points, table, drives
+    return arrays, points, table, drives, laws
 
 
 def operator_arrays(bodies):
@@ -135,7 +159,7 @@ def body_arrays(bodies, gravity):
 
 def load_arrays(loads, drives, first_node):
     """Nodal forces of the loads and the number of the profile that scales each."""
-    nodes = [load.at.nodes + first_node[load.at.body] for load in loads.values()]
+    nodes = [load.at.nodes + first_node[id(load.at.body)] for load in loads.values()]
     return {
         "load_ptr": starts(nodes), "load_nodes": concatenated(nodes, np.int32),
         "load_values": concatenated([load.nodal() for load in loads.values()], float, (2,)),

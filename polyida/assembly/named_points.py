@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment
+from polyida.joint.joint import Joint
 from polyida.model import Model
 
 
@@ -12,24 +13,25 @@ class NamedPoints(Model):
 
     def attachment(self, name):
         """What a mass, load or joint holds on to (a joint: its side b, or a where b is ground); InputError for another name."""
-        part = self.parts.get(name)
-        side = getattr(part, "at", None) if name not in self.joints else part.a if part.b.body is None else part.b
-        if side is None:
-            known = ", ".join(repr(other) for other, part in self.parts.items() if hasattr(part, "at") or other in self.joints)
-            raise InputError(f"no mass, load or joint is called {name!r}; known: {known}")
-        return side
+        held = {known: part for known, part in self.parts.items() if isinstance(part, Joint) or isinstance(getattr(part, "at", None), Attachment)}
+        if name not in held:
+            raise InputError(f"no mass, load or joint is called {name!r}; known: {', '.join(map(repr, held))}")
+        part = held[name]
+        if isinstance(part, Joint):
+            return part.a if part.b.body is None else part.b
+        return part.at
 
     def nodes_of(self, side):
-        """Numbers in the scene of an attachment's nodes; InputError where its body is another scene's."""
-        body = next((body for body in self.bodies if body.plate is side.body), None)
-        if body is None:
+        """Numbers in the scene of an attachment's nodes, or of its body's pairs; InputError where its body is another scene's."""
+        first = self.first_node.get(id(side.body))
+        if first is None:
             raise InputError(f"{side!r}: its body is not in the scene")
-        return side.nodes + body.nodes.start
+        return side.nodes + first
 
     def displacement(self, name, q):
         """Displacement of the point that a mass, load or joint holds on to, (2,), m; of q = v its velocity."""
         side = self.attachment(name)
-        return side.weights @ q.reshape(-1, 2)[self.nodes_of(side)]
+        return self._moved(side, side.weights, q[None])[0]
 
     def position(self, name, q):
         """Path of a mass, load or joint, by name or itself, or of an attachment, over frames q (frames, n): (frames, 2), m.
@@ -37,10 +39,13 @@ class NamedPoints(Model):
         Raises InputError for what is not in the scene.
         """
         side = self._side(name)
-        nodes = self.nodes_of(side)
-        rest = self.reference[nodes]
-        place = rest[0] + side.weights @ (rest - rest[0])
-        return place + np.einsum("k,fkx->fx", side.weights, q.reshape(len(q), -1, 2)[:, nodes])
+        return side.point + self._moved(side, side.weights, q)
+
+    def _moved(self, side, weights, q):
+        """Weighted sum of the displacements of a side's nodes over frames q (frames, n), (frames, 2); weights may be complex."""
+        u = q.reshape(len(q), -1, 2)[:, self.nodes_of(side)]
+        moved = (u[..., 0] + 1j * u[..., 1]) @ weights
+        return np.stack([moved.real, moved.imag], axis=1)
 
     def _side(self, name):
         """The attachment that is meant: itself, or of a part, or of the part of a name."""
@@ -57,9 +62,7 @@ class NamedPoints(Model):
 
     def _values(self, vector, q):
         """A vector of a joint's formula, its profiles at zero, over frames q (frames, n): (frames, 2)."""
-        values = np.full(len(q), complex(vector.rest))
+        values = np.full((len(q), 2), [vector.rest.real, vector.rest.imag])
         for side, part, w in (term for piece in vector.pieces for term in piece.terms):
-            weights = side.weights if part == "point" else side.turn_weights
-            u = q.reshape(len(q), -1, 2)[:, self.nodes_of(side)] @ np.array([1.0, 1j])
-            values += w * (u @ weights)
-        return np.stack([values.real, values.imag], axis=1)
+            values += self._moved(side, w * (side.weights if part == "point" else side.turn_weights), q)
+        return values

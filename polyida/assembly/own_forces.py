@@ -4,23 +4,28 @@ import numpy as np
 
 from polyida.body.force_element import sides_of
 from polyida.errors import InputError
-from polyida.given import is_number, read_only, reals
+from polyida.given import complexes, is_number, read_only, reals
 from polyida.model import differences
+
+SORT = {reals: "real", complexes: "complex"}
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imaginary unit does to (x, y)
 
 
 class OwnForce:
     """A force element in its scene: its sides are at `x = rest + A q`, A (2 sides, n) sparse; the ground's rows are zero.
 
-    extent: the scene's size, m, over which derivatives are taken. not_finite: in words, which of its functions last gave what
+    extent: the scene's size, m, over which derivatives are taken. strain: whether its energy is that of a body's strain. not_finite: in words, which of its functions last gave what
     is not finite for arguments that are; else empty.
     """
+
+    strain = False
 
     def __init__(self, name, element, model):
         self.name, self.element, self.not_finite = name, element, ""
         sides = sides_of(name, element)
         self.rest = np.array([side.point for side in sides])
         self.A = _places(sides, model)
-        self.extent = float(np.ptp(model.reference, axis=0).max())
+        self.extent = model.extent
 
     def places(self, q):
         """Places of the sides, (sides, 2), m."""
@@ -36,6 +41,9 @@ class OwnForce:
 
     def energy(self, x):
         """Its energy, J; zero where it has none. Raises InputError for what is no finite number."""
+        return self._energy(x)
+
+    def _energy(self, x):
         value = self.element.energy(read_only(x))
         if value is None:
             return 0.0
@@ -55,22 +63,26 @@ class OwnForce:
     def _slope(self, name, t, x, v, moved):
         if getattr(self.element, name)(t, read_only(x), read_only(v)) is not None:
             return self._call(name, x.shape * 2, t, x, v).reshape(x.size, x.size)
+        return self._differences(x, moved)
+
+    def _differences(self, x, moved):
+        """Derivative of `moved(d)`, d the size of x, (2 sides, 2 sides)."""
         change, size = (lambda s: moved(self.extent * s.reshape(x.shape)).ravel()), x.size
         return differences.jacobian(change, np.zeros(size), size) / self.extent
 
-    def _call(self, name, shape, t, x, v):
+    def _call(self, name, shape, *given, numbers=reals):
         try:
-            given = getattr(self.element, name)(t, read_only(x), read_only(v))
+            result = getattr(self.element, name)(*(read_only(x) if isinstance(x, np.ndarray) else x for x in given))
         except ValueError as error:
             if "read-only" not in str(error):
                 raise
             wrong = "writes into its arguments, which belong to the integrator: take a copy first"
             raise InputError(f"{self.name}: {name} {wrong}") from error
-        found = reals(given)
+        found = numbers(result)
         if found is None or found.shape != shape:
-            what = f"{type(given).__name__} of shape {_shape(given)}"
-            raise InputError(f"{self.name}: {name} must return real numbers of shape {shape}, not {what}")
-        bad = not np.isfinite(found).all() and np.isfinite(x).all() and np.isfinite(v).all()
+            what = f"{type(result).__name__} of shape {_shape(result)}"
+            raise InputError(f"{self.name}: {name} must return {SORT[numbers]} numbers of shape {shape}, not {what}")
+        bad = not np.isfinite(found).all() and all(np.isfinite(x).all() for x in given)
         self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite" if bad else ""
         return found
 
@@ -78,8 +90,8 @@ class OwnForce:
 class OwnForces:
     """All of them, as a part of g: `g = ... - A^T f`."""
 
-    def __init__(self, elements, model):
-        self.each, self.n = [OwnForce(name, element, model) for name, element in elements.items()], model.n
+    def __init__(self, each, n):
+        self.each, self.n = each, n
 
     def __bool__(self):
         return bool(self.each)
@@ -98,9 +110,9 @@ class OwnForces:
             result = result - own.A.T @ csc_array(own.slopes(t, own.places(q), own.velocities(v), c_v, c_q)) @ own.A
         return result
 
-    def energy(self, q):
-        """Energy of those that have one, J."""
-        return sum((own.energy(own.places(q)) for own in self.each), 0.0)
+    def energy(self, q, strain):
+        """Energy of those that have one, J: of bodies' strain, or all other."""
+        return sum((own.energy(own.places(q)) for own in self.each if own.strain == strain), 0.0)
 
     @property
     def not_finite(self):
@@ -115,8 +127,9 @@ def _places(sides, model):
     held = [(k, side) for k, side in enumerate(sides) if side.body is not None]
     rows = np.concatenate([np.full(len(side.nodes), k) for k, side in held])
     columns = np.concatenate([model.nodes_of(side) for _, side in held])
-    weights = np.concatenate([side.weights for _, side in held])
-    return csr_array(kron(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)), np.eye(2)))
+    weights = np.concatenate([side.weights for _, side in held]).astype(complex)
+    whole = csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes))
+    return csr_array(kron(whole.real, np.eye(2)) + kron(whole.imag, TURN))
 
 
 def _shape(given):

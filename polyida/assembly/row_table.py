@@ -5,6 +5,7 @@ import numpy as np
 from polyida.assembly.arrays import starts
 from polyida.errors import InputError
 from polyida.joint.formula import rows_of
+from polyida.joint.joint import Joint
 
 ROUND = 1e-12  # of the scene's size: what the round-off of a formula leaves at rest
 CLOSED = 1e-6  # of the scene's size: sides that are apart by less at rest are taken to meet
@@ -21,22 +22,17 @@ class RowTable:
         self._products, self._vectors, self._constants, self._slopes = [], [], [], []
         self.labels, self.units, self.rows, self.joints = [], [], {}, {}
 
-    def add(self, name, joint):
-        """Append the rows of a joint. Raises InputError where they are no rows, or do not hold at rest."""
-        first, faced = len(self.labels), joint.facing()
-        for row in rows_of(_given(name, faced)):
-            self._require_closed(name, faced, row)
+    def add(self, name, part):
+        """Append the rows of a joint or body. Raises InputError where they are no rows, or do not hold at rest."""
+        first = len(self.labels)
+        for row in rows_of(_given(name, part)):
+            if not row.driven and abs(_at_rest(row)) > CLOSED * self._size:
+                raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; {_apart(part)}")
             self._row(name, row)
             self.labels.append(row.label)
             self.units.append(row.unit)
-        self.rows[name], self.joints[name] = slice(first, len(self.labels)), faced
+        self.rows[name], self.joints[name] = slice(first, len(self.labels)), part
         self.labels[first:] = _called(name, self.labels[first:])
-
-    def _require_closed(self, name, joint, row):
-        if not row.driven and abs(_at_rest(row)) > CLOSED * self._size:
-            a, b = joint.a, joint.b
-            raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; its sides are {a!r} at {_place(a)} and "
-                             f"{b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; place the bodies so that they meet")
 
     def _row(self, name, row):
         """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
@@ -64,8 +60,8 @@ class RowTable:
     def _weights(self, piece):
         weights = {}
         for side, part, w in piece.terms:
-            point = self._points.add(side, part)
-            weights[point] = weights.get(point, 0j) + w
+            for point, share in self._points.parts(side, part):
+                weights[point] = weights.get(point, 0j) + w * share
         return weights
 
     def arrays(self):
@@ -111,11 +107,20 @@ class Drives:
         return len(self.profiles) - 1
 
 
-def _given(name, joint):
-    rows = joint.rows()
+def _given(name, part):
+    rows = part.rows()
     if not isinstance(rows, (list, tuple)) or not rows:
-        raise InputError(f"{name}: rows() of {type(joint).__name__} must give a list of rows, not {rows!r}")
+        raise InputError(f"{name}: rows() of {type(part).__name__} must give a list of rows, not {rows!r}")
     return rows
+
+
+def _apart(part):
+    """What to do about a part whose rows do not hold at rest."""
+    if not isinstance(part, Joint):
+        return "its coordinates() must be on the rows that it gives"
+    a, b = part.a, part.b
+    return (f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; "
+            "place the bodies so that they meet")
 
 
 def _called(name, labels):

@@ -6,13 +6,15 @@ import numpy as np
 
 from polyida.assembly import collapse
 from polyida.assembly import equilibrium as compiled
-from polyida.assembly.arrays import bilinear
-from polyida.assembly.build import assemble, bodies_of, of_kind
+from polyida.assembly.arrays import bilinear, concatenated
+from polyida.assembly.build import assemble, bodies_of, extent_of, first_nodes, of_kind
 from polyida.assembly.constraints import Constraints
 from polyida.assembly.damping import add_damping, damped_blocks
 from polyida.assembly.increments import Increments
+from polyida.assembly.laws import add_own_forces
 from polyida.assembly.mass_system import MassSystem, at_rest
-from polyida.assembly.own_forces import OwnForces
+from polyida.assembly.own_bodies import Elastic, own_bodies_of, own_mass
+from polyida.assembly.own_forces import OwnForce, OwnForces
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.body.force_element import ForceElement
 from polyida.element import kernels
@@ -23,9 +25,10 @@ from polyida.model import Needs
 class SceneModel(Constraints):
     """Plates, joints, masses and forces as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
 
-    bodies: the plates in order, each with its slice of the nodes. arrays: all that the compiled kernels read; own_forces: the
-    force elements, which are Python. compiled: whether there are none, so that kernels take whole steps. `rows` names the slice
-    of phi and lam that belongs to each joint. Matrices are scipy.sparse.
+    bodies: the plates in order, each with its slice of the nodes; own_bodies: those of a user's own, whose coordinates are pairs behind
+    the nodes. arrays: all that the compiled kernels read; own_forces: the force elements and bodies' elastic forces, which are
+    Python; laws: these by number where all of them are compiled. compiled: whether there is nothing of one's own, so that kernels take whole steps. `rows` names the slice of phi and lam
+    that belongs to each joint or body. Matrices are scipy.sparse.
     """
 
     is_scene = alike = carries = compiled = True
@@ -34,23 +37,28 @@ class SceneModel(Constraints):
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
         self.bodies, self._kept, self._driven = bodies_of(parts), {}, (None, None)
-        self.arrays, points, table, drives = assemble(self.bodies, parts, gravity)
+        n_plates = self.bodies[-1].nodes.stop if self.bodies else 0
+        self.own_bodies = own_bodies_of(parts, n_plates)
+        self.first_node, self.extent = first_nodes(self.bodies, self.own_bodies), extent_of(self.bodies, self.own_bodies)
+        self.arrays, points, table, drives, self.laws = assemble(self.bodies, self.own_bodies, parts, gravity)
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
-        self.n_nodes = self.bodies[-1].nodes.stop
+        self.n_nodes = self.own_bodies[-1].nodes.stop if self.own_bodies else n_plates
         self.n, self.m = 2 * self.n_nodes, len(self.labels)
         self.n_points = len(points.nodes)
         links = self.arrays.links
         self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
-        damped, self.flexible = any(body.plate.material.damped for body in self.bodies), True
-        self.needs = Needs(mass_varies=False, velocity_forces=damped or bool(of_kind(parts, ForceElement)), driven=bool((links.product_drive >= 0).any()),
+        elements, deforming = of_kind(parts, ForceElement), [own for own in self.own_bodies if own.elastic]
+        damped, self.flexible = any(body.plate.material.damped for body in self.bodies), bool(self.bodies or deforming)
+        self.needs = Needs(mass_varies=False, velocity_forces=damped or bool(elements), driven=bool((links.product_drive >= 0).any()),
                            phi_q_varies=bool(bilinear(links).any()))
-        self.reference = np.concatenate([body.points for body in self.bodies])
-        self.extent = float(np.ptp(self.reference, axis=0).max())
-        self.own_forces = OwnForces(of_kind(parts, ForceElement), self)
-        self.compiled = not self.own_forces
-        named = ", ".join(repr(own.name) for own in self.own_forces.each)
-        self.remark = f"plain paths for the Python of {named}" if named else ""
+        self.reference = np.concatenate([body.points for body in self.bodies] + [own.pairs for own in self.own_bodies])
+        self.own_forces = OwnForces([*(OwnForce(name, element, self) for name, element in elements.items()),
+                                     *(Elastic(own, self.n_nodes) for own in deforming)], self.n)
+        self.own_mass = own_mass(self.own_bodies, parts, self.first_node, self.n) if self.own_bodies else None
+        python = dict.fromkeys([own.name for own in (*self.own_bodies, *self.own_forces.each)])
+        self.compiled, self.looks_apart = not python, 1 if self.own_bodies else self.looks_apart
+        self.remark = f"plain paths for the Python of {', '.join(map(repr, python))}" if python else ""
 
     @property
     def free_fall(self):
@@ -70,13 +78,19 @@ class SceneModel(Constraints):
 
     def residual(self, t, q, v, a, lam):
         """`r = M a + g + phi_q^T lam`, (n,)."""
-        return self._with_forces(t, q, v, self.evaluate(t, q, a, lam)[0])
+        r = self._with_forces(t, q, v, self.evaluate(t, q, a, lam)[0])
+        return r if self.own_mass is None else r + self.own_mass @ a
 
     def _with_forces(self, t, q, v, r):
         """r with what `evaluate` leaves out: damping and force elements."""
         if self.needs.velocity_forces:
             add_damping(self.arrays.plates, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
-        self.own_forces.take_from(r, t, q, v)
+        if self.laws is None:
+            self.own_forces.take_from(r, t, q, v)
+            return r
+        add_own_forces(self.laws, self.arrays.links, self.drives(t), self._nodal(q), self._nodal(v), r.reshape(-1, 2))
+        if not np.isfinite(r).all():
+            self.own_forces.take_from(r, t, q, v)  # which knows by whose doing
         return r
 
     def call_all(self, t, q, v):
@@ -100,16 +114,17 @@ class SceneModel(Constraints):
     def _mass(self):
         from scipy.sparse import kron
 
-        return kron(self._nodal_mass, np.eye(2), format="csc")
+        nodal = kron(self._nodal_mass, np.eye(2), format="csc")
+        return nodal if self.own_mass is None else nodal + self.own_mass
 
     @cached_property
     def _nodal_mass(self):
-        """The mass matrix of one direction, (nodes, nodes): x and y carry the same."""
+        """The mass matrix of one direction, (nodes, nodes), without bodies of one's own: x and y carry the same."""
         from scipy.sparse import csr_array, diags_array
 
         (indptr, indices), s = self.pattern, self.arrays
         values = [body.operator.mass * density for body, density in zip(self.bodies, s.plates.body_density)]
-        mass = csr_array((np.concatenate(values), indices, indptr), shape=(self.n_nodes, self.n_nodes))
+        mass = csr_array((concatenated(values, float), indices, indptr), shape=(self.n_nodes, self.n_nodes))
         return (mass + self._points_s.T @ diags_array(s.links.point_mass) @ self._points_s).tocsc()
 
     def mass_inverse(self, b):
@@ -145,6 +160,8 @@ class SceneModel(Constraints):
 
     def mass_system(self, t, q):
         """The system of M and phi_q through the points of the joints; without motors made once."""
+        if self.own_bodies:
+            return super().mass_system(t, q)
         return MassSystem(self, t, q) if self.needs.driven or self.needs.phi_q_varies else self.once(at_rest)
 
     def step_matrix(self, linear="auto"):
@@ -171,29 +188,30 @@ class SceneModel(Constraints):
 
     def potential(self, q):
         """Strain energy and potential of gravity, J, relative to the reference configuration, and energy of force elements."""
-        return self.strain_energy(q) + self.gravity_potential(q) + self.own_forces.energy(q)
+        return sum(self.potentials(q))
 
     def potentials(self, q):
         """(potential of gravity and force elements, strain energy), J."""
-        return self.gravity_potential(q) + self.own_forces.energy(q), self.strain_energy(q)
+        return self.gravity_potential(q) + self.own_forces.energy(q, strain=False), self.strain_energy(q)
 
     def strain_energy(self, q):
-        """Elastic energy of all plates, J."""
-        return compiled.strain_energy(self.arrays.plates, self._nodal(q))
+        """Elastic energy of all bodies, J."""
+        return compiled.strain_energy(self.arrays.plates, self._nodal(q)) + self.own_forces.energy(q, strain=True)
 
     def gravity_potential(self, q):
-        """Potential of gravity on plates and masses, J, zero at q = 0."""
+        """Potential of gravity on bodies and masses, J, zero at q = 0."""
         at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
         return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
 
     @cached_property
     def pattern(self):
-        """(indptr, indices) of the nodal block pattern of all plates, int32."""
+        """(indptr, indices) of the nodal block pattern of all plates, int32; rows of other bodies' pairs are empty."""
         s, indptr, indices = self.arrays.plates, [np.zeros(1, np.int32)], []
         for body, first in zip(self.bodies, s.body_block):
             indptr.append(body.operator.indptr[1:] + np.int32(first))
             indices.append(body.operator.indices + np.int32(body.nodes.start))
-        return np.concatenate(indptr), np.concatenate(indices)
+        indptr = np.concatenate(indptr)
+        return np.pad(indptr, (0, self.n_nodes + 1 - len(indptr)), mode="edge"), concatenated(indices, np.int32)
 
     def _forces_q(self, t, q, v, c_v, c_q):
         """`c_v dg/dv + c_q dg/dq`, (n, n) sparse."""
@@ -213,7 +231,7 @@ class SceneModel(Constraints):
 
     def stress(self, q):
         """Cauchy stress of every element, (cells, 3): xx, yy, xy in Pa, plate after plate."""
-        parts = []
+        parts = [np.zeros((0, 3))]
         for body in self.bodies:
             modulus, nu = body.plate.material.in_plane
             out, operator = np.empty((body.mesh.n_cells, 3)), body.operator

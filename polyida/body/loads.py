@@ -31,7 +31,7 @@ class PointLoad:
 
     def nodal(self) -> NDArray:
         """Nodal forces on the attachment's nodes at profile value 1, (k, 2), N."""
-        return np.outer(self.at.weights, np.asarray(self.force, float))
+        return self.at.share(self.force)
 
 
 @named_keywords

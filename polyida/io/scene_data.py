@@ -1,7 +1,7 @@
 """A scene as plain data and back, so that a result file holds the scene that made it: numbers and names, never code.
 
 A part is its kind and its fields. A field is plain, or one of: {"side": an attachment}, {"ground": [point, direction] or null},
-{"profile": formula}, {"drive": key} for a profile without a formula, {"mesh": key}, {"material": numbers}, {"unknown": type}.
+{"complex": [real, imaginary]}, {"profile": formula}, {"drive": key} for a profile without a formula, {"mesh": key}, {"material": numbers}, {"unknown": type}.
 """
 
 from dataclasses import astuple, fields
@@ -9,6 +9,7 @@ from dataclasses import astuple, fields
 import numpy as np
 
 from polyida import profile, registry
+from polyida.body.body import Body, BodyPoint, rest_of
 from polyida.body.material import Material
 from polyida.errors import InputError
 from polyida.given import is_number
@@ -56,13 +57,15 @@ class _Book:
             return value
         if is_number(value):
             return float(value)
-        return _plain(value) if _numbers(value) else {"unknown": type(value).__name__}
+        if _numbers(value, "c"):
+            return {"complex": [_plain(np.real(value)), _plain(np.imag(value))]}
+        return _plain(value) if _numbers(value, "iuf") else {"unknown": type(value).__name__}
 
     def _side(self, key, side):
         body = next(name for name, part in self.parts.items() if part is side.body)
-        self.arrays |= {f"{key}/nodes": side.nodes, f"{key}/weights": side.weights}
+        self.arrays |= {f"{key}/nodes": side.nodes, f"{key}/weights": _real(side.weights)}
         if side.turn_weights is not None:
-            self.arrays[f"{key}/turn_weights"] = side.turn_weights
+            self.arrays[f"{key}/turn_weights"] = _real(side.turn_weights)
         return {"body": body, "name": side.name, "length": float(side.length), "key": key}
 
     def _drive(self, name, value):
@@ -82,8 +85,8 @@ def _plain(value):
     return np.asarray(value, float).tolist()
 
 
-def _numbers(value):
-    return isinstance(value, (tuple, list, np.ndarray)) and np.asarray(value).dtype.kind in "iuf"
+def _numbers(value, kinds):
+    return isinstance(value, (complex, tuple, list, np.ndarray)) and np.asarray(value).dtype.kind in kinds
 
 
 def from_data(description, arrays, drives=None):
@@ -128,6 +131,9 @@ class _Reader:
             return profile.from_formula(tuple(value["profile"]))
         if "drive" in value:
             return self.drives(value["drive"]) or profile.constant(0.0)
+        if "complex" in value:
+            real, imaginary = map(np.array, value["complex"])
+            return real + 1j * imaginary
         if "material" in value:
             return Material(*value["material"])
         return self._mesh(value["mesh"], value["sections"]) if "mesh" in value else self._side(value["side"])
@@ -142,12 +148,22 @@ class _Reader:
     def _side(self, side):
         key, arrays = side["key"], self.arrays
         nodes, body = arrays[f"{key}/nodes"], self.parts[side["body"]]
-        weights, turn = np.asarray(arrays[f"{key}/weights"], float), arrays.get(f"{key}/turn_weights")
-        turn = None if turn is None else np.asarray(turn, float)
-        if nodes.size == 0 or nodes.dtype.kind != "i" or nodes.min() < 0 or nodes.max() >= body.mesh.n_nodes:
-            raise InputError(f"the scene in the file is damaged: {key} selects nodes that plate {side['body']!r} does not have")
+        kind, count = (BodyPoint, len(rest_of(body))) if isinstance(body, Body) else (Attachment, body.mesh.n_nodes)
+        weights, turn = (None if found is None else _weights(found, kind) for found in (arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights")))
+        if nodes.size == 0 or nodes.dtype.kind != "i" or nodes.min() < 0 or nodes.max() >= count:
+            raise InputError(f"the scene in the file is damaged: {key} selects nodes that {side['body']!r} does not have")
         if not nodes.shape == weights.shape == (weights if turn is None else turn).shape == (nodes.size,):
             raise InputError(f"the scene in the file is damaged: {key} has not one weight a node")
         if not 0 <= float(side["length"]) < np.inf:
             raise InputError(f"the scene in the file is damaged: {key} has the length {side['length']}")
-        return Attachment(body, nodes.astype(np.int32), weights, turn, float(side["length"]), str(side["name"]))
+        return kind(body, nodes.astype(np.int32), weights, turn, float(side["length"]), str(side["name"]))
+
+
+def _real(weights):
+    """Weights as real numbers: complex ones as (k, 2)."""
+    return np.stack([weights.real, weights.imag], axis=1) if np.iscomplexobj(weights) else weights
+
+
+def _weights(found, kind):
+    weights = np.asarray(found, float)
+    return weights if kind is Attachment else weights[:, 0] + 1j * weights[:, 1]

@@ -24,6 +24,7 @@ class Ground:
     point: Any = None
     direction: Any = None
     has_direction = True
+    turns_only = False
     body = None
 
     def at(self, point: ArrayLike, direction: ArrayLike = (1.0, 0.0)) -> "Ground":
@@ -68,6 +69,8 @@ class Attachment:
     turn_weights: np.ndarray | None
     length: float
     name: str
+    turns_only = False  # whether the length of its direction may be held by its body
+    advice = "use a section of two nodes or more"  # where it has no direction
 
     @property
     def point(self) -> NDArray:
@@ -93,8 +96,12 @@ class Attachment:
     def d(self) -> Vector:
         """Its direction, a Vector of a joint's formula. Raises InputError where it has none."""
         if not self.has_direction:
-            raise InputError(f"{self!r} has no direction; use a section of two nodes or more")
+            raise InputError(f"{self!r} has no direction; {self.advice}")
         return Vector((Piece(((self, "direction", 1 + 0j),)),))
+
+    def share(self, force: ArrayLike) -> NDArray:
+        """What of a force (2,) at the point acts on each node, (k, 2)."""
+        return np.outer(self.weights, np.asarray(force, float))
 
     def each(self) -> list["Attachment"]:
         """Its nodes, each an attachment of its own."""
@@ -157,7 +164,7 @@ def require_attachment(part, given):
     """Raise InputError naming the part unless `given` is an attachment of a body."""
     if not isinstance(given, Attachment):
         given = getattr(given, "label", None) or repr(given)
-        raise InputError(f"{part}: {given[:80]} is no attachment; use plate.section(...), plate.rim(...) or plate.node(...)")
+        raise InputError(f"{part}: {given[:80]} is no attachment; use plate.section(...), plate.rim(...), plate.node(...) or body.at(...)")
 
 
 def require_sides(part, a, b):

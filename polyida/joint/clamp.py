@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.joint.attachment import Ground, ground, labelled
-from polyida.joint.formula import Row, Vector
+from polyida.joint.formula import Row, Vector, cross
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 
@@ -20,6 +20,8 @@ class Clamp(Joint):
     To ground: every node of the section keeps its place, `phi = x_i - X_i` (2 rows a node, m).
     Between bodies: point and direction of both sections move as one, `phi = (x_A - x_B, d_A - Q d_B)` (4 rows), Q being the
     rotation between the directions in the reference configuration. phi_q is constant in both cases.
+    Where one side is of a body of one's own, whose directions may be of constant length by themselves: `phi = (x_A - x_B, Q d_A x d_B)`
+    (3 rows).
     Multipliers: force on b, N; of the direction a moment over length. Raises InputError where a section between bodies is a
     single node, which has no direction, and for a place of the ground other than where the section is.
     """
@@ -30,8 +32,9 @@ class Clamp(Joint):
     def __post_init__(self):
         super().__post_init__()
         grounds = [isinstance(side, Ground) for side in (self.a, self.b)]
-        if not any(grounds):
+        if not any(grounds) or self.a.turns_only or self.b.turns_only:
             self.require_directions()
+        if not any(grounds):
             return
         place, held = (self.a, self.b) if grounds[0] else (self.b, self.a)
         if place.point is not None and not np.array_equal(place.point, held.point):
@@ -39,7 +42,9 @@ class Clamp(Joint):
             raise InputError(f"{label}: it holds {held!r} where that is at rest, not at {place!r}; give ground itself, and place the body there")
 
     def rows(self) -> list[Row | Vector]:
-        """`x_i - X_i` of every node, or `(x_A - x_B, d_A - Q d_B)`."""
+        """`x_i - X_i` of every node, or `(x_A - x_B, d_A - Q d_B)`, or where a body keeps its directions' length `(x_A - x_B, Q d_A x d_B)`."""
+        if self.a.turns_only or self.b.turns_only:
+            return [self.a.x - self.b.x, cross(self.a.d.onto(self.b.d), self.b.d).one_way().named("angle", "N m")]
         if isinstance(self.b, Ground):
             return [node.x - ground.at(node.point).x for node in self.a.each()]
         if isinstance(self.a, Ground):

@@ -48,7 +48,7 @@ class Joint:
         for side in (self.a, self.b):
             if not side.has_direction:
                 label = labelled(type(self).__name__, self.name)
-                raise InputError(f"{label}: {side!r} has no direction; use a section of two nodes or more")
+                raise InputError(f"{label}: {side!r} has no direction; {side.advice}")
 
     def facing(self) -> Self:
         """The joint with plain `ground` put where its other side is in the reference configuration."""

@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from numba import njit
 
 import polyida as pi
+from polyida.assembly import laws
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,3 +152,130 @@ def test_parts_are_looked_at(scenes):
     scene.add(Pull(upper.section("right"), scenes.plate("other").section("left"), name="pull"))
     with pytest.raises(pi.InputError, match="not in the scene"):
         scene.build()
+
+
+@njit
+def pull(t, x, v, data, f):
+    k, d = data[0], data[1]
+    for e in range(2):
+        f[0, e] = k * (x[1, e] - x[0, e]) + d * (v[1, e] - v[0, e])
+        f[1, e] = -f[0, e]
+
+
+@njit
+def gust(t, x, v, data, f):
+    f[0, 0], f[0, 1] = data[0] * np.sin(data[1] * t), -data[0] * v[0, 1] * abs(v[0, 1])
+
+
+@njit
+def half(t, x, v, data, f):
+    f[0, 0] = 1.0
+
+
+@njit
+def broken(t, x, v, data, f):
+    f[0, 0] = x.nonsense
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled(pi.ForceElement):
+    """`Pull` by a law."""
+
+    a: object
+    b: object
+    k: float = 20.0
+    d: float = 0.0
+    name: str | None = None
+    law = pull
+
+    def sides(self):
+        return (self.a, self.b)
+
+    def energy(self, x):
+        return Pull.energy(self, x)
+
+
+@dataclass(frozen=True, eq=False)
+class Wind(pi.ForceElement):
+    """A force that depends on time and speed, by a law."""
+
+    at: object
+    c: float = 0.2
+    w: float = 30.0
+    name: str | None = None
+    law = gust
+
+    def sides(self):
+        return (self.at,)
+
+
+def by_law(law, functions=()):
+    """A Wind of another law, with further functions."""
+    return dataclass(frozen=True, eq=False)(type("Other", (Wind,), {"law": law, **dict(functions)}))
+
+
+@pytest.mark.parametrize("method", [pi.IDA(rtol=1e-7), pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3)])
+def test_a_law_is_the_same_force(scenes, method):
+    runs = [pi.solve(pulled(scenes, kind, d=2.0), 0.02, method) for kind in (Pull, Compiled)]
+    assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-12
+    assert np.allclose(runs[0].energy.total, runs[1].energy.total, rtol=1e-12)
+
+
+def lawful(scenes):
+    """(model, q, v) of two laws on one plate, in the middle of somewhere."""
+    scene, upper = scenes.hinged()
+    scene.add(Compiled(upper.section("left"), upper.section("right"), d=3.0))
+    scene.add(Wind(upper.node(3)))
+    scene.add(Compiled(pi.ground.at((0.5, -2.0)), upper.section("right"), k=7.0))
+    model, random = scene.build(), np.random.default_rng(1)
+    return model, *(0.1 * random.standard_normal((2, model.n)))
+
+
+def test_kernels_call_laws(scenes):
+    model, q, v = lawful(scenes)
+    r, one_by_one = np.zeros((2, model.n))
+    laws.add_own_forces(model.laws, model.arrays.links, model.drives(0.3), q.reshape(-1, 2), v.reshape(-1, 2), r.reshape(-1, 2))
+    model.own_forces.take_from(one_by_one, 0.3, q, v)
+    assert np.abs(r).max() > 1.0 and np.abs(r - one_by_one).max() < 1e-13
+    assert len(laws.add_own_forces.signatures) == 1
+    assert max(pi.check_derivatives(model, 0.3, q, v).values()) < 1e-6
+
+
+def test_curvature_of_laws_on_the_points(scenes):
+    model, q, v = lawful(scenes)
+    curvature = np.zeros((2 * model.n_points, 2 * model.n_points))
+    laws.add_own_curvature(model.laws, model.drives(0.3), model.dz(q), model.dz(v), 2.0, 3.0, curvature)
+    expected = model.own_forces.slopes(0.3, q, v, 3.0, 2.0).toarray()
+    assert np.abs(model._points_t @ curvature @ model._points_t.T.toarray() - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def test_laws_beside_python_are_called_one_by_one(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(Wind(upper.section("right"), name="wind"))
+    scene.add(Push(upper.section("right"), lambda t, x, v: np.zeros((1, 2))))
+    model = scene.build()
+    assert model.laws is None
+    del scene.parts["push 1"]
+    alone, random = scene.build(), np.random.default_rng(1)
+    q, v = 0.1 * random.standard_normal((2, model.n))
+    assert np.allclose(model.force(0.2, q, v), alone.force(0.2, q, v), rtol=1e-13)
+
+
+@pytest.mark.parametrize("kind, words", [
+    (by_law(lambda t, x, v, data, f: None), "must be a function decorated with numba.njit"),
+    (by_law(gust, {"forces": Push.forces}), "it must give one of them"),
+    (by_law(broken), "numba does not compile its law.*nonsense"),
+    (by_law(half), "forces of 'wind' gave numbers that are not finite"),
+    (by_law(gust, {"numbers": lambda self: "two"}), "numbers.. must give a list of finite numbers"),
+])
+def test_what_is_wrong_with_a_law_is_told(scenes, kind, words):
+    scene, upper = scenes.hinged()
+    with pytest.raises(pi.InputError, match=words):
+        scene.add(kind(upper.section("right"), name="wind"))
+        pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
+
+
+def test_files_hold_a_law(scenes, tmp_path):
+    run = pi.solve(pulled(scenes, Compiled, d=2.0), 5e-3, pi.GeneralizedAlpha(h=1e-3))
+    run.save(tmp_path / "run.h5")
+    assert np.array_equal(pi.load(tmp_path / "run.h5").energy.total, run.energy.total)

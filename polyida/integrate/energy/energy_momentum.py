@@ -25,7 +25,7 @@ class EnergyMomentum:
     on their constraint. Second order in q, v, a and lam; a and lam of a frame follow from its q and v, which costs half to two
     thirds of a step for each frame that is kept (integrate/energy/at_end.py). Damping enters at the middle of the step and only takes energy.
 
-    It takes every scene, force elements by the discrete derivative of their energy, and every model of one's own that gives
+    It takes every scene, force elements and bodies of one's own by the discrete derivative of their energy, and every model of one's own that gives
     `potential`, with a constant mass and phi at most quadratic in q (integrate/energy/general.py). Other forces act at the middle. That
     the energy is kept where phi_q varies needs `Needs(driven=False)`: else phi may do work, and v is put on its constraint at the cost of it.
 
@@ -51,12 +51,12 @@ class EnergyMomentum:
 
     def require(self, model: Model) -> None:
         """Raise InputError unless it takes the model: any scene; one's own with a potential, constant mass, phi at most quadratic."""
-        if not (model.compiled or model.own_forces):
+        if not model.is_scene:
             require_general(model)
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
-        kind = Midpoint if model.compiled else WithForces if model.own_forces else General
+        kind = Midpoint if model.compiled else WithForces if model.is_scene else General
         for begin, end, most in stretches(model, state.t, t_end, self.h):
             state = _ready(model, state, begin)
             count = enough_steps(model, state, begin, end, min(self.h, most))

@@ -107,14 +107,14 @@ class General(Steps):
 
 
 class WithForces(General):
-    """Steps of a scene with force elements: plates, loads, masses and joints by the exact form of `midpoint.middle`, each force
-    element by the discrete derivative of its own energy on its own sides.
+    """Steps of a scene with force elements or bodies of one's own: plates, loads, masses and joints by the exact form of
+    `midpoint.middle`, each force element and elastic body by the discrete derivative of its own energy on its own places.
     """
 
     def _room(self):
         from polyida.integrate.energy.midpoint import room
 
-        self.extent = float(np.ptp(self.model.reference, axis=0).max())
+        self.extent = self.model.extent
         return room(self.model)
 
     def _residual(self, t):
@@ -123,7 +123,7 @@ class WithForces(General):
 
         w, model = self.room, self.model
         det = middle(model.arrays, model.drives(t), self.h, w)
-        r = w.r.ravel().copy()
+        r = w.r.ravel().copy() if model.own_mass is None else w.r.ravel() + model.own_mass @ w.a.ravel()
         for own in model.own_forces.each:
             r -= own.A.T @ self._own(own, t).ravel()
         return (DONE if det > 0.0 else INVERTED if det <= 0.0 else NOT_FINITE), r

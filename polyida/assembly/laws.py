@@ -1,0 +1,129 @@
+"""Forces of one's own that are compiled: C functions, called by their addresses, so that no kernel is made anew for a user's formula."""
+
+from functools import cache
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from polyida.assembly.joints import point_values, spread
+from polyida.compiled import entry, part
+
+NUMBERS = types.CPointer(types.float64)
+CALLED = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS, types.int64, types.int64)  # t, x, v, data, f, sides, len(data)
+STEP = np.finfo(float).eps ** (1 / 3)  # of the size of what is varied: balances truncation against round-off of central differences
+
+
+class Laws(NamedTuple):
+    """A scene's force elements by number: address, first side and first of its `numbers`, (laws + 1, 3), the last row the ends.
+
+    points: the point of links of each side, -1 where it is a place of the ground; rest: places of the sides, (sides, 2), m. clock: the
+    drive that is the time. size: of the scene, m.
+    """
+
+    parts: np.ndarray
+    points: np.ndarray
+    rest: np.ndarray
+    numbers: np.ndarray
+    clock: int
+    size: float
+
+
+@cache
+def callback_of(law):
+    """`law(t, x, v, data, f)`, a function of numba's, as a C function; kept, for its address is in use."""
+
+    def called(t, x, v, data, f, sides, count):
+        shape = (sides, 2)
+        law(t, numba.carray(x, shape), numba.carray(v, shape), numba.carray(data, (count,)), numba.carray(f, shape))
+
+    return numba.cfunc(CALLED)(called)
+
+
+@intrinsic
+def call(typing, address, t, x, v, data, f, sides, count):
+    """Call the C function at an address."""
+
+    def emit(context, builder, _, given):
+        where, t, *arrays = given[:6]
+        data = [context.make_array(kind)(context, builder, array).data for kind, array in zip((x, v, numbers, f), arrays)]
+        pointer = ir.DoubleType().as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [ir.DoubleType(), *[pointer] * 4, *[ir.IntType(64)] * 2])
+        builder.call(builder.inttoptr(where, kind.as_pointer()), [t, *data, *given[6:]])
+        return context.get_dummy_value()
+
+    numbers = data
+    return types.void(types.int64, types.float64, x, v, data, f, types.int64, types.int64), emit
+
+
+@part
+def evaluate(laws, k, t, x, v, f):
+    """Fill f (sides, 2), N, with the forces of law k at the places x and velocities v; nan where it writes nothing."""
+    f[:] = np.nan
+    call(laws.parts[k, 0], t, x, v, laws.numbers[laws.parts[k, 2]:laws.parts[k + 1, 2]], f, x.shape[0],
+         laws.parts[k + 1, 2] - laws.parts[k, 2])
+
+
+@part
+def place(laws, k, dz, vz):
+    """x and v of the sides of law k at displacements dz and velocities vz of the points, and room for its forces."""
+    first, count = laws.parts[k, 1], laws.parts[k + 1, 1] - laws.parts[k, 1]
+    x, v = laws.rest[first:first + count].copy(), np.zeros((count, 2))
+    for i in range(count):
+        p = laws.points[first + i]
+        if p >= 0:
+            for e in range(2):
+                x[i, e] += dz[p, e]
+                v[i, e] = vz[p, e]
+    return x, v, np.empty((count, 2))
+
+
+@entry
+def add_own_forces(laws, links, drives, u, v, r):
+    """r (nodes, 2) -= the forces of all laws at displacements u and velocities v, (nodes, 2)."""
+    dz, vz, forces = np.zeros((3, links.point_mass.shape[0], 2))
+    point_values(links, u, dz)
+    point_values(links, v, vz)
+    for k in range(laws.parts.shape[0] - 1):
+        x, speeds, f = place(laws, k, dz, vz)
+        evaluate(laws, k, drives[laws.clock, 0], x, speeds, f)
+        for i in range(f.shape[0]):
+            p = laws.points[laws.parts[k, 1] + i]
+            if p >= 0:
+                forces[p, 0] -= f[i, 0]
+                forces[p, 1] -= f[i, 1]
+    spread(links, forces, r)
+
+
+@entry
+def add_own_curvature(laws, drives, dz, vz, c_q, c_v, curvature):
+    """curvature (2 points, 2 points) -= `c_q df/dx + c_v df/dv` of all laws at displacements dz and velocities vz of the points, (points, 2)."""
+    for k in range(laws.parts.shape[0] - 1):
+        x, v, ahead = place(laws, k, dz, vz)
+        behind = np.empty_like(ahead)
+        if c_q != 0.0:
+            add_slopes(laws, k, drives[laws.clock, 0], x, v, x, c_q, ahead, behind, curvature)
+        if c_v != 0.0:
+            add_slopes(laws, k, drives[laws.clock, 0], x, v, v, c_v, ahead, behind, curvature)
+
+
+@part
+def add_slopes(laws, k, t, x, v, varied, c, ahead, behind, curvature):
+    """curvature -= c times the derivative of the forces of law k in `varied`, which is x or v, by central differences."""
+    first, step = laws.parts[k, 1], STEP * laws.size
+    for j in range(x.shape[0]):
+        q = laws.points[first + j]
+        for e in range(2 if q >= 0 else 0):
+            middle = varied[j, e]
+            varied[j, e] = middle + step
+            evaluate(laws, k, t, x, v, ahead)
+            varied[j, e] = middle - step
+            evaluate(laws, k, t, x, v, behind)
+            varied[j, e] = middle
+            for i in range(x.shape[0]):
+                p = laws.points[first + i]
+                for a in range(2 if p >= 0 else 0):
+                    curvature[2 * p + a, 2 * q + e] -= c * (ahead[i, a] - behind[i, a]) / (2.0 * step)

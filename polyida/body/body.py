@@ -1,0 +1,195 @@
+"""What every body of one's own is: coordinates that are points of the complex plane, a constant mass, an elastic force, named points."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from polyida.body.material import vector2
+from polyida.body.own_part import OwnPart, require_whole, writes
+from polyida.errors import InputError
+from polyida.given import complexes, is_one_of
+from polyida.joint.attachment import Attachment
+from polyida.joint.formula import Row, Vector
+
+SAME = 1e-9  # of its size, by which what ought to be equal may differ
+
+
+class Body(OwnPart):
+    """A body of one's own, a frozen dataclass with a field `name`: coordinates z (pairs,), complex numbers for pairs (x, y) that move.
+
+    `M z'' + elastic(z) = forces`, M constant; each of its points is `x = sum w_k z_k` with constant complex weights w, so that joints,
+    masses, loads and forces hold on to it by `body.at(name)`. In q stand the displacements of its pairs from `coordinates()`, after the
+    nodes of the plates. Gravity acts as `M T g`, T its `translation()`. What is constant is asked for once; z is to read only. Its
+    functions are Python, so a scene with it goes through the integrators' plain paths, which its summaries say.
+    """
+
+    def coordinates(self) -> ArrayLike:
+        """z in the reference configuration, (pairs,), complex: places in m, or numbers without unit such as a direction's."""
+        raise NotImplementedError
+
+    def mass_matrix(self) -> ArrayLike:
+        """M, Hermitian, (pairs, pairs): kinetic energy `z'^H M z' / 2`, J; or real and symmetric on (x_0, y_0, x_1, ...), (2 pairs, 2 pairs)."""
+        raise NotImplementedError
+
+    def attachments(self) -> dict[str, ArrayLike]:
+        """{name: weights (pairs,) of its point}, or of its point and its direction, (2, pairs), complex."""
+        raise NotImplementedError
+
+    def x_axis(self) -> ArrayLike | None:
+        """Weights (pairs,) of the body's x axis, the direction of its points where they have none of their own; None: there is none."""
+        return None
+
+    def translation(self) -> ArrayLike:
+        """T (pairs,): by how much each pair moves where the whole body moves by one. Of the first pair by one, of the others not at all."""
+        return np.arange(len(np.atleast_1d(self.coordinates()))) == 0
+
+    def elastic(self, z: NDArray) -> ArrayLike:
+        """`dW/dRe z + i dW/dIm z`, (pairs,), complex, W the elastic energy; where it is not written the body is rigid."""
+        raise NotImplementedError
+
+    def elastic_z(self, z: NDArray) -> ArrayLike | None:
+        """Derivative of `elastic` on (x_0, y_0, x_1, ...), real, (2 pairs, 2 pairs); None: by differences."""
+        return None
+
+    def energy(self, z: NDArray) -> float:
+        """Elastic energy W, J, zero at rest."""
+        raise NotImplementedError
+
+    def rows(self) -> list[Row | Vector]:
+        """Constraints of its own, as of a joint, made of the `x` and `d` of its points: those that keep its coordinates rigid, say."""
+        return []
+
+    def reaction(self, lam: NDArray, values: object) -> NDArray:
+        """The multipliers of its own constraints."""
+        return lam.copy()
+
+    def at(self, name: str, direction: ArrayLike | None = None) -> "BodyPoint":
+        """A point by name. direction: of any length, in the axes of the body at rest turned with its x axis; that axis where it is None.
+
+        Raises InputError for another name, and for a direction where there is no axis.
+        """
+        known = self.attachments()
+        if not is_one_of(name, known):
+            raise InputError(f"{self.label}: no attachment is called {name!r}; known: {', '.join(map(repr, known))}")
+        return self.point_of(name, known[name], direction)
+
+    def point_of(self, name: str, weights: ArrayLike, direction: ArrayLike | None = None) -> "BodyPoint":
+        """A point by its weights, as `attachments()` gives them; name: how messages call it."""
+        pairs = len(rest_of(self))
+        given = _finite(weights)
+        if given is None or given.shape not in ((pairs,), (2, pairs)):
+            want = f"its weights, ({pairs},), or those of its point and direction, (2, {pairs})"
+            raise InputError(f"{self.label}: attachment {name!r} is given by {str(weights)[:80]}; it must be {want}, finite numbers")
+        where, way = given if given.ndim == 2 else (given, self.x_axis())
+        if way is None and direction is not None:
+            raise InputError(f"{self.label}: attachment {name!r} has no direction to turn to {direction!r}; let the class give x_axis()")
+        turn = None if way is None else _turned(self, name, way, direction)
+        return BodyPoint(self, np.arange(pairs, dtype=np.int32), where, turn, 0.0, name)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BodyPoint(Attachment):
+    """A point of a body of one's own: `x = sum w_i z_i`, `d = sum w'_i z_i`, weights (pairs,) complex, |d| = 1 in the reference configuration."""
+
+    turns_only = True
+    advice = "let its class give x_axis(), or the attachment a direction of its own"
+
+    @property
+    def point(self) -> NDArray:
+        """Reference position of the point, (2,), m."""
+        return _pair(self.weights @ rest_of(self.body))
+
+    @property
+    def direction(self) -> NDArray | None:
+        """Reference direction, (2,), of length one, or None."""
+        return None if self.turn_weights is None else _pair(self.turn_weights @ rest_of(self.body))
+
+    def share(self, force: ArrayLike) -> NDArray:
+        """What of a force (2,) at the point acts on each pair, (pairs, 2)."""
+        shares = self.weights.conj() * (np.asarray(force, float) @ [1.0, 1j])
+        return np.stack([shares.real, shares.imag], axis=1)
+
+
+def _turned(body, name, way, direction):
+    """Weights of a direction of length one at rest, turned from the axis `way` to `direction`."""
+    turn, z = 1.0 + 0j, rest_of(body)
+    if direction is not None:
+        turn = complex(*vector2(f"{body.label}: attachment {name!r}", "direction", direction))
+    given = _finite(way)
+    if given is None or given.shape != z.shape:
+        raise InputError(f"{body.label}: x_axis() gave {str(way)[:80]}; it must be weights, ({len(z)},), finite numbers")
+    size = abs(given @ z) * abs(turn)
+    if not size > 0:
+        raise InputError(f"{body.label}: the direction of attachment {name!r} has no length at rest")
+    return given * turn / size
+
+
+def _finite(given):
+    array = complexes(given)
+    return array if array is not None and np.isfinite(array).all() else None
+
+
+def _pair(number):
+    return np.array([number.real, number.imag])
+
+
+def rest_of(body):
+    """The coordinates of a body at rest, (pairs,) complex. Raises InputError naming it."""
+    given = body.coordinates()
+    z = _finite(given)
+    if z is None or z.ndim != 1 or not z.size:
+        raise InputError(f"{body.label}: coordinates() gave {str(given)[:80]}; it must give a list of finite complex numbers, at least one")
+    return z
+
+
+def mass_of(body):
+    """Its mass matrix on (x_0, y_0, x_1, ...), (2 pairs, 2 pairs), real. Raises InputError where it is no mass."""
+    pairs, matrix = len(rest_of(body)), _finite(body.mass_matrix())
+    shape = "nothing of the kind" if matrix is None else matrix.shape
+    if matrix is None or matrix.shape not in ((pairs, pairs), (2 * pairs, 2 * pairs)):
+        raise InputError(f"{body.label}: mass_matrix() gave {shape}; it must give finite numbers ({pairs}, {pairs}), or on both of "
+                         f"each pair ({2 * pairs}, {2 * pairs})")
+    size = np.abs(matrix).max()
+    if np.abs(matrix - matrix.conj().T).max() > SAME * size:
+        raise InputError(f"{body.label}: mass_matrix() is not Hermitian (symmetric where it is real)")
+    if len(matrix) == pairs:
+        matrix = on_pairs(matrix)
+    if np.any(matrix.imag) or np.linalg.eigvalsh(matrix.real)[0] < -SAME * size:
+        raise InputError(f"{body.label}: mass_matrix() must be positive semidefinite, and real where it is on both of each pair")
+    return matrix.real
+
+
+def on_pairs(matrix):
+    """A complex matrix as it acts on (x, y) pairs, real: each entry w becomes ((Re w, -Im w), (Im w, Re w))."""
+    return np.kron(matrix.real, np.eye(2)) + np.kron(matrix.imag, [[0.0, -1.0], [1.0, 0.0]])
+
+
+def translation_of(body):
+    """Its translation T, (pairs,), complex. Raises InputError unless each of its points moves by T by one, and no direction turns."""
+    z = rest_of(body)
+    given = _finite(body.translation())
+    if given is None or given.shape != z.shape:
+        raise InputError(f"{body.label}: translation() must give finite numbers ({len(z)},), how much each pair moves with the whole body")
+    for point in points_of(body):
+        if abs(point.weights @ given - 1.0) > SAME or (point.has_direction and abs(point.turn_weights @ given) > SAME):
+            moved = complex(np.round(point.weights @ given, 9))
+            raise InputError(f"{body.label}: by translation() {given.tolist()} attachment {point.name!r} moves by {moved:g} and must move by 1, and "
+                             "its direction by nothing; give the translation() of these coordinates")
+    return given
+
+
+def points_of(body):
+    """All of its named points."""
+    return [body.at(name) for name in body.attachments()]
+
+
+def require_body(body):
+    """Raise InputError unless a body of one's own is whole."""
+    require_whole(body, Body, ("coordinates", "mass_matrix", "attachments"))
+    if writes(body, Body, "elastic") != writes(body, Body, "energy"):
+        raise InputError(f"{body.label}: elastic(z) is the slope of energy(z); its class must give both, or none where it is rigid")
+    named = body.attachments()
+    if not isinstance(named, dict) or not named or not all(isinstance(name, str) and name for name in named):
+        raise InputError(f"{body.label}: attachments() gave {str(named)[:80]}; it must give {{name: weights}}, one at least")
+    mass_of(body), translation_of(body)

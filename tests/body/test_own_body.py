@@ -1,0 +1,314 @@
+"""Bodies of one's own: against ordinary differential equations, joined to plates and each other, in files; and what is wrong with one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import polyida as pi
+
+G, LENGTH, MASS = 9.81, 1.0, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Bar(pi.Body):
+    """A rigid bar in natural coordinates: its point `ahead` of the left end, m, and its direction z, |z| = 1."""
+
+    mass: float = MASS
+    length: float = LENGTH
+    origin: tuple = (0.0, 0.0)
+    angle: float = 0.0
+    ahead: complex = 0.5
+    name: str | None = None
+
+    def coordinates(self):
+        z = np.exp(1j * self.angle)
+        return [complex(*self.origin) + z * self.ahead, z]
+
+    def mass_matrix(self):
+        off = self.length / 2 - self.ahead
+        turning = self.mass * (self.length**2 / 12 + abs(off) ** 2)
+        return np.array([[self.mass, self.mass * off], [self.mass * np.conj(off), turning]])
+
+    def attachments(self):
+        return {name: [1.0, at * self.length - self.ahead] for name, at in (("left", 0.0), ("middle", 0.5), ("right", 1.0))}
+
+    def x_axis(self):
+        return [0.0, 1.0]
+
+    def rows(self):
+        z = self.at("left").d
+        return [(pi.dot(z, z) - 1.0) * (0.5 * self.length)]
+
+
+@dataclass(frozen=True, eq=False)
+class Spring(pi.Body):
+    """Two points of mass m on a spring of rest length 1 m."""
+
+    m: float = 0.5
+    k: float = 30.0
+    name: str | None = None
+
+    def coordinates(self):
+        return [0.0, 1.0]
+
+    def mass_matrix(self):
+        return self.m * np.eye(4)
+
+    def attachments(self):
+        return {"a": [1.0, 0.0], "b": [0.0, 1.0]}
+
+    def translation(self):
+        return [1.0, 1.0]
+
+    def elastic(self, z):
+        w = z[1] - z[0]
+        pull = self.k * (abs(w) - 1.0) * w / abs(w)
+        return np.array([-pull, pull])
+
+    def energy(self, z):
+        return 0.5 * self.k * (abs(z[1] - z[0]) - 1.0) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Exact(Spring):
+    """The same with its derivative."""
+
+    def elastic_z(self, z):
+        w = z[1] - z[0]
+        u = np.array([w.real, w.imag]) / abs(w)
+        along = np.outer(u, u)
+        return np.kron([[1.0, -1.0], [-1.0, 1.0]], self.k * (along + (1.0 - 1.0 / abs(w)) * (np.eye(2) - along)))
+
+
+def pendulum(**options):
+    """(model, bar) of a bar hinged at its left end, released level."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    bar = scene.add(Bar(name="bar", **options))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hinge"))
+    return scene.build(), bar
+
+
+def swing(t, pull=1.5 * G / LENGTH):
+    """Angle of the physical pendulum `angle'' = -pull cos(angle)`, released level."""
+    return solve_ivp(lambda _, y: [y[1], -pull * np.cos(y[0])], (0.0, t), [0.0, 0.0], method="DOP853", rtol=1e-13, atol=1e-13).y[0, -1]
+
+
+def error(run, bar, angle):
+    return np.abs(run.position(bar.at("right"))[-1] - [np.cos(angle), np.sin(angle)]).max()
+
+
+def tilted():
+    """(scene, plate, bar) of a flexible plate with a bar hinged to its right edge."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    mesh, rubber = pi.mesh.rectangle(1.0, 0.1, cells=12, seed=1), pi.Material(E=50e6, nu=0.3, rho=1100.0)
+    plate = scene.add(pi.Plate(mesh, rubber, 0.01, name="plate"))
+    bar = scene.add(Bar(origin=(1.0, 0.0), angle=0.3, ahead=0.2 + 0.1j, name="bar"))
+    scene.add(pi.Revolute(plate.section("right"), bar.at("left"), name="elbow"))
+    return scene, plate, bar
+
+
+def test_a_pendulum_follows_its_differential_equation():
+    model, bar = pendulum()
+    run = pi.solve(model, 1.0, pi.IDA(rtol=1e-11, atol=1e-13))
+    assert run.success and "Python of 'bar'" in run.summary()
+    assert error(run, bar, swing(1.0)) < 1e-8
+
+
+def test_orders(scenes):
+    model, bar = pendulum()
+    steps = [2e-2, 1e-2, 5e-3]
+    for method in (pi.GeneralizedAlpha, pi.EnergyMomentum):
+        errors = [error(pi.solve(model, 1.0, method(h=h)), bar, swing(1.0)) for h in steps]
+        assert scenes.slope(steps, errors) == pytest.approx(2.0, abs=0.1)
+
+
+def test_the_place_of_the_coordinates_does_not_matter():
+    """A Hermitian mass with an imaginary part, and gravity from it."""
+    method, ends = pi.IDA(rtol=1e-10, atol=1e-12), []
+    for ahead in (0.5, 0.3 + 0.4j):
+        model, bar = pendulum(ahead=ahead)
+        run = pi.solve(model, 0.7, method)
+        ends.append([*run.position(bar.at("right"))[-1], *run.reaction("hinge")[-1], *run.energy.potential[[0, -1]]])
+    assert np.allclose(*ends, atol=1e-7)
+
+
+def test_masses_loads_and_forces_act_at_its_points():
+    """A mass at the tip and a dead load of its weight and half the bar's, upwards at the tip: nothing moves, the hinge bears the other half."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    bar = scene.add(Bar(ahead=0.3 + 0.4j))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hinge"))
+    scene.add(pi.PointMass(bar.at("right"), 3.0, name="tip"))
+    scene.add(pi.PointLoad(bar.at("right"), (0.0, (3.0 + MASS / 2) * G)))
+    state = pi.consistent_state(scene.build())
+    assert np.abs(state.a).max() < 1e-12
+    assert np.allclose(state.lam[:2], [0.0, MASS / 2 * G])
+    del scene.parts["load 1"]
+    model = scene.build()
+    run = pi.solve(model, 0.5, pi.IDA(rtol=1e-10, atol=1e-12))
+    pull = (MASS * LENGTH / 2 + 3.0 * LENGTH) * G / (MASS * LENGTH**2 / 3 + 3.0 * LENGTH**2)
+    assert error(run, bar, swing(0.5, pull)) < 1e-8
+    assert np.array_equal(run.position("tip"), run.position(bar.at("right")))
+    assert np.ptp(run.energy.total) < 1e-6
+
+
+def test_energy_and_momentum_beside_a_flexible_plate():
+    scene, _, bar = tilted()
+    scene.add(pi.PointMass(bar.at("right"), 0.4))
+    scene.gravity = (0.0, 0.0)
+    model, random = scene.build(), np.random.default_rng(2)
+    start = pi.consistent_state(model, v0=None)
+    spin = np.stack([-model.reference[:, 1], model.reference[:, 0]], axis=1).ravel()
+    hit = model.mass_system(0.0, start.q).solve(-model.mass() @ (3.0 * spin + 0.1 * random.standard_normal(model.n)), np.zeros(model.m))[0]
+    run = pi.solve(model, 0.1, pi.EnergyMomentum(h=1e-3), v0=hit)
+    assert run.success, run.message
+    assert np.ptp(run.energy.total) < 1e-9 * run.energy.total[0] and np.ptp(run.energy.kinetic) > 1e-4 * run.energy.total[0]
+    lift = np.concatenate([np.tile(np.eye(2), (model.bodies[0].nodes.stop, 1)), np.eye(2), np.zeros((2, 2))])
+    momentum = run.v @ (model.mass() @ lift)
+    turning = [np.stack([-z[:, 1], z[:, 0]], axis=1).ravel() @ (model.mass() @ v)
+               for z, v in zip((model.reference.ravel() + run.q).reshape(len(run), -1, 2), run.v)]
+    assert np.ptp(momentum, axis=0).max() < 1e-10 * np.abs(momentum).max()
+    assert np.ptp(turning) < 1e-9 * np.abs(turning).max()
+
+
+@pytest.mark.parametrize("kind", [Spring, Exact])
+def test_derivatives(kind):
+    scene, plate, bar = tilted()
+    spring = scene.add(kind())
+    scene.add(pi.PointMass(bar.at("right"), 0.3))
+    scene.add(pi.Revolute(pi.ground, spring.at("b")))
+    scene.add(pi.AngleMotor(plate.section("right"), bar.at("left"), pi.profile.sine(0.5, 1.0, 0.1)))
+    model, random = scene.build(), np.random.default_rng(4)
+    q, v, a = (0.01 * random.standard_normal(model.n) for _ in range(3))
+    found = pi.check_derivatives(model, 0.2, q=q, v=v, a=a)
+    assert max(found.values()) < 1e-6, found
+
+
+@pytest.mark.parametrize("method", [pi.IDA(rtol=1e-9, atol=1e-11), pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3)])
+def test_an_elastic_body_vibrates_and_falls(method):
+    scene = pi.Scene(gravity=(0.0, -G))
+    scene.add(Spring(name="spring"))
+    model, t = scene.build(), 0.3
+    run = pi.solve(model, t, method, q0=[-0.05, 0.0, 0.05, 0.0])
+    stretch = 0.05 * np.cos(np.sqrt(2 * 30.0 / 0.5) * t)
+    assert np.allclose(run.q[-1], [-stretch, -0.5 * G * t * t, stretch, -0.5 * G * t * t], atol=2e-5)
+    assert np.ptp(run.energy.total) < 1e-4
+    assert run.energy.strain[0] == pytest.approx(0.5 * 30.0 * 0.1**2)
+    assert run.position(scene.parts["spring"].at("b"))[-1] == pytest.approx([1.0 + stretch, -0.5 * G * t * t], abs=2e-5)
+
+
+def test_clamped_bars_are_one_bar_and_a_clamped_one_stands():
+    scene = pi.Scene(gravity=(0.0, -G))
+    one = scene.add(Bar(mass=1.0, length=0.5, angle=0.4, name="one"))
+    other = scene.add(Bar(mass=1.0, length=0.5, origin=(0.5 * np.cos(0.4), 0.5 * np.sin(0.4)), angle=0.4, ahead=0.1, name="other"))
+    scene.add(pi.Clamp(one.at("right"), other.at("left", direction=(0.0, 2.0)), name="weld"))
+    scene.add(pi.Revolute(pi.ground, one.at("left"), name="hinge"))
+    model, bar = pendulum(angle=0.4)
+    method = pi.IDA(rtol=1e-10, atol=1e-12)
+    runs = pi.solve(scene.build(), 0.5, method), pi.solve(model, 0.5, method)
+    assert np.allclose(*(run.position(end)[-1] for run, end in zip(runs, (other.at("right"), bar.at("right")))), atol=1e-7)
+    scene.add(pi.Clamp(pi.ground, other.at("right"), name="wall"))
+    del scene.parts["hinge"]
+    assert np.abs(pi.consistent_state(scene.build()).a).max() < 1e-12
+
+
+def test_a_motor_turns_it_about_its_x_axis():
+    scene = pi.Scene()
+    bar = scene.add(Bar(name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), pi.profile.quintic(0.0, 7.0, duration=1.0), name="drive"))
+    run = pi.solve(scene.build(), 1.0, pi.GeneralizedAlpha(h=1e-2))
+    assert error(run, bar, 7.0) < 1e-9
+
+
+def test_static_equilibrium():
+    model, bar = pendulum(angle=-1.2)
+    state = pi.static(model)
+    assert np.allclose(model.position(bar.at("right"), state.q[None]), [[0.0, -1.0]], atol=1e-9)
+    assert state.stable
+
+
+def test_files_hold_it(tmp_path):
+    scene, _, bar = tilted()
+    scene.add(pi.PointMass(bar.at("right", direction=(1.0, 1.0)), 0.4, name="tip"))
+    run = pi.solve(scene.build(), 5e-3, pi.GeneralizedAlpha(h=1e-3), out=tmp_path / "run.h5")
+    loaded = pi.load(tmp_path / "run.h5")
+    part = loaded.model.parts["bar"]
+    assert isinstance(part, Bar) and part.ahead == bar.ahead
+    assert np.array_equal(loaded.energy.total, run.energy.total)
+    assert np.array_equal(loaded.position("tip"), run.position("tip"))
+    assert np.array_equal(loaded.reaction("elbow"), run.reaction("elbow"))
+    assert np.array_equal(loaded.position(part.at("left")), run.position(bar.at("left")))
+
+
+def changed(**functions):
+    """A Bar with functions of its class replaced by what gives these values."""
+    made = {name: lambda self, *given, value=value: value for name, value in functions.items()}
+    return dataclass(frozen=True, eq=False)(type("Changed", (Bar,), made))(name="bar")
+
+
+WRONG = {
+    r"coordinates\(\) gave": dict(coordinates=[[0.0, 1.0]]),
+    r"mass_matrix\(\) gave \(3, 3\)": dict(mass_matrix=np.eye(3)),
+    r"mass_matrix\(\) gave nothing": dict(mass_matrix="2 kg"),
+    "not Hermitian": dict(mass_matrix=[[1.0, 1j], [1j, 1.0]]),
+    "semidefinite": dict(mass_matrix=[[1.0, 2.0], [2.0, 1.0]]),
+    r"attachments\(\) gave": dict(attachments=[[1.0, 0.0]]),
+    r"attachment 'left' is given by \[1.0\]": dict(attachments={"left": [1.0]}),
+    "attachment 'left' is given by .*nan": dict(attachments={"left": [1.0, np.nan]}),
+    r"x_axis\(\) gave": dict(x_axis=[1.0]),
+    "has no length at rest": dict(x_axis=[0.0, 0.0]),
+    r"translation\(\) must give": dict(translation=[1.0]),
+    "moves by .* and must move by 1": dict(translation=[1.0, 0.1]),
+    "must give both": dict(elastic=np.zeros(2)),
+}
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_what_is_wrong_is_told(words):
+    with pytest.raises(pi.InputError, match=f"'bar'.*{words}"):
+        pi.Scene().add(changed(**WRONG[words]))
+
+
+def test_what_is_wrong_of_the_force_is_told_before_the_run():
+    for words, value in (("elastic must return complex numbers of shape", [0.0]), ("not finite", [np.nan, 0.0])):
+        scene = pi.Scene()
+        scene.add(changed(elastic=value, energy=0.0))
+        with pytest.raises(pi.InputError, match=words):
+            pi.solve(scene.build(), 0.1, pi.GeneralizedAlpha(h=1e-2))
+
+
+def test_parts_are_looked_at():
+    bar = Bar(name="bar")
+    with pytest.raises(pi.InputError, match="no attachment is called 'top'; known: 'left', 'middle', 'right'"):
+        bar.at("top")
+    with pytest.raises(pi.InputError, match="direction"):
+        bar.at("left", direction=(0.0, 0.0))
+    with pytest.raises(pi.InputError, match="no direction to turn"):
+        Spring().at("a", direction=(1.0, 0.0))
+    with pytest.raises(pi.InputError, match="has no direction; let its class give x_axis"):
+        pi.AngleMotor(pi.ground, Spring().at("a"), 1.0)
+    with pytest.raises(pi.InputError, match="no length to act on"):
+        pi.EdgeTraction(bar.at("left"), (1.0, 0.0))
+    scene = pi.Scene()
+    scene.add(pi.PointMass(bar.at("left"), 1.0, name="tip"))
+    with pytest.raises(pi.InputError, match="no plate and no other body"):
+        scene.build()
+    scene.add(Spring())
+    with pytest.raises(pi.InputError, match="tip.*not in the scene"):
+        scene.build()
+    scene = pi.Scene()
+    scene.add(changed(rows=[pi.dot(bar.at("left").d, bar.at("left").d) - 2.0]))
+    with pytest.raises(pi.InputError, match=r"bar: it does not hold at rest.*its coordinates\(\)"):
+        scene.build()
+    scene = pi.Scene()
+    scene.add(changed(rows=[bar.at("left").x - bar.at("left").x]))
+    with pytest.raises(pi.InputError, match="Bar 'bar', which is not in the scene"):
+        scene.build()
+
+    class Bare(pi.Body):
+        pass
+
+    with pytest.raises(pi.InputError, match="field `name"):
+        pi.Scene().add(Bare())
