@@ -15,13 +15,14 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.arrays import bilinear
-from polyida.compiled import entry, part
+from polyida.compiled import entry, pack, part
 from polyida.linear.dense import solve_small
 from polyida.linear.factor import BAND, FRONTS, Factor, factor
 from polyida.linear.fronts import solve_fronts
 from polyida.linear.triangular import solve_band, solve_columns
 
 
+@pack
 class Corotated(NamedTuple):
     """A factor with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
 
@@ -39,6 +40,7 @@ class Corotated(NamedTuple):
     turns: bool = True
 
 
+@pack
 class Room(NamedTuple):
     """Scratch of a solve."""
 

@@ -4,11 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.compiled import pack
+
 RATE, AGE, SIZE, CHANGE, AHEAD, BEHIND, MOVED, ERROR, SINCE = range(9)
 MARKS = 9
 PATIENCE = 6  # steps with a small error before the step grows
 
 
+@pack
 class Method(NamedTuple):
     """Numbers of the method at one h.
 
@@ -37,6 +40,7 @@ class Method(NamedTuple):
     grow: float
 
 
+@pack
 class Memory(NamedTuple):
     """What goes from step to step: states in place, phi and rate = phi_q v + phi_t as they are carried, and `marks`.
 
@@ -59,6 +63,7 @@ class Memory(NamedTuple):
     marks: np.ndarray
 
 
+@pack
 class Trial(NamedTuple):
     """The state that Newton works on, `u = u_0 + (h v_0 + dd)`, and scratch.
 
