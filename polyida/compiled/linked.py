@@ -6,14 +6,28 @@ numba by itself optimises every function and makes machine code of it, and again
 import gc
 from contextlib import contextmanager
 
-from polyida.compiled.internals import Compiler, CPUDispatcher, JITCodeLibrary
+from polyida.compiled.internals import (
+    Compiler,
+    CPUDispatcher,
+    JITCodeLibrary,
+    PassManager,
+    typed_passes,
+    untyped_passes,
+)
+
+PASSES = (
+    untyped_passes.TranslateByteCode, untyped_passes.FixupArgs, untyped_passes.IRProcessing, untyped_passes.RewriteSemanticConstants,
+    untyped_passes.DeadBranchPrune, untyped_passes.GenericRewrites, untyped_passes.ReconstructSSA, untyped_passes.DeadBranchPrune,
+    typed_passes.NopythonTypeInference, typed_passes.PreLowerStripPhis, typed_passes.IRLegalization, typed_passes.AnnotateTypes,
+    typed_passes.NativeLowering, typed_passes.NoPythonBackend,
+)
 
 
 class Entry(CPUDispatcher):
     """What Python calls; for compiled code it stands for its part."""
 
-    def __init__(self, function, part, options):
-        super().__init__(function, targetoptions=options, pipeline_class=EntryCompiler)
+    def __init__(self, function, part, options, compiler):
+        super().__init__(function, targetoptions=options, pipeline_class=compiler)
         self.part = part
 
     @property
@@ -22,7 +36,15 @@ class Entry(CPUDispatcher):
 
 
 class EntryCompiler(Compiler):
-    """numba's compiler; Python's search for cycles, a tenth of the time that it takes, waits."""
+    """numba's compiler with the passes that kernels need; Python's search for cycles, a tenth of the time, waits."""
+
+    def define_pipelines(self):
+        """Passes from bytecode to machine code, for functions without closures, literals, parallel loops and array expressions."""
+        passes = PassManager("kernel")
+        for one in PASSES:
+            passes.add_pass(one, one.name())
+        passes.finalize()
+        return [passes]
 
     def compile_extra(self, func):
         """The function compiled."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.arrays import bilinear
-from polyida.compiled import entry, pack, part
+from polyida.compiled import entry, pack, part, shared
 from polyida.linear.dense import solve_small
 from polyida.linear.factor import BAND, FRONTS, Factor, factor
 from polyida.linear.fronts import solve_fronts
@@ -103,7 +103,7 @@ def room(model, system):
                 np.empty((points, m)), np.empty((size, size)), np.empty(size), np.empty(size, np.int64), np.empty(points))
 
 
-@part
+@shared
 def triangular(f, x):
     """x <- S_ref^-1 x in the factor's order."""
     if f.kind == FRONTS:
@@ -145,7 +145,7 @@ def solve_plates(s, c, w, rotation, r, x):
         x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
 
 
-@entry
+@shared
 def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,); rotation, dz as `equilibrium` left them at the current q. False where it is singular."""
     solve_plates(s, c, w, rotation, r, dq)
