@@ -4,7 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.compiled import pack
 
+
+@pack
 class Plates(NamedTuple):
     """The plates and their loads. Bodies' nodes are concatenated; equal meshes share one operator.
 
@@ -40,6 +43,7 @@ class Plates(NamedTuple):
     load_drive: np.ndarray
 
 
+@pack
 class Links(NamedTuple):
     """The points that joints and masses hold on to, and the rows of phi.
 
@@ -69,6 +73,7 @@ class Links(NamedTuple):
     vector_weights: np.ndarray
 
 
+@pack
 class SceneArrays(NamedTuple):
     """A scene: what changes with the number of elements, and what with the number of joints."""
 

@@ -1,11 +1,11 @@
 """The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
 
 from polyida.assembly.joints import joint_forces, point_values, spread
-from polyida.compiled import entry, part
+from polyida.compiled import entry, part, shared
 from polyida.element import kernels, stabilisation
 
 
-@entry
+@shared
 def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     """Fill r (nodes, 2), phi (m,), rotation (nodes, 2), dz and forces (points, 2) at displacements u, accelerations a, multipliers lam.
 

@@ -10,13 +10,14 @@ from numba import types
 from numba.extending import intrinsic
 
 from polyida.assembly.joints import point_values, spread
-from polyida.compiled import entry, part
+from polyida.compiled import entry, pack, part
 
 NUMBERS = types.CPointer(types.float64)
 CALLED = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS, types.int64, types.int64)  # t, x, v, data, f, sides, len(data)
 STEP = np.finfo(float).eps ** (1 / 3)  # of the size of what is varied: balances truncation against round-off of central differences
 
 
+@pack
 class Laws(NamedTuple):
     """A scene's force elements by number: address, first side and first of its `numbers`, (laws + 1, 3), the last row the ends.
 

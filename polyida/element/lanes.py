@@ -7,16 +7,17 @@ instructions. That costs numba no type inference, so kernels compile fast, and t
 arrays. Accesses are not checked for bounds.
 """
 
-import numba
-
-try:
-    from llvmlite import ir
-    from numba.core import types
-    from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-    from numba.extending import intrinsic, lower_builtin, models, register_model
-except ImportError as error:
-    raise ImportError(f"polyida makes its vectors of numba's internals, which are others in numba {numba.__version__} ({error}); "
-                      "install a version between the bounds that polyida declares (pip install --force-reinstall polyida)") from error
+from polyida.compiled.internals import (
+    AbstractTemplate,
+    infer_global,
+    intrinsic,
+    ir,
+    lower_builtin,
+    models,
+    register_model,
+    signature,
+    types,
+)
 
 LANES = 8
 

@@ -15,13 +15,14 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.arrays import bilinear
-from polyida.compiled import entry, part
+from polyida.compiled import entry, pack, part, shared
 from polyida.linear.dense import solve_small
 from polyida.linear.factor import BAND, FRONTS, Factor, factor
 from polyida.linear.fronts import solve_fronts
 from polyida.linear.triangular import solve_band, solve_columns
 
 
+@pack
 class Corotated(NamedTuple):
     """A factor with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
 
@@ -39,6 +40,7 @@ class Corotated(NamedTuple):
     turns: bool = True
 
 
+@pack
 class Room(NamedTuple):
     """Scratch of a solve."""
 
@@ -106,7 +108,7 @@ def small_room(size):
     return np.empty((size, size)), np.empty(size), np.empty(size, np.int64)
 
 
-@part
+@shared
 def triangular(f, x):
     """x <- S_ref^-1 x in the factor's order."""
     if f.kind == FRONTS:
@@ -148,7 +150,7 @@ def solve_plates(s, c, w, rotation, r, x):
         x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
 
 
-@entry
+@shared
 def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     """Fill dq (nodes, 2) and dlam (m,); rotation, dz as `equilibrium` left them at the current q. False where it is singular."""
     solve_plates(s, c, w, rotation, r, dq)

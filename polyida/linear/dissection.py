@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.compiled import entry, part
+from polyida.compiled import entry, pack, part
 
 LEAF = 16  # nodes that are no longer cut: more make a fuller factor, less make short loops
 
 
+@pack
 class Symbolic(NamedTuple):
     """The fronts of a pattern, children before parents. Places are positions in the order of elimination.
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.compiled import pack
 from polyida.linear.dissection import NOTHING, Symbolic, symbolic
 from polyida.linear.fronts import factorize
 from polyida.linear.triangular import fill_band
@@ -11,6 +12,7 @@ from polyida.linear.triangular import fill_band
 BAND, COLUMNS, FRONTS = 0, 1, 2
 
 
+@pack
 class Factor(NamedTuple):
     """A symmetric factor: multifrontal or banded Cholesky, or L D L^T in columns.
 

@@ -8,7 +8,7 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
 from polyida.assembly.increments import drive_table, gain_table
-from polyida.compiled import entry, part
+from polyida.compiled import entry, pack, part
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
 from polyida.integrate.kinks import inner_side
@@ -17,6 +17,7 @@ from polyida.linear import corotated
 DZ, FORCES, START, VX, AX, DX, DV = range(7)  # rows of Scratch.points
 
 
+@pack
 class Scratch(NamedTuple):
     """Of the nodes: rotation (nodes, 2). Of the points: `points` (7, points, 2): displacements, forces, displacements, velocities and
     algorithmic accelerations at the last state, what the step adds to the first two.

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.compiled import entry, part
+from polyida.compiled import entry, pack, part
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
@@ -21,6 +21,7 @@ CONTRACTION, AGE, SIZE, CHANGED, AHEAD, BEHIND, MOVED, ERROR, SINCE, PULL, TURN 
 MARKS = 11
 
 
+@pack
 class Method(NamedTuple):
     """Numbers of the method at one h.
 
@@ -49,6 +50,7 @@ class Method(NamedTuple):
     grow: float
 
 
+@pack
 class Memory(NamedTuple):
     """What goes from step to step: `past` (8, n), `closed` (3, m): lam, phi and rate = phi_q v + phi_t as they are carried, `marks`.
 
@@ -63,6 +65,7 @@ class Memory(NamedTuple):
     marks: np.ndarray
 
 
+@pack
 class Trial(NamedTuple):
     """The state that Newton works on, `q = q_0 + (h v_0 + dd)`: `now` (6, n), `rows` (4, m)."""
 

@@ -13,11 +13,12 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.mass_system import point_columns
-from polyida.compiled import part
+from polyida.compiled import pack, part
 from polyida.integrate.alpha.step import DD, Q, V, pairs
 from polyida.linear.dense import solve_small
 
 
+@pack
 class Tie(NamedTuple):
     """M^-1 A^T (nodes, points) and A M^-1 A^T of one direction, and scratch."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
 from polyida.assembly.damping import damped_blocks
-from polyida.compiled import entry, part
+from polyida.compiled import entry, pack, part
 from polyida.element import kernels as elements
 from polyida.element import stabilisation, two_states
 from polyida.integrate.energy.steps import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, SLOW, Steps
@@ -20,6 +20,7 @@ from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 
 
+@pack
 class Step(NamedTuple):
     """Displacements, velocities at the start (0) and end (1) of a step, multipliers, and scratch."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
-from polyida.compiled import entry
+from polyida.compiled import entry, pack
 from polyida.integrate.ida.border import stabilised_border
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.linear import EchoedSolve
@@ -19,6 +19,7 @@ from polyida.linear import corotated
 from polyida.linear.lu import SingularSystem
 
 
+@pack
 class Room(NamedTuple):
     """Scratch and the state of the last residual that a solve refers to."""
 
