@@ -56,7 +56,7 @@ class SceneModel(Constraints):
         self.own_forces = OwnForces([*(OwnForce(name, element, self) for name, element in elements.items()),
                                      *(Elastic(own, self.n_nodes) for own in deforming)], self.n)
         self.own_mass = own_mass(self.own_bodies, parts, self.first_node, self.n) if self.own_bodies else None
-        python = dict.fromkeys([own.name for own in (*self.own_bodies, *self.own_forces.each)])
+        python = dict.fromkeys([own.name for own in (*self.own_bodies, *self.own_forces.each)] if self.laws is None else [])
         self.compiled, self.looks_apart = not python, 1 if self.own_bodies else self.looks_apart
         self.remark = f"plain paths for the Python of {', '.join(map(repr, python))}" if python else ""
 
@@ -216,7 +216,7 @@ class SceneModel(Constraints):
     def _forces_q(self, t, q, v, c_v, c_q):
         """`c_v dg/dv + c_q dg/dq`, (n, n) sparse."""
         plates = self._plates_q(q, v, c_v, c_q)
-        return plates if self.compiled else (plates + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
+        return plates if not self.own_forces else (plates + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
 
     def _plates_q(self, q, v, c_v, c_q):
         from scipy.sparse import bsr_array

@@ -3,12 +3,14 @@
 import numpy as np
 
 from polyida.assembly.damping import symmetric_blocks
+from polyida.assembly.laws import add_own_curvature
 from polyida.linear import corotated
 from polyida.linear.factor import NotFactorable
 from polyida.linear.lu import SingularSystem
+from polyida.linear.step_matrix import StepMatrix
 
 
-class SceneStepMatrix:
+class SceneStepMatrix(StepMatrix):
     """`S = c_m M + c_v C + K` of a scene, C and K as if at rest and so symmetric; made from q alone (linear/corotated.py).
 
     corotated, room: the factor and its scratch, for compiled loops. solves: those that its border took.
@@ -17,21 +19,20 @@ class SceneStepMatrix:
     caution = 1.0
 
     def __init__(self, model, linear="auto"):
-        self.model, self.linear, self.made_at, self.solves = model, linear, np.zeros(0), 2 * model.n_points
+        super().__init__(model)
+        self.linear, self.solves = linear, 2 * model.n_points
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
-        """Factor S at q; t and lam, for the curvature of the joints, are those of `solve` alone. Raises SingularSystem."""
-        model, self.made_at, self.c_m, self.at = self.model, q, c_m, (t, lam)
+        """Factor S at q; t and v are for force elements, t and lam for the joints' curvature in `solve`. Raises SingularSystem."""
+        model, self.made_at, self.c_m, self.at = self.model, np.concatenate([[t], q, v, a, lam]), c_m, (t, lam)
         blocks = symmetric_blocks(model, q.reshape(-1, 2), c_m, c_v)
         try:
             self.corotated, self.backend = corotated.corotated(model, blocks, model.rotation(q), self.linear)
         except NotFactorable as error:
             raise SingularSystem(str(error)) from None
         self.room = corotated.room(model, self.corotated)
-
-    def again(self, made_at, c_m, c_v):
-        """Factor S as it was factored before."""
-        self.factor(np.nan, made_at, None, None, None, c_m, c_v)
+        if model.laws is not None:
+            add_own_curvature(model.laws, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
 
     def solve(self, q, b, transposed=False):
         """S^-1 b, b (n,) or (n, k), in the frame of q; S is symmetric. Raises SingularSystem."""

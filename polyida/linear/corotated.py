@@ -42,7 +42,7 @@ class Corotated(NamedTuple):
 
 @pack
 class Room(NamedTuple):
-    """Scratch of a solve."""
+    """Scratch of a solve; own: slopes of the force elements on the points, as old as the factor, or (0, 0)."""
 
     x: np.ndarray
     turn: np.ndarray
@@ -56,6 +56,7 @@ class Room(NamedTuple):
     right: np.ndarray
     last: np.ndarray
     pull: np.ndarray
+    own: np.ndarray
 
 
 def corotated(model, blocks, rotation, backend="auto"):
@@ -66,15 +67,17 @@ def corotated(model, blocks, rotation, backend="auto"):
     point_body = np.stack([body_node[bodies], body_node[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
     frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
     reach = np.zeros((2 * model.n_points, model.n_nodes, 2), np.float32)
-    active = active_components(s)
+    active = active_components(s, model.laws)
     result = Corotated(made, frame, point_body, reach, active, order_along_joints(active, s))
     fill_reach(s, result, room(model, result))
     return result, name
 
 
-def active_components(s):
-    """Components of the points on which a mass or the curvature of a row can act."""
+def active_components(s, laws):
+    """Components of the points on which a mass, the curvature of a row or a force element can act."""
     acts = s.point_mass != 0
+    if laws is not None:
+        acts[laws.points[laws.points >= 0]] = True
     for p in np.flatnonzero(bilinear(s)):
         for i in (s.product_first[p], s.product_second[p]):
             acts[s.vector_points[s.vector_start[i]:s.vector_start[i + 1]]] = True
@@ -100,7 +103,7 @@ def room(model, system):
     width = system.factor.band.shape[1]
     return Room(np.zeros(model.n + width, np.float32), np.empty((model.n_nodes, 2)), np.empty((model.n_points, 2)),
                 np.empty((model.n_points, 2)), np.empty((points, points)), np.empty(len(model.arrays.links.row_columns)), np.empty((points, points)),
-                np.empty((points, m)), *small_room(size), np.empty(points))
+                np.empty((points, m)), *small_room(size), np.empty(points), np.zeros((0, 0) if model.laws is None else (points, points)))
 
 
 def small_room(size):
@@ -211,8 +214,11 @@ def points_matrix(s, c, w):
 
 @part
 def fill_curvature(s, w, drives, lam, c_m):
-    """w.curvature = C: that of the rows and c_m times the masses at points."""
+    """w.curvature = C: that of the rows, c_m times the masses at points, slopes of force elements."""
     w.curvature[:] = 0.0
+    for i in range(w.own.shape[0]):
+        for j in range(w.own.shape[0]):
+            w.curvature[i, j] = w.own[i, j]
     joints.joint_curvature(s, drives, lam, w.curvature)
     for f in range(w.spin.shape[0]):
         w.curvature[2 * f, 2 * f] += c_m * s.point_mass[f]

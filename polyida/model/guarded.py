@@ -33,7 +33,7 @@ def guard(model, part="solve"):
 
 def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
-    if model.compiled:
+    if model.compiled and not model.own_forces:
         return
     try:
         model.call_all(t, q, v)
@@ -45,7 +45,7 @@ def require_functions(model, t, q, v):
 
 def blame(model, t, state):
     """Which of a user's functions gave what is not finite, when last called or within the reach of differences around t."""
-    if not isinstance(model, Guarded) or model.not_finite:
+    if model.compiled and not model.own_forces or model.not_finite:
         return model.not_finite
     for at in t + REACH:
         with suppress(Exception):

@@ -26,7 +26,7 @@ class PlainLoop:
             ends, past = (inner_side(self.model, self.before, -method.h), self.inner), self.memory.past
             self.increments = self.model.increments(self.before, self.end, ends, method.h, past[step.Q], past[step.V])
 
-    def factor(self, system, p):
+    def factor(self, system, p, t):
         """Factor the system at the trial state. Raises SingularSystem."""
         q, v, a = self.trial.now[:3].copy()
         system.factor(self.inner, q, v, a, self.trial.rows[step.LAM].copy(), p.to_a, p.to_v)

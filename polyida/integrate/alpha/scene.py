@@ -8,6 +8,7 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
 from polyida.assembly.increments import drive_table, gain_table
+from polyida.assembly.laws import add_own_forces
 from polyida.compiled import entry, pack, part
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
@@ -69,7 +70,7 @@ def closed(s, p, before, drives, gains, y, x, w):
 
 
 @part
-def newton(s, c, room, p, tie, damp, before, drives, gains, y, x, w, counts):
+def newton(s, c, room, p, tie, damp, laws, before, drives, gains, y, x, w, counts):
     """Newton's iteration from the predicted state, or on from where it was. Returns how it ended and the last |dq|."""
     last, now = step.begin(p, y, x), x.now
     u, dq, r, dz = step.pairs(now[step.Q]), step.pairs(now[step.DQ]), step.pairs(now[step.R]), w.points[DZ]
@@ -82,6 +83,8 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, x, w, counts):
             return (step.INVERTED if det <= 0.0 else step.NOT_FINITE), last
         if damp is not None:
             add_damping(s.plates, u, step.pairs(now[step.V]), damp, r)
+        if laws is not None:
+            add_own_forces(laws, s.links, drives, u, step.pairs(now[step.V]), r)
         if p.incremental:
             carry(s.links, p, before, gains, y, x, w)
         if tie is not None:
@@ -105,15 +108,16 @@ def newton(s, c, room, p, tie, damp, before, drives, gains, y, x, w, counts):
 
 
 @entry
-def stretch(s, c, room, p, tie, damp, drives, gains, y, x, w, counts, qs, vs, accelerations, lams):
+def stretch(s, c, room, p, tie, damp, laws, drives, gains, y, x, w, counts, qs, vs, accelerations, lams):
     """Steps until the frames, the factor's use or that of h end; drives step.begin with those of the last state.
 
-    tie: of the stabilised form, or None; damp: scratch (nodes, 2) of a damped scene, or None. What is None is not
+    tie: of the stabilised form, or None; damp: scratch (nodes, 2) of a damped scene, or None; laws: of force
+    elements, or None. What is None is not
     compiled. Frames go to qs, vs, accelerations (steps, n), lams (steps, m). Returns (steps, end, last |dq|).
     """
     moved = 0.0
     for k in range(lams.shape[0]):
-        end, moved = newton(s, c, room, p, tie, damp, drives[k], drives[k + 1], gains[k], y, x, w, counts)
+        end, moved = newton(s, c, room, p, tie, damp, laws, drives[k], drives[k + 1], gains[k], y, x, w, counts)
         if end != step.DONE:
             return k, end, moved
         end = step.finish(p, y, x, qs[k], vs[k], accelerations[k], lams[k])
@@ -139,15 +143,16 @@ class SceneLoop:
         self.drives = drive_table(self.model, times, ends)
         self.gains = gain_table(self.model, times, self.drives, method.h)
 
-    def factor(self, system, p):
+    def factor(self, system, p, t):
         """Factor the system at the trial state. Raises SingularSystem."""
-        system.factor(np.nan, self.trial.now[step.Q].copy(), None, None, None, p.to_a, p.to_v)
+        q, v, a = self.trial.now[:3].copy()
+        system.factor(t, q, v, a, self.trial.rows[step.LAM].copy(), p.to_a, p.to_v)
         self.counts.residuals += 1
 
     def steps(self, p, system, first, last, *frames):
         """Take the steps from `first` to `last` with a factored system: (steps, how it ended, last |dq|)."""
         seen = np.zeros(2, np.int64)
-        result = stretch(self.model.arrays, system.corotated, system.room, p, self.tie, self.damp, self.drives[first:last + 1],
+        result = stretch(self.model.arrays, system.corotated, system.room, p, self.tie, self.damp, self.model.laws, self.drives[first:last + 1],
                          self.gains[first:last], self.memory, self.trial, self.scratch, seen, *frames)
         self.counts.residuals += int(seen[0])
         self.counts.solves += int(seen[1])

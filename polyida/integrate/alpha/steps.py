@@ -159,7 +159,7 @@ class Steps:
         return memory if place is None else memory | {"grid": place}
 
     def _factor_here(self, first):
-        self._factor(lambda system, p: self.loop.factor(system, p), self.times[first + 1])
+        self._factor(lambda system, p: self.loop.factor(system, p, self.times[first + 1]), self.times[first + 1])
 
     def _factor(self, make, t):
         """A new factor, made by make(system, method)."""

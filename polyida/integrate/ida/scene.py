@@ -11,6 +11,7 @@ import numpy as np
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
+from polyida.assembly.laws import add_own_forces
 from polyida.compiled import entry, pack
 from polyida.integrate.ida.border import stabilised_border
 from polyida.integrate.ida.forms import System
@@ -50,7 +51,7 @@ class Room(NamedTuple):
 def room(model):
     """Room for a model."""
     nodes, points, m = (model.n_nodes, 2), (model.n_points, 2), model.m
-    active = corotated.active_components(model.arrays.links)
+    active = corotated.active_components(model.arrays.links, model.laws)
     place = order_along_joints(active, model.arrays.links)
     wide, size = 2 * model.n_points, len(place)
     return Room(np.empty(nodes), np.empty(nodes), np.empty(points), np.empty(points), np.empty(points), np.empty(m), np.empty(m),
@@ -80,10 +81,10 @@ def overlap(links, points, nodes):
 
 
 @entry
-def residual(s, w, drives, y, yp, integrated, damp, res):
+def residual(s, w, drives, y, yp, integrated, damp, laws, res):
     """IDA's F(t, y, y') of ggl2 (integrated False) or ggl1 into res; returns the least det F.
 
-    damp: scratch (nodes, 2) of a damped scene, or None.
+    damp: scratch (nodes, 2) of a damped scene, or None; laws: of force elements, or None.
     """
     n, m = 2 * w.u.shape[0], w.phi.shape[0]
     multipliers = yp if integrated else y
@@ -97,6 +98,8 @@ def residual(s, w, drives, y, yp, integrated, damp, res):
         w.dq[i, 0], w.dq[i, 1] = y[n + 2 * i], y[n + 2 * i + 1]
     if damp is not None:
         add_damping(s.plates, w.u, w.dq, damp, w.right)
+    if laws is not None:
+        add_own_forces(laws, s.links, drives, w.u, w.dq, w.right)
     for i in range(n // 2):
         res[n + 2 * i], res[n + 2 * i + 1] = w.right[i, 0], w.right[i, 1]
         w.right[i, 0], w.right[i, 1] = yp[2 * i] - y[n + 2 * i], yp[2 * i + 1] - y[n + 2 * i + 1]
@@ -182,7 +185,7 @@ class SceneSystem(System):
     def residual(self, t, y, yp, res):
         """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where an element is inside out or a motor flipped."""
         det = residual(self.model.arrays, self.room, self.model.drives(self.clamp(t)), y, yp, self.form.integrated, self.damp,
-                       res)
+                       self.model.laws, res)
         if not det > 0:
             res[:] = math.nan
 
