@@ -3,7 +3,7 @@
 from importlib import import_module
 
 _PLACES = {
-    "InputError": "errors", "LockingWarning": "errors", "Model": "model", "Needs": "model", "check_derivatives": "derivative_check",
+    "InputError": "errors", "LockingWarning": "errors", "Model": "model", "Needs": "model", "check_derivatives": "model.check",
     "Material": "body.material", "Plate": "body.plate", "PointMass": "body.point_mass",
     "ForceElement": "body.force_element", "PointLoad": "body.loads", "EdgeTraction": "body.loads",
     "Revolute": "joint.revolute", "AngleMotor": "joint.angle_motor", "Clamp": "joint.clamp", "ground": "joint.attachment",

@@ -8,10 +8,10 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.differences import around, within
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.keywords import named_keywords
+from polyida.model.differences import around, within
 
 REACH = {1: 2e-5, 2: 2e-4}  # s between the values that a first or second derivative is made of; it resolves 1 kHz or 100 Hz
 

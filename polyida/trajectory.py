@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, is_one_of, is_whole
-from polyida.guarded_model import guard
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks
 from polyida.io.save import save
 from polyida.keywords import named_keywords
+from polyida.model.guarded import guard
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.differences import along, jacobian
-from polyida.guarded_model import guard
+from polyida.model.differences import along, jacobian
+from polyida.model.guarded import guard
 
 INTEGRATORS = [pi.GeneralizedAlpha(h=1e-2), pi.GeneralizedAlpha(h=1e-2, form="stabilised"), pi.IDA(), pi.IDA(linear="whole")]
 every = pytest.mark.parametrize("integrator", INTEGRATORS, ids=["alpha", "stabilised", "IDA", "IDA whole"])

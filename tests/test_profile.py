@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from polyida import InputError, profile
-from polyida.differences import along
+from polyida.model.differences import along
 
 MOVES = {"quintic": profile.quintic, "ramp": profile.ramp, "linear": profile.linear}
 PROFILES = {

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from polyida import differences
 from polyida.body.force_element import sides_of
 from polyida.errors import InputError
 from polyida.given import is_number, read_only, reals
+from polyida.model import differences
 
 
 class OwnForce:

@@ -6,7 +6,6 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_number, is_one_of
-from polyida.guarded_model import guard, require_functions
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
@@ -17,6 +16,7 @@ from polyida.keywords import named_keywords
 from polyida.linear.condition import condition, scaled
 from polyida.linear.kkt import assemble, scaling_factors
 from polyida.model import Model
+from polyida.model.guarded import guard, require_functions
 
 UNKNOWNS = ("q", "v", "a")
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.given import is_number
-from polyida.guarded_model import guard
 from polyida.integrate.running.run import Run
 from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
@@ -23,6 +22,7 @@ from polyida.io.store import FrameStore
 from polyida.keywords import named_keywords
 from polyida.machine import one_blas_thread
 from polyida.model import Model
+from polyida.model.guarded import guard
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

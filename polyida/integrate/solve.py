@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
-from polyida.guarded_model import guard, require_functions
 from polyida.integrate.running.run import Run
 from polyida.integrate.start import consistent_state, require_state, restarted
 from polyida.integrate.state import Counts, Integrator, State
@@ -21,6 +20,7 @@ from polyida.io.store import FrameStore
 from polyida.keywords import named_keywords
 from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
+from polyida.model.guarded import guard, require_functions
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

@@ -5,11 +5,11 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number
-from polyida.guarded_model import guard, require_functions
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.linear.kkt import require_independent
 from polyida.model import Model
+from polyida.model.guarded import guard, require_functions
 
 EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away

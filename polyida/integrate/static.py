@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
-from polyida.guarded_model import guard, require_functions
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
 from polyida.keywords import named_keywords
@@ -16,6 +15,7 @@ from polyida.linear.inertia import falling
 from polyida.linear.kkt import KKT, SingularSystem, require_independent, scaling_factors
 from polyida.linear.matrix import dense
 from polyida.model import Model
+from polyida.model.guarded import guard, require_functions
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism

@@ -7,10 +7,10 @@ from itertools import combinations
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.guarded_model import guard
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.state import Counts, StepFailure
 from polyida.machine import one_blas_thread
+from polyida.model.guarded import guard
 from polyida.study.energy import motor_work, unbalanced
 
 REFINEMENT = 8  # the reference run's step is this much shorter

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.differences import along
+from polyida.model.differences import along
 
 
 def zeros(model):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.differences import along
+from polyida.model.differences import along
 
 J = np.array([[0.0, 1.0], [-1.0, 0.0]])
 WAVE = pi.profile.sine(0.7, 0.4, 0.2)

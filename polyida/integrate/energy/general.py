@@ -13,12 +13,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from polyida.differences import FIRST_ORDER_STEP, along
 from polyida.errors import InputError
-from polyida.guarded_model import guard
 from polyida.integrate.energy.steps import DONE, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, SLOW, Steps
 from polyida.integrate.state import StepFailure
 from polyida.linear.kkt import KKT, SingularSystem
+from polyida.model.differences import FIRST_ORDER_STEP, along
+from polyida.model.guarded import guard
 
 EPS = np.finfo(float).eps
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off

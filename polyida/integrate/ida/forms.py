@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polyida.differences import along
 from polyida.integrate.state import State
 from polyida.linear.matrix import dense
+from polyida.model.differences import along
 
 MULTIPLIER_ATOL = 1e9  # multipliers carry no error estimate: any size far above theirs takes them out of IDA's norms
 

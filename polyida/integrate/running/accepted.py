@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from polyida.given import is_number
-from polyida.guarded_model import blame
 from polyida.integrate.state import State, StepFailure
+from polyida.model.guarded import blame
 
 SLACK = 1e-9  # of a run's length: as near to its end as that is at its end
 STANDSTILL = 20  # so many states in a row that hardly move t end the run

@@ -7,7 +7,6 @@ from itertools import islice
 import numpy as np
 
 from polyida.given import is_number
-from polyida.guarded_model import guard
 from polyida.integrate.moves import unseen
 from polyida.integrate.running import ctrl_c
 from polyida.integrate.running.accepted import accepted
@@ -17,6 +16,7 @@ from polyida.integrate.state import Counts, Restart, State, StepFailure
 from polyida.io.save import commit
 from polyida.io.writer import NotWritten
 from polyida.machine import machine_info
+from polyida.model.guarded import guard
 from polyida.trajectory import Trajectory
 
 FLUSH_SECONDS = 2.0

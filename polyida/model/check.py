@@ -3,13 +3,12 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida import differences
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
-from polyida.guarded_model import guard
 from polyida.keywords import named_keywords
 from polyida.linear.matrix import dense
-from polyida.model import Model
+from polyida.model import Model, differences
+from polyida.model.guarded import guard
 
 ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of what it is taken of
 OF_FORCES = ("force_v", "tangent, v")

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida import differences
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
 from polyida.linear.kkt import KKT, SingularSystem
+from polyida.model import differences
 
 Matrix = Any  # an array, or one of scipy.sparse
 NONE: MappingProxyType[str, Any] = MappingProxyType({})

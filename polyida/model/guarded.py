@@ -9,10 +9,10 @@ from sys import getrefcount
 
 import numpy as np
 
-from polyida.differences import FIRST_ORDER_STEP
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole, read_only
 from polyida.model import Model, Needs, require_model
+from polyida.model.differences import FIRST_ORDER_STEP
 
 FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies
