@@ -4,7 +4,6 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.assembly import collapse
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import bilinear, concatenated
 from polyida.assembly.build import assemble, bodies_of, extent_of, first_nodes, of_kind
@@ -182,7 +181,7 @@ class SceneModel(Constraints):
         """Why a state cannot be accepted, or None: an element turned inside out, or a motor on the wrong half-turn."""
         _, _, _, det, cosine = self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))
         if not det > 0:
-            where = collapse.deepest(self.bodies, self._nodal(q))
+            where = _deepest(self.bodies, self._nodal(q))
             return f"{where} is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
         return None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
 
@@ -250,3 +249,18 @@ class SceneModel(Constraints):
         if make not in self._kept:
             self._kept[make] = make(self)
         return self._kept[make]
+
+
+def _deepest(bodies, u):
+    """"cell 3 of 'upper' at (x, y)": that of the least mean det F at displacements u (nodes, 2), and its centre at rest, m."""
+    found = []
+    for body in bodies:
+        operator = body.operator
+        outer = u[body.nodes][operator.nodes][:, :, None] * operator.mean_gradients[:, None, :]
+        gradient = np.eye(2) + np.add.reduceat(outer, operator.offsets[:-1])
+        det = np.linalg.det(gradient)
+        cell = int(np.argmin(det))
+        found.append((det[cell], cell, body))
+    _, cell, body = min(found, key=lambda entry: entry[0])
+    x, y = body.points[body.mesh.cell(cell)].mean(axis=0)
+    return f"cell {cell} of {body.name!r} at ({x:.6g}, {y:.6g})"

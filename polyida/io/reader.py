@@ -61,29 +61,6 @@ def read_open(descriptor, path):
         return Stored(h5py.File(source, "r"), path, source.size)
 
 
-def _datasets(file, size):
-    """{path: dataset} of an open file that nobody vouches for, none of them read yet: all together not more than fit in its `size`.
-
-    No links to other files, no virtual, external or compressed datasets, no numbers but integers and floats. Raises
-    InputError naming the dataset.
-    """
-    import h5py
-
-    found, claimed = {}, 0
-    file.visititems(lambda name, node: found.update({name: node}) if isinstance(node, h5py.Dataset) else None)
-    for name, node in found.items():
-        if node.dtype.kind not in "fiu" or node.shape is None:
-            raise InputError(f"{name} does not hold numbers")
-        made = node.id.get_create_plist()
-        if node.is_virtual or node.external or {made.get_filter(k)[0] for k in range(made.get_nfilters())} - {h5py.h5z.FILTER_FLETCHER32}:
-            raise InputError(f"{name} is virtual, external or compressed")
-        claimed += node.dtype.itemsize * math.prod(node.shape)
-        chunk = node.dtype.itemsize * math.prod(node.chunks or (0,))
-        if max(claimed, chunk) > 2 * size + BLOCK_BYTES:
-            raise InputError(f"{name} claims {max(claimed, chunk)} bytes, the file has {size}")
-    return found
-
-
 class Stored:
     """An open file, checked: plain data `about`, the last whole `record`, `restart`, where the run goes on, or None.
 
@@ -92,11 +69,10 @@ class Stored:
     """
 
     def __init__(self, file, path, size, live=False):
-        self.file, self.path, self.live = file, path, live
+        self.file, self.path, self.live, self._size, self._claimed = file, path, live, size, {}
         try:
             if str(file.attrs.get("format")) != FORMAT:
                 raise InputError(f"not a polyida trajectory (format {file.attrs.get('format')!r}, {FORMAT!r} is needed)")
-            self._found = _datasets(file, size)
             self.about = json.loads(self._array("about").astype(np.uint8).tobytes())
             self.record, numbers = self._newest()
             self.n, self.m = (self._dataset(name, None, None).shape[1] if name in file else 0 for name in ("q", "lam"))
@@ -109,13 +85,28 @@ class Stored:
             raise
 
     def _dataset(self, name, *shape):
-        """The dataset of that name, not read; of this shape where one is given, None in it where any length is right."""
-        if name not in self._found:
+        """The dataset of that name, not read; of this shape where one is given, None in it where any length is right.
+
+        Nobody vouches for a file: no links, no virtual, external or compressed datasets, no numbers but integers and
+        floats, and all together not more than fit in the file. Raises InputError naming the dataset.
+        """
+        import h5py
+
+        if not isinstance(self.file.get(name, getlink=True), h5py.HardLink):
             raise InputError(f"{name} is not in the file")
-        there = self._found[name].shape
-        if shape and (len(shape) != len(there) or any(b not in (None, a) for a, b in zip(there, shape))):
-            raise InputError(f"{name} has the shape {there}; {shape} is needed")
-        return self._found[name]
+        node = self.file[name]
+        if not isinstance(node, h5py.Dataset) or node.dtype.kind not in "fiu" or node.shape is None:
+            raise InputError(f"{name} does not hold numbers")
+        if shape and (len(shape) != node.ndim or any(b not in (None, a) for a, b in zip(node.shape, shape))):
+            raise InputError(f"{name} has the shape {node.shape}; {shape} is needed")
+        made = node.id.get_create_plist()
+        if node.is_virtual or node.external or {made.get_filter(k)[0] for k in range(made.get_nfilters())} - {h5py.h5z.FILTER_FLETCHER32}:
+            raise InputError(f"{name} is virtual, external or compressed")
+        self._claimed[name] = node.dtype.itemsize * math.prod(node.shape)
+        claim = max(sum(self._claimed.values()), node.dtype.itemsize * math.prod(node.chunks or (0,)))
+        if claim > 2 * self._size + BLOCK_BYTES:
+            raise InputError(f"{name} claims {claim} bytes, the file has {self._size}")
+        return node
 
     def _array(self, name):
         """A dataset read whole: finite float64, int64, or bytes."""
@@ -131,7 +122,11 @@ class Stored:
 
     def arrays(self, group):
         """{path in the group: array} of a group that may be missing."""
-        return {name.removeprefix(f"{group}/"): self._array(name) for name in self._found if name.startswith(f"{group}/")}
+        import h5py
+
+        names = []
+        self.file.visititems(lambda name, node: names.append(name) if isinstance(node, h5py.Dataset) else None)
+        return {name.removeprefix(f"{group}/"): self._array(name) for name in names if name.startswith(f"{group}/")}
 
     def _newest(self):
         """(record, numbers) of the newer whole slot; one that is being written is waited for."""
