@@ -25,8 +25,8 @@ class SceneModel(NamedPoints):
 
     bodies: the plates in order, each with its slice of the nodes; own_bodies: those of a user's own, whose coordinates are pairs behind
     the nodes. arrays: all that the compiled kernels read; own_forces: the force elements and bodies' elastic forces, which are
-    Python; laws: these by number where all of them are compiled. compiled: whether there is nothing of one's own, so that kernels take whole steps. `rows` names the slice of phi and lam
-    that belongs to each joint or body. Matrices are scipy.sparse.
+    Python; laws: these by number where all of them are compiled. compiled: whether there is nothing of one's own, so that kernels
+    take whole steps. `rows` names the slice of phi and lam that belongs to each joint or body. Matrices are scipy.sparse.
     """
 
     compiled, looks_apart = True, 1024  # its joints hold on to points of their own, only motors turn rows
