@@ -101,7 +101,7 @@ def add_own_forces(laws, links, drives, u, v, r):
 
 @entry
 def add_own_curvature(laws, drives, dz, vz, c_q, c_v, curvature):
-    """curvature (2 points, 2 points) -= `c_q df/dx + c_v df/dv` of all laws at displacements dz and velocities vz of the points, (points, 2)."""
+    """curvature (2 points, 2 points) -= `c_q df/dx + c_v df/dv` of all laws; dz, vz (points, 2) move the points."""
     for k in range(laws.parts.shape[0] - 1):
         x, v, ahead = place(laws, k, dz, vz)
         behind = np.empty_like(ahead)

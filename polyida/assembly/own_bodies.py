@@ -47,7 +47,9 @@ def own_mass(own, parts, first_node, n):
     from scipy.sparse import coo_array
 
     blocks = [(body.nodes.start, body.mass) for body in own]
-    blocks += [(first_node[id(mass.at.body)], mass.mass * on_pairs(np.outer(mass.at.weights.conj(), mass.at.weights))) for mass in carried_by_own(parts)]
+    for mass in carried_by_own(parts):
+        weights = mass.at.weights
+        blocks.append((first_node[id(mass.at.body)], mass.mass * on_pairs(np.outer(weights.conj(), weights))))
     entries = [(2 * first + i, 2 * first + k, block[i, k]) for first, block in blocks for i, k in np.argwhere(block)]
     rows, columns, values = zip(*entries) if entries else ((), (), ())
     return coo_array((values, (rows, columns)), shape=(n, n)).tocsc()

@@ -14,8 +14,8 @@ TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imagina
 class OwnForce:
     """A force element in its scene: its sides are at `x = rest + A q`, A (2 sides, n) sparse; the ground's rows are zero.
 
-    extent: the scene's size, m, over which derivatives are taken. strain: whether its energy is that of a body's strain. not_finite: in words, which of its functions last gave what
-    is not finite for arguments that are; else empty.
+    extent: the scene's size, m, over which derivatives are taken. strain: whether its energy is that of a body's strain.
+    not_finite: in words, which of its functions last gave what is not finite for arguments that are; else empty.
     """
 
     strain = False

@@ -20,7 +20,7 @@ class Points:
         return self._number(attachment.body, attachment.nodes, weights)
 
     def parts(self, attachment, part):
-        """(number, complex weight) of the points whose sum it is: itself, or, where its weights are complex, each coordinate of its body."""
+        """(number, complex weight) of the points whose sum it is: itself, or each coordinate of its body where weights are complex."""
         weights = attachment.weights if part == "point" else attachment.turn_weights
         if not np.iscomplexobj(weights):
             return [(self.add(attachment, part), 1 + 0j)]

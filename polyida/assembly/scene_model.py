@@ -26,8 +26,8 @@ class SceneModel(Constraints):
 
     bodies: the plates in order, each with its slice of the nodes; own_bodies: those of a user's own, whose coordinates are pairs behind
     the nodes. arrays: all that the compiled kernels read; own_forces: the force elements and bodies' elastic forces, which are
-    Python; laws: these by number where all of them are compiled. compiled: whether there is nothing of one's own, so that kernels take whole steps. `rows` names the slice of phi and lam
-    that belongs to each joint or body. Matrices are scipy.sparse.
+    Python; laws: these by number where all of them are compiled. compiled: whether there is nothing of one's own, so that kernels
+    take whole steps. `rows` names the slice of phi and lam that belongs to each joint or body. Matrices are scipy.sparse.
     """
 
     is_scene = alike = carries = compiled = True

@@ -29,7 +29,7 @@ class Body(OwnPart):
         raise NotImplementedError
 
     def mass_matrix(self) -> ArrayLike:
-        """M, Hermitian, (pairs, pairs): kinetic energy `z'^H M z' / 2`, J; or real and symmetric on (x_0, y_0, x_1, ...), (2 pairs, 2 pairs)."""
+        """M, Hermitian, (pairs, pairs): kinetic energy `z'^H M z' / 2`, J; or real, symmetric, (2 pairs, 2 pairs), on (x_0, y_0, ...)."""
         raise NotImplementedError
 
     def attachments(self) -> dict[str, ArrayLike]:
@@ -57,7 +57,9 @@ class Body(OwnPart):
         raise NotImplementedError
 
     def rows(self) -> list[Row | Vector]:
-        """Constraints of its own, as of a joint, made of the `x` and `d` of its points: those that keep its coordinates rigid, say."""
+        """Constraints of its own, as of a joint, made of the `x` and `d` of its points (`self.at`, `self.point_of`): those, say, that keep
+        its coordinates rigid.
+        """
         return []
 
     def reaction(self, lam: NDArray, values: object) -> NDArray:
@@ -90,7 +92,7 @@ class Body(OwnPart):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyPoint(Attachment):
-    """A point of a body of one's own: `x = sum w_i z_i`, `d = sum w'_i z_i`, weights (pairs,) complex, |d| = 1 in the reference configuration."""
+    """A point of a body of one's own: `x = sum w_i z_i`, `d = sum w'_i z_i`, weights (pairs,) complex, |d| = 1 at rest."""
 
     turns_only = True
     advice = "let its class give x_axis(), or the attachment a direction of its own"
@@ -174,8 +176,8 @@ def translation_of(body):
     for point in points_of(body):
         if abs(point.weights @ given - 1.0) > SAME or (point.has_direction and abs(point.turn_weights @ given) > SAME):
             moved = complex(np.round(point.weights @ given, 9))
-            raise InputError(f"{body.label}: by translation() {given.tolist()} attachment {point.name!r} moves by {moved:g} and must move by 1, and "
-                             "its direction by nothing; give the translation() of these coordinates")
+            raise InputError(f"{body.label}: by translation() {given.tolist()} attachment {point.name!r} moves by {moved:g} "
+                             "and must move by 1, and its direction by nothing; give the translation() of these coordinates")
     return given
 
 

@@ -135,7 +135,7 @@ def test_the_place_of_the_coordinates_does_not_matter():
 
 
 def test_masses_loads_and_forces_act_at_its_points():
-    """A mass at the tip and a dead load of its weight and half the bar's, upwards at the tip: nothing moves, the hinge bears the other half."""
+    """A dead load of the tip's weight and half the bar's, upwards at the tip: nothing moves, the hinge bears the other half."""
     scene = pi.Scene(gravity=(0.0, -G))
     bar = scene.add(Bar(ahead=0.3 + 0.4j))
     scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hinge"))
