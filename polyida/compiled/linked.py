@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from polyida.compiled.internals import (
     Compiler,
     CPUDispatcher,
+    Flags,
     JITCodeLibrary,
     PassManager,
     typed_passes,
@@ -38,6 +39,9 @@ class Entry(CPUDispatcher):
 class EntryCompiler(Compiler):
     """numba's compiler with the passes that kernels need; Python's search for cycles, a tenth of the time, waits."""
 
+    def __init__(self, typing, target, library, args, result, flags, local):
+        super().__init__(typing, target, library, args, result, _Options(flags), local)
+
     def define_pipelines(self):
         """Passes from bytecode to machine code, for functions without closures, literals, parallel loops and array expressions."""
         passes = PassManager("kernel")
@@ -57,6 +61,16 @@ class PartCompiler(EntryCompiler):
 
     def __init__(self, typing, target, library, *rest):
         super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *rest)
+
+
+class _Options(Flags):
+    """Options of a compilation; numba compares them ten thousand times, each time all that there are."""
+
+    def __hash__(self):
+        return hash(tuple(sorted(self._values)))
+
+    def __eq__(self, other):
+        return self._values == other._values if isinstance(other, Flags) else NotImplemented
 
 
 @contextmanager
