@@ -75,12 +75,16 @@ class _Options(Flags):
 
 @contextmanager
 def _without_collection():
+    """No search for cycles meanwhile, nor at once after it: what was made goes with the old objects, that are looked through rarely."""
     running = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if running:
+            if not gc.get_freeze_count():
+                gc.freeze()
+                gc.unfreeze()
             gc.enable()
 
 
