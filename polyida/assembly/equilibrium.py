@@ -1,8 +1,9 @@
 """The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
 
 from polyida.assembly.joints import joint_forces, point_values, spread
-from polyida.compiled import entry, part, shared
+from polyida.compiled import entry, shared
 from polyida.element import kernels, stabilisation
+from polyida.linear.dense import clear
 
 
 @shared
@@ -15,7 +16,7 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     s, links = scene.plates, scene.links
     for i in range(r.shape[0]):
         r[i, 0], r[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
-    rotation[:] = 0.0
+    clear(rotation)
     least = 1e300
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
@@ -45,7 +46,8 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
 @entry
 def tangent_blocks(s, u, c_m, c_q, blocks):
     """Fill blocks (nnz, 2, 2) = c_m M + c_q dg_int/dq of the plates on their nodal pattern, without masses at points and joints."""
-    blocks[:] = 0.0
+    for k in range(blocks.shape[0]):
+        blocks[k, 0, 0] = blocks[k, 0, 1] = blocks[k, 1, 0] = blocks[k, 1, 1] = 0.0
     for b in range(s.body_operator.shape[0]):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]
@@ -75,7 +77,7 @@ def strain_energy(s, u):
     return total
 
 
-@part
+@entry
 def momentum(s, a, r):
     """r += M a with the masses at points left out."""
     for b in range(s.body_operator.shape[0]):

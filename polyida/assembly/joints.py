@@ -204,7 +204,8 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
 @part
 def joint_rate_jacobian(s, drives, dz, vz, slopes):
     """Fill slopes with d(phi_z vz + phi_t)/dz."""
-    slopes[:] = 0.0
+    for e in range(slopes.shape[0]):
+        slopes[e] = 0.0
     for p in range(s.product_row.shape[0]):
         k, e, f = s.product_row[p], s.product_first[p], s.product_second[p]
         c, n, speed, _ = turn(s, p, drives)

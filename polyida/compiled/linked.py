@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from polyida.compiled.internals import (
     Compiler,
     CPUDispatcher,
+    Flags,
     JITCodeLibrary,
     PassManager,
     typed_passes,
@@ -38,6 +39,9 @@ class Entry(CPUDispatcher):
 class EntryCompiler(Compiler):
     """numba's compiler with the passes that kernels need; Python's search for cycles, a tenth of the time, waits."""
 
+    def __init__(self, typing, target, library, args, result, flags, local):
+        super().__init__(typing, target, library, args, result, _Options(flags), local)
+
     def define_pipelines(self):
         """Passes from bytecode to machine code, for functions without closures, literals, parallel loops and array expressions."""
         passes = PassManager("kernel")
@@ -59,14 +63,28 @@ class PartCompiler(EntryCompiler):
         super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *rest)
 
 
+class _Options(Flags):
+    """Options of a compilation; numba compares them ten thousand times, each time all that there are."""
+
+    def __hash__(self):
+        return hash(tuple(sorted(self._values)))
+
+    def __eq__(self, other):
+        return self._values == other._values if isinstance(other, Flags) else NotImplemented
+
+
 @contextmanager
 def _without_collection():
+    """No search for cycles meanwhile, nor at once after it: what was made goes with the old objects, that are looked through rarely."""
     running = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if running:
+            if not gc.get_freeze_count():
+                gc.freeze()
+                gc.unfreeze()
             gc.enable()
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from polyida.assembly import joints
 from polyida.assembly.arrays import bilinear
-from polyida.compiled import entry, pack, part, shared
-from polyida.linear.dense import solve_small
+from polyida.compiled import pack, part, shared
+from polyida.linear.dense import clear, solve_small
 from polyida.linear.factor import BAND, FRONTS, Factor, factor
 from polyida.linear.fronts import solve_fronts
 from polyida.linear.triangular import solve_band, solve_columns
@@ -69,8 +69,29 @@ def corotated(model, blocks, rotation, backend="auto"):
     reach = np.zeros((2 * model.n_points, model.n_nodes, 2), np.float32)
     active = active_components(s, model.laws)
     result = Corotated(made, frame, point_body, reach, active, order_along_joints(active, s))
-    fill_reach(s, result, room(model, result))
+    fill_reach(s, result, np.zeros(model.n + made.band.shape[1], np.float32))
     return result, name
+
+
+def fill_reach(s, c, x, product=None):
+    """X = S_ref^-1 A^T in the factor's own frame, one column a component of a point; S_ref^-1 M A^T with M's `product`.
+
+    x (n + width of the band,): scratch, zero behind n.
+    """
+    order = c.factor.order
+    for column, values in enumerate(c.reach):
+        f, axis = divmod(column, 2)
+        part, body = slice(s.point_ptr[f], s.point_ptr[f + 1]), slice(*c.point_body[f])
+        nodes, weights = s.point_nodes[part], s.point_weights[part]
+        x[:] = 0.0
+        if product is None:
+            x[order[2 * nodes + axis]] = weights
+        else:
+            load = np.zeros(values.shape)
+            load[nodes, axis] = weights
+            x[order] = product(load).ravel()
+        triangular(c.factor, x)
+        values[body] = x[order.reshape(-1, 2)[body]]
 
 
 def active_components(s, laws):
@@ -122,20 +143,6 @@ def triangular(f, x):
         solve_columns(f.start, f.rows, f.values, f.reciprocal, x)
 
 
-@entry
-def fill_reach(s, c, w):
-    """X = S_ref^-1 A^T in the factor's own frame: one column a component of a point."""
-    for f in range(s.point_ptr.shape[0] - 1):
-        for axis in range(2):
-            w.x[:] = np.float32(0.0)
-            for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-                w.x[c.factor.order[2 * s.point_nodes[k] + axis]] = s.point_weights[k]
-            triangular(c.factor, w.x)
-            for i in range(c.point_body[f, 0], c.point_body[f, 1]):
-                c.reach[2 * f + axis, i, 0] = w.x[c.factor.order[2 * i]]
-                c.reach[2 * f + axis, i, 1] = w.x[c.factor.order[2 * i + 1]]
-
-
 @part
 def solve_plates(s, c, w, rotation, r, x):
     """x (nodes, 2) = P S_ref^-1 P^T r, and the frames of nodes and points for what follows."""
@@ -171,7 +178,9 @@ def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
 def turn_frames(s, c, w, rotation):
     """turn = R(q) R(q_ref)^T at the nodes, spin = its mean at the points, as (cos, sin)."""
     if not c.turns:
-        w.turn[:, 0], w.turn[:, 1], w.spin[:, 0], w.spin[:, 1] = 1.0, 0.0, 1.0, 0.0
+        for frames in (w.turn, w.spin):
+            for i in range(frames.shape[0]):
+                frames[i, 0], frames[i, 1] = 1.0, 0.0
         return
     for i in range(rotation.shape[0]):
         x, y = rotation[i, 0], rotation[i, 1]
@@ -192,13 +201,11 @@ def turn_frames(s, c, w, rotation):
 @part
 def points_matrix(s, c, w):
     """G = A X at the present rotations, (2 points, 2 points), zero between bodies."""
-    w.g[:] = 0.0
     for f in range(w.spin.shape[0]):
         for h in range(w.spin.shape[0]):
-            if c.point_body[f, 0] != c.point_body[h, 0]:
-                continue
             xx = xy = yx = yy = 0.0
-            for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+            end = s.point_ptr[f + 1] if c.point_body[f, 0] == c.point_body[h, 0] else s.point_ptr[f]
+            for k in range(s.point_ptr[f], end):
                 i, weight = s.point_nodes[k], s.point_weights[k]
                 co, si = weight * w.turn[i, 0], weight * w.turn[i, 1]
                 p, q = c.reach[2 * h, i, 0], c.reach[2 * h, i, 1]
@@ -215,7 +222,7 @@ def points_matrix(s, c, w):
 @part
 def fill_curvature(s, w, drives, lam, c_m):
     """w.curvature = C: that of the rows, c_m times the masses at points, slopes of force elements."""
-    w.curvature[:] = 0.0
+    clear(w.curvature)
     for i in range(w.own.shape[0]):
         for j in range(w.own.shape[0]):
             w.curvature[i, j] = w.own[i, j]
@@ -246,7 +253,8 @@ def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
     if not solve_small(w.small, w.right, w.last):
         return False
     count = c.active.shape[0]
-    w.pull[:] = 0.0
+    for i in range(w.pull.shape[0]):
+        w.pull[i] = 0.0
     for i in range(count):
         w.pull[c.active[i]] = w.right[c.place[i]]
     for k in range(phi.shape[0]):
@@ -260,7 +268,7 @@ def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
 def fill_small(s, c, w, phi):
     """The system of `border`, its unknowns in the order of `place`: along the joints, so that chains give a band."""
     count = c.active.shape[0]
-    w.small[:] = 0.0
+    clear(w.small)
     for i in range(count):
         at = c.place[i]
         w.right[at] = 0.0

@@ -43,6 +43,14 @@ def solve_small(matrix, b, last):
 
 
 @part
+def clear(matrix):
+    """Every entry 0."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
+@part
 def eliminate(matrix, b, last, k):
     """Subtract row k from the rows below that have an entry in column k."""
     for i in range(k + 1, b.shape[0]):

@@ -49,14 +49,16 @@ def symbolic(indptr, indices, points=None):
     indptr, indices = (np.array(a, np.int32) for a in (indptr, indices))  # not read-only
     count = len(indptr) - 1
     where = np.empty((0, 2)) if points is None else np.array(points, float).reshape(-1, 2)
-    nodes, fronts = dissect(indptr, indices, where)
-    fronts = fronts[::-1]
+    nodes, fronts = np.arange(count, dtype=np.int32), np.empty((2 * count + 1, 3), np.int64)
+    found = dissect(indptr, indices, where, nodes, fronts, np.zeros(count, np.int8), np.empty(count), *np.empty((3, count), np.int32),
+                    *np.empty((2, count + 2), np.int64))
+    fronts = fronts[:found][::-1]
     place = np.empty(count, np.int32)
     place[nodes] = np.arange(count, dtype=np.int32)
     order = np.stack([2 * place, 2 * place + 1], axis=1).ravel()
     first = np.append(fronts[:, 0], count).astype(np.int32)
     children = fronts[:, 2].astype(np.int32)
-    start, rows, depth = reached(indptr, indices, nodes, place, first, children)
+    start, rows, depth = _reached(indptr, indices, nodes, place, first, children)
     rows = np.sort(np.repeat(np.arange(len(children)), np.diff(start)) * count + rows) % max(count, 1)
     own, reach = 2 * np.diff(first).astype(np.int64), 2 * np.diff(start)
     panel = np.append(0, np.cumsum(panel_entries(own, own + reach)))
@@ -70,14 +72,24 @@ def panel_entries(own, size):
     return 4 * fours * size - 8 * fours * (fours - 1) + (own % 4) * (size - 4 * fours)
 
 
+def _reached(*fronts):
+    """(start, unsorted rows, depth) of `Symbolic`."""
+    nodes, children = fronts[2], fronts[5]
+    start, waiting, rows = np.zeros(len(children) + 1, np.int64), np.empty(len(children), np.int32), np.empty(8 * len(nodes) + 64, np.int32)
+    while True:
+        depth = reached(*fronts, start, rows, np.full(len(nodes), -1, np.int32), waiting)
+        if depth >= 0:
+            return start, rows[:start[-1]], depth
+        rows = np.empty(2 * len(rows), np.int32)
+
+
 @entry
-def dissect(indptr, indices, points):
-    """(nodes in the order of elimination, fronts (:, 3) = first place, end, children; parents before children)."""
-    count = indptr.shape[0] - 1
-    nodes, side, room = np.arange(count).astype(np.int32), np.zeros(count, np.int8), np.empty(count)
-    mate, came, queue = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.int32)
-    low_of, high_of = np.empty(count + 2, np.int64), np.empty(count + 2, np.int64)
-    fronts = np.empty((2 * count + 1, 3), np.int64)
+def dissect(indptr, indices, points, nodes, fronts, side, room, mate, came, queue, low_of, high_of):
+    """Bring nodes (0, 1, 2 ...) into the order of elimination; fill fronts (:, 3) = first place, end, children; parents before children.
+
+    The other arrays are scratch, side is 0. Returns the number of fronts.
+    """
+    count = nodes.shape[0]
     low_of[0], high_of[0], top, found = 0, count, min(count, 1), 0
     while top:
         top -= 1
@@ -96,7 +108,7 @@ def dissect(indptr, indices, points):
         if b:
             low_of[top], high_of[top] = low + a, low + a + b
             top += 1
-    return nodes, fronts[:found]
+    return found
 
 
 @part
@@ -257,16 +269,17 @@ def group(members, side, room):
 
 
 @entry
-def reached(indptr, indices, nodes, place, first, children):
-    """(start, unsorted rows, depth) of `Symbolic`: a front reaches what its nodes and its children reach beyond it."""
+def reached(indptr, indices, nodes, place, first, children, start, rows, mark, waiting):
+    """Fill start and rows: a front reaches what its nodes and its children reach beyond it. Returns the depth, -1 where rows are too few.
+
+    mark, -1 before, and waiting are scratch.
+    """
     count = children.shape[0]
-    start, rows = np.zeros(count + 1, np.int64), np.empty(8 * nodes.shape[0] + 64, np.int32)
-    mark, waiting = np.full(nodes.shape[0], -1, np.int32), np.empty(count, np.int32)
     m = top = depth = deepest = 0
     for f in range(count):
         end, begin = first[f + 1], m
-        while m + nodes.shape[0] - end > rows.shape[0]:
-            rows = np.concatenate((rows, np.empty_like(rows)))
+        if m + nodes.shape[0] - end > rows.shape[0]:
+            return -1
         for k in range(top - children[f], top):
             c = waiting[k]
             depth -= (start[c + 1] - start[c]) * (2 * (start[c + 1] - start[c]) + 1)
@@ -281,7 +294,7 @@ def reached(indptr, indices, nodes, place, first, children):
         top -= children[f]
         waiting[top] = f
         top += 1
-    return start, rows[:m], deepest
+    return deepest
 
 
 @part

@@ -16,20 +16,21 @@ entry = partial(compiled.entry, fastmath=FAST)
 part = partial(compiled.part, fastmath=FAST)
 
 
-def factorize(symbolic, blocks):
-    """Panels (float32) of the factor of blocks (nnz, 2, 2) on symbolic's pattern; None where not positive definite.
+def factorize(symbolic, blocks, dtype=np.float32):
+    """Panels (of dtype) of the factor of blocks (nnz, 2, 2) on symbolic's pattern; None where not positive definite.
 
     Of each pair of blocks only the one in the row of the node that is eliminated first is read.
     """
-    panels = np.empty(symbolic.panel[-1], np.float32)
-    return panels if fill_panels(symbolic, np.ascontiguousarray(blocks, float), panels) else None
+    panels, numbers = np.empty(symbolic.panel[-1], dtype), np.empty(symbolic.size**2 + symbolic.depth)
+    places = np.empty(len(symbolic.nodes) + len(symbolic.children), np.int32)
+    return panels if fill_panels(symbolic, np.ascontiguousarray(blocks, float), panels, numbers, places) else None
 
 
 @entry
-def fill_panels(s, blocks, panels):
-    """Eliminate front after front. False where a pivot is not positive."""
-    room, updates = np.empty(s.size * s.size), np.empty(s.depth)
-    local, waiting = np.empty(s.nodes.shape[0], np.int32), np.empty(s.children.shape[0], np.int32)
+def fill_panels(s, blocks, panels, numbers, places):
+    """Eliminate front after front; numbers, places are scratch. False where a pivot is not positive."""
+    room, updates = numbers[:s.size * s.size], numbers[s.size * s.size:]
+    local, waiting = places[:s.nodes.shape[0]], places[s.nodes.shape[0]:]
     top = behind = 0
     for f in range(s.children.shape[0]):
         first, last, rows = s.first[f], s.first[f + 1], s.rows[s.start[f]:s.start[f + 1]]

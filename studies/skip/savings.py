@@ -21,7 +21,7 @@ from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
 from polyida.joint.revolute import Revolute
 from polyida.linear.factor import symbolic_of
-from polyida.linear.fronts import fill_panels, solve_fronts
+from polyida.linear.fronts import factorize, solve_fronts
 from polyida.mesh import rectangle
 from polyida.problems import plates
 from polyida.scene import Scene
@@ -219,8 +219,7 @@ def single_precision(cells, t_end, repeats):
     equilibrium.tangent_blocks(model.arrays.plates, np.zeros((model.n_nodes, 2)), 4.0 / H**2, 1.0, blocks)
 
     def side(dtype):
-        panels, x = np.empty(known.panel[-1], dtype), np.empty(model.n, np.float32)
-        fill_panels(known, blocks, panels)
+        panels, x = factorize(known, blocks, dtype), np.empty(model.n, np.float32)
 
         def run():
             for _ in range(10):

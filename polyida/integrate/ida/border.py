@@ -9,7 +9,7 @@ With B = Bz A and H = d(B v + phi_t)/dq = Hz A, S and M those of the plates, m t
 from polyida.assembly import joints
 from polyida.compiled import leaf, part
 from polyida.linear import corotated
-from polyida.linear.dense import solve_small
+from polyida.linear.dense import clear, solve_small
 
 
 @part
@@ -58,8 +58,9 @@ def fill_stabilised(s, c, cr, w, cj, r, n, m):
     """The border's system: curvature, position and velocity rows, each a combination of components of A dq."""
     count = c.active.shape[0]
     joints.point_values(s, w.dq, w.moved)
-    w.small[:] = 0.0
-    w.unknown[:] = 0.0
+    clear(w.small)
+    for i in range(w.unknown.shape[0]):
+        w.unknown[i] = 0.0
     for i in range(count):
         w.small[w.place[i], w.place[i]] = 1.0
         for j in c.active:
@@ -110,8 +111,9 @@ def close_stabilised(s, c, cr, w, r, n, m, count):
 @part
 def apply_border(s, c, cm, cr, w, cj, m):
     """dq -= X (w + Bz^T dlam + cj m A A^T Bz^T dmu) + cj S^-1 M A^T Bz^T dmu; w.swing = Bz^T dmu."""
-    cr.pull[:] = 0.0
-    w.swing[:] = 0.0
+    clear(w.swing)
+    for i in range(cr.pull.shape[0]):
+        cr.pull[i] = 0.0
     count = c.active.shape[0]
     for i in range(count):
         cr.pull[c.active[i]] = w.unknown[w.place[i]]

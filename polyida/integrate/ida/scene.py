@@ -17,6 +17,7 @@ from polyida.integrate.ida.border import stabilised_border
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.linear import EchoedSolve
 from polyida.linear import corotated
+from polyida.linear.dense import clear
 from polyida.linear.lu import SingularSystem
 
 
@@ -105,7 +106,7 @@ def residual(s, w, drives, y, yp, integrated, damp, laws, res):
         w.right[i, 0], w.right[i, 1] = yp[2 * i] - y[n + 2 * i], yp[2 * i + 1] - y[n + 2 * i + 1]
     joints.point_values(s.links, w.dq, w.vz)
     joints.joint_rates(s.links, drives, w.dz, w.vz, w.phi, w.rate, w.bias)
-    w.forces[:] = 0.0
+    clear(w.forces)
     joints.joint_forces(s.links, drives, w.dz, w.mu, w.phi, w.forces)
     joints.spread(s.links, w.forces, w.right)
     for i in range(n // 2):
@@ -114,26 +115,6 @@ def residual(s, w, drives, y, yp, integrated, damp, laws, res):
         res[2 * n + k] = w.phi[k]
         res[2 * n + m + k] = w.rate[k]
     return det if cosine > 0.0 else -1.0
-
-
-@entry
-def momentum_reach(s, c, cr, w, reach):
-    """Fill reach = S_ref^-1 M A^T like `Corotated.reach`, M of the plates."""
-    for f in range(w.dz.shape[0]):
-        for axis in range(2):
-            w.dq[:] = 0.0
-            w.right[:] = 0.0
-            for k in range(s.links.point_ptr[f], s.links.point_ptr[f + 1]):
-                w.dq[s.links.point_nodes[k], axis] = s.links.point_weights[k]
-            kernels.momentum(s.plates, w.dq, w.right)
-            cr.x[:] = np.float32(0.0)
-            for i in range(w.right.shape[0]):
-                cr.x[c.factor.order[2 * i]] = w.right[i, 0]
-                cr.x[c.factor.order[2 * i + 1]] = w.right[i, 1]
-            corotated.triangular(c.factor, cr.x)
-            for i in range(c.point_body[f, 0], c.point_body[f, 1]):
-                reach[2 * f + axis, i, 0] = cr.x[c.factor.order[2 * i]]
-                reach[2 * f + axis, i, 1] = cr.x[c.factor.order[2 * i + 1]]
 
 
 @entry
@@ -213,8 +194,14 @@ class SceneSolve(EchoedSolve):
             return
         self.cj, self.counts.backend = cj, step.backend
         self.massive = step.corotated._replace(reach=np.zeros_like(step.corotated.reach))
-        momentum_reach(step.model.arrays, step.corotated, step.room, self.system.room, self.massive.reach)
+        corotated.fill_reach(step.model.arrays.links, self.massive, step.room.x, self._momentum)
         self.counts.solves += 2 * step.solves
+
+    def _momentum(self, a):
+        """M a, M of the plates."""
+        product = np.zeros_like(a)
+        kernels.momentum(self.step.model.arrays.plates, a, product)
+        return product
 
     def reduced(self, t, y, yp, r, z):
         """z = J^-1 r, joints as the last residual saw them; nan where there is no factor."""
