@@ -1,4 +1,4 @@
-"""polyida: flexible multibody dynamics with polygonal elements, one model through two kinds of integrator."""
+"""polyida: flexible multibody dynamics with polygonal elements, one model through three kinds of integrator."""
 
 from importlib import import_module
 
@@ -12,6 +12,7 @@ _PLACES = {
     "consistent_state": "integrate.start", "condition_number": "integrate.iteration_matrix", "static": "integrate.static",
     "State": "integrate.state", "Counts": "integrate.state",
     "GeneralizedAlpha": "integrate.alpha.generalized_alpha", "EnergyMomentum": "integrate.energy.energy_momentum", "IDA": "integrate.ida.integrator",
+    "RadauIIA": "integrate.radau.radau_iia",
 }
 _MODULES = {"mesh": "mesh", "profile": "profile", "registry": "registry", "problems": "problems", "export": "show.vtu", "study": "study", "show": "show"}
 

@@ -21,6 +21,7 @@ integrators: dict[str, Any] = {
     "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",
     "EnergyMomentum": "polyida.integrate.energy.energy_momentum:EnergyMomentum",
     "IDA": "polyida.integrate.ida.integrator:IDA",
+    "RadauIIA": "polyida.integrate.radau.radau_iia:RadauIIA",
 }
 problems: dict[str, Any] = {
     "pendulum": "polyida.problems.pendulum:problem",

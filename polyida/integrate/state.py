@@ -1,7 +1,7 @@
 """What an integrator takes and yields: a state, the counts of the work done, and how it says that it cannot go on."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -17,6 +17,7 @@ class State:
     `memory` is what the integrator that yielded the state needs besides to go on from it as if it had not stopped
     (generalized-alpha: the algorithmic acceleration `a_alg` and its step; IDA: nothing). Another integrator ignores it.
     restart: False where nothing tells that memory: in the middle of a compiled stretch, between two accepted instants.
+    within: a function t -> State in the step that ended here, of an integrator that knows more of it than its two ends.
     """
 
     t: float
@@ -26,6 +27,7 @@ class State:
     lam: np.ndarray
     memory: dict = field(default_factory=dict)
     restart: bool = True
+    within: Callable[[float], "State"] | None = None
 
     def finite(self) -> bool:
         """Whether q and v, and lam, are finite: one product each tells."""

@@ -11,10 +11,13 @@ def between(before, after, t):
     """The State at t between two accepted ones.
 
     q is the cubic Hermite polynomial through q and v at both ends, v its derivative, a and lam are linear in t; at an
-    end it is the accepted state itself. q is of fourth, v of third, a and lam of second order in the step.
+    end it is the accepted state itself. q is of fourth, v of third, a and lam of second order in the step. An integrator's own
+    polynomial, `after.within`, goes before.
     """
     if t in (before.t, after.t):
         return before if t == before.t else after
+    if after.within is not None:
+        return after.within(t)
     h = after.t - before.t
     s = (t - before.t) / h
     move = after.q - before.q

@@ -1,0 +1,116 @@
+"""Ways through the smooth pieces of a run: equal steps, or steps that follow the local error."""
+
+import numpy as np
+
+from polyida.integrate.alpha.grid import Grid, grid_of
+from polyida.integrate.kinks import enough_steps
+from polyida.integrate.radau.control import CUT, Ladder
+from polyida.integrate.state import State, StepFailure
+
+FAILURES = 20  # in a row
+SHORT = 16  # times that a step is apart, at least
+
+
+def march(engine, settings, model, state, begin, end, most, counts):
+    """Yield the states at the ends of equal steps; one that fails is taken in 2, 4, ... parts. Raises StepFailure."""
+    grid = _grid(model, state, begin, end, most)
+    while grid.done < grid.count:
+        t = grid.time(grid.done + 1)
+        try:
+            state, _ = engine.step(state, grid.h, t)
+        except StepFailure as failure:
+            counts.rejected += 1
+            state = _in_parts(engine, settings, state, grid, failure, counts)
+        counts.steps += 1
+        grid = grid._replace(done=grid.done + 1)
+        yield _with(state, radau_grid=grid.after(grid.done))
+
+
+def _grid(model, state, begin, end, most):
+    stored = State(state.t, state.q, state.v, state.a, state.lam, {"grid": state.memory.get("radau_grid")})
+    known = grid_of(stored, begin, end, 0)
+    return known if known.count else Grid(begin, end, enough_steps(model, state, begin, end, most))
+
+
+def _in_parts(engine, settings, state, grid, first, counts):
+    """The state after the next step of the grid, in parts."""
+    last = first
+    for level in range(1, settings.max_halvings + 1):
+        parts, found = Grid(grid.time(grid.done), grid.time(grid.done + 1), 2**level), state
+        try:
+            for k in range(parts.count):
+                found, _ = engine.step(found, parts.h, parts.time(k + 1))
+            return found
+        except StepFailure as failure:
+            counts.rejected += 1
+            last = failure
+    parts = f"; the step in 2 to {2**settings.max_halvings} parts fails too, at last: {last.reason}" if settings.max_halvings else ""
+    raise StepFailure(first.status, first.reason + parts, first.t, **last.seen)
+
+
+def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most_steps):
+    """Yield states from begin to end, the step as the local error allows and not above `most`. Raises StepFailure."""
+    most, t, failures = _most(model, state, begin, end, most), begin, []
+    while t < end:
+        ladder.below(most)
+        h, goes_to = _next(t, end, ladder.h)
+        _require_progress(t, h, settings, counts, most_steps, failures)
+        try:
+            found, error = engine.step(state, h, goes_to)
+        except StepFailure as failure:
+            failures.append(failure)
+            counts.rejected += 1
+            ladder.rung -= CUT
+            continue
+        error /= settings.allowed(state.q, engine.shares, engine.sizes)
+        whole = h >= ladder.h * (1 - 1e-9)
+        if error > 1.0 or whole:
+            _follow(ladder, error, settings.stages + 1, h)
+        if not error <= 1.0:
+            counts.rejected += 1
+            failures.append(StepFailure("step size", "the local error stays above rtol and atol", t))
+            continue
+        failures, t = [], goes_to
+        state = _with(found, ladder=np.array([ladder.first, ladder.rung]), radau_piece=np.array([end, most]), sizes=engine.sizes)
+        counts.steps += 1
+        yield state
+
+
+def _follow(ladder, error, order, h):
+    ladder.below(h)
+    ladder.follow(error, order)
+
+
+def _most(model, state, begin, end, most):
+    """The largest step of the piece, by which loads are seen behind a kink too; of one that is gone on with as it was."""
+    piece = state.memory.get("radau_piece")
+    if piece is not None and piece[0] == end and "stages_q" in state.memory:
+        return min(most, float(piece[1]))
+    return (end - begin) / enough_steps(model, state, begin, end, min(most, end - begin))
+
+
+def _next(t, end, h):
+    """(step, where it ends): the last two before the end are equal."""
+    rest = end - t
+    if rest <= h * (1 + 1e-9):
+        return rest, end
+    return (0.5 * rest, t + 0.5 * rest) if rest < 2 * h * (1 - 1e-9) else (h, t + h)
+
+
+def _require_progress(t, h, settings, counts, most_steps, failures):
+    if failures and (h < SHORT * np.spacing(abs(t)) or len(failures) >= FAILURES):
+        first, last = failures[0], failures[-1]
+        reason = first.reason if last is first else f"{first.reason}; down to steps of {h:.3g} s, at last: {last.reason}"
+        raise StepFailure(first.status, reason, first.t, **last.seen)
+    if counts.steps + counts.rejected >= most_steps:
+        raise StepFailure("too many steps", f"more than {settings.max_num_steps} steps (max_num_steps)", t, step=h)
+
+
+def _with(state, **memory):
+    return State(state.t, state.q, state.v, state.a, state.lam, state.memory | memory, within=state.within)
+
+
+def ladder_of(state, first):
+    """The Ladder that the state was on, or one that begins with `first`, s."""
+    stored = state.memory.get("ladder")
+    return Ladder(first) if stored is None else Ladder(float(stored[0]), int(stored[1]))

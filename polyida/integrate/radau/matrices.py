@@ -1,0 +1,100 @@
+"""The linear systems of a step: for each mode of the tableau one n x n factor and a small border.
+
+With c = l/h, l the mode's eigenvalue, the transformed stages of one mode solve
+
+    |  c I    -I             B^T |  |dq  |     |r1|     q' - v + B^T mu
+    |  K     c M + C   B^T       |  |dv  | = - |r2|     M v' + g + B^T lam
+    |  B                         |  |dlam|     |r3|     phi
+    |  H      B                  |  |dmu |     |r4|     phi' = B v + phi_t,   H = d phi'/dq
+
+The first row gives dv; what remains is `S = K + c C + c^2 M` bordered by B, and by H with its mu where the form has them.
+"""
+
+import numpy as np
+
+from polyida.linear.border import Border
+from polyida.linear.lu import LU
+from polyida.linear.matrix import dense
+from polyida.model.differences import along
+
+
+class Rows:
+    """The constraints' rows at (t, q, v): B (m, n), and H (m, n) where they are wanted `tied`, with mu."""
+
+    def __init__(self, model, t, q, v, tied):
+        self.B, self.tied = dense(model.phi_q(t, q)), tied
+        self.H = _slope(model, t, q, v, self.B) if tied else np.zeros((0, model.n))
+        self.both = np.vstack([self.B, self.H])
+
+    def below(self, c, r1, r3, r4):
+        """The right-hand sides of the rows on dq."""
+        return np.concatenate([-r3, c * r3 - self.B @ r1 - r4]) if self.tied else -r3
+
+    def corner(self):
+        """What the multipliers add to the rows."""
+        m = len(self.B)
+        corner = np.zeros((len(self.both), len(self.both)))
+        if self.tied:
+            corner[m:, m:] = self.B @ self.B.T
+        return corner
+
+
+def _slope(model, t, q, v, B):
+    """d(phi_q v + phi_t)/dq, which is the slope of phi_q along the motion."""
+    if not (model.needs.phi_q_varies or model.needs.driven):
+        return np.zeros_like(B)
+    reach = min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(v).max(initial=0)))
+    return along(lambda s: dense(model.phi_q(t + s, q + s * v)), reach)
+
+
+class Matrices:
+    """The factored S of every mode for steps of h, made when first used from `made_at`: t, q, v, a and lam in one array.
+
+    price: iterations that it cost beyond those of a good one.
+    """
+
+    def __init__(self, model, modes, h, made_at, price=0.0):
+        self.model, self.modes, self.h, self.made_at, self.price = model, modes, h, made_at, price
+        self.factors = self.borders = None
+
+    def make(self):
+        """Factor, where it is not done. Raises SingularSystem."""
+        if self.factors is not None:
+            return
+        model, at = self.model, (float(self.made_at[0]), *np.split(self.made_at[1:], np.cumsum([self.model.n] * 3)))
+        K = model.tangent(*at, 0.0, 0.0, 1.0)
+        self.M, self.C = model.mass(at[1]), model.force_v(*at[:3]) if model.needs.velocity_forces else None
+        self.factors = [LU(K + mode.value / self.h * self._damping(mode.value / self.h)) for mode in self.modes]
+
+    def _damping(self, c):
+        """c M + C."""
+        return c * self.M if self.C is None else c * self.M + self.C
+
+    def surround(self, rows):
+        """Take the constraints' rows, and make the columns that belong to them."""
+        self.rows, self.corner, self.borders = rows, rows.corner(), []
+        for mode, factor in zip(self.modes, self.factors):
+            columns = rows.B.T
+            if rows.tied:
+                columns = np.hstack([columns, self._damping(mode.value / self.h) @ rows.B.T])
+            self.borders.append(Border(_solve(factor, columns, mode.paired)))
+
+    def solve(self, k, r1, r2, r3, r4):
+        """(dq, dv, dlam, dmu) of mode k. Raises SingularSystem."""
+        mode, m = self.modes[k], len(self.rows.B)
+        c = mode.value / self.h
+        y = -_solve(self.factors[k], r2 + self._damping(c) @ r1, mode.paired)
+        dq, w = self.borders[k].solve(y, self.rows.both, self.rows.below(c, r1, r3, r4), self.corner)
+        return dq, c * dq + self.rows.B.T @ w[m:] + r1 if self.rows.tied else c * dq + r1, w[:m], w[m:]
+
+    def stages(self, residuals):
+        """The corrections of all stages, each (s, ...), from their residuals r1, r2, r3, r4, each (s, ...). Raises SingularSystem."""
+        total = None
+        for k, mode in enumerate(self.modes):
+            share = [mode.back(x) for x in self.solve(k, *(mode.row @ r for r in residuals))]
+            total = share if total is None else [x + y for x, y in zip(total, share)]
+        return total
+
+
+def _solve(factor, b, paired):
+    return factor.solve(b.astype(complex) if paired else b)

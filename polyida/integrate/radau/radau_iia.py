@@ -1,0 +1,136 @@
+"""Radau IIA of order 5 and 3 (Hairer and Wanner 1996) on the stabilised index-2 form, or on index 3."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.given import is_flag, is_number, is_one_of, is_whole
+from polyida.integrate.kinks import at_kink, beside, stretches
+from polyida.integrate.moves import cells_of
+from polyida.integrate.radau.march import adapt, ladder_of, march
+from polyida.integrate.radau.steps import Steps
+from polyida.integrate.sizes import typical_sizes
+from polyida.integrate.start import far_side
+from polyida.integrate.state import Counts, State
+from polyida.keywords import named_keywords
+from polyida.model import Model
+
+FORMS = ("ggl", "index3")
+SHARE = 0.05  # of the allowed local error that Newton may leave; sqrt(rtol) where that is less, for a step's true error is far below the estimate
+EXACT = 1e-15  # of the model's length, what it may leave where the step is fixed: as good as nothing, for it adds up over all steps in v
+EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
+
+
+@named_keywords
+@dataclass(frozen=True)
+class RadauIIA:
+    """Radau IIA, implicit Runge-Kutta by collocation: three stages, order 5, or two, order 3; stiffly accurate and L-stable.
+
+    At the nodes t_i = t_0 + c_i h of polynomials q and v of degree s: `q' - v + B^T mu = 0`, `M v' + g + B^T lam = 0`, `phi = 0`,
+    `B v + phi_t = 0`, B = phi_q (form "ggl", Gear, Gupta, Leimkuhler 1985), or without the last and mu (form "index3"). Nodes and
+    coefficients are those of Hairer and Wanner, Solving ODEs II, IV.5. a and lam of a state follow from its q and v by
+    `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`: they have the order of q and v. Between two states stands the collocation polynomial,
+    of order s + 1 in q and v and s in a and lam.
+
+    rtol, atol: the step follows the local error of q against a method of order s, root mean square with each coordinate weighted
+    by its mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), said in the
+    run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2. project:
+    in form "index3", v of accepted states is moved onto its constraint; without it v is of order s there.
+    tolerance: what Newton may leave of q, in place of min(0.05, rtol^(1/2)) (atol + rtol |q|), and with fixed steps of 1e-15 of the model's
+    length, which is round-off. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself. max_halvings: a fixed step that fails is taken in 2, 4, ...
+    2^max_halvings parts. max_num_steps: the run fails beyond so many, with those rejected. Raises InputError for a setting out of range.
+
+    Not for energy over long runs without damping: it eats what a step does not resolve of ringing mesh modes, as it should for q.
+    """
+
+    rtol: float = 1e-6
+    atol: float | None = None
+    h: float | None = None
+    stages: int = 3
+    form: str = "ggl"
+    project: bool = True
+    tolerance: float | None = None
+    max_iterations: int = 12
+    max_step: float = 0.0
+    first_step: float = 0.0
+    max_halvings: int = 6
+    max_num_steps: int = 1_000_000
+
+    def __post_init__(self):
+        for name, good, want in self._checks():
+            if not good:
+                raise InputError(f"RadauIIA: {name} = {getattr(self, name)!r} must be {want}")
+
+    def _checks(self):
+        positive = lambda x: x is None or (is_number(x) and x > 0)  # noqa: E731
+        length = lambda x: is_number(x) and x >= 0  # noqa: E731
+        return (
+            ("rtol", is_number(self.rtol) and 0 < self.rtol < 1, "between 0 and 1"),
+            ("atol", positive(self.atol), "a positive number (of q), or None: rtol times the model's length"),
+            ("h", positive(self.h), "a positive step in s, or None: by the local error"),
+            ("stages", is_whole(self.stages, 2, 3), "2 or 3"),
+            ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
+            ("project", is_flag(self.project), "True or False"),
+            ("tolerance", positive(self.tolerance), "a positive number (of q), or None: by rtol and atol"),
+            ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
+            ("max_step", length(self.max_step), "a step in s, or 0"),
+            ("first_step", length(self.first_step), "a step in s, or 0"),
+            ("max_halvings", is_whole(self.max_halvings, 0, 20), "a whole number from 0 to 20"),
+            ("max_num_steps", is_whole(self.max_num_steps), "a positive whole number"),
+        )
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether the step follows the local error."""
+        return self.h is None
+
+    def allowed(self, q: np.ndarray, shares: np.ndarray, sizes: np.ndarray) -> float:
+        """The local error that is allowed at q: `atol + rtol |q|`."""
+        atol = self.rtol * float(sizes[0]) if self.atol is None else self.atol
+        return atol + self.rtol * float(np.sqrt(shares @ q**2))
+
+    def left(self, q: np.ndarray, shares: np.ndarray, sizes: np.ndarray) -> float:
+        """What Newton may leave of q."""
+        if self.tolerance is not None:
+            return self.tolerance
+        return min(SHARE, self.rtol**0.5) * self.allowed(q, shares, sizes) if self.adaptive else EXACT * float(sizes[0])
+
+    def told(self, memory: dict) -> str:
+        """What a summary says of the absolute tolerance that a run took from its model; memory of one of its states."""
+        return f"atol {self.rtol * memory['sizes'][0]:.1e} of q" if self.adaptive and self.atol is None and "sizes" in memory else ""
+
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
+        """Accepted States after `state` up to t_end, one a step. Raises StepFailure.
+
+        At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
+        """
+        sizes, span = state.memory.get("sizes"), t_end - state.t
+        sizes = typical_sizes(model, state, span) if sizes is None else np.array(sizes, float)
+        engine, most_steps = Steps(self, model, counts, sizes), counts.steps + counts.rejected + self.max_num_steps
+        ladder, longest = ladder_of(state, self._first(sizes, span)), self.h or self.max_step or np.inf
+        engine.begin(state)
+        for begin, end, most in stretches(model, state.t, t_end, *((self.h,) if self.h else cells_of(longest, span))):
+            engine.limits = (-np.inf, beside(end, -1) if at_kink(model, end) else np.inf)
+            if at_kink(model, begin):
+                engine.limits = (beside(begin, 1), engine.limits[1])
+                state = _restarted(far_side(model, state, engine.limits[0]))
+            if self.h:
+                piece = march(engine, self, model, state, begin, end, min(self.h, most), counts)
+            else:
+                piece = adapt(engine, self, model, state, begin, end, min(longest, most), counts, ladder, most_steps)
+            for state in piece:
+                yield state
+
+    def _first(self, sizes, span):
+        """The first step, s."""
+        length, speed = sizes
+        return self.first_step or min(span, EASY * length / speed * self.rtol ** (1 / (self.stages + 1)))
+
+
+def _restarted(state):
+    """The state behind a kink, where the last step's polynomial leads nowhere."""
+    gone = ("stages_q", "stages_v", "a_end", "lam_end", "step", "radau_piece")
+    memory = {name: value for name, value in state.memory.items() if name not in gone}
+    return State(state.t, state.q, state.v, state.a, state.lam, memory)
