@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from polyida.integrate.radau.frames import conj, turned
+
 SAFETY = 0.85
 RUNGS = 2  # a factor of two
 MOST_UP, MOST_DOWN = 6, 12  # rungs at once
@@ -16,7 +18,8 @@ def local_error(matrices, tableau, state, stages, h, shares):
     off_v = state.v + tableau.start @ stages.q / h
     off_a = state.memory.get("a_end", state.a) + tableau.start @ stages.v / h
     rows, zero = matrices.rows, np.zeros(len(matrices.rows.B))
-    dq = matrices.solve(0, -off_v, -(matrices.M @ off_a), zero, zero[:len(rows.H)])[0]
+    off_v, force = turned(off_v, conj(rows.p)), turned(matrices.M @ off_a, conj(rows.p))
+    dq = matrices.solve(0, -off_v, -force, zero, zero[:len(rows.H)])[0]
     return float(np.sqrt(shares @ dq.real**2))
 
 

@@ -12,6 +12,7 @@ The first row gives dv; what remains is `S = K + c C + c^2 M` bordered by B, and
 
 import numpy as np
 
+from polyida.integrate.radau.frames import conj, rotations, turned
 from polyida.linear.border import Border
 from polyida.linear.lu import LU
 from polyida.linear.matrix import dense
@@ -19,11 +20,12 @@ from polyida.model.differences import along
 
 
 class Rows:
-    """The constraints' rows at (t, q, v): B (m, n), and H (m, n) where they are wanted `tied`, with mu."""
+    """The constraints' rows at (t, q, v): B (m, n), and H (m, n) where they are wanted `tied`, with mu; both in the frame that is turned by p."""
 
-    def __init__(self, model, t, q, v, tied):
-        self.B, self.tied = dense(model.phi_q(t, q)), tied
-        self.H = _slope(model, t, q, v, self.B) if tied else np.zeros((0, model.n))
+    def __init__(self, model, t, q, v, tied, p=None):
+        B, self.p, self.tied = dense(model.phi_q(t, q)), p, tied
+        self.B = turned(B, conj(p))
+        self.H = turned(_slope(model, t, q, v, B), conj(p)) if tied else np.zeros((0, model.n))
         self.both = np.vstack([self.B, self.H])
 
     def below(self, c, r1, r3, r4):
@@ -50,6 +52,7 @@ def _slope(model, t, q, v, B):
 class Matrices:
     """The factored S of every mode for steps of h, made when first used from `made_at`: t, q, v, a and lam in one array.
 
+    Of scenes they are taken in the frame of the nodes, one for each stage: what goes in is turned back, what comes out is turned.
     price: iterations that it cost beyond those of a good one.
     """
 
@@ -63,12 +66,17 @@ class Matrices:
             return
         model, at = self.model, (float(self.made_at[0]), *np.split(self.made_at[1:], np.cumsum([self.model.n] * 3)))
         K = model.tangent(*at, 0.0, 0.0, 1.0)
+        self.rotations = rotations(model, at[1])
         self.M, self.C = model.mass(at[1]), model.force_v(*at[:3]) if model.needs.velocity_forces else None
         self.factors = [LU(K + mode.value / self.h * self._damping(mode.value / self.h)) for mode in self.modes]
 
     def _damping(self, c):
         """c M + C."""
         return c * self.M if self.C is None else c * self.M + self.C
+
+    def turn(self, q):
+        """How far the nodes have turned since at q (s, n), (s, nodes), or None."""
+        return None if self.rotations is None else np.array([rotations(self.model, x) for x in q]) * self.rotations.conj()
 
     def surround(self, rows):
         """Take the constraints' rows, and make the columns that belong to them."""
@@ -87,13 +95,15 @@ class Matrices:
         dq, w = self.borders[k].solve(y, self.rows.both, self.rows.below(c, r1, r3, r4), self.corner)
         return dq, c * dq + self.rows.B.T @ w[m:] + r1 if self.rows.tied else c * dq + r1, w[:m], w[m:]
 
-    def stages(self, residuals):
-        """The corrections of all stages, each (s, ...), from their residuals r1, r2, r3, r4, each (s, ...). Raises SingularSystem."""
-        total = None
+    def stages(self, q, r1, r2, r3, r4):
+        """The corrections of all stages at q (s, n), each (s, ...), from their residuals, each (s, ...). Raises SingularSystem."""
+        total, p = None, self.turn(q)
+        residuals = turned(r1, conj(p)), turned(r2, conj(p)), r3, r4
         for k, mode in enumerate(self.modes):
             share = [mode.back(x) for x in self.solve(k, *(mode.row @ r for r in residuals))]
             total = share if total is None else [x + y for x, y in zip(total, share)]
-        return total
+        dq, dv, dlam, dmu = total
+        return turned(dq, p), turned(dv, p), dlam, dmu
 
 
 def _solve(factor, b, paired):

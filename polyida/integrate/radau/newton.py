@@ -53,22 +53,21 @@ class Newton:
         q, v, lam = self._guess(state, h)
         mu, size = np.zeros_like(lam) if self.tied else np.zeros((len(q), 0)), np.sqrt(shares @ state.q**2) + np.sqrt(shares @ (h * state.v)**2)
         self._surround(matrices, times, state, q, v)
-        contraction, last = self._first(), np.inf
+        contraction, last, round_off = self._first(), np.inf, ROUND * size
         for iteration in range(1, self.max_iterations + 1):
-            a = self.tableau.W @ v / h
-            residuals = self._residuals(times, state, h, q, v, a, lam, mu)
-            dq, dv, dlam, dmu = self._corrected(matrices, residuals)
+            residuals = self._residuals(times, state, h, q, v, lam, mu)
+            dq, dv, dlam, dmu = self._corrected(matrices, state.q + q, residuals)
             q, v, lam, mu = q + dq, v + dv, lam + dlam, mu + dmu
             moved = float(np.sqrt(np.mean(dq**2 @ shares) + h * h * np.mean(dv**2 @ shares)))
-            if iteration > 1:
-                contraction = moved / last if last else 0.0
             if not np.isfinite(moved):
                 raise Failed("not finite", "the motion is not finite")
+            contraction = moved / last if iteration > 1 else contraction
             left = contraction / (1.0 - contraction) * moved if contraction < 1.0 else np.inf
-            if left <= allowed or moved == 0.0 or (iteration > 1 and contraction > SLOW and moved <= ROUND * size):
+            spent, stalled = iteration == self.max_iterations, iteration > 1 and contraction > SLOW
+            if left <= allowed or moved == 0.0 or (moved <= round_off and (stalled or spent)):
                 self._note(iteration, contraction)
                 return Stages(q, v, self.tableau.W @ v / h, lam, iteration, contraction)
-            if iteration > 1 and contraction ** (self.max_iterations - iteration) * left > allowed and moved > ROUND * size:
+            if iteration > 1 and contraction ** (self.max_iterations - iteration) * left > max(allowed, round_off):
                 break
             last = moved
         raise Failed("newton", "Newton does not converge with fresh matrices", **{"last |dq|": moved, "contraction": contraction})
@@ -84,10 +83,12 @@ class Newton:
         return ahead @ memory["stages_q"], ahead @ memory["stages_v"], lam
 
     def _surround(self, matrices, times, state, q, v):
-        """Give the matrices the constraints' rows of the middle stage; those of a linear, undriven phi never change."""
+        """Give the matrices the constraints' rows of the middle stage; in a frame that stands those of a linear phi never change."""
         needs, k = self.model.needs, len(times) // 2
-        if matrices.borders is None or needs.phi_q_varies or needs.driven:
-            matrices.surround(Rows(self.model, times[k], state.q + q[k], state.v + v[k], self.tied))
+        if matrices.borders is None or needs.phi_q_varies or needs.driven or matrices.rotations is not None:
+            at = state.q + q[k]
+            p = matrices.turn(at[None])
+            matrices.surround(Rows(self.model, times[k], at, state.v + v[k], self.tied, None if p is None else p[0]))
             self.counts.solves += len(matrices.modes) * len(matrices.rows.both)
 
     def _first(self):
@@ -97,9 +98,9 @@ class Newton:
     def _note(self, iteration, contraction):
         self.marks = np.array([contraction, 0.0]) if iteration > 1 else self.marks + (0.0, 1.0)
 
-    def _residuals(self, times, state, h, q, v, a, lam, mu):
+    def _residuals(self, times, state, h, q, v, lam, mu):
         """(r1, r2, r3, r4) of all stages, each (s, ...)."""
-        model, r1 = self.model, self.tableau.W @ q / h - (state.v + v)
+        model, a, r1 = self.model, self.tableau.W @ v / h, self.tableau.W @ q / h - (state.v + v)
         self.counts.residuals += len(times)
         self.counts.newton_iterations += 1
         r2, r3, r4 = [], [], []
@@ -116,9 +117,9 @@ class Newton:
             raise Failed("not finite", "the motion is not finite")
         return residuals
 
-    def _corrected(self, matrices, residuals):
+    def _corrected(self, matrices, q, residuals):
         self.counts.solves += len(matrices.modes)
         try:
-            return matrices.stages(residuals)
+            return matrices.stages(q, *residuals)
         except SingularSystem as error:
             raise Failed("singular", str(error)) from None

@@ -105,6 +105,7 @@ class Steps:
         q, v, a, lam = self._settled(at, state.q + stages.q[-1], state.v + stages.v[-1])
         if objection := model.objection(at, q):
             raise StepFailure("objection", objection, t)
+        stages.q[-1], stages.v[-1] = q - state.q, v - state.v
         memory = {"stages_q": stages.q, "stages_v": stages.v, "a_end": stages.a[-1], "lam_end": stages.lam[-1], "step": h}
         within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (stages.q, stages.v, stages.a, stages.lam))
         return State(t, q, v, a, lam, memory | self._memory(), within=within)
