@@ -20,6 +20,8 @@ INTEGRATORS = {name: pi.GeneralizedAlpha(h=1e-3, **choice) for name, choice in F
     "adaptive, whole matrix": pi.GeneralizedAlpha(h=1e-2, rtol=1e-5, linear="kkt"),
     "energy-momentum": pi.EnergyMomentum(h=1e-3),
     "ida": pi.IDA(rtol=1e-6, atol=1e-8),
+    "radau": pi.RadauIIA(rtol=1e-6),
+    "radau, fixed steps": pi.RadauIIA(h=5e-3),
 }
 every = pytest.mark.parametrize("integrator", INTEGRATORS.values(), ids=INTEGRATORS)
 SIDES = {"from": lambda t: float(t >= KINK), "after": lambda t: float(t > KINK)}
@@ -179,7 +181,7 @@ MOVERS = {
     "whole matrix": pi.GeneralizedAlpha(h=2e-2, linear="kkt"), "adaptive": pi.GeneralizedAlpha(h=2e-2, rtol=1e-4),
     "adaptive, whole matrix": pi.GeneralizedAlpha(h=2e-2, rtol=1e-4, linear="kkt"),
     "Richardson": pi.GeneralizedAlpha(h=2e-2, extrapolate=True), "energy-momentum": pi.EnergyMomentum(h=2e-2),
-    "ida": pi.IDA(rtol=1e-5, linear="kkt"),
+    "ida": pi.IDA(rtol=1e-5, linear="kkt"), "radau": pi.RadauIIA(rtol=1e-5), "radau, fixed steps": pi.RadauIIA(h=2e-2),
 }
 movers = pytest.mark.parametrize("integrator", MOVERS.values(), ids=MOVERS)
 PULSES = {  # value, its integral in s

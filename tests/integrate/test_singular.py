@@ -9,6 +9,7 @@ ALL = {
     "alpha": pi.GeneralizedAlpha(h=2e-3), "alpha, rho 0.999": pi.GeneralizedAlpha(h=2e-3, rho_inf=0.999),
     "alpha, stabilised": pi.GeneralizedAlpha(h=2e-3, form="stabilised"), "alpha, adaptive": pi.GeneralizedAlpha(h=1e-2, rtol=1e-6),
     "alpha, Richardson": pi.GeneralizedAlpha(h=1e-2, extrapolate=True),
+    "radau": pi.RadauIIA(), "radau, fixed steps": pi.RadauIIA(h=5e-3), "radau, index 3": pi.RadauIIA(form="index3"),
 } | {f"IDA {form}": pi.IDA(form=form) for form in ("ggl2", "ggl1", "index2", "index1", "baumgarte")}
 FLAT = 0.7471212  # s, when the parallelogram lies flat; all integrators at fine steps agree on these digits
 
