@@ -18,7 +18,7 @@ import polyida as pi
 scene = pi.Scene()
 plate = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=4), pi.Material(5e7, 0.3, 1100.0), 0.01))
 scene.add(pi.Revolute(pi.ground, plate.section("left")))
-for integrator in (pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA()):
+for integrator in (pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA(), pi.RadauIIA()):
     pi.solve(scene.build(), 2e-3, integrator)
 """
 

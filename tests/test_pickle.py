@@ -85,7 +85,7 @@ def test_scenes_and_models_give_the_same_run(scenes):
     assert copied.labels == model.labels and copied.parts["lower"].section("right").body is copied.parts["lower"]
 
 
-@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA()], ids=repr)
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA(), pi.RadauIIA()], ids=repr)
 def test_a_run_knows_what_it_knew(scenes, integrator):
     run = pi.solve(rich(scenes).build(), 0.01, integrator)
     copy = again(run)

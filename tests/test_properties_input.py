@@ -120,6 +120,9 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "IDA": (pi.IDA, {
         "rtol": SHARE, "atol": NOTHING[1:] + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab", 0, -1.0, [1e-6, 0.0]], "max_order": [value for value in COUNT if value is not None] + [6], "form": CHOICE,
         "max_step": NUMBER + [-1.0], "first_step": NUMBER + [-1.0], "rate": NUMBER + [-1.0], "max_num_steps": COUNT, "linear": CHOICE}),
+    "RadauIIA": (pi.RadauIIA, {
+        "rtol": SHARE, "atol": [x for x in POSITIVE if x is not None], "h": [x for x in POSITIVE if x is not None], "stages": COUNT + [1, 4], "form": CHOICE,
+        "tolerance": [x for x in POSITIVE if x is not None], "max_iterations": COUNT, "max_step": NUMBER + [-1.0], "first_step": NUMBER + [-1.0], "max_num_steps": COUNT}),
     "solve": (run, {
         "model": NOTHING + LISTS + [BOARD, pi.Scene(), pi.Model], "t_end": NUMBER + [0.0, -1.0, True], "integrator": NOTHING + LISTS + [pi.IDA, "alpha", BOARD],
         "q0": ARRAY + [[1.0, 2.0, 3.0], [5.0, 5.0]], "v0": ARRAY + [[1.0, 2.0, 3.0], [5.0, 5.0]], "t0": NUMBER + [1.0], "every": COUNT, "flush_every": COUNT,

@@ -165,7 +165,7 @@ def test_integrators_agree(scene):
 
 
 @PROFILE
-@given(scene=scenes(), method=st.sampled_from((pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA(rtol=1e-4))))
+@given(scene=scenes(), method=st.sampled_from((pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA(rtol=1e-4), pi.RadauIIA(rtol=1e-4))))
 def test_a_file_keeps_every_bit(scene, method):
     run = pi.solve(scene.build(), 0.005, method)
     with tempfile.TemporaryDirectory() as folder:

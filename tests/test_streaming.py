@@ -186,7 +186,7 @@ def test_output_between_steps_is_of_fourth_order():
     assert abs((near[1] - near[0]) / (2 * s) - between(state(1.0), state(1.2), 1.07).v[0]) < 1e-9
 
 
-@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA(rtol=1e-6)])
+@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA(rtol=1e-6), pi.RadauIIA()])
 def test_output_gives_just_the_times_wanted(pendulum, integrator, tmp_path):
     times = np.linspace(0.05, 0.95, 37)
     run = pi.solve(pendulum, 1.0, integrator, q0=[-1.0, 0.0], output=times, out=tmp_path / "run.h5")
@@ -198,7 +198,7 @@ QUARTER = 1.8540746773013719 / np.sqrt(9.81)  # K(1/2) / sqrt(g / L): a pendulum
 
 
 @pytest.mark.parametrize(
-    "integrator, tolerance", [(pi.GeneralizedAlpha(h=2e-4), 1e-6), (pi.IDA(rtol=1e-9, atol=1e-10), 1e-6)]
+    "integrator, tolerance", [(pi.GeneralizedAlpha(h=2e-4), 1e-6), (pi.IDA(rtol=1e-9, atol=1e-10), 1e-6), (pi.RadauIIA(), 1e-6)]
 )
 def test_until_stops_where_the_function_changes_its_sign(pendulum, integrator, tolerance):
     run = pi.solve(pendulum, 5.0, integrator, q0=[-1.0, 0.0], until=lambda t, q, v: q[0])
@@ -274,7 +274,7 @@ class Falling(pi.Model):
         return np.array([9.81])
 
 
-@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA()])
+@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA(), pi.RadauIIA(max_step=0.01)])
 def test_an_exception_in_a_force(tmp_path, integrator):
     with pytest.raises(RuntimeError, match="no force today") as caught:
         pi.solve(Falling(), 1.0, integrator, out=tmp_path / "run.h5")

@@ -17,6 +17,7 @@ FRAMES = ("t", "q", "v", "a", "lam")
 METHODS = {
     "alpha": pi.GeneralizedAlpha(h=1e-3), "adaptive": pi.GeneralizedAlpha(h=2e-3, rtol=1e-5), "kkt": pi.GeneralizedAlpha(h=5e-3, linear="kkt"),
     "energy": pi.EnergyMomentum(h=1e-3), "ggl2": pi.IDA(rtol=1e-4), "ggl1": pi.IDA(rtol=1e-4, form="ggl1"),
+    "radau": pi.RadauIIA(rtol=1e-4), "radau, fixed steps": pi.RadauIIA(h=5e-3),
 }
 
 

@@ -66,7 +66,7 @@ MIXED = ({"viscosity": 0, "mass_damping": 0.5}, {"viscosity": 1}, {"viscosity": 
 
 
 @pytest.mark.parametrize("damping", MIXED)
-@pytest.mark.parametrize("integrator", [pi.IDA(), pi.EnergyMomentum(h=1e-3)])
+@pytest.mark.parametrize("integrator", [pi.IDA(), pi.EnergyMomentum(h=1e-3), pi.RadauIIA()])
 def test_damping_of_whole_numbers_runs(scenes, damping, integrator):
     model = scenes.hinged(material=damping)[0].build()
     assert pi.solve(model, 3e-3, integrator).success

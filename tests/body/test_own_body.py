@@ -185,7 +185,7 @@ def test_derivatives(kind):
     assert max(found.values()) < 1e-6, found
 
 
-@pytest.mark.parametrize("method", [pi.IDA(rtol=1e-9, atol=1e-11), pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3)])
+@pytest.mark.parametrize("method", [pi.IDA(rtol=1e-9, atol=1e-11), pi.RadauIIA(rtol=1e-8), pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3)])
 def test_an_elastic_body_vibrates_and_falls(method):
     scene = pi.Scene(gravity=(0.0, -G))
     scene.add(Spring(name="spring"))

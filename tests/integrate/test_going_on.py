@@ -75,7 +75,7 @@ def test_output_does_not_move_the_state(model):
     assert run.state.t == 0.101 and is_the_rest(pi.solve(model, 0.5, ALPHA, state=run.state), whole)
 
 
-@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA(), pi.EnergyMomentum(h=1e-3)], ids=lambda x: type(x).__name__)
+@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA(), pi.EnergyMomentum(h=1e-3), pi.RadauIIA()], ids=lambda x: type(x).__name__)
 def test_from_where_until_stopped(model, integrator, tmp_path):
     run = pi.solve(model, 0.3, integrator, until=lambda t, q, v: t - 0.10037, out=tmp_path / "run.h5")
     for state in (run.state, pi.load(tmp_path / "run.h5").state):

@@ -30,7 +30,7 @@ def ring(shift=(0.0, 0.0), sectors=12):
     return pi.mesh.PolygonMesh(points + shift, corners.ravel(), np.arange(0, 4 * sectors + 1, 4), {"rim": k})
 
 
-@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=2e-3), pi.IDA(rtol=1e-9)], ids=["alpha", "ida"])
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=2e-3), pi.IDA(rtol=1e-9), pi.RadauIIA()], ids=["alpha", "ida", "radau"])
 def test_a_scene_far_away_moves_as_one_at_the_origin(kind, integrator, scenes, uneven):
     angle = pi.profile.quintic(0.0, 0.3, duration=0.1)
 

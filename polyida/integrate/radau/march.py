@@ -23,7 +23,7 @@ def march(engine, settings, model, state, begin, end, most, counts):
             state = _in_parts(engine, settings, state, grid, failure, counts)
         counts.steps += 1
         grid = grid._replace(done=grid.done + 1)
-        yield _with(state, radau_grid=grid.after(grid.done))
+        yield _with(state, radau_grid=grid.after(grid.done), sizes=engine.sizes)
 
 
 def _grid(model, state, begin, end, most):

@@ -14,7 +14,7 @@ import numpy as np
 
 from polyida.integrate.radau.frames import conj, rotations, turned
 from polyida.linear.border import Border
-from polyida.linear.lu import LU
+from polyida.linear.lu import LU, SingularSystem
 from polyida.linear.matrix import dense
 from polyida.model.differences import along
 
@@ -68,7 +68,20 @@ class Matrices:
         K = model.tangent(*at, 0.0, 0.0, 1.0)
         self.rotations = rotations(model, at[1])
         self.M, self.C = model.mass(at[1]), model.force_v(*at[:3]) if model.needs.velocity_forces else None
-        self.factors = [LU(K + mode.value / self.h * self._damping(mode.value / self.h)) for mode in self.modes]
+        matrices = [K + mode.value / self.h * self._damping(mode.value / self.h) for mode in self.modes]
+        try:
+            self.factors, self.added = [LU(S) for S in matrices], 0.0
+        except SingularSystem:
+            self.factors, self.added = self._held(matrices, at[0], at[1])
+
+    def _held(self, matrices, t, q):
+        """(factors of S + s B^T B, s), where coordinates have no mass and are held by constraints alone.
+
+        With `B dq = -r3` nothing has changed but dlam, by s r3.
+        """
+        B = self.model.phi_q(t, q)
+        s = float(np.abs(matrices[0].diagonal()).max(initial=0.0)) / max(float(abs(B).max()), 1e-300) ** 2 if self.model.m else 0.0
+        return [LU(S + s * (B.T @ B)) for S in matrices], s
 
     def _damping(self, c):
         """c M + C."""
@@ -93,7 +106,8 @@ class Matrices:
         c = mode.value / self.h
         y = -_solve(self.factors[k], r2 + self._damping(c) @ r1, mode.paired)
         dq, w = self.borders[k].solve(y, self.rows.both, self.rows.below(c, r1, r3, r4), self.corner)
-        return dq, c * dq + self.rows.B.T @ w[m:] + r1 if self.rows.tied else c * dq + r1, w[:m], w[m:]
+        dv = c * dq + r1 + (self.rows.B.T @ w[m:] if self.rows.tied else 0.0)
+        return dq, dv, w[:m] - self.added * r3, w[m:]
 
     def stages(self, q, r1, r2, r3, r4):
         """The corrections of all stages at q (s, n), each (s, ...), from their residuals, each (s, ...). Raises SingularSystem."""

@@ -103,6 +103,8 @@ class Steps:
         """The accepted State: q and v on their constraints to round-off, a and lam of the equations of motion there."""
         at, model = self.clamp(t), self.model
         q, v, a, lam = self._settled(at, state.q + stages.q[-1], state.v + stages.v[-1])
+        if not all(np.isfinite(x).all() for x in (q, v, a, lam)):
+            raise StepFailure("not finite", "the motion is not finite", t)
         if objection := model.objection(at, q):
             raise StepFailure("objection", objection, t)
         stages.q[-1], stages.v[-1] = q - state.q, v - state.v

@@ -1,0 +1,368 @@
+"""Radau IIA: its tableau, orders and published digits, models of every kind, scenes, kinks, going on bit for bit, failures."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida import problems
+from polyida.integrate.radau.tableau import from_zero, radau, through
+from polyida.problems.plates import double_plate, double_plate_motors
+
+FIELDS = ("t", "q", "v", "a", "lam")
+
+
+@pytest.mark.parametrize("setting, named", [
+    ({"rtol": 0.0}, "rtol = 0.0"), ({"rtol": "tight"}, "rtol = 'tight'"), ({"atol": -1e-8}, "atol = -1e-08"), ({"h": 0.0}, "h = 0.0"),
+    ({"h": float("nan")}, "h = nan"), ({"stages": 4}, "stages = 4 must be 2 or 3"), ({"stages": 2.5}, "stages = 2.5"),
+    ({"form": "index2"}, "form = 'index2' must be one of ggl, index3"), ({"project": 1}, "project = 1"), ({"tolerance": 0}, "tolerance = 0"),
+    ({"max_iterations": 0}, "max_iterations = 0"), ({"max_step": -1.0}, "max_step = -1.0"), ({"first_step": "short"}, "first_step = 'short'"),
+    ({"max_halvings": 21}, "max_halvings = 21"), ({"max_num_steps": 0}, "max_num_steps = 0"), ({"order": 5}, "there is no argument 'order'"),
+])
+def test_wrong_settings_are_named(setting, named):
+    with pytest.raises(pi.InputError, match="RadauIIA: ") as error:
+        pi.RadauIIA(**setting)
+    assert named in str(error.value)
+
+
+@pytest.mark.parametrize("stages", [2, 3])
+def test_the_tableau_is_that_of_the_order(stages):
+    """B(2s - 1) and C(s) of Hairer and Wanner, and the modes give back W."""
+    tableau = radau(stages)
+    c, A = tableau.c, tableau.A
+    for k in range(1, 2 * stages):
+        assert A[-1] @ c ** (k - 1) == pytest.approx(1 / k, abs=1e-15)
+    for k in range(1, stages + 1):
+        assert A @ c ** (k - 1) == pytest.approx(c**k / k, abs=1e-15)
+    W = sum(mode.back(mode.value * mode.row) for mode in tableau.modes)
+    assert np.abs(W - tableau.W).max() < 1e-13 and np.abs(W @ A - np.eye(stages)).max() < 1e-14
+
+
+def test_the_modes_are_those_that_are_published():
+    real, pair = radau(3).modes
+    assert real.value == pytest.approx(3.637834252744496, abs=1e-13) and not real.paired and pair.paired
+    assert pair.value == pytest.approx(2.681082873627752 + 3.050430199247411j, abs=1e-13)
+    root = np.sqrt(6.0)
+    assert radau(3).start == pytest.approx(np.array([-13 - 7 * root, -13 + 7 * root, -1]) / 3, abs=1e-13)
+
+
+def test_the_polynomials_take_the_values_at_the_nodes():
+    c = radau(3).c
+    assert np.array([from_zero(c, s) for s in c]) == pytest.approx(np.eye(3), abs=1e-14)
+    assert np.array([through(c, s) for s in c]) == pytest.approx(np.eye(3), abs=1e-14)
+    assert from_zero(c, 0.3) @ c**3 == pytest.approx(0.3**3) and through(c, 0.3) @ c**2 == pytest.approx(0.3**2)
+
+
+class Pushed(pi.Model):
+    """1 kg pushed by a force that is a polynomial of t."""
+
+    n, m = 1, 0
+    needs = pi.Needs(False, False, False, False)
+
+    def __init__(self, push):
+        self.push = np.polynomial.Polynomial(push)
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        return np.array([-self.push(t)])
+
+
+@pytest.mark.parametrize("stages", [2, 3])
+def test_polynomials_that_it_must_take_exactly(stages):
+    """Stages are exact for a force of degree s - 1, the ends with them; the polynomial between the ends where q is of degree s."""
+    push = [1.0, -2.0, 3.0][:stages]
+    run = pi.solve(Pushed(push), 1.0, pi.RadauIIA(h=0.25, stages=stages))
+    a = np.polynomial.Polynomial(push)
+    v, q = a.integ(), a.integ(2)
+    assert np.abs(run.q[:, 0] - q(run.t)).max() < 1e-14 and np.abs(run.v[:, 0] - v(run.t)).max() < 1e-14
+    a = np.polynomial.Polynomial(push[:-1])
+    run = pi.solve(Pushed(push[:-1]), 1.0, pi.RadauIIA(h=0.25, stages=stages), output=np.linspace(0.03, 0.97, 11))
+    for found, exact in ((run.q, a.integ(2)), (run.v, a.integ()), (run.a, a)):
+        assert np.abs(found[:, 0] - exact(run.t)).max() < 1e-13
+
+
+@cache
+def errors(name, number, settings):
+    p = problems.get(name)
+    return p.compare(pi.solve(p.model, p.t_end, pi.RadauIIA(h=p.t_end / number, **dict(settings)), q0=p.q0, v0=p.v0, every=10**9))
+
+
+@pytest.mark.parametrize("name, number, settings, orders", [
+    ("pendulum", 400, {}, (5, 5, 5)), ("car-axis", 400, {}, (5, 5, 5)), ("pendulum", 400, {"stages": 2}, (3, 3, 3)),
+    ("pendulum", 400, {"form": "index3"}, (5, 5, 5)), ("pendulum", 400, {"form": "index3", "project": False}, (5, 3, 5)),
+    ("pendulum", 400, {"form": "index3", "stages": 2}, (3, 3, 3)), ("andrews", 300, {}, (5, 5, None)),
+], ids=str)
+def test_orders_against_published_digits(name, number, settings, orders):
+    """From h to h/2, far above what the digits are known to; lam of Andrews' problem is not known so far."""
+    coarse, fine = (errors(name, k * number, tuple(settings.items())) for k in (1, 2))
+    for part, order in zip(("q", "v", "lam"), orders):
+        assert order is None or np.log2(coarse[part] / fine[part]) == pytest.approx(order, abs=0.2), part
+
+
+def test_published_digits_of_the_car_axis():
+    p = problems.get("car-axis")
+    found = p.compare(pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-10), q0=p.q0, v0=p.v0, every=10**9))
+    assert found["q"] < 1e-10 and found["v"] < 3e-9 and found["lam"] < 3e-12
+
+
+@pytest.mark.parametrize("settings, most", [({}, 30), ({"form": "index3"}, 30), ({"stages": 2}, 500)], ids=str)
+def test_the_error_follows_the_tolerance(settings, most):
+    p, found = problems.get("pendulum"), []
+    for rtol in (1e-5, 1e-7):
+        run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=rtol, **settings), q0=p.q0, every=10**9)
+        assert run.success and "atol" in run.summary()
+        found.append(p.compare(run)["q"] / rtol)
+    assert max(found) < most and 0.05 < found[0] / found[1] < 20
+
+
+@pytest.mark.parametrize("settings", [{"h": 0.01}, {"rtol": 1e-6}, {"h": 0.01, "form": "index3"}], ids=str)
+def test_constraints_are_closed_to_round_off(settings):
+    p = problems.get("pendulum")
+    run = pi.solve(p.model, 5.0, pi.RadauIIA(**settings), q0=p.q0)
+    assert run.drift.max() < 1e-13 and run.velocity_drift.max() < 1e-13
+
+
+def test_between_two_states_stands_the_collocation_polynomial(scenes):
+    p, steps, apart = problems.get("pendulum"), (0.02, 0.01, 0.005), []
+    at = np.linspace(0.013, 1.987, 41)
+    exact = pi.solve(p.model, 2.0, pi.RadauIIA(h=1e-3), q0=p.q0, output=at)
+    for h in steps:
+        run = pi.solve(p.model, 2.0, pi.RadauIIA(h=h), q0=p.q0, output=at)
+        apart.append([np.abs(getattr(run, x) - getattr(exact, x)).max() for x in ("q", "v", "a", "lam")])
+    slopes = [scenes.slope(steps, found) for found in zip(*apart)]
+    assert slopes[0] > 3.6 and slopes[1] > 3.6 and slopes[2] > 2.6 and slopes[3] > 2.6
+
+
+class Linear(pi.Model):
+    """Two masses with a full mass matrix, an unsymmetric stiffness and an unsymmetric damping."""
+
+    n, m = 2, 0
+    needs = pi.Needs(mass_varies=False, velocity_forces=True, driven=False, phi_q_varies=False)
+    M, C, K = np.array([[2.0, 0.3], [0.3, 1.0]]), np.array([[0.3, -0.8], [0.5, 0.1]]), np.array([[4.0, 1.0], [-2.0, 9.0]])
+
+    def mass(self, q):
+        return self.M
+
+    def force(self, t, q, v):
+        return self.C @ v + self.K @ q - np.array([np.sin(t), 0.0])
+
+
+class Massless(pi.Model):
+    """Two springs and a third coordinate without mass, which a constraint makes their sum; a force pulls at it."""
+
+    n, m = 3, 1
+    needs = pi.Needs(False, False, False, False)
+
+    def mass(self, q):
+        return np.diag([1.0, 1.0, 0.0])
+
+    def force(self, t, q, v):
+        return np.array([4.0 * q[0], 9.0 * q[1], 1.0])
+
+    def phi(self, t, q):
+        return np.array([q[2] - q[0] - q[1]])
+
+    def phi_q(self, t, q):
+        return np.array([[-1.0, -1.0, 1.0]])
+
+
+def test_an_unsymmetric_linear_model_to_order_5_and_in_one_iteration_a_step():
+    from scipy.linalg import expm
+
+    model, q0, steps = Linear(), np.array([1.0, 0.5]), (20, 40)
+    rates = np.zeros((6, 6))  # (q, v, cos t, sin t)
+    rates[:2, 2:4], rates[2:4] = np.eye(2), np.linalg.solve(model.M, np.hstack([-model.K, -model.C, [[0.0, 1.0], [0.0, 0.0]]]))
+    rates[4:, 4:] = [[0.0, -1.0], [1.0, 0.0]]
+    exact, found = (expm(2.0 * rates) @ [*q0, 0.0, 0.0, 1.0, 0.0])[:2], []
+    for number in steps:
+        run = pi.solve(model, 2.0, pi.RadauIIA(h=2.0 / number), q0=q0)
+        found.append(np.abs(run.q[-1] - exact).max())
+        assert run.counts.newton_iterations <= 1.3 * number and run.counts.factorizations == 2
+    assert np.log2(found[0] / found[1]) == pytest.approx(5.0, abs=0.2)
+
+
+@pytest.mark.parametrize("form", ["ggl", "index3"])
+def test_a_coordinate_without_mass(form):
+    """q = -2/8 (1 - cos) and so on: the pull of 1 N goes through the constraint to both springs; lam is -1 N."""
+    run = pi.solve(Massless(), 2.0, pi.RadauIIA(rtol=1e-9, form=form))
+    one, two = -(1 - np.cos(2 * run.t)) / 4, -(1 - np.cos(3 * run.t)) / 9
+    assert np.abs(run.q - np.column_stack([one, two, one + two])).max() < 1e-7
+    assert np.abs(run.lam + 1.0).max() < 1e-12
+
+
+class Driven(pi.Model):
+    """2 kg whose x follows a path with a kink in its speed at 0.25 s; pushed in y by 2 N from 0.5 s on."""
+
+    n, m = 2, 1
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=True, phi_q_varies=False)
+
+    def mass(self, q):
+        return 2.0 * np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, -2.0 * (t >= 0.5)])
+
+    def phi(self, t, q):
+        return np.array([q[0] - max(0.0, t - 0.25)])
+
+    def phi_q(self, t, q):
+        return np.array([[1.0, 0.0]])
+
+    def kinks(self, t0, t1):
+        return tuple(t for t in (0.25, 0.5) if t0 < t < t1)
+
+
+@pytest.mark.parametrize("settings", [{}, {"h": 0.1}, {"stages": 2}, {"form": "index3"}], ids=str)
+def test_kinks_are_hit_and_what_is_behind_begins_anew(settings):
+    run = pi.solve(Driven(), 1.0, pi.RadauIIA(**settings))
+    assert run.success and {0.25, 0.5} <= set(run.t.tolist())
+    assert run.q[-1] == pytest.approx([0.75, 0.125], abs=1e-12) and run.v[-1] == pytest.approx([1.0, 0.5], abs=1e-12)
+    assert run.counts.rejected == 0
+
+
+class Stop(Exception):
+    pass
+
+
+def stopped_and_resumed(path, model, t_end, integrator, after, **start):
+    def progress(t):
+        if t > after:
+            raise Stop
+
+    with pytest.raises(Stop):
+        pi.solve(model, t_end, integrator, out=path, progress=progress, flush_every=1, **start)
+    return pi.resume(path, model=model)
+
+
+@pytest.mark.parametrize("settings", [{"h": 0.01}, {"rtol": 1e-5}, {"rtol": 1e-5, "form": "index3", "stages": 2}], ids=str)
+@pytest.mark.parametrize("name", ["pendulum", "andrews"])
+def test_a_run_that_goes_on_is_the_same_bit_by_bit(name, settings, tmp_path):
+    p = problems.get(name)
+    t_end = min(2.0, p.t_end)
+    integrator, start = pi.RadauIIA(**settings | ({"h": 2e-4} if "h" in settings and name == "andrews" else {})), {"q0": p.q0, "v0": p.v0}
+    whole = pi.solve(p.model, t_end, integrator, **start)
+    rest = stopped_and_resumed(tmp_path / "run.h5", p.model, t_end, integrator, 0.41 * t_end, **start)
+    assert whole.success and rest.success and whole.counts == rest.counts
+    assert all(np.array_equal(getattr(whole, name), getattr(rest, name)) for name in FIELDS)
+
+
+@pytest.mark.parametrize("settings", [{"h": 2e-3}, {"rtol": 1e-4}], ids=str)
+def test_a_scene_s_run_that_goes_on_is_the_same_bit_by_bit(settings, tmp_path):
+    model, integrator = double_plate_motors(cells=6).build(), pi.RadauIIA(**settings)
+    whole, rest = pi.solve(model, 0.2, integrator), stopped_and_resumed(tmp_path / "run.h5", model, 0.2, integrator, 0.07)
+    assert whole.success and whole.counts == rest.counts
+    assert all(np.array_equal(getattr(whole, name), getattr(rest, name)) for name in FIELDS)
+
+
+@pytest.fixture(scope="module")
+def plates():
+    """A double plate, and its tip at 20 times of 0.4 s, m."""
+    model, at = double_plate(cells=10).build(), np.linspace(0.02, 0.4, 20)
+    coarse, fine = (pi.solve(model, 0.4, pi.GeneralizedAlpha(h=h), output=at).position("tip") for h in (1e-4, 5e-5))
+    return model, at, fine + (fine - coarse) / 3
+
+
+@pytest.mark.parametrize("settings, allowed", [({"rtol": 1e-6}, 2e-5), ({"rtol": 1e-8}, 4e-7), ({"h": 1e-3}, 4e-7),
+                                               ({"rtol": 1e-6, "form": "index3"}, 2e-5)], ids=str)
+def test_the_double_plate_against_generalized_alpha(plates, settings, allowed):
+    model, at, tip = plates
+    run = pi.solve(model, 0.4, pi.RadauIIA(**settings), output=at)
+    assert run.success and np.linalg.norm(run.position("tip") - tip, axis=1).max() < allowed
+    assert pi.solve(model, 0.4, pi.RadauIIA(**settings)).drift.max() < 1e-12
+
+
+def test_a_frame_for_each_stage_lets_one_pair_of_factors_serve_long(plates):
+    """Three iterations a step of 12.5 ms; with matrices that do not turn with the bodies it is ten times that, and factors in every step."""
+    run = pi.solve(plates[0], 1.0, pi.RadauIIA(h=1 / 80, tolerance=1e-8))
+    assert run.success and run.counts.newton_iterations < 4 * 80 and run.counts.factorizations <= 8
+
+
+def test_a_damped_scene(scenes):
+    """Viscous plates: C stands in the matrices."""
+    scene, plate = scenes.hinged(material={"viscosity": 1e-3})
+    model = scene.build()
+    run, other = pi.solve(model, 0.1, pi.RadauIIA(rtol=1e-6)), pi.solve(model, 0.1, pi.GeneralizedAlpha(h=2e-4))
+    assert run.success and np.abs(run.q[-1] - other.q[-1]).max() < 2e-5
+
+
+class Oscillator(pi.Model):
+    """One mass on a spring: q = cos t."""
+
+    n, m = 1, 0
+    needs = pi.Needs(False, False, False, False)
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        return q.copy()
+
+
+@pytest.mark.parametrize("settings", [{}, {"h": 0.1}], ids=str)
+def test_a_number_that_is_not_finite_makes_it_try_a_shorter_step(settings):
+    class Fragile(Oscillator):
+        calls = 0
+
+        def force(self, t, q, v):
+            self.calls += 1
+            return np.full(1, np.nan) if self.calls == 60 else super().force(t, q, v)
+
+    run = pi.solve(Fragile(), 4.0, pi.RadauIIA(**settings), q0=[1.0])
+    assert run.success and run.counts.rejected >= 1 and run.q[-1] == pytest.approx(np.cos(4.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("settings", [{}, {"h": 0.01}], ids=str)
+def test_a_wall_ends_the_run_with_its_time_and_whose_doing_it_is(settings):
+    class Wall(Oscillator):
+        def force(self, t, q, v):
+            return super().force(t, q, v) + (np.nan if t > 0.4 else 0.0)
+
+    run = pi.solve(Wall(), 1.0, pi.RadauIIA(**settings), q0=[1.0])
+    assert run.status == "not finite" and "Wall.force gave numbers that are not finite" in run.message and 0.38 < run.t[-1] <= 0.4
+
+
+@pytest.mark.parametrize("settings", [{}, {"h": 0.01}], ids=str)
+def test_a_state_that_the_model_objects_to_is_not_accepted(settings):
+    class Fence(Oscillator):
+        def objection(self, t, q):
+            return "it is behind the fence" if q[0] < 0.5 else None
+
+    run = pi.solve(Fence(), 2.0, pi.RadauIIA(**settings), q0=[1.0])
+    assert run.status == "objection" and run.message.startswith("it is behind the fence")
+    assert run.q.min() >= 0.5 and run.t[-1] == pytest.approx(np.pi / 3, abs=0.02)
+
+
+def test_limits_of_steps():
+    run = pi.solve(Oscillator(), 4.0, pi.RadauIIA(rtol=1e-9, max_num_steps=12), q0=[1.0])
+    assert run.status == "too many steps" and "max_num_steps" in run.message and run.counts.steps + run.counts.rejected == 12
+    run = pi.solve(Oscillator(), 1.0, pi.RadauIIA(max_step=0.05, first_step=1e-3), q0=[1.0])
+    assert run.success and np.diff(run.t).max() <= 0.05 * (1 + 1e-9) and run.t[1] == pytest.approx(1e-3)
+
+
+def test_a_matrix_without_inverse_is_said():
+    class Loose(Oscillator):
+        def force_q(self, t, q, v):
+            return np.full((1, 1), np.nan)
+
+    run = pi.solve(Loose(), 1.0, pi.RadauIIA(), q0=[1.0])
+    assert run.status == "singular" and "not finite" in run.message
+
+
+def test_the_state_of_another_integrator_is_taken_up_and_handed_on():
+    p, t = problems.get("pendulum"), 0.5
+    kinds = pi.GeneralizedAlpha(h=1e-3), pi.IDA(rtol=1e-7), pi.RadauIIA(rtol=1e-7), pi.RadauIIA(h=1e-2)
+    exact = pi.solve(p.model, 2 * t, pi.RadauIIA(rtol=1e-9), q0=p.q0).q[-1]
+    for one in kinds:
+        for other in kinds[2:]:
+            for first, second in ((one, other), (other, one)):
+                run = pi.solve(p.model, 2 * t, second, state=pi.solve(p.model, t, first, q0=p.q0).state)
+                assert run.success and np.abs(run.q[-1] - exact).max() < 2e-5
+
+
+def test_files_find_it_by_its_name(tmp_path):
+    integrator = pi.RadauIIA(rtol=1e-5, stages=2, form="index3", project=False)
+    pi.solve(Oscillator(), 0.5, integrator, q0=[1.0], out=tmp_path / "run.h5")
+    assert pi.load(tmp_path / "run.h5").integrator == integrator
