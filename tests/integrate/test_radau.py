@@ -362,6 +362,16 @@ def test_the_state_of_another_integrator_is_taken_up_and_handed_on():
                 assert run.success and np.abs(run.q[-1] - exact).max() < 2e-5
 
 
+def test_other_settings_take_up_a_run_that_was_stopped():
+    """Its grid, its polynomial and its factors are not those that they need."""
+    p = problems.get("pendulum")
+    state = list(pi.RadauIIA(h=0.05).steps(p.model, pi.consistent_state(p.model, 0.0, p.q0), 1.0, pi.Counts()))[9]
+    exact = pi.solve(p.model, 1.0, pi.RadauIIA(rtol=1e-9), q0=p.q0).q[-1]
+    for settings, steps in (({"h": 0.02}, 25), ({"h": 0.05, "stages": 2}, 10), ({"rtol": 1e-6}, None), ({"rtol": 1e-5, "form": "index3"}, None)):
+        run = pi.solve(p.model, 1.0, pi.RadauIIA(**settings), state=state)
+        assert run.success and steps in (None, run.counts.steps) and np.abs(run.q[-1] - exact).max() < 2e-3
+
+
 def test_files_find_it_by_its_name(tmp_path):
     integrator = pi.RadauIIA(rtol=1e-5, stages=2, form="index3", project=False)
     pi.solve(Oscillator(), 0.5, integrator, q0=[1.0], out=tmp_path / "run.h5")

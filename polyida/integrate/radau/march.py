@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.integrate.alpha.grid import Grid, grid_of
-from polyida.integrate.kinks import enough_steps
+from polyida.integrate.kinks import PULSE, enough_steps
 from polyida.integrate.radau.control import CUT, Ladder
 from polyida.integrate.state import State, StepFailure
 
@@ -27,9 +27,12 @@ def march(engine, settings, model, state, begin, end, most, counts):
 
 
 def _grid(model, state, begin, end, most):
+    """The Grid that the state is on, where it is one for steps of `most`; a new one otherwise."""
     stored = State(state.t, state.q, state.v, state.a, state.lam, {"grid": state.memory.get("radau_grid")})
     known = grid_of(stored, begin, end, 0)
-    return known if known.count else Grid(begin, end, enough_steps(model, state, begin, end, most))
+    if known.count and known.h <= most * (1 + 1e-9) and (known.h > 0.5 * most or known.count <= PULSE):
+        return known
+    return Grid(begin, end, enough_steps(model, state, begin, end, most))
 
 
 def _in_parts(engine, settings, state, grid, first, counts):

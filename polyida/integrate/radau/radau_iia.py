@@ -110,6 +110,7 @@ class RadauIIA:
         sizes = typical_sizes(model, state, span) if sizes is None else np.array(sizes, float)
         engine, most_steps = Steps(self, model, counts, sizes), counts.steps + counts.rejected + self.max_num_steps
         ladder, longest = ladder_of(state, self._first(sizes, span)), self.h or self.max_step or np.inf
+        state = state if np.shape(state.memory.get("stages_q")) == (self.stages, model.n) else _restarted(state)
         engine.begin(state)
         for begin, end, most in stretches(model, state.t, t_end, *((self.h,) if self.h else cells_of(longest, span))):
             engine.limits = (-np.inf, beside(end, -1) if at_kink(model, end) else np.inf)
@@ -130,7 +131,7 @@ class RadauIIA:
 
 
 def _restarted(state):
-    """The state behind a kink, where the last step's polynomial leads nowhere."""
+    """The state without the last step's polynomial, which leads nowhere behind a kink, or is of other stages."""
     gone = ("stages_q", "stages_v", "a_end", "lam_end", "step", "radau_piece")
     memory = {name: value for name, value in state.memory.items() if name not in gone}
     return State(state.t, state.q, state.v, state.a, state.lam, memory)

@@ -51,36 +51,35 @@ class Steps:
 
     def step(self, state, h, t):
         """(the State at t = state.t + h, local error). Raises StepFailure."""
-        matrices, fresh = self._matrices(state, h)
         try:
-            stages = self._stages(matrices, state, h)
+            matrices, stages = self._solved(state, h)
         except Failed as failed:
-            if fresh or failed.status == "not finite":
-                raise self._failure(failed, t) from None
-            matrices, fresh = self._factored(state, h), True
-            try:
-                stages = self._stages(matrices, state, h)
-            except Failed as again:
-                raise self._failure(again, t) from None
-        matrices.price += 0 if fresh else max(0, stages.iterations - FEW)
+            raise StepFailure(failed.status, failed.reason, t, **failed.seen) from None
         self.counts.solves += 1
         error = local_error(matrices, self.tableau, state, stages, h, self.shares)
         return self._state(state, stages, h, t), error
 
+    def _solved(self, state, h):
+        """(Matrices, Stages): with those kept for this h, unless their price has grown beyond that of new ones, or they do not serve."""
+        matrices = self.kept.take(h)
+        if matrices is not None and matrices.price <= PAIR:
+            try:
+                stages = self._stages(matrices, state, h)
+                matrices.price += max(0, stages.iterations - FEW)
+                return matrices, stages
+            except Failed as failed:
+                if failed.status == "not finite":
+                    raise
+        matrices = self._factored(state, h)
+        return matrices, self._stages(matrices, state, h)
+
     def _stages(self, matrices, state, h):
+        try:
+            matrices.make()
+        except SingularSystem as error:
+            raise Failed("singular", str(error)) from None
         left = self.settings.left(state.q, self.shares, self.sizes)
         return self.newton.solve(matrices, state, h, self.clamp, left, self.shares)
-
-    def _failure(self, failed, t):
-        return StepFailure(failed.status, failed.reason, t, **failed.seen)
-
-    def _matrices(self, state, h):
-        """(Matrices for this h, whether they are new): those kept, unless their price has grown beyond that of new ones."""
-        found = self.kept.take(h)
-        if found is None or found.price > PAIR:
-            return self._factored(state, h), True
-        self._make(found, state.t)
-        return found, False
 
     def _factored(self, state, h):
         """New Matrices at a state, with what its last stage was rather than a and lam that ring."""
@@ -88,16 +87,9 @@ class Steps:
         made = Matrices(self.model, self.tableau.modes, h, np.concatenate([[self.clamp(state.t)], state.q, state.v, a, lam]))
         self.counts.tangents += 1
         self.counts.factorizations += len(made.modes)
-        self._make(made, state.t)
         self.kept.keep(h, made)
         self.stacked, self.newton.marks = None, np.array([1.0, np.inf])
         return made
-
-    def _make(self, matrices, t):
-        try:
-            matrices.make()
-        except SingularSystem as error:
-            raise StepFailure("singular", str(error), t) from None
 
     def _state(self, state, stages, h, t):
         """The accepted State: q and v on their constraints to round-off, a and lam of the equations of motion there."""
