@@ -128,6 +128,13 @@ def test_a_folder_that_was_asked_for_is_replaced_only_when_told(folder, capsys):
     assert main([*args, "--overwrite"]) == 0 and (folder / "out" / "mine.txt").read_text() == "keep"
 
 
+@pytest.mark.parametrize(("given", "made"), [
+    (["radau", "--rtol", "1e-5"], pi.RadauIIA(rtol=1e-5)), (["radau", "--step", "0.02"], pi.RadauIIA(h=0.02)), (["RadauIIA"], pi.RadauIIA())])
+def test_radau_keeps_to_a_step_only_where_one_is_given(given, made, folder):
+    assert main(["run", "pendulum", "--time", "0.1", "--out", "run.h5", "--integrator", *given]) == 0
+    assert pi.load(folder / "run.h5").integrator == made
+
+
 @pytest.mark.parametrize("name", ["build", "model", "short"])
 def test_scenes_of_a_file_run(name, folder):
     assert main(["run", f"scene.py:{name}", "--time", "0.01", "--out", "run.h5"]) == 0

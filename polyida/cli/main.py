@@ -34,11 +34,11 @@ RunFile = Annotated[Path, typer.Argument(metavar="RUN.h5", help="A run saved by 
 Overwrite = Annotated[bool, typer.Option("--overwrite", "--force", help="Replace what is there.")]
 Cells = _option(int, "Polygons in each plate.")
 Time = _option(float, "Time to simulate, s.")
-Step = _option(float, "Step of generalized-alpha and energy-momentum, s.")
+Step = _option(float, "Step of generalized-alpha and energy-momentum, s; with it Radau IIA keeps to one.")
 RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite frequency, in [0, 1).")
-Rtol = _option(float, "Relative tolerance of IDA.")
-Atol = _option(float, "Absolute tolerance of IDA for q, m.")
-Integrator = _option(str, "alpha (generalized-alpha; the default), ida, or energy (energy-momentum).")
+Rtol = _option(float, "Relative tolerance of IDA and Radau IIA.")
+Atol = _option(float, "Absolute tolerance of IDA and Radau IIA for q, m.")
+Integrator = _option(str, "alpha (generalized-alpha; the default), ida, radau (Radau IIA), or energy (energy-momentum).")
 Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 
 

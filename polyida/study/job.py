@@ -122,23 +122,26 @@ def _default_point(model):
 
 
 def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
-    """"alpha", "ida", "energy" or a registered integrator with the settings given.
+    """"alpha", "ida", "radau", "energy" or a registered integrator with the settings given; the job's step where it must have one.
 
     Raises InputError for an unknown name and for a setting of another one.
     """
     from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.energy.energy_momentum import EnergyMomentum
     from polyida.integrate.ida.integrator import IDA
+    from polyida.integrate.radau.radau_iia import RadauIIA
 
-    makers = {"alpha": (GeneralizedAlpha, ("step", "rho_inf")), "ida": (IDA, ("rtol", "atol")), "energy": (EnergyMomentum, ("step",))}
+    makers = {"alpha": (GeneralizedAlpha, ("step", "rho_inf")), "ida": (IDA, ("rtol", "atol")), "energy": (EnergyMomentum, ("step",)),
+              "radau": (RadauIIA, ("step", "rtol", "atol"))}
     if name not in makers and name not in registry.integrators:
         raise InputError(f"integrator {name!r} is unknown; there are {', '.join([*makers, *registry.integrators])}")
     maker, own = makers.get(name) or _registered_integrator(name)
     given = {key: value for key, value in (("step", step), ("rho_inf", rho_inf), ("rtol", rtol), ("atol", atol)) if value is not None}
     if strange := [key for key in given if key not in own]:
         raise InputError(f"--{strange[0].replace('_', '-')} is no setting of {name}; its settings are {', '.join(own)}")
+    fixed = "step" in own and (step is not None or inspect.signature(maker).parameters["h"].default is inspect.Parameter.empty)
     given.pop("step", None)
-    return maker(h=job.step, **given) if "step" in own else maker(**given)
+    return maker(h=job.step, **given) if fixed else maker(**given)
 
 
 def _registered_integrator(name):

@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.integrate.radau.frames import conj, turned
 
-SAFETY = 0.85
+SAFETY = 0.75
 RUNGS = 2  # a factor of two
 MOST_UP, MOST_DOWN = 6, 12  # rungs at once
 CUT = 4  # rungs down where a step fails
