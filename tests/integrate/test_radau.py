@@ -7,7 +7,9 @@ import pytest
 
 import polyida as pi
 from polyida import problems
+from polyida.integrate.radau.matrices import Matrices, Rows
 from polyida.integrate.radau.tableau import from_zero, radau, through
+from polyida.model import differences
 from polyida.problems.plates import double_plate, double_plate_motors
 
 FIELDS = ("t", "q", "v", "a", "lam")
@@ -118,6 +120,35 @@ def test_the_error_follows_the_tolerance(settings, most):
     assert max(found) < most and 0.05 < found[0] / found[1] < 20
 
 
+def test_coordinates_in_other_units_take_the_same_steps():
+    """y in mm: each coordinate counts with its mass, so that the norm is the same up to one factor."""
+
+    class Mixed(type(problems.get("pendulum").model)):
+        units = np.array([1.0, 1e-3])  # m
+
+        def mass(self, q):
+            return np.diag(self.units**2)
+
+        def force(self, t, q, v):
+            return self.units * super().force(t, q, v)
+
+        def phi(self, t, q):
+            return super().phi(t, self.units * q)
+
+        def phi_q(self, t, q):
+            return super().phi_q(t, self.units * q) * self.units
+
+        def reaction_q(self, t, q, lam):
+            return lam[0] * np.diag(self.units**2)
+
+        def phi_bias(self, t, q, v):
+            return super().phi_bias(t, q, self.units * v)
+
+    p = problems.get("pendulum")
+    runs = [pi.solve(model, 2.0, pi.RadauIIA(atol=1e-30, first_step=1e-2), q0=p.q0) for model in (p.model, Mixed())]
+    assert np.abs(runs[1].t - runs[0].t).max() < 1e-12 and np.abs(runs[1].q * Mixed.units - runs[0].q).max() < 1e-8
+
+
 @pytest.mark.parametrize("settings", [{"h": 0.01}, {"rtol": 1e-6}, {"h": 0.01, "form": "index3"}], ids=str)
 def test_constraints_are_closed_to_round_off(settings):
     p = problems.get("pendulum")
@@ -154,7 +185,7 @@ class Massless(pi.Model):
     """Two springs and a third coordinate without mass, which a constraint makes their sum; a force pulls at it."""
 
     n, m = 3, 1
-    needs = pi.Needs(False, False, False, False)
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False)  # phi_q is said to vary, so that there is a mu
 
     def mass(self, q):
         return np.diag([1.0, 1.0, 0.0])
@@ -167,6 +198,43 @@ class Massless(pi.Model):
 
     def phi_q(self, t, q):
         return np.array([[-1.0, -1.0, 1.0]])
+
+
+class Bent(Linear):
+    """The same, 0.4 m from a point that moves."""
+
+    m, needs = 1, pi.Needs()
+
+    def phi(self, t, q):
+        return np.array([(q[0] - 0.1 * t) ** 2 + q[1] ** 2 - 0.16])
+
+    def phi_q(self, t, q):
+        return np.array([[2 * (q[0] - 0.1 * t), 2 * q[1]]])
+
+
+@pytest.mark.parametrize("tied", [True, False], ids=["ggl", "index3"])
+@pytest.mark.parametrize("stages", [2, 3])
+def test_corrections_solve_the_whole_system_of_all_stages(stages, tied):
+    """Rows and columns (q, v, lam, mu) of each stage, coupled by W/h, from random right-hand sides."""
+    model, tableau, h, random = Bent(), radau(stages), 0.07, np.random.default_rng(1)
+    t, q, v, a, lam = 0.3, *random.normal(size=(3, 2)), random.normal(size=1)
+    system = Matrices(model, tableau.modes, h, np.concatenate([[t], q, v, a, lam]))
+    system.make()
+    system.surround(Rows(model, t, q, v, tied))
+    residuals = [random.normal(size=(stages, size)) for size in (2, 2, 1, int(tied))]
+    found = system.stages(np.zeros((stages, 2)), *residuals)
+    B, H, one, D = system.rows.B, system.rows.H, np.eye(stages), tableau.W / h
+    K = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0)
+    mu = B.T if tied else np.zeros((2, 0))
+    whole = [[np.kron(D, np.eye(2)), np.kron(one, -np.eye(2)), np.zeros((2 * stages, stages)), np.kron(one, mu)],
+             [np.kron(one, K), np.kron(D, model.M) + np.kron(one, model.C), np.kron(one, B.T), np.zeros((2 * stages, mu.shape[1] * stages))],
+             [np.kron(one, B), np.zeros((stages, 2 * stages)), np.zeros((stages, stages * (1 + int(tied))))],
+             [np.kron(one, H), np.kron(one, B), np.zeros((stages, stages * 2))] if tied else []]
+    whole = np.vstack([np.hstack(row) for row in whole if row])
+    exact = np.linalg.solve(whole, -np.concatenate([r.ravel() for r in residuals]))
+    assert np.concatenate([x.ravel() for x in found]) == pytest.approx(exact, rel=1e-9, abs=1e-9)
+    slope = differences.along(lambda s: model.phi_rate(t, q + s * np.array([1.0, 0.0]), v))
+    assert not tied or H[:, 0] == pytest.approx(slope, rel=1e-9)
 
 
 def test_an_unsymmetric_linear_model_to_order_5_and_in_one_iteration_a_step():

@@ -52,12 +52,14 @@ def _slope(model, t, q, v, B):
 class Matrices:
     """The factored S of every mode for steps of h, made when first used from `made_at`: t, q, v, a and lam in one array.
 
+    M and the modes' slopes, c M + C, are those of there.
     Of scenes they are taken in the frame of the nodes, one for each stage: what goes in is turned back, what comes out is turned.
     price: iterations that it cost beyond those of a good one.
     """
 
-    def __init__(self, model, modes, h, made_at, price=0.0):
-        self.model, self.modes, self.h, self.made_at, self.price = model, modes, h, made_at, price
+    def __init__(self, model, modes, h, made_at):
+        self.model, self.modes, self.made_at, self.price = model, modes, made_at, 0.0
+        self.c = [mode.value / h for mode in modes]
         self.factors = self.borders = None
 
     def make(self):
@@ -67,8 +69,10 @@ class Matrices:
         model, at = self.model, (float(self.made_at[0]), *np.split(self.made_at[1:], np.cumsum([self.model.n] * 3)))
         K = model.tangent(*at, 0.0, 0.0, 1.0)
         self.rotations = rotations(model, at[1])
-        self.M, self.C = model.mass(at[1]), model.force_v(*at[:3]) if model.needs.velocity_forces else None
-        matrices = [K + mode.value / self.h * self._damping(mode.value / self.h) for mode in self.modes]
+        self.M, damped = model.mass(at[1]), model.needs.velocity_forces
+        C = model.force_v(*at[:3]) if damped else None
+        self.slopes = [c * self.M + C if damped else c * self.M for c in self.c]
+        matrices = [K + c * slope for c, slope in zip(self.c, self.slopes)]
         try:
             self.factors, self.added = [LU(S) for S in matrices], 0.0
         except SingularSystem:
@@ -83,10 +87,6 @@ class Matrices:
         s = float(np.abs(matrices[0].diagonal()).max(initial=0.0)) / max(float(abs(B).max()), 1e-300) ** 2 if self.model.m else 0.0
         return [LU(S + s * (B.T @ B)) for S in matrices], s
 
-    def _damping(self, c):
-        """c M + C."""
-        return c * self.M if self.C is None else c * self.M + self.C
-
     def turn(self, q):
         """How far the nodes have turned since at q (s, n), (s, nodes), or None."""
         return None if self.rotations is None else np.array([rotations(self.model, x) for x in q]) * self.rotations.conj()
@@ -94,17 +94,14 @@ class Matrices:
     def surround(self, rows):
         """Take the constraints' rows, and make the columns that belong to them."""
         self.rows, self.corner, self.borders = rows, rows.corner(), []
-        for mode, factor in zip(self.modes, self.factors):
-            columns = rows.B.T
-            if rows.tied:
-                columns = np.hstack([columns, self._damping(mode.value / self.h) @ rows.B.T])
+        for mode, slope, factor in zip(self.modes, self.slopes, self.factors):
+            columns = np.hstack([rows.B.T, slope @ rows.B.T]) if rows.tied else rows.B.T
             self.borders.append(Border(_solve(factor, columns, mode.paired)))
 
     def solve(self, k, r1, r2, r3, r4):
         """(dq, dv, dlam, dmu) of mode k. Raises SingularSystem."""
-        mode, m = self.modes[k], len(self.rows.B)
-        c = mode.value / self.h
-        y = -_solve(self.factors[k], r2 + self._damping(c) @ r1, mode.paired)
+        c, m = self.c[k], len(self.rows.B)
+        y = -_solve(self.factors[k], r2 + self.slopes[k] @ r1, self.modes[k].paired)
         dq, w = self.borders[k].solve(y, self.rows.both, self.rows.below(c, r1, r3, r4), self.corner)
         dv = c * dq + r1 + (self.rows.B.T @ w[m:] if self.rows.tied else 0.0)
         return dq, dv, w[:m] - self.added * r3, w[m:]

@@ -1,7 +1,8 @@
 """The stages of one step by simplified Newton iteration on the collocation equations.
 
 At each node, with `q' = sum_j W_ij (q_j - q_0)/h` and v' alike: `q' - v + B^T mu = 0`, `r(t, q, v, v', lam) = 0`, phi = 0
-and, in the form "ggl", `B v + phi_t = 0`; "index3" has neither that nor mu.
+and, in the form "ggl", `B v + phi_t = 0`; "index3" has neither that nor mu. Where phi is linear in q and not driven, mu is zero
+and the two are one: v = sum_j W_ij (q_j - q_0)/h is on its constraint with q.
 """
 
 from typing import NamedTuple
@@ -42,7 +43,8 @@ class Newton:
 
     def __init__(self, model, tableau, tied, max_iterations, counts):
         self.model, self.tableau, self.max_iterations, self.counts = model, tableau, max_iterations, counts
-        self.tied, self.marks = tied and model.m > 0, np.array([1.0, CARRIED])
+        needs, self.marks = model.needs, np.array([1.0, CARRIED])
+        self.tied = tied and model.m > 0 and (needs.phi_q_varies or needs.driven)
 
     def solve(self, matrices, state, h, at, allowed, shares):
         """The Stages of a step of h from the state; `at`(t) is the time at which the model is asked, shares (n,) the norm's weights.

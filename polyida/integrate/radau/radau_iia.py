@@ -110,7 +110,7 @@ class RadauIIA:
         sizes = typical_sizes(model, state, span) if sizes is None else np.array(sizes, float)
         engine, most_steps = Steps(self, model, counts, sizes), counts.steps + counts.rejected + self.max_num_steps
         ladder, longest = ladder_of(state, self._first(sizes, span)), self.h or self.max_step or np.inf
-        state = state if np.shape(state.memory.get("stages_q")) == (self.stages, model.n) else _restarted(state)
+        state = state if np.shape(state.memory.get("stages_q", ())) == (self.stages, model.n) else _restarted(state)
         engine.begin(state)
         for begin, end, most in stretches(model, state.t, t_end, *((self.h,) if self.h else cells_of(longest, span))):
             engine.limits = (-np.inf, beside(end, -1) if at_kink(model, end) else np.inf)
