@@ -220,12 +220,13 @@ def test_corrections_solve_the_whole_system_of_all_stages(stages, tied):
     t, q, v, a, lam = 0.3, *random.normal(size=(3, 2)), random.normal(size=1)
     system = Matrices(model, tableau.modes, h, np.concatenate([[t], q, v, a, lam]))
     system.make()
-    system.surround(Rows(model, t, q, v, tied))
+    lift = np.array([0.4, 1.6])
+    system.surround(Rows(model, t, q, v, lift if tied else None))
     residuals = [random.normal(size=(stages, size)) for size in (2, 2, 1, int(tied))]
     found = system.stages(np.zeros((stages, 2)), *residuals)
     B, H, one, D = system.rows.B, system.rows.H, np.eye(stages), tableau.W / h
     K = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0)
-    mu = B.T if tied else np.zeros((2, 0))
+    mu = (B * lift).T if tied else np.zeros((2, 0))
     whole = [[np.kron(D, np.eye(2)), np.kron(one, -np.eye(2)), np.zeros((2 * stages, stages)), np.kron(one, mu)],
              [np.kron(one, K), np.kron(D, model.M) + np.kron(one, model.C), np.kron(one, B.T), np.zeros((2 * stages, mu.shape[1] * stages))],
              [np.kron(one, B), np.zeros((stages, 2 * stages)), np.zeros((stages, stages * (1 + int(tied))))],

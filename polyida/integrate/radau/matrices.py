@@ -2,7 +2,7 @@
 
 With c = l/h, l the mode's eigenvalue, the transformed stages of one mode solve
 
-    |  c I    -I             B^T |  |dq  |     |r1|     q' - v + B^T mu
+    |  c I    -I             G^T |  |dq  |     |r1|     q' - v + G^T mu,   G = B D^-1, D the diagonal of M over its mean
     |  K     c M + C   B^T       |  |dv  | = - |r2|     M v' + g + B^T lam
     |  B                         |  |dlam|     |r3|     phi
     |  H      B                  |  |dmu |     |r4|     phi' = B v + phi_t,   H = d phi'/dq
@@ -20,12 +20,16 @@ from polyida.model.differences import along
 
 
 class Rows:
-    """The constraints' rows at (t, q, v): B (m, n), and H (m, n) where they are wanted `tied`, with mu; both in the frame that is turned by p."""
+    """The constraints' rows at (t, q, v), in the frame that is turned by p: B (m, n), and H and G (m, n) where there is mu.
 
-    def __init__(self, model, t, q, v, tied, p=None):
-        B, self.p, self.tied = dense(model.phi_q(t, q)), p, tied
+    lift: D^-1 (n,), or None where there is no mu.
+    """
+
+    def __init__(self, model, t, q, v, lift, p=None):
+        B, self.p, self.tied = dense(model.phi_q(t, q)), p, lift is not None
         self.B = turned(B, conj(p))
-        self.H = turned(_slope(model, t, q, v, B), conj(p)) if tied else np.zeros((0, model.n))
+        self.G = self.B * lift if self.tied else self.B[:0]
+        self.H = turned(_slope(model, t, q, v, B), conj(p)) if self.tied else np.zeros((0, model.n))
         self.both = np.vstack([self.B, self.H])
 
     def below(self, c, r1, r3, r4):
@@ -37,7 +41,7 @@ class Rows:
         m = len(self.B)
         corner = np.zeros((len(self.both), len(self.both)))
         if self.tied:
-            corner[m:, m:] = self.B @ self.B.T
+            corner[m:, m:] = self.B @ self.G.T
         return corner
 
 
@@ -95,7 +99,7 @@ class Matrices:
         """Take the constraints' rows, and make the columns that belong to them."""
         self.rows, self.corner, self.borders = rows, rows.corner(), []
         for mode, slope, factor in zip(self.modes, self.slopes, self.factors):
-            columns = np.hstack([rows.B.T, slope @ rows.B.T]) if rows.tied else rows.B.T
+            columns = np.hstack([rows.B.T, slope @ rows.G.T]) if rows.tied else rows.B.T
             self.borders.append(Border(_solve(factor, columns, mode.paired)))
 
     def solve(self, k, r1, r2, r3, r4):
@@ -103,7 +107,7 @@ class Matrices:
         c, m = self.c[k], len(self.rows.B)
         y = -_solve(self.factors[k], r2 + self.slopes[k] @ r1, self.modes[k].paired)
         dq, w = self.borders[k].solve(y, self.rows.both, self.rows.below(c, r1, r3, r4), self.corner)
-        dv = c * dq + r1 + (self.rows.B.T @ w[m:] if self.rows.tied else 0.0)
+        dv = c * dq + r1 + self.rows.G.T @ w[m:]
         return dq, dv, w[:m] - self.added * r3, w[m:]
 
     def stages(self, q, r1, r2, r3, r4):

@@ -1,7 +1,7 @@
 """The stages of one step by simplified Newton iteration on the collocation equations.
 
-At each node, with `q' = sum_j W_ij (q_j - q_0)/h` and v' alike: `q' - v + B^T mu = 0`, `r(t, q, v, v', lam) = 0`, phi = 0
-and, in the form "ggl", `B v + phi_t = 0`; "index3" has neither that nor mu. Where phi is linear in q and not driven, mu is zero
+At each node, with `q' = sum_j W_ij (q_j - q_0)/h` and v' alike: `q' - v + D^-1 B^T mu = 0`, `r(t, q, v, v', lam) = 0`, phi = 0
+and, in the form "ggl", `B v + phi_t = 0`; "index3" has neither that nor mu. D, the diagonal of M over its mean, makes it the same in all units. Where phi is linear in q and not driven, mu is zero
 and the two are one: v = sum_j W_ij (q_j - q_0)/h is on its constraint with q.
 """
 
@@ -16,6 +16,7 @@ from polyida.linear.lu import SingularSystem
 SLOW = 0.5  # contraction beyond which a correction of ROUND of the size is round-off
 ROUND = 1e-11
 CARRIED = 10  # steps in which the contraction of an earlier one is taken for that of the first iteration
+NOTHING = 1e-12  # of the largest mass: none
 FAR = 4.0  # steps longer than the last by more begin from q_0 + c h v_0: its polynomial leads nowhere there
 
 
@@ -44,7 +45,12 @@ class Newton:
     def __init__(self, model, tableau, tied, max_iterations, counts):
         self.model, self.tableau, self.max_iterations, self.counts = model, tableau, max_iterations, counts
         needs, self.marks = model.needs, np.array([1.0, CARRIED])
-        self.tied = tied and model.m > 0 and (needs.phi_q_varies or needs.driven)
+        self.lift, self.tied = None, tied and model.m > 0 and (needs.phi_q_varies or needs.driven)
+
+    def weigh(self, shares):
+        """Take the coordinates' shares in the mass, of which D is made; those without mass count as any."""
+        heavy = shares > NOTHING * shares.max()
+        self.lift = np.where(heavy, 1.0 / (len(shares) * np.where(heavy, shares, 1.0)), 1.0) if self.tied else None
 
     def solve(self, matrices, state, h, at, allowed, shares):
         """The Stages of a step of h from the state; `at`(t) is the time at which the model is asked, shares (n,) the norm's weights.
@@ -90,7 +96,7 @@ class Newton:
         if matrices.borders is None or needs.phi_q_varies or needs.driven or matrices.rotations is not None:
             at = state.q + q[k]
             p = matrices.turn(at[None])
-            matrices.surround(Rows(self.model, times[k], at, state.v + v[k], self.tied, None if p is None else p[0]))
+            matrices.surround(Rows(self.model, times[k], at, state.v + v[k], self.lift, None if p is None else p[0]))
             self.counts.solves += len(matrices.modes) * len(matrices.rows.both)
 
     def _first(self):
@@ -112,7 +118,7 @@ class Newton:
             r3.append(model.phi(t, at_q) if model.m else lam[i])
             if self.tied:
                 B = model.phi_q(t, at_q)
-                r1[i] += B.T @ mu[i]
+                r1[i] += self.lift * (B.T @ mu[i])
                 r4.append(B @ at_v + model.phi_t(t, at_q))
         residuals = r1, np.array(r2), np.array(r3), np.array(r4) if self.tied else mu
         if not all(np.isfinite(r).all() for r in residuals):

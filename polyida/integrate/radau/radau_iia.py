@@ -28,8 +28,8 @@ EASY = 0.3  # first step: so much of the time in which the model moves by its le
 class RadauIIA:
     """Radau IIA, implicit Runge-Kutta by collocation: three stages, order 5, or two, order 3; stiffly accurate and L-stable.
 
-    At the nodes t_i = t_0 + c_i h of polynomials q and v of degree s: `q' - v + B^T mu = 0`, `M v' + g + B^T lam = 0`, `phi = 0`,
-    `B v + phi_t = 0`, B = phi_q (form "ggl", Gear, Gupta, Leimkuhler 1985), or without the last and mu (form "index3"). Nodes and
+    At the nodes t_i = t_0 + c_i h of polynomials q and v of degree s: `q' - v + D^-1 B^T mu = 0`, `M v' + g + B^T lam = 0`, `phi = 0`,
+    `B v + phi_t = 0`, B = phi_q, D = diag M (form "ggl", Gear, Gupta, Leimkuhler 1985), or without the last and mu (form "index3"). Nodes and
     coefficients are those of Hairer and Wanner, Solving ODEs II, IV.5. a and lam of a state follow from its q and v by
     `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`: they have the order of q and v. Between two states stands the collocation polynomial,
     of order s + 1 in q and v and s in a and lam.

@@ -37,6 +37,7 @@ class Steps:
         memory, model = state.memory, self.model
         given = memory.get("radau_shares")
         self.shares = weights(model, state.q) if given is None else np.array(given, float)
+        self.newton.weigh(self.shares)
         if "newton" not in memory:
             return
         self.newton.marks, self.stacked = np.array(memory["newton"], float), np.array(memory["factored"], float)
