@@ -36,11 +36,8 @@ class Ladder:
 
     def follow(self, error, order):
         """Go to where the error, which is of that order in h, is expected to be allowed; down at least a rung where it is not."""
-        rungs = RUNGS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / order)) if np.isfinite(error) else -np.inf
-        if error > 1.0:
-            self.rung -= int(min(MOST_DOWN, max(1.0, np.ceil(-rungs))))
-        else:
-            self.rung += int(np.clip(np.floor(rungs), 0, MOST_UP)) if rungs >= 0 else 0
+        rungs = np.floor(RUNGS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / order))) if np.isfinite(error) else -MOST_DOWN
+        self.rung += int(np.clip(rungs, 0, MOST_UP)) if error <= 1.0 else int(np.clip(rungs, -MOST_DOWN, -1))
 
     def below(self, most):
         """Down to where the step is not above `most`."""

@@ -56,20 +56,20 @@ def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most
     most, t, failures = _most(model, state, begin, end, most), begin, []
     while t < end:
         ladder.below(most)
-        h, goes_to = _next(t, end, ladder.h)
+        h, goes_to = _next(t, end, ladder.h, state.memory.get("step", ladder.h))
         _require_progress(t, h, settings, counts, most_steps, failures)
+        allowed = settings.allowed(state.q, engine.shares, engine.sizes)
         try:
-            found, error = engine.step(state, h, goes_to)
+            found, error = engine.step(state, h, goes_to, allowed)
         except StepFailure as failure:
             failures.append(failure)
             counts.rejected += 1
             ladder.rung -= CUT
             continue
-        error /= settings.allowed(state.q, engine.shares, engine.sizes)
-        whole = h >= ladder.h * (1 - 1e-9)
-        if error > 1.0 or whole:
-            _follow(ladder, error, settings.stages + 1, h)
-        if not error <= 1.0:
+        if found is None or h >= ladder.h * (1 - 1e-9):
+            ladder.below(h)
+            ladder.follow(error / allowed, settings.stages + 1)
+        if found is None:
             counts.rejected += 1
             failures.append(StepFailure("step size", "the local error stays above rtol and atol", t))
             continue
@@ -77,11 +77,6 @@ def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most
         state = _with(found, ladder=np.array([ladder.first, ladder.rung]), radau_piece=np.array([end, most]), sizes=engine.sizes)
         counts.steps += 1
         yield state
-
-
-def _follow(ladder, error, order, h):
-    ladder.below(h)
-    ladder.follow(error, order)
 
 
 def _most(model, state, begin, end, most):
@@ -92,10 +87,13 @@ def _most(model, state, begin, end, most):
     return (end - begin) / enough_steps(model, state, begin, end, min(most, end - begin))
 
 
-def _next(t, end, h):
-    """(step, where it ends): the last two before the end are equal."""
+def _next(t, end, h, last):
+    """(step, where it ends): the last two before the end are equal, and equal to one that there are factors for up to round-off of t."""
     rest = end - t
-    if rest <= h * (1 + 1e-9):
+    for known in (h, last):
+        if abs(rest - known) <= 1e-9 * known:
+            return known, end
+    if rest < h:
         return rest, end
     return (0.5 * rest, t + 0.5 * rest) if rest < 2 * h * (1 - 1e-9) else (h, t + h)
 

@@ -16,6 +16,7 @@ from polyida.linear.lu import SingularSystem
 FEW = 2  # iterations of a step that nothing could spare
 PAIR = 24.0  # iterations that cost as much as new factors: so many beyond FEW a step, and they are made anew
 CLOSED = 64 * EPS  # of the model's size: |phi| that is round-off
+MOVES = 3  # of q onto phi = 0, at most
 AGAIN = 1e-9  # of that size: |phi| beyond which the constraints' system is made anew where q has moved to
 
 
@@ -28,8 +29,9 @@ class Steps:
     def __init__(self, settings, model, counts, sizes):
         self.settings, self.model, self.counts, self.sizes = settings, model, counts, sizes
         self.tableau = radau(settings.stages)
-        self.tied, self.limits = settings.form == "ggl", (-np.inf, np.inf)
-        self.newton = Newton(model, self.tableau, self.tied, settings.max_iterations, counts)
+        tied, self.limits = settings.form == "ggl", (-np.inf, np.inf)
+        self.moves_v = tied or settings.project
+        self.newton = Newton(model, self.tableau, tied, settings.max_iterations, counts)
         self.kept, self.shares, self.stacked = Kept(), None, None
 
     def begin(self, state):
@@ -50,15 +52,15 @@ class Steps:
         """t held to `limits`."""
         return float(min(max(t, self.limits[0]), self.limits[1]))
 
-    def step(self, state, h, t):
-        """(the State at t = state.t + h, local error). Raises StepFailure."""
+    def step(self, state, h, t, allowed=np.inf):
+        """(the State at t = state.t + h, or None where the local error is not `allowed`; local error). Raises StepFailure."""
         try:
             matrices, stages = self._solved(state, h)
         except Failed as failed:
             raise StepFailure(failed.status, failed.reason, t, **failed.seen) from None
         self.counts.solves += 1
         error = local_error(matrices, self.tableau, state, stages, h, self.shares)
-        return self._state(state, stages, h, t), error
+        return self._state(state, stages, h, t) if error <= allowed else None, error
 
     def _solved(self, state, h):
         """(Matrices, Stages): with those kept for this h, unless their price has grown beyond that of new ones, or they do not serve."""
@@ -117,17 +119,26 @@ class Steps:
         """(q, v, a, lam) from q and v that are off their constraints by what Newton left, and v by the error of index 3."""
         model, none = self.model, np.zeros(self.model.n)
         try:
-            system = model.mass_system(t, q)
-            if model.m:
-                closed, before = CLOSED * extent(model, q), system
-                for _ in range(3):
-                    phi = model.phi(t, q)
-                    if np.abs(phi).max() <= closed:
-                        break
-                    q = q + system.solve(none, phi)[0]
-                    system = model.mass_system(t, q) if np.abs(phi).max() > AGAIN / CLOSED * closed else before
-                if self.tied or self.settings.project:
-                    v = v + system.solve(none, model.phi_rate(t, q, v))[0]
+            q, system = self._closed(t, q, none) if model.m else (q, self._mass_system(t, q))
+            if model.m and self.moves_v:
+                v = v + system.solve(none, model.phi_rate(t, q, v))[0]
             return q, v, *system.solve(model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0))
-        except (InputError, np.linalg.LinAlgError) as error:
+        except np.linalg.LinAlgError as error:
+            raise StepFailure("singular", str(error), t) from None
+
+    def _closed(self, t, q, none):
+        """q moved along M^-1 B^T onto phi = 0, and the system of M and B there."""
+        system, size = self._mass_system(t, q), extent(self.model, q)
+        for _ in range(MOVES):
+            phi = self.model.phi(t, q)
+            if np.abs(phi).max() <= CLOSED * size:
+                break
+            q = q + system.solve(none, phi)[0]
+            system = self._mass_system(t, q) if np.abs(phi).max() > AGAIN * size else system
+        return q, system
+
+    def _mass_system(self, t, q):
+        try:
+            return self.model.mass_system(t, q)
+        except InputError as error:
             raise StepFailure("singular", str(error), t) from None
