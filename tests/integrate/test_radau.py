@@ -404,6 +404,12 @@ def test_a_state_that_the_model_objects_to_is_not_accepted(settings):
     assert run.q.min() >= 0.5 and run.t[-1] == pytest.approx(np.pi / 3, abs=0.02)
 
 
+def test_the_last_of_two_equal_steps_is_shortened_where_its_error_is_too_large():
+    p = problems.get("andrews")
+    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-4), q0=p.q0, v0=p.v0)
+    assert run.success and p.compare(run)["q"] < 0.02
+
+
 def test_limits_of_steps():
     run = pi.solve(Oscillator(), 4.0, pi.RadauIIA(rtol=1e-9, max_num_steps=12), q0=[1.0])
     assert run.status == "too many steps" and "max_num_steps" in run.message and run.counts.steps + run.counts.rejected == 12

@@ -64,6 +64,7 @@ def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most
         except StepFailure as failure:
             failures.append(failure)
             counts.rejected += 1
+            ladder.below(h)
             ladder.rung -= CUT
             continue
         if found is None or h >= ladder.h * (1 - 1e-9):
@@ -90,7 +91,7 @@ def _most(model, state, begin, end, most):
 def _next(t, end, h, last):
     """(step, where it ends): the last two before the end are equal, and equal to one that there are factors for up to round-off of t."""
     rest = end - t
-    for known in (h, last):
+    for known in (h, min(h, last)):
         if abs(rest - known) <= 1e-9 * known:
             return known, end
     if rest < h:
