@@ -1,8 +1,8 @@
 """The stages of one step by simplified Newton iteration on the collocation equations.
 
 At each node, with `q' = sum_j W_ij (q_j - q_0)/h` and v' alike: `q' - v + D^-1 B^T mu = 0`, `r(t, q, v, v', lam) = 0`, phi = 0
-and, in the form "ggl", `B v + phi_t = 0`; "index3" has neither that nor mu. D, the diagonal of M over its mean, makes it the same in all units. Where phi is linear in q and not driven, mu is zero
-and the two are one: v = sum_j W_ij (q_j - q_0)/h is on its constraint with q.
+and, in the form "ggl", `B v + phi_t = 0`; "index3" has neither that nor mu. D, the diagonal of M over its mean, makes it the
+same in all units. Where phi is linear in q and not driven, mu is zero and the two are one: v = q' is on its constraint with q.
 """
 
 from typing import NamedTuple
@@ -59,7 +59,8 @@ class Newton:
         """
         times = [at(state.t + c * h) for c in self.tableau.c]
         q, v, lam = self._guess(state, h)
-        mu, size = np.zeros_like(lam) if self.tied else np.zeros((len(q), 0)), np.sqrt(shares @ state.q**2) + np.sqrt(shares @ (h * state.v)**2)
+        mu = np.zeros_like(lam) if self.tied else np.zeros((len(q), 0))
+        size = np.sqrt(shares @ state.q**2) + h * np.sqrt(shares @ state.v**2)
         self._surround(matrices, times, state, q, v)
         contraction, last, round_off = self._first(), np.inf, ROUND * size
         for iteration in range(1, self.max_iterations + 1):

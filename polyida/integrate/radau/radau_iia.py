@@ -18,7 +18,7 @@ from polyida.keywords import named_keywords
 from polyida.model import Model
 
 FORMS = ("ggl", "index3")
-SHARE = 0.05  # of the allowed local error that Newton may leave; sqrt(rtol) where that is less, for a step's true error is far below the estimate
+SHARE = 0.05  # of the allowed local error that Newton may leave; sqrt(rtol) where that is less: a step's true error is far below
 EXACT = 1e-15  # of the model's length, what it may leave where the step is fixed: as good as nothing, for it adds up over all steps in v
 EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
 
@@ -29,20 +29,20 @@ class RadauIIA:
     """Radau IIA, implicit Runge-Kutta by collocation: three stages, order 5, or two, order 3; stiffly accurate and L-stable.
 
     At the nodes t_i = t_0 + c_i h of polynomials q and v of degree s: `q' - v + D^-1 B^T mu = 0`, `M v' + g + B^T lam = 0`, `phi = 0`,
-    `B v + phi_t = 0`, B = phi_q, D = diag M (form "ggl", Gear, Gupta, Leimkuhler 1985), or without the last and mu (form "index3"). Nodes and
-    coefficients are those of Hairer and Wanner, Solving ODEs II, IV.5. a and lam of a state follow from its q and v by
+    `B v + phi_t = 0`, B = phi_q, D = diag M (form "ggl", Gear, Gupta, Leimkuhler 1985), or without the last and mu (form "index3").
+    Nodes and coefficients are those of Hairer and Wanner, Solving ODEs II, IV.5. a and lam of a state follow from its q and v by
     `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`: they have the order of q and v. Between two states stands the collocation polynomial,
     of order s + 1 in q and v and s in a and lam.
 
-    rtol, atol: the step follows the local error of q against a method of order s, root mean square with each coordinate weighted
-    by its mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), said in the
-    run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2. project:
-    in form "index3", v of accepted states is moved onto its constraint; without it v is of order s there.
-    tolerance: what Newton may leave of q, in place of min(0.05, rtol^(1/2)) (atol + rtol |q|), and with fixed steps of 1e-15 of the model's
-    length, which is round-off. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt the run fails beyond so
-    many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
+    rtol, atol: the step follows the local error of q against a method of order s, root mean square with each coordinate weighted by its
+    mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), said in the
+    run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
+    project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. tolerance: what Newton
+    may leave of q, in place of min(0.05, rtol^(1/2)) (atol + rtol |q|), and with fixed steps of 1e-15 of the model's length, which is
+    round-off. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
+    the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
 
-    The global error of q is commonly 1 to 30 times rtol with three stages, and up to 500 times with two.
+    The global error of q is commonly 1 to 100 times rtol with three stages, and up to 500 times with two.
     Not for energy over long runs without damping: it takes out what a step does not resolve of ringing mesh modes.
     Raises InputError for a setting out of range.
     """
