@@ -173,6 +173,11 @@ def half(t, x, v, data, f):
 
 
 @njit
+def ceasing(t, x, v, data, f):
+    f[0, 0], f[0, 1] = 1.0, 1.0 if t < 5e-3 else np.nan
+
+
+@njit
 def broken(t, x, v, data, f):
     f[0, 0] = x.nonsense
 
@@ -231,6 +236,30 @@ def test_the_factor_knows_a_stiff_law(scenes):
     soft, stiff = (pi.solve(pulled(scenes, Compiled, d=d), 0.05, pi.GeneralizedAlpha(h=1e-3)) for d in (1.0, 1e6))
     assert stiff.success and stiff.counts.factorizations <= 4
     assert stiff.counts.newton_iterations < 2 * soft.counts.newton_iterations
+
+
+@pytest.mark.parametrize("form", ["index3", "stabilised"])
+def test_a_stiff_support_by_a_law(scenes, form):
+    scene, upper = scenes.hinged()
+    scene.add(Compiled(pi.ground.at((1.0, 0.0)), upper.section("right"), k=1e7))
+    run = pi.solve(scene.build(), 0.05, pi.GeneralizedAlpha(h=2e-3, form=form))
+    assert run.success and run.counts.newton_iterations <= 3 * run.counts.steps and run.counts.factorizations <= 2
+
+
+def test_a_run_with_a_law_goes_on_as_if_it_had_not_stopped(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(Wind(upper.section("right")))
+    model, method = scene.build(), pi.GeneralizedAlpha(h=1e-3)
+    whole, half = pi.solve(model, 0.04, method), pi.solve(model, 0.02, method)
+    assert np.array_equal(pi.solve(model, 0.04, method, state=half.state).q[-1], whole.q[-1])
+
+
+def test_a_law_that_ceases_to_be_finite_is_blamed(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(by_law(ceasing)(upper.section("right"), name="push"))
+    for method in (pi.GeneralizedAlpha(h=1e-3), pi.IDA()):
+        run = pi.solve(scene.build(), 0.01, method)
+        assert not run.success and "'push'" in run.message and run.t[-1] < 6e-3
 
 
 def lawful(scenes):

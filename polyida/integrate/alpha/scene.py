@@ -134,7 +134,7 @@ class SceneLoop:
     def __init__(self, settings, model, counts, memory, trial):
         self.model, self.counts, self.memory, self.trial = model, counts, memory, trial
         self.tie = alpha_tie.tie(model) if settings.form == "stabilised" and model.m else None
-        self.damp = np.zeros((model.n_nodes, 2)) if model.needs.velocity_forces else None
+        self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.scratch = scratch(model)
 
     def prepare(self, times, method):

@@ -170,7 +170,7 @@ class Midpoint(Steps):
         middle(model.arrays, drives, h, w)
         blocks = np.empty((len(model.pattern[1]), 2, 2))
         kernels.tangent_blocks(model.arrays.plates, w.um, 2.0 / (h * h), 0.5, blocks)
-        if model.needs.velocity_forces:
+        if model.damped:
             blocks += self._damping()
         self.counts.residuals += 1
         self.counts.tangents += 1

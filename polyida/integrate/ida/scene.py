@@ -161,7 +161,7 @@ class SceneSystem(System):
     def __init__(self, model, form, rate):
         super().__init__(model, form, rate)
         self.room = room(model)
-        self.damp = np.empty((model.n_nodes, 2)) if model.needs.velocity_forces else None
+        self.damp = np.empty((model.n_nodes, 2)) if model.damped else None
 
     def residual(self, t, y, yp, res):
         """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where an element is inside out or a motor flipped."""
