@@ -320,3 +320,15 @@ def test_files_hold_a_law(scenes, tmp_path):
     run = pi.solve(pulled(scenes, Compiled, d=2.0), 5e-3, pi.GeneralizedAlpha(h=1e-3))
     run.save(tmp_path / "run.h5")
     assert np.array_equal(pi.load(tmp_path / "run.h5").energy.total, run.energy.total)
+
+
+def test_the_step_matrix_and_its_transpose_know_laws(scenes):
+    """`gust` blows along one direction whatever pushes: its slopes are not symmetric."""
+    model, q, v = lawful(scenes)
+    system, b = model.step_matrix(), np.random.default_rng(3).standard_normal(model.n)
+    at = 0.3, 1e-3 * q, v, np.zeros(model.n), np.zeros(model.m)
+    system.factor(*at, 4e6, 2e3)
+    S = model.tangent(*at, 4e6, 2e3, 1.0).toarray()
+    for transposed, matrix in ((False, S), (True, S.T)):
+        exact = np.linalg.solve(matrix, b)
+        assert np.abs(system.solve(1e-3 * q, b, transposed) - exact).max() < 1e-4 * np.abs(exact).max()
