@@ -9,11 +9,11 @@ from polyida.assembly.arrays import bilinear, concatenated
 from polyida.assembly.build import assemble, bodies_of, extent_of, first_nodes, of_kind
 from polyida.assembly.constraints import Constraints
 from polyida.assembly.damping import add_damping, damped_blocks
-from polyida.assembly.increments import Increments
-from polyida.assembly.laws import add_own_forces
-from polyida.assembly.mass_system import MassSystem, at_rest
-from polyida.assembly.own_bodies import Elastic, own_bodies_of, own_mass
-from polyida.assembly.own_forces import OwnForce, OwnForces
+from polyida.assembly.own.bodies import Elastic, own_bodies_of, own_mass
+from polyida.assembly.own.forces import OwnForce, OwnForces
+from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.rows.increments import Increments
+from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.body.force_element import ForceElement
 from polyida.element import kernels

@@ -2,16 +2,16 @@
 
 import numpy as np
 
+from polyida.assembly import corotated
 from polyida.assembly.damping import symmetric_blocks
-from polyida.assembly.laws import add_own_curvature
-from polyida.linear import corotated
-from polyida.linear.factor import NotFactorable
+from polyida.assembly.own.laws import add_own_curvature
+from polyida.linear.cholesky.factor import NotFactorable
 from polyida.linear.lu import SingularSystem
 from polyida.linear.step_matrix import StepMatrix
 
 
 class SceneStepMatrix(StepMatrix):
-    """`S = c_m M + c_v C + K` of a scene, C and K as if at rest and so symmetric; made from q alone (linear/corotated.py).
+    """`S = c_m M + c_v C + K` of a scene, C and K as if at rest and so symmetric; made from q alone (assembly/corotated.py).
 
     corotated, room: the factor and its scratch, for compiled loops. solves: those that its border took.
     """

@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 
 import polyida as pi
-from polyida.assembly import laws
+from polyida.assembly.own import laws
 
 
 @dataclass(frozen=True, eq=False)

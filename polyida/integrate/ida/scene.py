@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
-from polyida.assembly.laws import add_own_forces
+from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack
 from polyida.integrate.ida.border import stabilised_border
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.linear import EchoedSolve
-from polyida.linear import corotated
 from polyida.linear.dense import clear
 from polyida.linear.lu import SingularSystem
 

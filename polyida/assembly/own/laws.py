@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from polyida.assembly.joints import point_values, spread
+from polyida.assembly.rows.joints import point_values, spread
 from polyida.compiled import entry, pack, part
 
 NUMBERS = types.CPointer(types.float64)
