@@ -93,3 +93,14 @@ def test_python_looks_for_cycles_again_after_a_compilation():
     assert gc.isenabled()
     entry(lambda x: x + 1)(1)
     assert gc.isenabled() and not gc.get_freeze_count()
+
+
+def test_numbers_of_any_type_in_settings():
+    import numpy as np
+
+    import polyida as pi
+    from polyida.problems import plates
+
+    model = plates.double_plate(cells=6).build()
+    few = pi.GeneralizedAlpha(h=1e-3, tolerance=np.float32(1e-5), max_iterations=np.int32(20))
+    assert pi.solve(model, 5e-3, few).success

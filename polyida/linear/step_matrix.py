@@ -14,7 +14,7 @@ class StepMatrix:
     """`S = c_m M + c_v C + K` of any model, C = dr/dv and K = dr/dq there; c_m and c_v are real or complex.
 
     made_at: what the factor was made from, in one array; `again` makes it anew from that. solves: those that its border took.
-    Where S alone is singular, as with coordinates that have no mass, or constraints are many, `saddle` takes the whole matrix with
+    Where S alone is singular, or may be, as with coordinates that have no mass, or constraints are many, `saddle` takes the whole matrix with
     its constraints, whose B is as old as S.
     """
 
@@ -31,7 +31,7 @@ class StepMatrix:
         self.made_at, self.lu, self.border, self.whole = np.concatenate([[t], q, v, a, lam]), None, None, None
         with suppress(SingularSystem):
             self.lu = LU(S)
-        if self.lu is None or self.model.m > MANY:
+        if self.lu is None or self.model.m and (self.lu.doubtful or self.model.m > MANY):
             self.whole = KKT(S, self.model.phi_q(t, q), scaling_factors("physical", 1 / abs(c_m), S))
 
     def again(self, made_at, c_m, c_v):
@@ -49,7 +49,7 @@ class StepMatrix:
         if self.whole:
             return self.whole.solve(r, phi)
         B = self.model.phi_q(t, q)
-        if self.border is None or self.model.needs.phi_q_varies:
+        if self.border is None or self.model.needs.phi_q_varies or self.model.needs.driven:
             self.border = Border(self.solve(q, dense(B).T))
         return self.border.solve(self.solve(q, -r), B, -phi)
 

@@ -332,3 +332,32 @@ def test_the_step_matrix_and_its_transpose_know_laws(scenes):
     for transposed, matrix in ((False, S), (True, S.T)):
         exact = np.linalg.solve(matrix, b)
         assert np.abs(system.solve(1e-3 * q, b, transposed) - exact).max() < 1e-4 * np.abs(exact).max()
+
+
+@njit
+def raising(t, x, v, data, f):
+    f[:] = 0.0
+    if t > 5e-3:
+        raise ValueError("late")
+
+
+@njit
+def writing(t, x, v, data, f):
+    data[0] *= 2.0
+    x[0, 0] += 1.0
+    f[:] = 0.0
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-3), pi.IDA()])
+def test_a_law_that_raises_stops_the_run(scenes, method):
+    scene, upper = scenes.hinged()
+    scene.add(by_law(raising)(upper.section("right")))
+    run = pi.solve(scene.build(), 0.02, method)
+    assert not run.success and 2e-3 < run.t[-1] < 0.02
+
+
+def test_a_law_writes_into_copies(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(by_law(writing)(upper.section("right"), c=0.25))
+    model = scene.build()
+    assert pi.solve(model, 0.01, pi.GeneralizedAlpha(h=1e-3)).success and model.laws.numbers[0] == 0.25
