@@ -9,6 +9,7 @@ try:
     from numba.core.compiler import Compiler, Flags
     from numba.core.compiler_machinery import PassManager
     from numba.core.registry import CPUDispatcher
+    from numba.core.types.functions import BaseFunction
     from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_getattr, infer_global, signature
     from numba.extending import (
         NativeValue,
@@ -26,7 +27,7 @@ except ImportError as error:
                       "install a version between the bounds that polyida declares (pip install --force-reinstall polyida)") from error
 
 __all__ = [
-    "AbstractTemplate", "AttributeTemplate", "CPUDispatcher", "Compiler", "Flags", "JITCodeLibrary", "NativeValue", "PassManager", "infer_getattr", "infer_global",
+    "AbstractTemplate", "AttributeTemplate", "BaseFunction", "CPUDispatcher", "Compiler", "Flags", "JITCodeLibrary", "NativeValue", "PassManager", "infer_getattr", "infer_global",
     "intrinsic", "ir", "lower_builtin", "lower_getattr_generic", "models", "populate_array", "register_model", "signature", "typed_passes", "typeof_impl",
     "types", "unbox", "untyped_passes",
 ]
