@@ -5,7 +5,7 @@ import gc
 from contextlib import contextmanager
 from functools import cache
 
-from polyida.compiled.internals import BaseFunction, Flags
+from polyida.compiled.internals import BaseContext, BaseFunction, Flags, Inst, Loc, Var
 
 
 class Options(Flags):
@@ -20,21 +20,26 @@ class Options(Flags):
 
 @contextmanager
 def thrifty():
-    """Python's search for cycles, a tenth of the time, waits, and operators are typed once; within another, nothing."""
+    """Python's search for cycles, a tenth of the time, waits, and numba is spared questions asked before; within another, nothing."""
     if BaseFunction.get_call_type is _typed:
         yield
         return
     running = gc.isenabled()
     gc.disable()
-    BaseFunction.get_call_type = _typed
+    _put(SPARED)
     _forgo_last_search()
     try:
         yield
     finally:
-        BaseFunction.get_call_type = _ASK
+        _put(PLAIN)
         if running:
             _age()
             gc.enable()
+
+
+def _put(methods):
+    for (owner, name), method in methods.items():
+        setattr(owner, name, method)
 
 
 def _age():
@@ -50,14 +55,38 @@ def _forgo_last_search():
     atexit.register(gc.freeze)
 
 
-_ASK = BaseFunction.get_call_type
-
-
 def _typed(function, context, args, kws):
     """Signature of a builtin for types of arguments, asked for once: numba tries all versions of an operator, each time it meets one."""
-    return _ASK(function, context, args, kws) if kws else _known(function, context, tuple(args))
+    return _ASK(function, context, args, kws) if kws else _signature(function, context, tuple(args))
 
 
 @cache
-def _known(function, context, args):
+def _signature(function, context, args):
     return _ASK(function, context, args, {})
+
+
+def _found(context, key, sig, _firstcall=True):
+    """The implementation of a function; of arrays' `__array__`, which has none, without a search through all registries at every use."""
+    return _FIND(context, key, sig, _firstcall and key != "__array__")
+
+
+@cache
+def _sized(context, kind):
+    """Bytes of a type in LLVM, which parses a module to tell."""
+    return _SIZE(context, kind)
+
+
+def _variables(self, value):
+    """Variables within a value of numba's representation; most values are places in the source and names, which hold none."""
+    kind = type(value)
+    if kind is Var:
+        return [value]
+    if kind is Loc or kind is str or value is None:
+        return []
+    return _LIST(self, value)
+
+
+PLAIN = {(owner, name): getattr(owner, name) for owner, name in (
+    (BaseFunction, "get_call_type"), (BaseContext, "get_function"), (BaseContext, "get_abi_sizeof"), (Inst, "_rec_list_vars"))}
+_ASK, _FIND, _SIZE, _LIST = PLAIN.values()
+SPARED = dict(zip(PLAIN, (_typed, _found, _sized, _variables)))
