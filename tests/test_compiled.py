@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from polyida.compiled import entry, pack, part, shared
+from polyida.compiled import entry, pack, part, shared, thrift
 
 
 @pack
@@ -93,3 +93,17 @@ def test_python_looks_for_cycles_again_after_a_compilation():
     assert gc.isenabled()
     entry(lambda x: x + 1)(1)
     assert gc.isenabled() and not gc.get_freeze_count()
+
+
+def test_numba_is_itself_again_after_a_compilation_and_after_one_that_fails():
+    def methods():
+        return [getattr(owner, name) for owner, name in thrift.PLAIN]
+
+    seen = []
+    with pytest.raises(ZeroDivisionError), thrift.thrifty():
+        with thrift.thrifty():
+            seen.append(methods())
+        seen.append(methods())
+        raise ZeroDivisionError
+    assert seen[0] == seen[1] == list(thrift.SPARED.values())
+    assert methods() == list(thrift.PLAIN.values()) and gc.isenabled()
