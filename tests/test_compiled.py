@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from polyida.compiled import entry, pack, part, shared
+from polyida.compiled import entry, pack, part, shared, thrift
 
 
 @pack
@@ -104,3 +104,17 @@ def test_numbers_of_any_type_in_settings():
     model = plates.double_plate(cells=6).build()
     few = pi.GeneralizedAlpha(h=1e-3, tolerance=np.float32(1e-5), max_iterations=np.int32(20))
     assert pi.solve(model, 5e-3, few).success
+
+
+def test_numba_is_itself_again_after_a_compilation_and_after_one_that_fails():
+    def methods():
+        return [getattr(owner, name) for owner, name in thrift.PLAIN]
+
+    seen = []
+    with pytest.raises(ZeroDivisionError), thrift.thrifty():
+        with thrift.thrifty():
+            seen.append(methods())
+        seen.append(methods())
+        raise ZeroDivisionError
+    assert seen[0] == seen[1] == list(thrift.SPARED.values())
+    assert methods() == list(thrift.PLAIN.values()) and gc.isenabled()
