@@ -289,3 +289,24 @@ def test_a_model_may_have_what_scenes_have():
     assert run.status == "objection" and "too far" in run.message and run.q[:, 0].min() >= 0.99
     assert np.array_equal(run.position("any"), run.q) and np.array_equal(run.reaction("rod"), run.lam * run.q)
     assert np.array_equal(run.energy.strain, 1.5 * run.q[:, 0] ** 2) and np.ptp(run.energy.total) < 1e-3
+
+
+def test_a_step_matrix_of_one_s_own_is_taken():
+    """By generalized-alpha for every factor; it solves as the default one."""
+    from polyida.linear.step_matrix import StepMatrix
+
+    made = []
+
+    class Counted(StepMatrix):
+        def factor(self, *at):
+            made.append(at[0])
+            super().factor(*at)
+
+    class Own(Pendulum):
+        alike = True
+
+        def step_matrix(self, linear="auto"):
+            return Counted(self)
+
+    runs = [pi.solve(kind(), 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.0]) for kind in (Pendulum, Own)]
+    assert np.array_equal(runs[0].q, runs[1].q) and len(made) >= runs[1].counts.factorizations > 0

@@ -53,6 +53,18 @@ def test_a_kernel_edited_in_another_file_is_compiled_anew_and_the_old_one_is_kep
     assert say()[0][:2] == (2, 1), "back at the first sources: nothing is compiled"
 
 
+def test_what_kept_code_calls_is_there_or_compiled_anew(chain):
+    package, say = chain
+    (package / "called.py").write_text(CALLED.format(1).replace("part", "shared"))
+    assert say(processes=2)[0][0] == 2
+    value, hits, folder = say()[0]
+    assert (value, hits) == (2, 1)
+    kept = list(folder.glob("called.called-*"))
+    for path in kept:
+        path.unlink()
+    assert kept and say()[0][:2] == (2, 1)
+
+
 def test_the_folder_is_where_numba_was_told_or_where_files_can_be_written(chain, tmp_path):
     package, say = chain
     assert say(NUMBA_CACHE_DIR=str(tmp_path / "own"))[0][2].is_relative_to(tmp_path / "own")

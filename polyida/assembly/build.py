@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
-from polyida.assembly.own_bodies import at_own, carried_by_own
-from polyida.assembly.own_laws import laws_of
-from polyida.assembly.points import Points
-from polyida.assembly.row_table import Drives, RowTable
+from polyida.assembly.own.bodies import at_own, carried_by_own
+from polyida.assembly.own.law_table import laws_of
+from polyida.assembly.rows.points import Points
+from polyida.assembly.rows.row_table import Drives, RowTable
 from polyida.body.body import points_of
 from polyida.body.force_element import ForceElement
 from polyida.body.loads import EdgeTraction, PointLoad

@@ -4,8 +4,8 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.assembly import joints as rows
 from polyida.assembly.named_points import NamedPoints
+from polyida.assembly.rows import joints as rows
 
 
 class Constraints(NamedPoints):

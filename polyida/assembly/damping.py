@@ -15,7 +15,7 @@ def symmetric_blocks(model, u, c_m, c_v):
 
     What K has of velocities beside is not symmetric, and small; Newton does without.
     """
-    plates, blocks, damped = model.arrays.plates, np.empty((len(model.pattern[1]), 2, 2)), model.needs.velocity_forces
+    plates, blocks, damped = model.arrays.plates, np.empty((len(model.pattern[1]), 2, 2)), model.damped
     tangent_blocks(plates, u, c_m, 0.0 if damped else 1.0, blocks)
     if damped:
         viscous = np.empty_like(blocks)

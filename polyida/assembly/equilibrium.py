@@ -1,6 +1,6 @@
 """The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
 
-from polyida.assembly.joints import joint_forces, point_values, spread
+from polyida.assembly.rows.joints import joint_forces, point_values, spread
 from polyida.compiled import entry, shared
 from polyida.element import kernels, stabilisation
 from polyida.linear.dense import clear

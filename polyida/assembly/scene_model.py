@@ -9,11 +9,11 @@ from polyida.assembly.arrays import bilinear, concatenated
 from polyida.assembly.build import assemble, bodies_of, extent_of, first_nodes, of_kind
 from polyida.assembly.constraints import Constraints
 from polyida.assembly.damping import add_damping, damped_blocks
-from polyida.assembly.increments import Increments
-from polyida.assembly.laws import add_own_forces
-from polyida.assembly.mass_system import MassSystem, at_rest
-from polyida.assembly.own_bodies import Elastic, own_bodies_of, own_mass
-from polyida.assembly.own_forces import OwnForce, OwnForces
+from polyida.assembly.own.bodies import Elastic, own_bodies_of, own_mass
+from polyida.assembly.own.forces import OwnForce, OwnForces
+from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.rows.increments import Increments
+from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.body.force_element import ForceElement
 from polyida.element import kernels
@@ -48,15 +48,15 @@ class SceneModel(Constraints):
         links = self.arrays.links
         self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
         elements, deforming = of_kind(parts, ForceElement), [own for own in self.own_bodies if own.elastic]
-        damped, self.flexible = any(body.plate.material.damped for body in self.bodies), bool(self.bodies or deforming)
-        self.needs = Needs(mass_varies=False, velocity_forces=damped or bool(elements), driven=bool((links.product_drive >= 0).any()),
+        self.damped, self.flexible = any(body.plate.material.damped for body in self.bodies), bool(self.bodies or deforming)
+        self.needs = Needs(mass_varies=False, velocity_forces=self.damped or bool(elements), driven=bool((links.product_drive >= 0).any()),
                            phi_q_varies=bool(bilinear(links).any()))
         self.reference = np.concatenate([body.points for body in self.bodies] + [own.pairs for own in self.own_bodies])
         self.own_forces = OwnForces([*(OwnForce(name, element, self) for name, element in elements.items()),
                                      *(Elastic(own, self.n_nodes) for own in deforming)], self.n)
         self.own_mass = own_mass(self.own_bodies, parts, self.first_node, self.n) if self.own_bodies else None
         python = dict.fromkeys([own.name for own in (*self.own_bodies, *self.own_forces.each)] if self.laws is None else [])
-        self.compiled, self.looks_apart = not python, 1 if self.own_bodies else self.looks_apart
+        self.compiled, self.alike, self.looks_apart = not python, not self.own_bodies, 1 if self.own_bodies else self.looks_apart
         self.remark = f"plain paths for the Python of {', '.join(map(repr, python))}" if python else ""
 
     @property
@@ -82,7 +82,7 @@ class SceneModel(Constraints):
 
     def _with_forces(self, t, q, v, r):
         """r with what `evaluate` leaves out: damping and force elements."""
-        if self.needs.velocity_forces:
+        if self.damped:
             add_damping(self.arrays.plates, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
         if self.laws is None:
             self.own_forces.take_from(r, t, q, v)
@@ -222,7 +222,7 @@ class SceneModel(Constraints):
 
         indptr, indices = self.pattern
         blocks = np.empty((len(indices), 2, 2))
-        if self.needs.velocity_forces:
+        if self.damped:
             damped_blocks(self.arrays.plates, self._nodal(q), self._nodal(v), c_v, c_q, blocks)
         else:
             compiled.tangent_blocks(self.arrays.plates, self._nodal(q), 0.0, c_q, blocks)

@@ -2,16 +2,16 @@
 
 import numpy as np
 
+from polyida.assembly import corotated
 from polyida.assembly.damping import symmetric_blocks
-from polyida.assembly.laws import add_own_curvature
-from polyida.linear import corotated
-from polyida.linear.factor import NotFactorable
+from polyida.assembly.own.laws import add_own_curvature
+from polyida.linear.cholesky.factor import NotFactorable
 from polyida.linear.lu import SingularSystem
 from polyida.linear.step_matrix import StepMatrix
 
 
 class SceneStepMatrix(StepMatrix):
-    """`S = c_m M + c_v C + K` of a scene, C and K as if at rest and so symmetric; made from q alone (linear/corotated.py).
+    """`S = c_m M + c_v C + K` of a scene, C and K as if at rest and so symmetric; made from q alone (assembly/corotated.py).
 
     corotated, room: the factor and its scratch, for compiled loops. solves: those that its border took.
     """
@@ -35,9 +35,10 @@ class SceneStepMatrix(StepMatrix):
             add_own_curvature(model.laws, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
 
     def solve(self, q, b, transposed=False):
-        """S^-1 b, b (n,) or (n, k), in the frame of q; S is symmetric. Raises SingularSystem."""
+        """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; all of S but forces of one's own is symmetric. Raises SingularSystem."""
         free = self.corotated._replace(place=np.arange(len(self.corotated.active)))
-        room = self.room._replace(**dict(zip(("small", "right", "last"), corotated.small_room(len(free.active)))))
+        own = np.ascontiguousarray(self.room.own.T) if transposed else self.room.own
+        room = self.room._replace(own=own, **dict(zip(("small", "right", "last"), corotated.small_room(len(free.active)))))
         columns = [self._solved(free, room, *self.at, q, -column, np.zeros(0))[0] for column in np.reshape(b, (len(q), -1)).T]
         return np.stack(columns, axis=1).reshape(np.shape(b))
 

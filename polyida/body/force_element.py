@@ -18,7 +18,8 @@ class ForceElement(OwnPart):
     velocities v, m/s, of its sides, (sides, 2) each, to read only. What it does not write of the rest is taken by differences,
     or is not there. A scene with such forces goes through the integrators' plain paths, which its summaries say.
     Instead of `forces` it may have `law`, a function decorated with `numba.njit`: `law(t, x, v, data, f)` fills f (sides, 2), N, where
-    data are the element's `numbers()`. Kernels call it by its address.
+    data are the element's `numbers()`. Kernels call it by its address, and take its slopes by differences; where all force elements of
+    a scene have one, generalized-alpha and IDA keep their compiled loops.
     """
 
     law = None

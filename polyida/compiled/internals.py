@@ -5,10 +5,13 @@ import numba
 try:
     from llvmlite import ir
     from numba.core import typed_passes, types, untyped_passes
+    from numba.core.base import BaseContext
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler, Flags
     from numba.core.compiler_machinery import PassManager
+    from numba.core.ir import Inst, Loc, Var
     from numba.core.registry import CPUDispatcher
+    from numba.core.types.functions import BaseFunction
     from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_getattr, infer_global, signature
     from numba.extending import (
         NativeValue,
@@ -26,7 +29,7 @@ except ImportError as error:
                       "install a version between the bounds that polyida declares (pip install --force-reinstall polyida)") from error
 
 __all__ = [
-    "AbstractTemplate", "AttributeTemplate", "CPUDispatcher", "Compiler", "Flags", "JITCodeLibrary", "NativeValue", "PassManager", "infer_getattr", "infer_global",
-    "intrinsic", "ir", "lower_builtin", "lower_getattr_generic", "models", "populate_array", "register_model", "signature", "typed_passes", "typeof_impl",
-    "types", "unbox", "untyped_passes",
+    "AbstractTemplate", "AttributeTemplate", "BaseContext", "BaseFunction", "CPUDispatcher", "Compiler", "Flags", "Inst", "JITCodeLibrary",
+    "Loc", "NativeValue", "PassManager", "Var", "infer_getattr", "infer_global", "intrinsic", "ir", "lower_builtin", "lower_getattr_generic",
+    "models", "populate_array", "register_model", "signature", "typed_passes", "typeof_impl", "types", "unbox", "untyped_passes",
 ]

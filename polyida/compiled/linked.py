@@ -3,18 +3,15 @@
 numba by itself optimises every function and makes machine code of it, and again of every function that calls it, with all below.
 """
 
-import gc
-from contextlib import contextmanager
-
 from polyida.compiled.internals import (
     Compiler,
     CPUDispatcher,
-    Flags,
     JITCodeLibrary,
     PassManager,
     typed_passes,
     untyped_passes,
 )
+from polyida.compiled.thrift import Options, thrifty
 
 PASSES = (
     untyped_passes.TranslateByteCode, untyped_passes.FixupArgs, untyped_passes.IRProcessing, untyped_passes.RewriteSemanticConstants,
@@ -37,10 +34,10 @@ class Entry(CPUDispatcher):
 
 
 class EntryCompiler(Compiler):
-    """numba's compiler with the passes that kernels need; Python's search for cycles, a tenth of the time, waits."""
+    """numba's compiler with the passes that kernels need."""
 
     def __init__(self, typing, target, library, args, result, flags, local):
-        super().__init__(typing, target, library, args, result, _Options(flags), local)
+        super().__init__(typing, target, library, args, result, Options(flags), local)
 
     def define_pipelines(self):
         """Passes from bytecode to machine code, for functions without closures, literals, parallel loops and array expressions."""
@@ -52,7 +49,7 @@ class EntryCompiler(Compiler):
 
     def compile_extra(self, func):
         """The function compiled."""
-        with _without_collection():
+        with thrifty():
             return super().compile_extra(func)
 
 
@@ -61,31 +58,6 @@ class PartCompiler(EntryCompiler):
 
     def __init__(self, typing, target, library, *rest):
         super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *rest)
-
-
-class _Options(Flags):
-    """Options of a compilation; numba compares them ten thousand times, each time all that there are."""
-
-    def __hash__(self):
-        return hash(tuple(sorted(self._values)))
-
-    def __eq__(self, other):
-        return self._values == other._values if isinstance(other, Flags) else NotImplemented
-
-
-@contextmanager
-def _without_collection():
-    """No search for cycles meanwhile, nor at once after it: what was made goes with the old objects, that are looked through rarely."""
-    running = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if running:
-            if not gc.get_freeze_count():
-                gc.freeze()
-                gc.unfreeze()
-            gc.enable()
 
 
 class _PartLibrary(JITCodeLibrary):

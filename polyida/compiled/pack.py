@@ -38,8 +38,8 @@ class _Packed:
     @cached_property
     def address(self):
         """Of the block, which is kept as long as the tuple."""
-        self._block = np.array([word for value in self for word in _words(value)] or [0], np.uint64)
-        return self._block.ctypes.data
+        block = np.array([word for value in self for word in _words(value)] or [0], np.uint64)
+        return vars(self).setdefault("_block", block).ctypes.data  # the first block stays, whichever thread made it
 
     def __reduce__(self):
         return type(self), tuple(self)
@@ -53,7 +53,7 @@ def _words(value):
         return []
     if isinstance(value, _Packed):
         return [value.address]
-    return [int(np.array(value, float).view(np.uint64)) if isinstance(value, float) else int(value) % 2**64]
+    return [int(value) % 2**64 if isinstance(value, int | np.integer | np.bool_) else int(np.array(value, float).view(np.uint64))]
 
 
 class PackType(types.Type):
@@ -77,7 +77,12 @@ def _size(kind):
 
 @typeof_impl.register(_Packed)
 def _type_of(value, context):
-    return PackType(type(value).__name__, tuple((name, typeof_impl(field, context)) for name, field in zip(value._fields, value)))
+    return PackType(type(value).__name__, tuple((name, _kind(typeof_impl(field, context))) for name, field in zip(value._fields, value)))
+
+
+def _kind(kind):
+    """The type of a field: of numbers, that of a word."""
+    return types.float64 if isinstance(kind, types.Float) else types.int64 if isinstance(kind, types.Integer) else kind
 
 
 @register_model(PackType)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+LEAST = 4 * np.finfo(float).eps  # pivot over n times the largest entry that may be round-off of zero
 SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
@@ -12,14 +13,17 @@ class SingularSystem(Exception):
 class LU:
     """A factor of A (n, n): LAPACK's, dense, or SuperLU's, sparse. Raises SingularSystem where A is singular or not finite.
 
-    pivoting: SuperLU's too with partial pivoting; by default it keeps the order of minimum degree on the pattern of A + A^T.
+    doubtful: whether a pivot may be round-off of zero. pivoting: SuperLU's too with partial pivoting; by default it keeps the order of
+    minimum degree on the pattern of A + A^T.
     """
 
     def __init__(self, matrix, pivoting=False):
         sparse = hasattr(matrix, "tocsc")
+        matrix = matrix.tocsc() if sparse else np.asarray(matrix)
         if not np.isfinite(matrix.data if sparse else matrix).all():
             raise SingularSystem("the iteration matrix is not finite")
-        self._solve = _sparse(matrix.tocsc(), {} if pivoting else SYMMETRIC) if sparse else _dense(np.asarray(matrix))
+        self._solve, pivots = _sparse(matrix, {} if pivoting else SYMMETRIC) if sparse else _dense(matrix)
+        self.doubtful = bool(np.abs(pivots).min(initial=np.inf) <= LEAST * len(pivots) * abs(matrix).max())
 
     def solve(self, b, transposed=False):
         """A^-1 b, or A^-T b, b (n,) or (n, k)."""
@@ -33,7 +37,7 @@ def _dense(matrix):
     lu, pivots, info = getrf(matrix)
     if info:
         raise SingularSystem("the iteration matrix is singular")
-    return lambda b, transposed: getrs(lu, pivots, b, trans=int(transposed))[0]
+    return (lambda b, transposed: getrs(lu, pivots, b, trans=int(transposed))[0]), lu.diagonal()
 
 
 def _sparse(matrix, options):
@@ -43,4 +47,4 @@ def _sparse(matrix, options):
         lu = splu(matrix, **options)
     except RuntimeError as error:  # what SuperLU raises where the matrix is singular
         raise SingularSystem("the iteration matrix is singular") from error
-    return lambda b, transposed: lu.solve(b, trans="T" if transposed else "N")
+    return (lambda b, transposed: lu.solve(b, trans="T" if transposed else "N")), lu.U.diagonal()

@@ -1,8 +1,10 @@
 """The step matrix of a model, `S = c_m M + c_v C + K`: factored at one state, used near it while Newton contracts."""
 
+from contextlib import suppress
+
 import numpy as np
 
-from polyida.linear.border import Border
+from polyida.linear.border import MANY, Border
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.linear.lu import LU, SingularSystem
 from polyida.linear.matrix import dense
@@ -12,7 +14,8 @@ class StepMatrix:
     """`S = c_m M + c_v C + K` of any model, C = dr/dv and K = dr/dq there; c_m and c_v are real or complex.
 
     made_at: what the factor was made from, in one array; `again` makes it anew from that. solves: those that its border took.
-    Where S alone is singular, as with coordinates that have no mass, `saddle` takes the whole matrix with its constraints.
+    Where S alone is singular, or may be, as with coordinates that have no mass, or constraints are many, `saddle` takes the whole matrix with
+    its constraints, whose B is as old as S.
     """
 
     backend = ""
@@ -26,9 +29,9 @@ class StepMatrix:
         """Factor S at a state. Raises SingularSystem where S is, with its constraints."""
         S = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0)
         self.made_at, self.lu, self.border, self.whole = np.concatenate([[t], q, v, a, lam]), None, None, None
-        try:
+        with suppress(SingularSystem):
             self.lu = LU(S)
-        except SingularSystem:
+        if self.lu is None or self.model.m and (self.lu.doubtful or self.model.m > MANY):
             self.whole = KKT(S, self.model.phi_q(t, q), scaling_factors("physical", 1 / abs(c_m), S))
 
     def again(self, made_at, c_m, c_v):
@@ -46,7 +49,7 @@ class StepMatrix:
         if self.whole:
             return self.whole.solve(r, phi)
         B = self.model.phi_q(t, q)
-        if self.border is None or self.model.needs.phi_q_varies:
+        if self.border is None or self.model.needs.phi_q_varies or self.model.needs.driven:
             self.border = Border(self.solve(q, dense(B).T))
         return self.border.solve(self.solve(q, -r), B, -phi)
 

@@ -18,7 +18,6 @@ Matrix = Any  # an array, or one of scipy.sparse
 NONE: MappingProxyType[str, Any] = MappingProxyType({})
 
 
-
 @named_keywords
 @dataclass(frozen=True)
 class Needs:

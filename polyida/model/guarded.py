@@ -19,7 +19,8 @@ SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias")
 PASSED = ("rows", "joints", "attachment", "position", "constraint_name")
-OWN = ("potentials", "mass_system")  # those that rest on checked functions unless the model writes its own
+SAID = ("flexible", "alike", "carries")  # what a model says of itself
+OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
 
 def guard(model, part="solve"):
@@ -109,7 +110,9 @@ class Guarded(Model):
             raise InputError(f"{self.name}: n = {n!r} and m = {m!r} must be whole numbers, n >= 1 and m >= 0")
         if not isinstance(model.needs, Needs):
             raise InputError(f"{self.name}: needs = {model.needs!r} must be a polyida.Needs")
-        self.n, self.m, self.needs, self.flexible, self._calls, self._constant = int(n), int(m), model.needs, model.flexible, 0, None
+        self.n, self.m, self.needs, self._calls, self._constant = int(n), int(m), model.needs, 0, None
+        for name in SAID:
+            setattr(self, name, getattr(model, name))
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         for name, shape in _shapes(self.n, self.m).items():
             if _written(model, name) and (self.m or name not in OF_CONSTRAINTS):

@@ -17,7 +17,7 @@ from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import consistent_state
-from polyida.linear.triangular import fill_band
+from polyida.linear.cholesky.triangular import fill_band
 
 WIDEST_BAND = 40_000  # coordinates beyond which a band factor is out of the question
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polyida.assembly import equilibrium
-from polyida.assembly import joints as joint_rows
+from polyida.assembly.rows import joints as joint_rows
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
@@ -20,8 +20,8 @@ from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
 from polyida.joint.revolute import Revolute
-from polyida.linear.factor import symbolic_of
-from polyida.linear.fronts import factorize, solve_fronts
+from polyida.linear.cholesky.factor import symbolic_of
+from polyida.linear.cholesky.fronts import factorize, solve_fronts
 from polyida.mesh import rectangle
 from polyida.problems import plates
 from polyida.scene import Scene

@@ -2,7 +2,7 @@
 
 `python side.py CELLS INTEGRATOR SHORT LONG`, with the package to be measured in front on PYTHONPATH. It says where that
 is and how large the model, then a row of times and counts for every line that comes. It takes from the package only
-what all states of it have in these places.
+what all states of it have in these places; who starts it sets the threads.
 """
 
 import json
@@ -15,7 +15,6 @@ import polyida
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
-from polyida.machine import one_blas_thread
 from polyida.problems.plates import double_plate
 
 LARGE = 50_000  # coordinates from which on a run's start is dear
@@ -53,10 +52,9 @@ def two_runs(model, member, short, long):
 def one_run(model, member, short, long):
     """(CPU s, counts) of one run up to `short` and up to `long`: the start's scatter is not in the difference."""
     begin, counts, seen = time.process_time(), Counts(), []
-    with one_blas_thread():
-        for state in member.steps(model, consistent_state(model, 0.0, None, None), long, counts):
-            if state.restart and state.t >= short * (1 - 1e-9):
-                seen.append((time.process_time() - begin, replace(counts)))
+    for state in member.steps(model, consistent_state(model, 0.0, None, None), long, counts):
+        if state.restart and state.t >= short * (1 - 1e-9):
+            seen.append((time.process_time() - begin, replace(counts)))
     return seen[0], seen[-1]
 
 

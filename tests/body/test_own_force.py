@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 
 import polyida as pi
-from polyida.assembly import laws
+from polyida.assembly.own import laws
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +173,11 @@ def half(t, x, v, data, f):
 
 
 @njit
+def ceasing(t, x, v, data, f):
+    f[0, 0], f[0, 1] = 1.0, 1.0 if t < 5e-3 else np.nan
+
+
+@njit
 def broken(t, x, v, data, f):
     f[0, 0] = x.nonsense
 
@@ -233,6 +238,30 @@ def test_the_factor_knows_a_stiff_law(scenes):
     assert stiff.counts.newton_iterations < 2 * soft.counts.newton_iterations
 
 
+@pytest.mark.parametrize("form", ["index3", "stabilised"])
+def test_a_stiff_support_by_a_law(scenes, form):
+    scene, upper = scenes.hinged()
+    scene.add(Compiled(pi.ground.at((1.0, 0.0)), upper.section("right"), k=1e7))
+    run = pi.solve(scene.build(), 0.05, pi.GeneralizedAlpha(h=2e-3, form=form))
+    assert run.success and run.counts.newton_iterations <= 3 * run.counts.steps and run.counts.factorizations <= 2
+
+
+def test_a_run_with_a_law_goes_on_as_if_it_had_not_stopped(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(Wind(upper.section("right")))
+    model, method = scene.build(), pi.GeneralizedAlpha(h=1e-3)
+    whole, half = pi.solve(model, 0.04, method), pi.solve(model, 0.02, method)
+    assert np.array_equal(pi.solve(model, 0.04, method, state=half.state).q[-1], whole.q[-1])
+
+
+def test_a_law_that_ceases_to_be_finite_is_blamed(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(by_law(ceasing)(upper.section("right"), name="push"))
+    for method in (pi.GeneralizedAlpha(h=1e-3), pi.IDA()):
+        run = pi.solve(scene.build(), 0.01, method)
+        assert not run.success and "'push'" in run.message and run.t[-1] < 6e-3
+
+
 def lawful(scenes):
     """(model, q, v) of two laws on one plate, in the middle of somewhere."""
     scene, upper = scenes.hinged()
@@ -291,3 +320,44 @@ def test_files_hold_a_law(scenes, tmp_path):
     run = pi.solve(pulled(scenes, Compiled, d=2.0), 5e-3, pi.GeneralizedAlpha(h=1e-3))
     run.save(tmp_path / "run.h5")
     assert np.array_equal(pi.load(tmp_path / "run.h5").energy.total, run.energy.total)
+
+
+def test_the_step_matrix_and_its_transpose_know_laws(scenes):
+    """`gust` blows along one direction whatever pushes: its slopes are not symmetric."""
+    model, q, v = lawful(scenes)
+    system, b = model.step_matrix(), np.random.default_rng(3).standard_normal(model.n)
+    at = 0.3, 1e-3 * q, v, np.zeros(model.n), np.zeros(model.m)
+    system.factor(*at, 4e6, 2e3)
+    S = model.tangent(*at, 4e6, 2e3, 1.0).toarray()
+    for transposed, matrix in ((False, S), (True, S.T)):
+        exact = np.linalg.solve(matrix, b)
+        assert np.abs(system.solve(1e-3 * q, b, transposed) - exact).max() < 1e-4 * np.abs(exact).max()
+
+
+@njit
+def raising(t, x, v, data, f):
+    f[:] = 0.0
+    if t > 5e-3:
+        raise ValueError("late")
+
+
+@njit
+def writing(t, x, v, data, f):
+    data[0] *= 2.0
+    x[0, 0] += 1.0
+    f[:] = 0.0
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-3), pi.IDA()])
+def test_a_law_that_raises_stops_the_run(scenes, method):
+    scene, upper = scenes.hinged()
+    scene.add(by_law(raising)(upper.section("right")))
+    run = pi.solve(scene.build(), 0.02, method)
+    assert not run.success and 2e-3 < run.t[-1] < 0.02
+
+
+def test_a_law_writes_into_copies(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(by_law(writing)(upper.section("right"), c=0.25))
+    model = scene.build()
+    assert pi.solve(model, 0.01, pi.GeneralizedAlpha(h=1e-3)).success and model.laws.numbers[0] == 0.25

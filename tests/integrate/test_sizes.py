@@ -38,7 +38,8 @@ def test_the_error_of_a_flexible_scene_follows_rtol():
 def test_a_scene_of_millimetres_takes_the_same_steps():
     large, small = (pi.solve(double_plate(unit), 0.1, pi.IDA(rtol=1e-4)) for unit in (1.0, 1e-3))
     assert large.counts == small.counts
-    assert np.abs(1e3 * small.q[-1] - large.q[-1]).max() < 1e-9 and np.abs(small.t - large.t).max() < 1e-9
+    apart = np.abs(1e3 * small.q[-1] - large.q[-1]).max(), np.abs(small.t - large.t).max()
+    assert max(apart) < 1e-8  # the factor is in single precision, and steps follow what it leaves
 
 
 @pytest.mark.parametrize("name, share, order, least", [

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly import equilibrium
-from polyida.linear import corotated
-from polyida.linear.factor import NotFactorable, factor
+from polyida.assembly import corotated, equilibrium
+from polyida.linear.cholesky.factor import NotFactorable, factor
 from polyida.linear.kkt import KKT
 
 C_M = 4e6

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import csc_array, csr_array, diags_array
 
 import polyida as pi
 from polyida import problems
@@ -91,3 +92,107 @@ def test_a_border_with_a_corner():
 def test_dependent_constraints_are_singular():
     with pytest.raises(SingularSystem, match="constraints"):
         Border(np.ones((3, 2))).solve(np.ones(3), np.ones((2, 3)), np.ones(2))
+
+
+class Chain(pi.Model):
+    """Masses hung from one another by sixty rigid links, sparse."""
+
+    links = 60
+    n, m = 2 * links, links
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
+
+    def mass(self, q):
+        return diags_array(np.ones(self.n), format="csc")
+
+    def force(self, t, q, v):
+        return np.tile([0.0, 9.81], self.links)
+
+    def phi(self, t, q):
+        return 0.5 * ((self.ends(q) ** 2).sum(axis=1) - 1.0)
+
+    def phi_q(self, t, q):
+        d, rows = self.ends(q), np.arange(self.links)
+        at = [2 * rows, 2 * rows + 1, 2 * rows[:-1], 2 * rows[:-1] + 1]
+        values = [d[:, 0], d[:, 1], -d[1:, 0], -d[1:, 1]]
+        where = np.concatenate([rows, rows, rows[1:], rows[1:]]), np.concatenate(at)
+        return csr_array((np.concatenate(values), where), shape=(self.m, self.n))
+
+    def ends(self, q):
+        return np.diff(q.reshape(-1, 2), axis=0, prepend=0.0)
+
+    def force_q(self, t, q, v):
+        return csc_array((self.n, self.n))
+
+    def reaction_q(self, t, q, lam):
+        main, off = np.repeat(lam + np.append(lam[1:], 0.0), 2), np.repeat(-lam[1:], 2)
+        return diags_array([main, off, off], offsets=[0, 2, -2], format="csc")
+
+
+def test_many_constraints_go_through_one_sparse_matrix():
+    """A chain released level: the border of m columns would be dense. The integrators agree, and phi holds."""
+    q0 = np.stack([np.arange(1.0, 61.0), np.zeros(60)], axis=1).ravel()
+    assert max(pi.check_derivatives(Chain(), 0.0, q0, np.ones(120)).values()) < 1e-6
+    runs = [pi.solve(Chain(), 0.2, kind, q0=q0, every=10**9) for kind in (pi.GeneralizedAlpha(h=2e-3), pi.IDA(rtol=1e-7))]
+    assert all(run.success and run.drift.max() < 1e-9 for run in runs)
+    assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-4
+
+
+class Sprung(pi.Model):
+    """A driven mass, and three points without mass, springs between them, that constraints hold to it: S is singular to round-off."""
+
+    n, m = 4, 3
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+
+    def __init__(self, stiff):
+        self.K = np.zeros((4, 4))
+        for (i, j), k in zip(((1, 2), (2, 3), (1, 3)), stiff):
+            self.K[np.ix_([i, j], [i, j])] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+    def mass(self, q):
+        return np.diag([1.0, 0.0, 0.0, 0.0])
+
+    def force(self, t, q, v):
+        return self.K @ q + np.array([9.81, 0.0, 0.0, 0.0])
+
+    def force_q(self, t, q, v):
+        return self.K
+
+    def phi(self, t, q):
+        return q[1:] - np.array([1.0, 2.0, -1.0]) * q[0]
+
+    def phi_q(self, t, q):
+        return np.array([[-1.0, 1.0, 0.0, 0.0], [-2.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_springs_between_points_without_mass(seed):
+    model = Sprung(10 ** np.random.default_rng(seed).uniform(2, 6, 3))
+    runs = [pi.solve(model, 0.05, pi.GeneralizedAlpha(h=1e-3, linear=linear)) for linear in ("auto", "kkt")]
+    assert all(run.success for run in runs)
+    assert np.abs(runs[0].lam[-1] - runs[1].lam[-1]).max() < 1e-6 * np.abs(runs[1].lam[-1]).max()
+
+
+class Turning(pi.Model):
+    """A mass held to a line that turns: phi_q depends on time alone."""
+
+    n, m = 2, 1
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=True, phi_q_varies=False)
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return 50.0 * q
+
+    def phi(self, t, q):
+        return self.phi_q(t, q) @ q
+
+    def phi_q(self, t, q):
+        return np.array([[np.cos(t), np.sin(t)]])
+
+
+def test_rows_that_time_turns_keep_the_factor():
+    run = pi.solve(Turning(), 2.0, pi.GeneralizedAlpha(h=1e-2), q0=[0.0, 1.0])
+    half = pi.solve(Turning(), 1.0, pi.GeneralizedAlpha(h=1e-2), q0=[0.0, 1.0])
+    rest = pi.solve(Turning(), 2.0, pi.GeneralizedAlpha(h=1e-2), state=half.state)
+    assert run.counts.factorizations == 1 and np.abs(rest.q[-1] - run.q[-1]).max() < 1e-13

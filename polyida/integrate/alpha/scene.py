@@ -4,16 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
-from polyida.assembly.increments import drive_table, gain_table
-from polyida.assembly.laws import add_own_forces
+from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.rows import joints
+from polyida.assembly.rows.increments import drive_table, gain_table
 from polyida.compiled import entry, pack, part
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
 from polyida.integrate.kinks import inner_side
-from polyida.linear import corotated
 
 DZ, FORCES, START, VX, AX, DX, DV = range(7)  # rows of Scratch.points
 
@@ -134,7 +134,7 @@ class SceneLoop:
     def __init__(self, settings, model, counts, memory, trial):
         self.model, self.counts, self.memory, self.trial = model, counts, memory, trial
         self.tie = alpha_tie.tie(model) if settings.form == "stabilised" and model.m else None
-        self.damp = np.zeros((model.n_nodes, 2)) if model.needs.velocity_forces else None
+        self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.scratch = scratch(model)
 
     def prepare(self, times, method):

@@ -119,6 +119,7 @@ def resolution(settings, model, state, h):
     mass, border = model.mass(q), model.phi_q(t, q)
     try:
         system.factor(t, q, state.v, state.a, lam, c_m, c.gamma / (c.beta * h))
+        system.saddle(t, q, lam, np.zeros(model.n), np.zeros(model.m))  # which tells whether F exists
     except SingularSystem as error:
         raise StepFailure("singular", f"the start's M + gamma h C + beta h^2 K: {error}", t) from None
     return lambda x: system.saddle(t, q, lam, -c_m * (mass @ x), -(border @ x))[0]

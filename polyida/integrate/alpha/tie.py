@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly import joints
-from polyida.assembly.mass_system import point_columns
+from polyida.assembly.rows import joints
+from polyida.assembly.rows.mass_system import point_columns
 from polyida.compiled import pack, part
 from polyida.integrate.alpha.step import DD, Q, V, pairs
 from polyida.linear.dense import solve_small

@@ -56,7 +56,7 @@ class EnergyMomentum:
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
-        kind = General if not model.is_scene else WithForces if model.own_forces or model.own_bodies else Midpoint
+        kind = General if not model.is_scene else Midpoint if model.compiled and not model.own_forces else WithForces
         for begin, end, most in stretches(model, state.t, t_end, self.h):
             state = _ready(model, state, begin)
             count = enough_steps(model, state, begin, end, min(self.h, most))

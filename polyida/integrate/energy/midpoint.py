@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly import joints
 from polyida.assembly.damping import damped_blocks
+from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack, part
 from polyida.element import kernels as elements
 from polyida.element import stabilisation, two_states
 from polyida.integrate.energy.steps import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, SLOW, Steps
 from polyida.integrate.state import StepFailure
-from polyida.linear import corotated
-from polyida.linear.factor import NotFactorable
+from polyida.linear.cholesky.factor import NotFactorable
 
 
 @pack
@@ -170,7 +170,7 @@ class Midpoint(Steps):
         middle(model.arrays, drives, h, w)
         blocks = np.empty((len(model.pattern[1]), 2, 2))
         kernels.tangent_blocks(model.arrays.plates, w.um, 2.0 / (h * h), 0.5, blocks)
-        if model.needs.velocity_forces:
+        if model.damped:
             blocks += self._damping()
         self.counts.residuals += 1
         self.counts.tangents += 1

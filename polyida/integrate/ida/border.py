@@ -6,9 +6,9 @@ With B = Bz A and H = d(B v + phi_t)/dq = Hz A, S and M those of the plates, m t
     Bz A dq = r3,   (Hz + cj Bz) A dq + Bz A A^T Bz^T dmu = r4 + Bz A r1,   dv = cj dq + A^T Bz^T dmu - r1
 """
 
-from polyida.assembly import joints
+from polyida.assembly import corotated
+from polyida.assembly.rows import joints
 from polyida.compiled import leaf, part
-from polyida.linear import corotated
 from polyida.linear.dense import clear, solve_small
 
 

@@ -24,6 +24,7 @@ from polyida.integrate.state import State
 from polyida.linear.matrix import dense
 from polyida.model.differences import along
 
+NEAR = np.finfo(float).eps ** (1 / 3)  # of phi_q's slopes, which only Newton sees: two values are enough
 MULTIPLIER_ATOL = 1e9  # multipliers carry no error estimate: any size far above theirs takes them out of IDA's norms
 
 
@@ -98,6 +99,7 @@ class System:
     def __init__(self, model, form, rate):
         self.model, self.form, self.rate = model, FORMS[form], rate
         self.limits = (-np.inf, np.inf)
+        self._seen = np.nan, np.zeros(0), None
         self.size = 2 * model.n + (2 if self.form.stabilised else 1) * model.m
 
     def split(self, y, yp):
@@ -135,10 +137,18 @@ class System:
         np.subtract(yp[:n], v, out=res[:n])
         res[n:2 * n] = model.residual(t, q, v, a, lam)
         if model.m:
-            B = None if self.form.rows == (0,) else model.phi_q(t, q)
+            B = None if self.form.rows == (0,) else self.phi_q(t, q)
             res[2 * n:] = self.constraint_rows(t, q, v, a, B)
             if mu is not None:
                 res[:n] += B.T @ mu
+
+    def phi_q(self, t, q):
+        """The model's; made once for a residual and the solve that follows it."""
+        at, where, B = self._seen
+        if t != at or not np.array_equal(q, where):
+            B = self.model.phi_q(t, q)
+            self._seen = t, q.copy(), B
+        return B
 
     def objection(self, t, q):
         """Why the model cannot stand at an accepted (t, q), or None."""
@@ -200,7 +210,7 @@ class System:
 
     def _rows(self, t, q, v, a):
         """B and the form's rows (P, Q0, Q1)."""
-        B = dense(self.model.phi_q(t, q))
+        B = dense(self.phi_q(t, q))
         triples = [self._derivatives(order, t, q, v, a, B) for order in self.form.rows]
         return B, *(self._sum(rows) if self.form.combined else np.vstack(rows) for rows in zip(*triples))
 
@@ -221,7 +231,9 @@ class System:
         needs = self.model.needs
         if not (needs.phi_q_varies or (needs.driven and time)):
             return np.zeros((self.model.m, self.model.n))
-        return along(lambda s: dense(self.model.phi_q(t + s * time, q + s * direction)), _reach(q, direction))
+        step = NEAR * _reach(q, direction)
+        ahead, behind = (dense(self.model.phi_q(t + s * time, q + s * direction)) for s in (step, -step))
+        return (ahead - behind) / (2 * step)
 
 
 def _reach(q, direction):

@@ -17,7 +17,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from polyida.linear.border import Border
+from polyida.linear.border import MANY, Border
 from polyida.linear.lu import SingularSystem
 from polyida.linear.step_matrix import StepMatrix
 
@@ -78,20 +78,28 @@ class ReducedSolve(EchoedSolve):
 
         Where phi is a row and not linear, what it bends by over dq is taken out too: one iteration closes it.
         """
-        if self.system.rows_vary:
-            self.blocks, self.border = self.system.with_rows_at(self.blocks, t, y, yp), None
-        n, m, blocks, cj, q, r1 = self.blocks.n, self.blocks.m, self.blocks, self.cj, y[:self.blocks.n].copy(), r[:self.blocks.n]
-        rows, velocity_rows = blocks.rows(cj)
-        corner = np.zeros((rows.shape[0], rows.shape[0]))
-        if blocks.stabilised:
-            corner[:, m:] = velocity_rows @ blocks.B.T
-        self.border = self.border or Border(self.step.solve(q, blocks.columns(cj)))
-        free, below = self.step.solve(q, r[n:2 * n] + blocks.damping_product(cj, r1)), r[2 * n:] + velocity_rows @ r1
-        dq, w = self.border.solve(free, rows, below, corner)
-        if self.system.rows_vary and self.system.holds_phi:
+        vary = self.system.rows_vary
+        if self.border is None or (vary and self.system.model.m <= MANY):
+            self._make_border(t, y, yp)
+        n, m, blocks, q, r1 = self.blocks.n, self.blocks.m, self.blocks, y[:self.blocks.n].copy(), r[:self.blocks.n]
+        free = self.step.solve(q, r[n:2 * n] + blocks.damping_product(self.cj, r1))
+        below = r[2 * n:] + self.velocity_rows @ r1
+        dq, w = self.border.solve(free, self.rows, below, self.corner)
+        if vary and self.system.holds_phi:
             phi, at = self.system.model.phi, self.system.clamp(t)
             below[:m] -= phi(at, q + dq) - phi(at, q) - r[2 * n:2 * n + m]
-            dq, w = self.border.solve(free, rows, below, corner)
-        z[:n], z[n:2 * n], z[2 * n:] = dq, cj * dq - r1, w / cj if blocks.integrated else w
+            dq, w = self.border.solve(free, self.rows, below, self.corner)
+        z[:n], z[n:2 * n], z[2 * n:] = dq, self.cj * dq - r1, w / self.cj if blocks.integrated else w
         if blocks.stabilised:
             z[n:2 * n] += blocks.B.T @ w[m:]
+
+    def _make_border(self, t, y, yp):
+        """Rows, columns and corner of (t, y, y') on the factor at hand."""
+        if self.system.rows_vary:
+            self.blocks = self.system.with_rows_at(self.blocks, t, y, yp)
+        blocks = self.blocks
+        self.rows, self.velocity_rows = blocks.rows(self.cj)
+        self.corner = np.zeros((len(self.rows), len(self.rows)))
+        if blocks.stabilised:
+            self.corner[:, blocks.m:] = self.velocity_rows @ blocks.B.T
+        self.border = Border(self.step.solve(y[:blocks.n].copy(), blocks.columns(self.cj)))

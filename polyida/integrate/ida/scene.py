@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly import joints
 from polyida.assembly.damping import add_damping
-from polyida.assembly.laws import add_own_forces
+from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack
 from polyida.integrate.ida.border import stabilised_border
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.linear import EchoedSolve
-from polyida.linear import corotated
 from polyida.linear.dense import clear
 from polyida.linear.lu import SingularSystem
 
@@ -161,7 +161,7 @@ class SceneSystem(System):
     def __init__(self, model, form, rate):
         super().__init__(model, form, rate)
         self.room = room(model)
-        self.damp = np.empty((model.n_nodes, 2)) if model.needs.velocity_forces else None
+        self.damp = np.empty((model.n_nodes, 2)) if model.damped else None
 
     def residual(self, t, y, yp, res):
         """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where an element is inside out or a motor flipped."""

@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly import joints
 from polyida.assembly.arrays import bilinear
+from polyida.assembly.rows import joints
 from polyida.compiled import pack, part, shared
+from polyida.linear.cholesky.factor import BAND, FRONTS, Factor, factor
+from polyida.linear.cholesky.fronts import solve_fronts
+from polyida.linear.cholesky.triangular import solve_band, solve_columns
 from polyida.linear.dense import clear, solve_small
-from polyida.linear.factor import BAND, FRONTS, Factor, factor
-from polyida.linear.fronts import solve_fronts
-from polyida.linear.triangular import solve_band, solve_columns
 
 
 @pack

@@ -4,7 +4,7 @@ import numpy as np
 from numba.core.errors import NumbaError
 
 from polyida.assembly.arrays import starts
-from polyida.assembly.laws import Laws, callback_of
+from polyida.assembly.own.laws import Laws, callback_of
 from polyida.body.force_element import numbers_of, sides_of
 from polyida.errors import InputError
 from polyida.profile import polynomial

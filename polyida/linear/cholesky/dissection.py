@@ -59,11 +59,10 @@ def symbolic(indptr, indices, points=None):
     first = np.append(fronts[:, 0], count).astype(np.int32)
     children = fronts[:, 2].astype(np.int32)
     start, rows, depth = _reached(indptr, indices, nodes, place, first, children)
-    rows = np.sort(np.repeat(np.arange(len(children)), np.diff(start)) * count + rows) % max(count, 1)
     own, reach = 2 * np.diff(first).astype(np.int64), 2 * np.diff(start)
     panel = np.append(0, np.cumsum(panel_entries(own, own + reach)))
     size = int(np.max(own + reach, initial=0))
-    return Symbolic(order, nodes, first, start, rows.astype(np.int32), children, panel, indptr, indices, size, depth)
+    return Symbolic(order, nodes, first, start, rows, children, panel, indptr, indices, size, depth)
 
 
 def panel_entries(own, size):
@@ -72,15 +71,26 @@ def panel_entries(own, size):
     return 4 * fours * size - 8 * fours * (fours - 1) + (own % 4) * (size - 4 * fours)
 
 
-def _reached(*fronts):
-    """(start, unsorted rows, depth) of `Symbolic`."""
-    nodes, children = fronts[2], fronts[5]
-    start, waiting, rows = np.zeros(len(children) + 1, np.int64), np.empty(len(children), np.int32), np.empty(8 * len(nodes) + 64, np.int32)
-    while True:
-        depth = reached(*fronts, start, rows, np.full(len(nodes), -1, np.int32), waiting)
-        if depth >= 0:
-            return start, rows[:start[-1]], depth
-        rows = np.empty(2 * len(rows), np.int32)
+def _reached(indptr, indices, nodes, place, first, children):
+    """(start, rows, depth) of `Symbolic`: a front reaches what its nodes and its children reach beyond it."""
+    count, begin = np.diff(indptr), np.append(0, np.cumsum(np.diff(indptr)[nodes]))
+    joined = place[indices[np.argsort(np.repeat(place, count), kind="stable")]]  # neighbours of the node at each place
+    reach, waiting, depth, deepest = [], [], 0, 0
+    for low, high, held in zip(first[:-1], first[1:], children):
+        taken, waiting = waiting[len(waiting) - held:], waiting[:len(waiting) - held]
+        rows = np.unique(np.concatenate([joined[begin[low]:begin[high]], *taken]))
+        rows = rows[np.searchsorted(rows, high):]
+        depth += _update_entries(rows) - sum(map(_update_entries, taken))
+        deepest = max(deepest, depth)
+        reach.append(rows)
+        waiting.append(rows)
+    start = np.append(0, np.cumsum([len(rows) for rows in reach], dtype=np.int64))
+    return start, np.concatenate([np.zeros(0, np.int32), *reach]), deepest
+
+
+def _update_entries(rows):
+    """Of a packed upper triangle."""
+    return len(rows) * (2 * len(rows) + 1)
 
 
 @entry
@@ -266,41 +276,3 @@ def group(members, side, room):
     for i in members:
         side[i] = 0
     return a, ab - a
-
-
-@entry
-def reached(indptr, indices, nodes, place, first, children, start, rows, mark, waiting):
-    """Fill start and rows: a front reaches what its nodes and its children reach beyond it. Returns the depth, -1 where rows are too few.
-
-    mark, -1 before, and waiting are scratch.
-    """
-    count = children.shape[0]
-    m = top = depth = deepest = 0
-    for f in range(count):
-        end, begin = first[f + 1], m
-        if m + nodes.shape[0] - end > rows.shape[0]:
-            return -1
-        for k in range(top - children[f], top):
-            c = waiting[k]
-            depth -= (start[c + 1] - start[c]) * (2 * (start[c + 1] - start[c]) + 1)
-            for q in range(start[c], start[c + 1]):
-                m = add_row(rows, m, rows[q], end, mark, f)
-        for k in range(first[f], end):
-            for p in range(indptr[nodes[k]], indptr[nodes[k] + 1]):
-                m = add_row(rows, m, place[indices[p]], end, mark, f)
-        start[f + 1] = m
-        depth += (m - begin) * (2 * (m - begin) + 1)
-        deepest = max(deepest, depth)
-        top -= children[f]
-        waiting[top] = f
-        top += 1
-    return deepest
-
-
-@part
-def add_row(rows, m, row, end, mark, f):
-    """Append a row that is not below `end` and not yet in front f. Returns how many there are."""
-    if row < end or mark[row] == f:
-        return m
-    mark[row], rows[m] = f, row
-    return m + 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.assembly import joints
+from polyida.assembly.rows import joints
 
 EPS = np.finfo(float).eps
 NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1/2, 1/2]

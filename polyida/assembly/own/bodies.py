@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.assembly.own_forces import OwnForce
+from polyida.assembly.own.forces import OwnForce
 from polyida.body.body import Body, BodyPoint, mass_of, on_pairs, rest_of, translation_of
 from polyida.body.own_part import writes
 from polyida.body.point_mass import PointMass

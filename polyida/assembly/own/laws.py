@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from polyida.assembly.joints import point_values, spread
+from polyida.assembly.rows.joints import point_values, spread
 from polyida.compiled import entry, pack, part
 
 NUMBERS = types.CPointer(types.float64)
@@ -39,7 +39,11 @@ def callback_of(law):
 
     def called(t, x, v, data, f, sides, count):
         shape = (sides, 2)
-        law(t, numba.carray(x, shape), numba.carray(v, shape), numba.carray(data, (count,)), numba.carray(f, shape))
+        forces = numba.carray(f, shape)
+        try:
+            law(t, numba.carray(x, shape).copy(), numba.carray(v, shape).copy(), numba.carray(data, (count,)).copy(), forces)
+        except Exception:  # noqa: BLE001 which kernels cannot hand on: the motion is not finite
+            forces[:] = np.nan
 
     return numba.cfunc(CALLED)(called)
 

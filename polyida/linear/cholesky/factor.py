@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.compiled import pack
-from polyida.linear.dissection import NOTHING, Symbolic, symbolic
-from polyida.linear.fronts import factorize
-from polyida.linear.triangular import fill_band
+from polyida.linear.cholesky.dissection import NOTHING, Symbolic, symbolic
+from polyida.linear.cholesky.fronts import factorize
+from polyida.linear.cholesky.triangular import fill_band
 
 BAND, COLUMNS, FRONTS = 0, 1, 2
 

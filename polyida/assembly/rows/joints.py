@@ -8,7 +8,7 @@ everything in q: `phi_q = phi_z A`. `slopes` holds phi_z at the columns (compone
 
 import numpy as np
 
-from polyida.compiled import entry, leaf, part
+from polyida.compiled import entry, leaf, part, shared
 
 
 @entry
@@ -109,7 +109,7 @@ def cosine(ex, ey, fx, fy):
     return (ey * fx - ex * fy) / np.sqrt((ex * ex + ey * ey) * (fx * fx + fy * fy))
 
 
-@entry
+@shared
 def joint_forces(s, drives, dz, lam, phi, forces):
     """Fill phi; forces += phi_z^T lam. Returns the least cosine between the vectors of one-way products (1 without any)."""
     least = 1.0
@@ -142,7 +142,7 @@ def flipped(s, drives, dz):
     return -1
 
 
-@entry
+@shared
 def joint_jacobian(s, drives, dz, slopes):
     """Fill slopes with phi_z."""
     for e in range(slopes.shape[0]):

@@ -1,0 +1,120 @@
+"""Packs give compiled code what they hold; entries give the same from Python and from compiled code."""
+
+import copy
+import gc
+import pickle
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from polyida.compiled import entry, pack, part, shared, thrift
+
+
+@pack
+class Inner(NamedTuple):
+    places: np.ndarray
+    half: np.ndarray
+    nothing: None = None
+
+
+@pack
+class Outer(NamedTuple):
+    matrix: np.ndarray
+    inner: Inner
+    factor: float
+    count: int
+    whole: bool
+
+
+@part
+def weighted(inner, k):
+    return inner.half[inner.places[k]]
+
+
+@entry
+def total(s, x):
+    result = 0.0 if s.inner.nothing is None else np.inf
+    for i in range(s.count):
+        for k in range(s.matrix.shape[1]):
+            result += s.matrix[i, k] * x[k] + weighted(s.inner, i)
+    x[0] = s.inner.nothing is None
+    s.inner.half[0] += 1.0
+    return result * s.factor if s.whole else -result
+
+
+@shared
+def doubled(x):
+    return 2.0 * x
+
+
+@entry
+def doubled_twice(x):
+    return doubled(doubled(x))
+
+
+def example(whole=True, matrix=None):
+    matrix = np.arange(6.0).reshape(2, 3) if matrix is None else matrix
+    return Outer(matrix, Inner(np.array([1, 0], np.int32), np.array([4.0, -1.5], np.float32)), -0.5, 2, whole)
+
+
+def expected(s, x):
+    result = (s.matrix @ x).sum() + s.matrix.shape[1] * s.inner.half[s.inner.places].sum()
+    return result * s.factor if s.whole else -result
+
+
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("matrix", [None, np.arange(12.0).reshape(2, 6)[:, ::2], np.asfortranarray(np.arange(6.0).reshape(2, 3)), np.zeros((2, 0))])
+def test_compiled_code_reads_all_that_a_pack_holds(whole, matrix):
+    s = example(whole, matrix)
+    x = np.linspace(1.0, 2.0, s.matrix.shape[1] or 1)
+    wanted = expected(s, x[: s.matrix.shape[1]])
+    assert total(s, x) == pytest.approx(wanted, rel=1e-15)
+    assert s.inner.half[0] == 5.0, "arrays are those of Python, not copies"
+
+
+def test_a_pack_replaced_copied_or_pickled_has_arrays_of_its_own():
+    s = example()
+    total(s, np.ones(3))
+    changed = s._replace(factor=3.0)
+    assert total(changed, np.ones(3)) == pytest.approx(3.0 * (15.0 + 3 * 3.5))
+    for other in (copy.deepcopy(s), pickle.loads(pickle.dumps(s))):
+        before = s.inner.half.copy()
+        total(other, np.ones(3))
+        assert isinstance(other, Outer) and np.array_equal(s.inner.half, before)
+
+
+def test_a_shared_entry_is_the_same_for_python_and_compiled_code():
+    assert doubled_twice(3.0) == doubled(doubled(3.0)) == 12.0
+    assert doubled_twice(2) == 8.0, "another type is another function"
+
+
+def test_python_looks_for_cycles_again_after_a_compilation():
+    assert gc.isenabled()
+    entry(lambda x: x + 1)(1)
+    assert gc.isenabled() and not gc.get_freeze_count()
+
+
+def test_numbers_of_any_type_in_settings():
+    import numpy as np
+
+    import polyida as pi
+    from polyida.problems import plates
+
+    model = plates.double_plate(cells=6).build()
+    few = pi.GeneralizedAlpha(h=1e-3, tolerance=np.float32(1e-5), max_iterations=np.int32(20))
+    assert pi.solve(model, 5e-3, few).success
+
+
+def test_numba_is_itself_again_after_a_compilation_and_after_one_that_fails():
+    def methods():
+        return [getattr(owner, name) for owner, name in thrift.PLAIN]
+
+    seen = []
+    with pytest.raises(ZeroDivisionError), thrift.thrifty():
+        with thrift.thrifty():
+            seen.append(methods())
+        seen.append(methods())
+        raise ZeroDivisionError
+    assert seen[0] == seen[1] == list(thrift.SPARED.values())
+    assert methods() == list(thrift.PLAIN.values()) and gc.isenabled()
