@@ -7,7 +7,14 @@ import polyida as pi
 from polyida.model.differences import along, jacobian
 from polyida.model.guarded import guard
 
-INTEGRATORS = [pi.GeneralizedAlpha(h=1e-2), pi.GeneralizedAlpha(h=1e-2, form="stabilised"), pi.IDA(), pi.IDA(linear="whole"), pi.RadauIIA(), pi.RadauIIA(h=1e-2)]
+INTEGRATORS = [
+    pi.GeneralizedAlpha(h=1e-2),
+    pi.GeneralizedAlpha(h=1e-2, form="stabilised"),
+    pi.IDA(),
+    pi.IDA(linear="whole"),
+    pi.RadauIIA(),
+    pi.RadauIIA(h=1e-2),
+]
 every = pytest.mark.parametrize("integrator", INTEGRATORS, ids=["alpha", "stabilised", "IDA", "IDA whole", "radau", "radau, fixed steps"])
 START = dict(q0=[1.0, 0.0])
 
@@ -55,6 +62,7 @@ class OneBuffer(Pendulum):
 
 def changed(**functions):
     """The pendulum with some functions replaced by ones of the pendulum's result and the time."""
+
     def replaced(name, change):
         right = getattr(Pendulum, name)
 

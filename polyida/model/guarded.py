@@ -59,8 +59,21 @@ def blame(model, t, state):
 def _shapes(n, m):
     """{name: shape of its result}."""
     square, vector, rows = (n, n), (n,), (m,)
-    return {"mass": square, "force": vector, "phi": rows, "phi_q": (m, n), "force_q": square, "force_v": square, "mass_a_q": square,
-            "reaction_q": square, "phi_t": rows, "phi_rate": rows, "phi_bias": rows, "residual": vector, "tangent": square}
+    return {
+        "mass": square,
+        "force": vector,
+        "phi": rows,
+        "phi_q": (m, n),
+        "force_q": square,
+        "force_v": square,
+        "mass_a_q": square,
+        "reaction_q": square,
+        "phi_t": rows,
+        "phi_rate": rows,
+        "phi_bias": rows,
+        "residual": vector,
+        "tangent": square,
+    }
 
 
 def _references():
@@ -211,8 +224,11 @@ class Guarded(Model):
     @property
     def not_finite(self):
         """Which of the model's functions last gave what is not finite for arguments that are, in words; empty where none."""
-        bad = [f"{self.name}.{name}" for name, (given, found) in self._last.items()
-               if not np.isfinite(_entries(found)).all() and all(np.isfinite(x).all() for x in given)]
+        bad = [
+            f"{self.name}.{name}"
+            for name, (given, found) in self._last.items()
+            if not np.isfinite(_entries(found)).all() and all(np.isfinite(x).all() for x in given)
+        ]
         return f"{' and '.join(bad)} gave numbers that are not finite" if bad else ""
 
 

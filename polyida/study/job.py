@@ -122,7 +122,7 @@ def _default_point(model):
 
 
 def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
-    """"alpha", "ida", "radau", "energy" or a registered integrator with the settings given; the job's step where it must have one.
+    """ "alpha", "ida", "radau", "energy" or a registered integrator with the settings given; the job's step where it must have one.
 
     Raises InputError for an unknown name and for a setting of another one.
     """
@@ -131,8 +131,12 @@ def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
     from polyida.integrate.ida.integrator import IDA
     from polyida.integrate.radau.radau_iia import RadauIIA
 
-    makers = {"alpha": (GeneralizedAlpha, ("step", "rho_inf")), "ida": (IDA, ("rtol", "atol")), "energy": (EnergyMomentum, ("step",)),
-              "radau": (RadauIIA, ("step", "rtol", "atol"))}
+    makers = {
+        "alpha": (GeneralizedAlpha, ("step", "rho_inf")),
+        "ida": (IDA, ("rtol", "atol")),
+        "energy": (EnergyMomentum, ("step",)),
+        "radau": (RadauIIA, ("step", "rtol", "atol")),
+    }
     if name not in makers and name not in registry.integrators:
         raise InputError(f"integrator {name!r} is unknown; there are {', '.join([*makers, *registry.integrators])}")
     maker, own = makers.get(name) or _registered_integrator(name)

@@ -28,7 +28,9 @@ def test_viscosity_does_not_brake_a_rigid_spin(scenes):
 
 
 @pytest.mark.parametrize("damping", DAMPINGS)
-@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=5e-4), pi.IDA(rtol=1e-7, atol=1e-9), pi.EnergyMomentum(h=5e-4), pi.RadauIIA(rtol=1e-7)])
+@pytest.mark.parametrize(
+    "integrator", [pi.GeneralizedAlpha(h=5e-4), pi.IDA(rtol=1e-7, atol=1e-9), pi.EnergyMomentum(h=5e-4), pi.RadauIIA(rtol=1e-7)]
+)
 def test_integrators_agree_on_a_damped_cantilever(scenes, damping, integrator):
     scene, upper = scenes.cantilever(material=damping)
     scene.add(pi.PointLoad(upper.section("right"), (0.0, -1.0), pi.profile.ramp(0.0, 1.0, 0.1), name="tip"))

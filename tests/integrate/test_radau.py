@@ -15,14 +15,27 @@ from polyida.problems.plates import double_plate, double_plate_motors
 FIELDS = ("t", "q", "v", "a", "lam")
 
 
-@pytest.mark.parametrize("setting, named", [
-    ({"rtol": 0.0}, "rtol = 0.0"), ({"rtol": "tight"}, "rtol = 'tight'"), ({"atol": -1e-8}, "atol = -1e-08"), ({"h": 0.0}, "h = 0.0"),
-    ({"h": float("nan")}, "h = nan"), ({"stages": 4}, "stages = 4 must be 2 or 3"), ({"stages": 2.5}, "stages = 2.5"),
-    ({"form": "index2"}, "form = 'index2' must be one of ggl, index3"), ({"project": 1}, "project = 1"),
-    ({"tolerance": 0}, "tolerance = 0"), ({"max_iterations": 0}, "max_iterations = 0"), ({"max_step": -1.0}, "max_step = -1.0"),
-    ({"first_step": "short"}, "first_step = 'short'"), ({"max_halvings": 21}, "max_halvings = 21"),
-    ({"max_num_steps": 0}, "max_num_steps = 0"), ({"order": 5}, "there is no argument 'order'"),
-])
+@pytest.mark.parametrize(
+    "setting, named",
+    [
+        ({"rtol": 0.0}, "rtol = 0.0"),
+        ({"rtol": "tight"}, "rtol = 'tight'"),
+        ({"atol": -1e-8}, "atol = -1e-08"),
+        ({"h": 0.0}, "h = 0.0"),
+        ({"h": float("nan")}, "h = nan"),
+        ({"stages": 4}, "stages = 4 must be 2 or 3"),
+        ({"stages": 2.5}, "stages = 2.5"),
+        ({"form": "index2"}, "form = 'index2' must be one of ggl, index3"),
+        ({"project": 1}, "project = 1"),
+        ({"tolerance": 0}, "tolerance = 0"),
+        ({"max_iterations": 0}, "max_iterations = 0"),
+        ({"max_step": -1.0}, "max_step = -1.0"),
+        ({"first_step": "short"}, "first_step = 'short'"),
+        ({"max_halvings": 21}, "max_halvings = 21"),
+        ({"max_num_steps": 0}, "max_num_steps = 0"),
+        ({"order": 5}, "there is no argument 'order'"),
+    ],
+)
 def test_wrong_settings_are_named(setting, named):
     with pytest.raises(pi.InputError, match="RadauIIA: ") as error:
         pi.RadauIIA(**setting)
@@ -93,11 +106,19 @@ def errors(name, number, settings):
     return p.compare(pi.solve(p.model, p.t_end, pi.RadauIIA(h=p.t_end / number, **dict(settings)), q0=p.q0, v0=p.v0, every=10**9))
 
 
-@pytest.mark.parametrize("name, number, settings, orders", [
-    ("pendulum", 400, {}, (5, 5, 5)), ("car-axis", 400, {}, (5, 5, 5)), ("pendulum", 400, {"stages": 2}, (3, 3, 3)),
-    ("pendulum", 400, {"form": "index3"}, (5, 5, 5)), ("pendulum", 400, {"form": "index3", "project": False}, (5, 3, 5)),
-    ("pendulum", 400, {"form": "index3", "stages": 2}, (3, 3, 3)), ("andrews", 300, {}, (5, 5, None)),
-], ids=str)
+@pytest.mark.parametrize(
+    "name, number, settings, orders",
+    [
+        ("pendulum", 400, {}, (5, 5, 5)),
+        ("car-axis", 400, {}, (5, 5, 5)),
+        ("pendulum", 400, {"stages": 2}, (3, 3, 3)),
+        ("pendulum", 400, {"form": "index3"}, (5, 5, 5)),
+        ("pendulum", 400, {"form": "index3", "project": False}, (5, 3, 5)),
+        ("pendulum", 400, {"form": "index3", "stages": 2}, (3, 3, 3)),
+        ("andrews", 300, {}, (5, 5, None)),
+    ],
+    ids=str,
+)
 def test_orders_against_published_digits(name, number, settings, orders):
     """From h to h/2, far above what the digits are known to; lam of Andrews' problem is not known so far."""
     coarse, fine = (errors(name, k * number, tuple(settings.items())) for k in (1, 2))
@@ -228,10 +249,12 @@ def test_corrections_solve_the_whole_system_of_all_stages(stages, tied):
     B, H, one, D = system.rows.B, system.rows.H, np.eye(stages), tableau.W / h
     K = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0)
     mu = (B * lift).T if tied else np.zeros((2, 0))
-    whole = [[np.kron(D, np.eye(2)), np.kron(one, -np.eye(2)), np.zeros((2 * stages, stages)), np.kron(one, mu)],
-             [np.kron(one, K), np.kron(D, model.M) + np.kron(one, model.C), np.kron(one, B.T), np.zeros((2 * stages, mu.shape[1] * stages))],
-             [np.kron(one, B), np.zeros((stages, 2 * stages)), np.zeros((stages, stages * (1 + int(tied))))],
-             [np.kron(one, H), np.kron(one, B), np.zeros((stages, stages * 2))] if tied else []]
+    whole = [
+        [np.kron(D, np.eye(2)), np.kron(one, -np.eye(2)), np.zeros((2 * stages, stages)), np.kron(one, mu)],
+        [np.kron(one, K), np.kron(D, model.M) + np.kron(one, model.C), np.kron(one, B.T), np.zeros((2 * stages, mu.shape[1] * stages))],
+        [np.kron(one, B), np.zeros((stages, 2 * stages)), np.zeros((stages, stages * (1 + int(tied))))],
+        [np.kron(one, H), np.kron(one, B), np.zeros((stages, stages * 2))] if tied else [],
+    ]
     whole = np.vstack([np.hstack(row) for row in whole if row])
     exact = np.linalg.solve(whole, -np.concatenate([r.ravel() for r in residuals]))
     assert np.concatenate([x.ravel() for x in found]) == pytest.approx(exact, rel=1e-9, abs=1e-9)
@@ -335,8 +358,11 @@ def plates():
     return model, at, fine + (fine - coarse) / 3
 
 
-@pytest.mark.parametrize("settings, allowed", [({"rtol": 1e-6}, 2e-5), ({"rtol": 1e-8}, 4e-7), ({"h": 1e-3}, 4e-7),
-                                               ({"rtol": 1e-6, "form": "index3"}, 2e-5)], ids=str)
+@pytest.mark.parametrize(
+    "settings, allowed",
+    [({"rtol": 1e-6}, 2e-5), ({"rtol": 1e-8}, 4e-7), ({"h": 1e-3}, 4e-7), ({"rtol": 1e-6, "form": "index3"}, 2e-5)],
+    ids=str,
+)
 def test_the_double_plate_against_generalized_alpha(plates, settings, allowed):
     model, at, tip = plates
     run = pi.solve(model, 0.4, pi.RadauIIA(**settings), output=at)

@@ -19,7 +19,7 @@ def local_error(matrices, tableau, state, stages, h, shares):
     off_a = state.memory.get("a_end", state.a) + tableau.start @ stages.v / h
     rows, zero = matrices.rows, np.zeros(len(matrices.rows.B))
     off_v, force = turned(off_v, conj(rows.p)), turned(matrices.M @ off_a, conj(rows.p))
-    dq = matrices.solve(0, -off_v, -force, zero, zero[:len(rows.H)])[0]
+    dq = matrices.solve(0, -off_v, -force, zero, zero[: len(rows.H)])[0]
     return float(np.sqrt(shares @ dq.real**2))
 
 
