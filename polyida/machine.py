@@ -27,8 +27,12 @@ def versions():
 def machine_info():
     """`versions()` with processor, number of cores, threads asked for and platform, as plain data for a report."""
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
-    return versions() | {"processor": processor(), "cores": os.cpu_count(), "OMP_NUM_THREADS": threads,
-                         "platform": f"{platform.system()} {platform.machine()}"}
+    return versions() | {
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "OMP_NUM_THREADS": threads,
+        "platform": f"{platform.system()} {platform.machine()}",
+    }
 
 
 @cache

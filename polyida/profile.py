@@ -123,8 +123,13 @@ def _wave(function, size, w, phase, t):
 
 
 @named_keywords
-def from_function(value: Callable[[float], float], d1: Callable[[float], float] | None = None, d2: Callable[[float], float] | None = None,
-                  kinks: ArrayLike = (), shortest: float | None = None) -> Profile:
+def from_function(
+    value: Callable[[float], float],
+    d1: Callable[[float], float] | None = None,
+    d2: Callable[[float], float] | None = None,
+    kinks: ArrayLike = (),
+    shortest: float | None = None,
+) -> Profile:
     """A profile from functions of time; derivatives that are not given are differences of values on one side of all kinks.
 
     shortest: its shortest move, s; where that is not given, solvers look for moves that their steps would pass over.
@@ -143,8 +148,13 @@ def from_function(value: Callable[[float], float], d1: Callable[[float], float] 
     value = partial(_checked, value)
     d1, d2 = (function and partial(_checked, function) for function in (d1, d2))
     given, order = (d1, 1) if d1 else (value, 2)
-    return Profile(value, d1 or partial(_derivative, value, 1, times), d2 or partial(_derivative, given, order, times),
-                   tuple(times.tolist()), shortest=shortest)
+    return Profile(
+        value,
+        d1 or partial(_derivative, value, 1, times),
+        d2 or partial(_derivative, given, order, times),
+        tuple(times.tolist()),
+        shortest=shortest,
+    )
 
 
 def _checked(function, t):
@@ -198,7 +208,13 @@ def as_profile(given: "Profile | Callable[[float], float] | float", part: str) -
     raise InputError(f"{part}: {given!r} is no time profile: give a number, a function of t, or polyida.profile.*")
 
 
-MAKERS: dict[str, Callable[..., Profile]] = {"polynomial": lambda *c: polynomial(c), "quintic": quintic, "ramp": ramp, "linear": linear, "sine": sine}
+MAKERS: dict[str, Callable[..., Profile]] = {
+    "polynomial": lambda *c: polynomial(c),
+    "quintic": quintic,
+    "ramp": ramp,
+    "linear": linear,
+    "sine": sine,
+}
 
 
 @named_keywords

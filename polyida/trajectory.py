@@ -168,8 +168,9 @@ class Trajectory:
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         told = "".join(f", {what}" for what in (told, self.model.remark if self.model is not None else "") if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
-        return (f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), "
-                f"{work}{worst}{told}" + (f"; {self.message}" if self.message else ""))
+        return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
+            f"; {self.message}" if self.message else ""
+        )
 
     def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""

@@ -40,8 +40,10 @@ def tasks(quick):
             settings += [("radau", rtol) for rtol in (RADAU_RTOL[:2] if quick else RADAU_RTOL)]
             settings += [("exudyn modified", h) for h in (EXUDYN_H[1:2] if quick else EXUDYN_H)]
             settings += [] if quick else [("exudyn", h) for h in EXUDYN_H]
-        made += [{"scene": scene, "dof": dof, "solver": solver, "setting": setting, "fine": FINE / fine, "repeats": 3}
-                 for solver, setting in settings]
+        made += [
+            {"scene": scene, "dof": dof, "solver": solver, "setting": setting, "fine": FINE / fine, "repeats": 3}
+            for solver, setting in settings
+        ]
     return made
 
 
@@ -74,13 +76,8 @@ def ours(model, integrator, repeats):
     again = [solve(model, TIMES[-1], integrator, every=10**9) for _ in range(repeats)]
     if not seen.success:
         raise RuntimeError(seen.message)
-    counts = {
-        key: getattr(seen.counts, key)
-        for key in ("steps", "newton_iterations", "residuals", "tangents", "factorizations")
-    }
-    return counts | {"cpu_s": float(np.median([x.cpu_seconds for x in again])) if again else np.nan}, seen.position(
-        "tip"
-    )
+    counts = {key: getattr(seen.counts, key) for key in ("steps", "newton_iterations", "residuals", "tangents", "factorizations")}
+    return counts | {"cpu_s": float(np.median([x.cpu_seconds for x in again])) if again else np.nan}, seen.position("tip")
 
 
 def run(scene, dof, solver, setting, fine, repeats):
@@ -90,9 +87,7 @@ def run(scene, dof, solver, setting, fine, repeats):
     if solver == "reference":
         return {"n": model.n, "reference_doubt": doubt}
     if solver in ("alpha", "ida"):
-        row, tip = ours(
-            model, GeneralizedAlpha(h=setting) if solver == "alpha" else IDA(rtol=setting), repeats
-        )
+        row, tip = ours(model, GeneralizedAlpha(h=setting) if solver == "alpha" else IDA(rtol=setting), repeats)
     else:
         row = run_isolated(peer, {"scene": scene, "dof": dof, "solver": solver, "setting": setting}, 300.0)
         if row["error"] or row.get("skipped"):
@@ -123,10 +118,7 @@ def curve(rows, scene, dof, solvers, what="cpu_s"):
     good = sorted(
         (row["error_max"], row[what])
         for row in rows
-        if (row["scene"], row["dof"]) == (scene, dof)
-        and row["solver"] in solvers
-        and not row.get("error")
-        and not row.get("skipped")
+        if (row["scene"], row["dof"]) == (scene, dof) and row["solver"] in solvers and not row.get("error") and not row.get("skipped")
     )
     front, least = [], np.inf
     for error, value in good:
@@ -156,14 +148,15 @@ def figures(rows, target=2e-5):
     for scene, dof in dict.fromkeys((row["scene"], row["dof"]) for row in rows):
         name = f"{scene.replace(' ', '')}_{dof}"
         found[f"{name}_cpu_s"] = cheapest(rows, scene, dof, ("alpha", "ida"), target)
-        ratios = [row["cpu_s"] / at_error(rows, scene, dof, ("alpha", "ida"), row["error_max"]) for row in rows
-                  if row["scene"] == scene and row["dof"] == dof and row["solver"] in PEERS and row.get("cpu_s")]
+        ratios = [
+            row["cpu_s"] / at_error(rows, scene, dof, ("alpha", "ida"), row["error_max"])
+            for row in rows
+            if row["scene"] == scene and row["dof"] == dof and row["solver"] in PEERS and row.get("cpu_s")
+        ]
         found[f"{name}_peer_ratio"] = min((ratio for ratio in ratios if np.isfinite(ratio)), default=np.nan)
         for solver in PEERS:
             found[f"{name}_{solver.replace(' ', '_')}_cpu_s"] = at_error(rows, scene, dof, (solver,), target)
-        found[f"{name}_ida_over_alpha_at_1e-5"] = at_error(rows, scene, dof, ("ida",), 1e-5) / at_error(
-            rows, scene, dof, ("alpha",), 1e-5
-        )
+        found[f"{name}_ida_over_alpha_at_1e-5"] = at_error(rows, scene, dof, ("ida",), 1e-5) / at_error(rows, scene, dof, ("alpha",), 1e-5)
     found["ida_over_alpha_at_1e-5"] = found.get("scene1_800_ida_over_alpha_at_1e-5", np.nan)
     return {key: value for key, value in found.items() if np.isfinite(value)}
 
@@ -175,22 +168,25 @@ def notes(rows):
     lines = [f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in missed.items()]
     for row in rows:
         if row["solver"] == "reference" and not row.get("error"):
-            lines.append(f"{row['scene']}, {row['n']} coordinates: the reference, by the energy-momentum method, and "
-                         f"generalized-alpha, both extrapolated, are {row['reference_doubt']:.2g} m apart")
+            lines.append(
+                f"{row['scene']}, {row['n']} coordinates: the reference, by the energy-momentum method, and "
+                f"generalized-alpha, both extrapolated, are {row['reference_doubt']:.2g} m apart"
+            )
     cases = dict.fromkeys((row["scene"], row["dof"]) for row in rows)
     lines += [line for scene, dof in cases for line in _ida_and_alpha(rows, scene, dof)]
     return lines + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
 
 
 def _ida_and_alpha(rows, scene, dof, error=1e-5):
-    steps, seconds = ([at_error(rows, scene, dof, (solver,), error, what) for solver in ("alpha", "ida")]
-                      for what in ("steps", "cpu_s"))
+    steps, seconds = ([at_error(rows, scene, dof, (solver,), error, what) for solver in ("alpha", "ida")] for what in ("steps", "cpu_s"))
     if not np.isfinite([*steps, *seconds]).all():
         return []
     ms = [1e3 * cpu / count for cpu, count in zip(seconds, steps)]
-    return [f"{scene}, {dof}: at {error:.0e} m generalized-alpha takes {steps[0]:.0f} steps of {ms[0]:.3g} ms, "
-            f"IDA {steps[1]:.0f} of {ms[1]:.3g} ms: {steps[1] / steps[0]:.2g} times the steps, for BDF2's larger "
-            f"error, at {ms[1] / ms[0]:.2g} times the cost"]
+    return [
+        f"{scene}, {dof}: at {error:.0e} m generalized-alpha takes {steps[0]:.0f} steps of {ms[0]:.3g} ms, "
+        f"IDA {steps[1]:.0f} of {ms[1]:.3g} ms: {steps[1] / steps[0]:.2g} times the steps, for BDF2's larger "
+        f"error, at {ms[1] / ms[0]:.2g} times the cost"
+    ]
 
 
 def draw(rows, folder):
@@ -201,9 +197,7 @@ def draw(rows, folder):
     if not any(row.get("cpu_s") for row in rows):
         raise LookupError("no rows to draw")
     with settings():
-        made, axes = figure(
-            6.4, 2.2 + 2.4 * ((len(cases) - 1) // 2), ncols=2, nrows=(len(cases) + 1) // 2, squeeze=False, sharex=True
-        )
+        made, axes = figure(6.4, 2.2 + 2.4 * ((len(cases) - 1) // 2), ncols=2, nrows=(len(cases) + 1) // 2, squeeze=False, sharex=True)
         for panel, (scene, dof) in zip(axes.flat, cases):
             for k, (solver, label) in enumerate(SOLVERS.items()):
                 points = sorted(
@@ -212,9 +206,7 @@ def draw(rows, folder):
                     if (row["scene"], row["dof"], row["solver"]) == (scene, dof, solver) and row.get("cpu_s")
                 )
                 panel.loglog(*np.array(points).reshape(-1, 2).T, marker="o", markersize=3, label=label, **line(k))
-            panel.set(
-                title=f"{scene}, {dof} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s"
-            )
+            panel.set(title=f"{scene}, {dof} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
         made.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=7)
         return [save(made, folder / f"against_peers.{kind}") for kind in ("png", "pdf")]
 
@@ -228,19 +220,7 @@ study = Study(
     draw,
     notes=notes,
     headline=("scene1_800_cpu_s", "scene2_800_cpu_s", "scene1_800_peer_ratio", "ida_over_alpha_at_1e-5"),
-    columns=(
-        "scene",
-        "n",
-        "solver",
-        "setting",
-        "error_max",
-        "error_end",
-        "cpu_s",
-        "steps",
-        "residuals",
-        "tangents",
-        "factorizations",
-    ),
+    columns=("scene", "n", "solver", "setting", "error_max", "error_end", "cpu_s", "steps", "residuals", "tangents", "factorizations"),
 )
 
 if __name__ == "__main__":

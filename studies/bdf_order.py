@@ -41,13 +41,9 @@ def undamped(rows):
 def notes(rows):
     capped = [row for row in pick(rows) if row["outcome"] != "done"]
     lines = stopped(rows, "viscosity", "max_order", length=140)
-    covered = "; ".join(
-        f"order {row['max_order']} at viscosity {row['viscosity']:g} s {row['t_reached']:.3g} s" for row in capped
-    )
+    covered = "; ".join(f"order {row['max_order']} at viscosity {row['viscosity']:g} s {row['t_reached']:.3g} s" for row in capped)
     if capped:
-        lines.append(
-            f"ratios compare steps per simulated second, as {len(capped)} of {len(rows)} runs stopped early: {covered}"
-        )
+        lines.append(f"ratios compare steps per simulated second, as {len(capped)} of {len(rows)} runs stopped early: {covered}")
     return lines
 
 

@@ -13,11 +13,7 @@ from polyida.study.rows import every, farthest, number, pick, worst
 
 
 def steps(quick):
-    return (
-        [float(f"1e-{k}") for k in range(1, 10)]
-        if quick
-        else [float(f"{x}e-{k}") for k in range(1, 10) for x in (3, 1)][1:]
-    )
+    return [float(f"1e-{k}") for k in range(1, 10)] if quick else [float(f"{x}e-{k}") for k in range(1, 10) for x in (3, 1)][1:]
 
 
 def tasks(quick):
@@ -51,12 +47,7 @@ def run(plates, cells, of, form, scaling, h):
     model, state = conditioning.state_of(plates, cells)
     if "solve" in of:
         errors = np.array([solve_error_of(model, state, of, form, scaling, step) for step in h])
-        return {
-            "values": errors.max(axis=1),
-            "worst": errors.max(),
-            "at_1e-2": errors[h.index(1e-2)].max(),
-            "at_1e-9": errors[-1].max(),
-        }
+        return {"values": errors.max(axis=1), "worst": errors.max(), "at_1e-2": errors[h.index(1e-2)].max(), "at_1e-9": errors[-1].max()}
     measure = measured(model, state, of, form, scaling)
     values, fastest = np.array([measure(step) for step in h]), conditioning.fastest(model, state)
     far = 1e-3 / fastest**2 * 10.0 ** -np.arange(4)
@@ -109,9 +100,7 @@ def figures(rows):
     for row in pick(rows, **physical):
         found[f"scaled_condition_max_{row['plates']}"] = row["worst"]
     found["scaled_over_free_max"] = over_free(rows, pick(rows, **physical))
-    found["ida_scaled_slope_limit_max"] = abs(
-        farthest(every(rows, "slope_limit", of="IDA", scaling="characteristic"), 0)
-    )
+    found["ida_scaled_slope_limit_max"] = abs(farthest(every(rows, "slope_limit", of="IDA", scaling="characteristic"), 0))
     for row in pick(rows, of="IDA", scaling="none", plates="soft"):
         found[f"slope_limit_{row['form']}"] = row["slope_limit"]
     return found
@@ -140,8 +129,7 @@ def border_notes(rows):
 
 def solve_notes(rows):
     return [
-        f"no digits at 1e-9: {row['of']}, {row['form']}, scaling {row['scaling']}, {row['plates']}: "
-        f"{row['at_1e-9']:.1g}"
+        f"no digits at 1e-9: {row['of']}, {row['form']}, scaling {row['scaling']}, {row['plates']}: {row['at_1e-9']:.1g}"
         for row in pick(rows)
         if "solve" in row["of"] and row["at_1e-9"] > 1e-3
     ]

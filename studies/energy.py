@@ -41,9 +41,7 @@ def run(scene, integrator, x, time, cells):
 
 
 def headline(rows):
-    return {
-        "energy_momentum_relative_drift": worst(rows, "energy_drift", scene="swinging", integrator="energy-momentum")
-    }
+    return {"energy_momentum_relative_drift": worst(rows, "energy_drift", scene="swinging", integrator="energy-momentum")}
 
 
 def drifts(rows):
@@ -105,12 +103,8 @@ def energy_figure(rows, folder):
 
 
 def figure_notes(rows):
-    ended = [
-        f"{row['scene']} {label(row)}" for row in pick(rows) if row["integrator"] in DRAWN and running(row, "energy")[2]
-    ]
-    crosses = (
-        f"; a cross is where a run stopped or had changed by more than {LOST:g}: {'; '.join(ended)}" if ended else ""
-    )
+    ended = [f"{row['scene']} {label(row)}" for row in pick(rows) if row["integrator"] in DRAWN and running(row, "energy")[2]]
+    crosses = f"; a cross is where a run stopped or had changed by more than {LOST:g}: {'; '.join(ended)}" if ended else ""
     others = sorted({row["integrator"] for row in pick(rows)} - set(DRAWN))
     absent = f"; not drawn, but in the table: {'; '.join(others)}" if others else ""
     return [f"the figure shows the largest change so far{crosses}{absent}"] if pick(rows) else []

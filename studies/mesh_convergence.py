@@ -119,10 +119,7 @@ def elastica_notes(rows):
     for load in (1, 10):
         for member in QUADS + POLYGONS:
             wanted = {"case": "elastica", "load": load} | of_member(member)
-            stout, slender = (
-                by_size(rows, slenderness=50, **wanted)[-2:],
-                by_size(rows, slenderness=SLENDER, **wanted)[-2:],
-            )
+            stout, slender = (by_size(rows, slenderness=50, **wanted)[-2:], by_size(rows, slenderness=SLENDER, **wanted)[-2:])
             if stout and slender:
                 told = [" and ".join(f"{row['deviation']:.1e}" for row in kept) for kept in (stout, slender)]
                 lines.append(
@@ -145,16 +142,10 @@ def joint_notes(rows):
 
 def locking_notes(rows):
     off = worst(
-        [
-            row
-            for row in (finest(rows, case="elastica", load=load, slenderness=50, kind="triangles") for load in (1, 10))
-            if row
-        ],
+        [row for row in (finest(rows, case="elastica", load=load, slenderness=50, kind="triangles") for load in (1, 10)) if row],
         "deviation",
     )
-    return (
-        [f"linear triangles on the finest elastica are up to {off:.1%} off: they lock in bending"] if off > 0.01 else []
-    )
+    return [f"linear triangles on the finest elastica are up to {off:.1%} off: they lock in bending"] if off > 0.01 else []
 
 
 def rate_notes(rows):
@@ -164,10 +155,7 @@ def rate_notes(rows):
         errors = column(by_size(rows, case="cantilever", **of_member(member)), "deviation")
         if (errors[1:] > errors[:-1]).any():
             told = ", ".join(f"{error:.1e}" for error in errors)
-            lines.append(
-                f"short cantilever, {', '.join(member)}: errors {told} do not fall steadily; "
-                "the fitted order says nothing"
-            )
+            lines.append(f"short cantilever, {', '.join(member)}: errors {told} do not fall steadily; the fitted order says nothing")
     return lines
 
 
@@ -212,9 +200,7 @@ def spin_up_figure(rows, folder):
     steady = [(t, 1e3 * u) for t, u in zip(runs[-1]["t"], runs[-1]["u"]) if t > STEADY]
     axes[0].plot(runs[-1]["t"], runs[-1]["w"], color=look(0)["color"], linewidth=1.0)
     axes[1].plot(*zip(*steady), color=look(0)["color"], linewidth=1.0, label="tip")
-    axes[1].axhline(
-        1e3 * EXTENSION, color=look(1)["color"], linewidth=1.0, linestyle=(0, (4, 2)), label="exact, steady turning"
-    )
+    axes[1].axhline(1e3 * EXTENSION, color=look(1)["color"], linewidth=1.0, linestyle=(0, (4, 2)), label="exact, steady turning")
     axes[0].set(ylabel="deflection of the tip, m", xlabel="t, s", title="spin-up beam, in the turning frame")
     axes[1].set(ylabel="extension, mm", xlabel="t, s", title=f"the same, t > {STEADY:g} s")
     legend(made, axes, 2)

@@ -12,9 +12,7 @@ def tasks(quick):
     """Every saving at one size, cells a plate, and time, s; in the full run at two."""
     sizes = ((120, 0.2, 3),) if quick else ((120, 1.0, 3), (1300, 0.03, 3))
     return [
-        {"saving": name, "cells": cells, "t_end": t_end, "repeats": repeats}
-        for cells, t_end, repeats in sizes
-        for name in savings.SAVINGS
+        {"saving": name, "cells": cells, "t_end": t_end, "repeats": repeats} for cells, t_end, repeats in sizes for name in savings.SAVINGS
     ]
 
 
@@ -24,10 +22,7 @@ def run(saving, cells, t_end, repeats):
 
 def figures(rows):
     """CPU time without the saving over CPU time with it: `<saving>_<cells>`."""
-    names = {
-        row["saving"]: "_".join("".join(c if c.isalnum() else " " for c in row["saving"].lower()).split())
-        for row in rows
-    }
+    names = {row["saving"]: "_".join("".join(c if c.isalnum() else " " for c in row["saving"].lower()).split()) for row in rows}
     return {f"{names[row['saving']]}_{row['cells']}": row["times"] for row in rows if not row.get("error")}
 
 
@@ -60,8 +55,16 @@ def draw(rows, folder):
         return [save(made, folder / f"skip.{kind}") for kind in ("png", "pdf")]
 
 
-study = Study("skip", "Savings switched off in turn", tasks, run, figures, draw, notes=notes,
-              columns=("saving", "cells", "off", "counted", "count_on", "count_off", "cpu_on_s", "cpu_off_s", "times"))
+study = Study(
+    "skip",
+    "Savings switched off in turn",
+    tasks,
+    run,
+    figures,
+    draw,
+    notes=notes,
+    columns=("saving", "cells", "off", "counted", "count_on", "count_off", "cpu_on_s", "cpu_off_s", "times"),
+)
 
 if __name__ == "__main__":
     main(study)

@@ -123,9 +123,17 @@ def draw(rows, folder):
     return [save(made, folder / f"start.{kind}") for kind in ("png", "pdf")]
 
 
-study = Study("start", "CPU time of a start", tasks, run, figures, draw, notes=notes,
-              headline=("cold_alpha_cpu_s", "cold_main_job_cpu_s", "warm_alpha_cpu_s", "warm_main_job_cpu_s"),
-              columns=("job", "repeat", "cold_cpu_s", "cold_wall_s", "warm_cpu_s", "cold_import_s", "cold_build_s", "cold_run_s"))
+study = Study(
+    "start",
+    "CPU time of a start",
+    tasks,
+    run,
+    figures,
+    draw,
+    notes=notes,
+    headline=("cold_alpha_cpu_s", "cold_main_job_cpu_s", "warm_alpha_cpu_s", "warm_main_job_cpu_s"),
+    columns=("job", "repeat", "cold_cpu_s", "cold_wall_s", "warm_cpu_s", "cold_import_s", "cold_build_s", "cold_run_s"),
+)
 
 if __name__ == "__main__":
     main(study)

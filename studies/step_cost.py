@@ -12,13 +12,7 @@ from step_cost.against import against
 DECADES = {"1e3": 1_000, "1e4": 10_000, "1e5": 100_000}
 SPARSE = {"2e3": 2_000, "9e3": 9_000, "2e4": 20_000}
 STEPS = {1_000: 1000, 3_000: 600, 10_000: 300, 30_000: 100, 100_000: 50}
-SPANS = {
-    1_000: (0.1, 1.0),
-    3_000: (0.1, 0.5),
-    10_000: (0.05, 0.25),
-    30_000: (0.02, 0.08),
-    100_000: (0.005, 0.02),
-}  # of IDA, s
+SPANS = {1_000: (0.1, 1.0), 3_000: (0.1, 0.5), 10_000: (0.05, 0.25), 30_000: (0.02, 0.08), 100_000: (0.005, 0.02)}  # of IDA, s
 AIMS = {  # figure: aim, at most (True) or at least
     "alpha_step_over_floor_1e3": (0.25, True),
     "alpha_step_over_floor_1e4": (0.1, True),
@@ -35,13 +29,7 @@ AIMS = {  # figure: aim, at most (True) or at least
 }
 HEADLINE = tuple(name for name in AIMS if not name.endswith("start_s"))  # the short selection starts no process
 PARTS = ("residual", "tangent", "factor", "solve", "rest")
-RUNS = {
-    "step": cost.step_row,
-    "floor": cost.floor_row,
-    "sparse": cost.sparse_row,
-    "memory": cost.memory_row,
-    "start": cost.start_rows,
-}
+RUNS = {"step": cost.step_row, "floor": cost.floor_row, "sparse": cost.sparse_row, "memory": cost.memory_row, "start": cost.start_rows}
 
 
 def tasks(quick):
@@ -52,11 +40,29 @@ def tasks(quick):
         repeats = 1 if quick and large else 3
         count = max(12, STEPS[dof] // few)
         for scene in ("scene 1",) if quick else ("scene 1", "scene 2"):
-            made.append({"part": "step", "scene": scene, "dof": dof, "integrator": "alpha", "short": 0.01,
-                         "long": 0.01 + 1e-3 * count, "repeats": repeats})
+            made.append(
+                {
+                    "part": "step",
+                    "scene": scene,
+                    "dof": dof,
+                    "integrator": "alpha",
+                    "short": 0.01,
+                    "long": 0.01 + 1e-3 * count,
+                    "repeats": repeats,
+                }
+            )
         short, long = SPANS[dof]
-        made.append({"part": "step", "scene": "scene 1", "dof": dof, "integrator": "ida", "short": short,
-                     "long": short + (long - short) / (1 if large else few), "repeats": 1 if large else repeats})
+        made.append(
+            {
+                "part": "step",
+                "scene": "scene 1",
+                "dof": dof,
+                "integrator": "ida",
+                "short": short,
+                "long": short + (long - short) / (1 if large else few),
+                "repeats": 1 if large else repeats,
+            }
+        )
         names = [name for name in cost.BACKENDS if name != "band" or dof <= peers.WIDEST_BAND]
         made += [{"part": "floor", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
     spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
@@ -101,18 +107,15 @@ def figures(rows):
             for floor in only(rows, "floor", dof=dof, backend="pardiso"):
                 found[f"{kind}_step_over_pardiso_{name}"] = row["ms_per_step"] / floor["floor_ms"]
     if len(alpha) > 1:
-        found["growth_exponent"] = np.polyfit(
-            np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1
-        )[0]
-    found |= {
-        f"ida_speedup_over_sparse_{name}": row["speedup"]
-        for name, dof in SPARSE.items()
-        for row in only(rows, "sparse", dof=dof)
-    }
+        found["growth_exponent"] = np.polyfit(np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1)[0]
+    found |= {f"ida_speedup_over_sparse_{name}": row["speedup"] for name, dof in SPARSE.items() for row in only(rows, "sparse", dof=dof)}
     for row in only(rows, "memory"):
         found["bytes_per_dof_1e5"] = row["bytes_per_dof"]
-    found |= {key: row[key] for row in only(rows, "step", integrator="alpha", scene="scene 1", dof=10_000)
-              for key in ("residual_ns_per_dof", "residual_tangent_ns_per_dof")}
+    found |= {
+        key: row[key]
+        for row in only(rows, "step", integrator="alpha", scene="scene 1", dof=10_000)
+        for key in ("residual_ns_per_dof", "residual_tangent_ns_per_dof")
+    }
     return found | {key: row[key] for row in only(rows, "start") for key in ("cold_start_s", "warm_start_s")}
 
 
@@ -155,10 +158,7 @@ def start_notes(rows):
     """What a fresh process spends before its first step, and what was left out."""
     lines = []
     for row in only(rows, "start"):
-        split = ", ".join(
-            f"{what} {row[f'cold_{what}_s']:.2f} / {row[f'warm_{what}_s']:.2f}"
-            for what in ("import", "mesh", "first_step")
-        )
+        split = ", ".join(f"{what} {row[f'cold_{what}_s']:.2f} / {row[f'warm_{what}_s']:.2f}" for what in ("import", "mesh", "first_step"))
         lines.append(f"CPU s of a fresh process, kernel cache empty / filled: {split}")
     return lines + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
 
@@ -171,14 +171,19 @@ def cost_figure(rows, folder):
     made, axes = figure(6.4, 4.6)
     alpha = ("generalized-alpha", "alpha")
     kinds = ((*alpha, "scene 1"), (*alpha, "scene 2"), ("IDA", "ida", "scene 1"))
-    lines = [(f"a step of {name}, {scene}", only(rows, "step", scene=scene, integrator=key), "ms_per_step", "o")
-             for name, key, scene in kinds]
-    lines += [(f"1 factorization + 3 solves, {name}", only(rows, "floor", backend=name), "floor_ms", "x")
-              for name in cost.BACKENDS]
+    lines = [
+        (f"a step of {name}, {scene}", only(rows, "step", scene=scene, integrator=key), "ms_per_step", "o") for name, key, scene in kinds
+    ]
+    lines += [(f"1 factorization + 3 solves, {name}", only(rows, "floor", backend=name), "floor_ms", "x") for name in cost.BACKENDS]
     for k, (label, found, key, marker) in enumerate(lines):
         if found:
-            axes.loglog([row["n"] for row in found], [row[key] for row in found], marker=marker, label=label,
-                        **line(k) | {"markersize": 4} | {"linewidth": 1.4 if marker == "o" else 0.8})
+            axes.loglog(
+                [row["n"] for row in found],
+                [row[key] for row in found],
+                marker=marker,
+                label=label,
+                **line(k) | {"markersize": 4} | {"linewidth": 1.4 if marker == "o" else 0.8},
+            )
     if not axes.lines:
         raise LookupError("no rows to draw")
     axes.set(xlabel="coordinates", ylabel="CPU time, ms")
@@ -221,18 +226,7 @@ study = Study(
     notes=(aim_notes, step_notes, memory_notes, start_notes),
     headline=HEADLINE,
     options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
-    columns=(
-        "part",
-        "scene",
-        "integrator",
-        "backend",
-        "n",
-        "steps",
-        "ms_per_step",
-        "newton_iterations_per_step",
-        "floor_ms",
-        "speedup",
-    ),
+    columns=("part", "scene", "integrator", "backend", "n", "steps", "ms_per_step", "newton_iterations_per_step", "floor_ms", "speedup"),
 )
 
 if __name__ == "__main__":

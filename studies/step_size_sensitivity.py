@@ -39,16 +39,12 @@ def run(part, scene, cells, **options):
     if part == "tiny":
         compiled = options["solve"] == "compiled"
         how = {"linear": "auto"} if compiled else {"linear": "kkt", "scaling": options["solve"]}
-        return tiny_steps(
-            scene, cells, options["h"], 1e-9, options["largest"], incremental_phi=WAYS[options["phi"]], **how
-        )
+        return tiny_steps(scene, cells, options["h"], 1e-9, options["largest"], incremental_phi=WAYS[options["phi"]], **how)
     form, _, plain = options["form"].partition(", ")
     start = "plain" if plain else "consistent"
     errors = order_errors(scene, cells, COARSEST, options["halvings"], TIME, form=form, start=start)
     floor = reference_floor(scene, cells, COARSEST, TIME)
-    found = {f"error_{name}": value for name, value in errors.items()} | {
-        f"floor_{name}": value for name, value in floor.items()
-    }
+    found = {f"error_{name}": value for name, value in errors.items()} | {f"floor_{name}": value for name, value in floor.items()}
     return found | {"h": COARSEST / 2 ** options["halvings"]}
 
 
@@ -95,17 +91,14 @@ def range_notes(rows):
     lines = [f"h runs from {min(each(tiny, 'h')):g} to {max(each(tiny, 'h')):g} s"] if tiny else []
     blind = [row for row in tiny if row["outcome"] == "done" and not np.isfinite(value(row, "stall_q"))]
     for scene, h in dict.fromkeys((row["scene"], row["h"]) for row in blind):
-        lines.append(
-            f"{scene}, h = {h:g} s: no stall level, as the iteration with the matrix of the step's begin runs away"
-        )
+        lines.append(f"{scene}, h = {h:g} s: no stall level, as the iteration with the matrix of the step's begin runs away")
     return lines + stopped(tiny, "scene", "phi", "solve", "h", length=120)
 
 
 def scaling_notes(rows):
     """What the scaling does to the round-off that phi from positions puts into lam."""
     errors = {
-        solve: number(rows, "error_lam", part="tiny", scene="scene 2", phi="from positions", solve=solve, h=1e-9)
-        for solve in SCALINGS
+        solve: number(rows, "error_lam", part="tiny", scene="scene 2", phi="from positions", solve=solve, h=1e-9) for solve in SCALINGS
     }
     errors = {solve: error for solve, error in errors.items() if np.isfinite(error)}
     if len(errors) < 2:
@@ -184,12 +177,8 @@ def newton_figure(rows, folder):
     made, axes = panels(2, height=2.8)
     nest(axes[0], rows, "scene 2", SCALINGS, "stall_q")
     nest(axes[1], rows, "scene 2", SCALINGS, "iterations")
-    axes[0].set(
-        xscale="log", yscale="log", title="Newton's stall, scene 2", ylabel="|dq| / (beta h² |a|)", xlabel="step h, s"
-    )
-    axes[1].set(
-        xscale="log", title="Newton's work, scene 2", ylabel="iterations a step", xlabel="step h, s", ylim=(0, None)
-    )
+    axes[0].set(xscale="log", yscale="log", title="Newton's stall, scene 2", ylabel="|dq| / (beta h² |a|)", xlabel="step h, s")
+    axes[1].set(xscale="log", title="Newton's work, scene 2", ylabel="iterations a step", xlabel="step h, s", ylim=(0, None))
     level = number(rows, "stall_q", part="tiny", scene="scene 2", phi="from positions", solve="physical", h=1e-6)
     if np.isfinite(level):
         slope_line(axes[0], slopes.STALL["from positions"], [1e-5, 1e-8], 0.2 * level, beside=(3, 2))
@@ -197,21 +186,7 @@ def newton_figure(rows, folder):
     return saved(made, folder, "newton")
 
 
-COLUMNS = (
-    "part",
-    "scene",
-    "form",
-    "phi",
-    "solve",
-    "h",
-    "error_q",
-    "error_v",
-    "error_a",
-    "error_lam",
-    "iterations",
-    "stall_q",
-    "error",
-)
+COLUMNS = ("part", "scene", "form", "phi", "solve", "h", "error_q", "error_v", "error_a", "error_lam", "iterations", "stall_q", "error")
 STUDY = Study(
     "step_size_sensitivity",
     "generalized-alpha against its step; errors relative to the largest value",

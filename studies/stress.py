@@ -9,7 +9,14 @@ from stress.axes import meanings, run, tasks
 from stress.outcome import OUTCOMES, figures, limits, outcome_in
 
 COLUMNS = ("axis", "value", "integrator", "outcome", "checked", "deviation", "bound", "steps", "cpu_s", "status", "reason")
-COLOURS = {"right": "#0072B2", "stated_stop": "#56B4E9", "unforeseen_stop": "#E69F00", "wrong": "#D55E00", "crash": "#000000", "hang": "#CC79A7"}
+COLOURS = {
+    "right": "#0072B2",
+    "stated_stop": "#56B4E9",
+    "unforeseen_stop": "#E69F00",
+    "wrong": "#D55E00",
+    "crash": "#000000",
+    "hang": "#CC79A7",
+}
 
 
 def draw(rows, folder):
@@ -39,8 +46,19 @@ def notes(rows):
     return [f"right: {line}" for line in meanings(axes)] + [f"breaks: {line}" for line in limits(rows)]
 
 
-STUDY = Study("stress", "Scenes driven to where something breaks", tasks, run, figures, draw, COLUMNS, isolated=True, limit=300.0,
-              notes=notes, fresh=False)
+STUDY = Study(
+    "stress",
+    "Scenes driven to where something breaks",
+    tasks,
+    run,
+    figures,
+    draw,
+    COLUMNS,
+    isolated=True,
+    limit=300.0,
+    notes=notes,
+    fresh=False,
+)
 
 if __name__ == "__main__":
     main(STUDY)

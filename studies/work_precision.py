@@ -67,9 +67,7 @@ def ratios(rows, level=1e-5):
     """CPU of IDA over that of generalized-alpha at equal errors of q, m."""
     found = {}
     for problem in ("double-plate", "double-plate-motors"):
-        alpha, ida = (
-            cheapest(pick(rows, problem=problem, integrator=name), "error_q", level) for name in ("alpha", "IDA ggl2")
-        )
+        alpha, ida = (cheapest(pick(rows, problem=problem, integrator=name), "error_q", level) for name in ("alpha", "IDA ggl2"))
         found[f"{problem}_ida_over_alpha_cpu".replace("-", "_")] = ida / alpha
     return found
 
@@ -77,9 +75,7 @@ def ratios(rows, level=1e-5):
 def adaptivity(rows):
     """CPU of the best fixed step over that of error control at equal errors of q, m, where both come so far."""
     fixed, adaptive = (pick(rows, problem=EVENT, integrator=name) for name in ("alpha", "alpha, adaptive"))
-    found = {
-        level: cheapest(fixed, "error_q", level) / cheapest(adaptive, "error_q", level) for level in (1e-4, 1e-5, 1e-6)
-    }
+    found = {level: cheapest(fixed, "error_q", level) / cheapest(adaptive, "error_q", level) for level in (1e-4, 1e-5, 1e-6)}
     return {f"fixed_over_adaptive_cpu_at_{level:.0e}": ratio for level, ratio in found.items() if np.isfinite(ratio)}
 
 
@@ -107,16 +103,12 @@ def reach_notes(rows):
     """How far fixed steps of generalized-alpha come on Andrews' mechanism, and where the error rises again."""
     lines = []
     for member in ("alpha", "alpha, stabilised", "alpha, Richardson"):
-        runs = [
-            row for row in pick(rows, problem="andrews", integrator=member) if np.isfinite(row.get("error_q") or np.nan)
-        ]
+        runs = [row for row in pick(rows, problem="andrews", integrator=member) if np.isfinite(row.get("error_q") or np.nan)]
         runs = sorted(runs, key=lambda row: -row["x"])
         if not runs:
             continue
         best, finest = min(runs, key=lambda row: row["error_q"]), runs[-1]
-        line = (
-            f"andrews: {member} comes to {best['error_q']:.1e} in q, at h = {best['x']:g} s, {best['cpu_s']:.2g} CPU s"
-        )
+        line = f"andrews: {member} comes to {best['error_q']:.1e} in q, at h = {best['x']:g} s, {best['cpu_s']:.2g} CPU s"
         for level in LEVELS:
             met = ", ".join(f"{row['x']:g}" for row in runs if row["error_q"] <= level)
             line += f"; {level:.0e} is met at {f'h = {met} s' if met else 'no h'} of {len(runs)}"

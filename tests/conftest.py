@@ -90,11 +90,7 @@ JOINTS = {  # kind: what holds the upper plate, what holds the lower one to it; 
         pi.AngleMotor(a[0], pi.ground, angle, name="joint"),
         pi.Revolute(a[1], b),
     ],
-    "motor between": lambda a, b, angle: [
-        pi.Revolute(pi.ground, a[0]),
-        pi.Revolute(a[1], b),
-        pi.AngleMotor(a[1], b, angle, name="joint"),
-    ],
+    "motor between": lambda a, b, angle: [pi.Revolute(pi.ground, a[0]), pi.Revolute(a[1], b), pi.AngleMotor(a[1], b, angle, name="joint")],
 }
 
 

@@ -76,11 +76,7 @@ CASES = {
     "non-convex cell": (lambda: plate(mesh=polygon([[0, 0], [1, 0], [0.2, 0.2], [0, 1]])), "board", "cell 0", "convex"),
     "clockwise cell": (lambda: polygon([[0, 0], [0, 1], [1, 1], [1, 0]]), "cell 0", "area -1", "counter-clockwise"),
     "no such section": (lambda: plate().section("lid"), "board", "'lid'", "'left'"),
-    "function selects no node": (
-        lambda: plate().section(lambda points: points[:, 0] > 7.0),
-        "board",
-        "no boundary node",
-    ),
+    "function selects no node": (lambda: plate().section(lambda points: points[:, 0] > 7.0), "board", "no boundary node"),
     "function of no mask": (lambda: plate().section(lambda points: points[:, 0]), "board", "mask"),
     "no indices": (lambda: plate().section([]), "board", "no node"),
     "index out of range": (lambda: plate().section([10**6]), "board", "1000000"),
@@ -90,19 +86,11 @@ CASES = {
     "joint of no attachment": (lambda: pi.Revolute(pi.ground, "left", name="elbow"), "elbow", "'left'"),
     "joint of a plate": (lambda: pi.Revolute(pi.ground, plate(), name="elbow"), "elbow", "board"),
     "joint of ground alone": (lambda: pi.Revolute(pi.ground, pi.ground, name="elbow"), "elbow", "ground"),
-    "joint within a body": (
-        lambda: (lambda b: pi.Clamp(b.section("left"), b.section("right"), name="weld"))(plate()),
-        "weld",
-        "board",
-    ),
+    "joint within a body": (lambda: (lambda b: pi.Clamp(b.section("left"), b.section("right"), name="weld"))(plate()), "weld", "board"),
     "joint of a stranger": (of_a_stranger, "elbow", "stranger"),
     "joint apart": (apart, "elbow", "0.2 m", "(1.2, 0)"),
     "motor on a node": (lambda: pi.AngleMotor(pi.ground, plate().node(0), 0.0, name="drive"), "drive", "node 0"),
-    "motor without angle": (
-        lambda: pi.AngleMotor(pi.ground, plate().section("left"), "fast", name="drive"),
-        "drive",
-        "'fast'",
-    ),
+    "motor without angle": (lambda: pi.AngleMotor(pi.ground, plate().section("left"), "fast", name="drive"), "drive", "'fast'"),
     "weld on a node": (lambda: pi.Clamp(plate("a").node(0), plate("b").section("left"), name="weld"), "weld", "node 0"),
     "zero mass": (lambda: pi.PointMass(plate().section("left"), 0.0, name="tip"), "tip", "mass = 0.0"),
     "negative mass": (lambda: pi.PointMass(plate().section("left"), -1.0, name="tip"), "tip", "mass = -1.0"),
@@ -123,10 +111,7 @@ CASES = {
     "v0 not finite": (lambda: swing(v0=[0.0, np.inf]), "v0", "finite"),
     "profile that raises": (
         lambda: scene(
-            plate(),
-            *(lambda b: [b, hinge(b), pi.AngleMotor(pi.ground, b.section("left"), lambda t: None, name="drive")])(
-                plate("b")
-            ),
+            plate(), *(lambda b: [b, hinge(b), pi.AngleMotor(pi.ground, b.section("left"), lambda t: None, name="drive")])(plate("b"))
         ).drives(0.0),
         "drive",
     ),
@@ -155,37 +140,57 @@ CASES = {
     "iterations": (lambda: pi.GeneralizedAlpha(h=1e-3, max_iterations=0), "GeneralizedAlpha", "max_iterations = 0"),
     "scene for a model": (lambda: pi.solve(pi.Scene(), 1.0, pi.GeneralizedAlpha(h=1e-3)), "Scene", "build()"),
     "no integrator": (lambda: pi.solve(pi.problems.get("pendulum").model, 1.0, "alpha"), "'alpha'", "GeneralizedAlpha"),
-    "class for an integrator": (
-        lambda: pi.solve(pi.problems.get("pendulum").model, 1.0, pi.GeneralizedAlpha),
-        "GeneralizedAlpha",
-    ),
+    "class for an integrator": (lambda: pi.solve(pi.problems.get("pendulum").model, 1.0, pi.GeneralizedAlpha), "GeneralizedAlpha"),
     "end before start": (lambda: swing(t0=1.0), "t_end = 0.1", "1.0"),
-    "end not finite": (
-        lambda: pi.solve(pi.problems.get("pendulum").model, np.inf, pi.GeneralizedAlpha(h=1e-3)),
-        "t_end = inf",
-    ),
+    "end not finite": (lambda: pi.solve(pi.problems.get("pendulum").model, np.inf, pi.GeneralizedAlpha(h=1e-3)), "t_end = inf"),
     "steps beyond count": (
-        lambda: pi.solve(pi.problems.get("pendulum").model, 1e308, pi.GeneralizedAlpha(h=1e-3), **REST), "t_end = 1e+308", "steps",
+        lambda: pi.solve(pi.problems.get("pendulum").model, 1e308, pi.GeneralizedAlpha(h=1e-3), **REST),
+        "t_end = 1e+308",
+        "steps",
     ),
     "q0 as objects of text": (lambda: swing(q0=np.array(["-1", "0"], object)), "q0", "2 finite"),
     "points as text": (lambda: polygon([["0", "0"], ["1", "0"], ["1", "1"]]), "points", "numbers"),
     "length as text": (lambda: pi.mesh.rectangle("1", 0.1, cells=4), "'1'"),
     "digits as text": (lambda: pi.problems.get("pendulum").errors(q=["0", "1"]), "pendulum", "numbers"),
     "profile later nan": (
-        lambda: pi.solve(scene(*(lambda b: [b, hinge(b), pi.PointLoad(
-            b.section("right"), (0.0, 1.0), lambda t: 1.0 if t < 0.05 else np.nan, name="push")])(plate())),
-            0.1, pi.GeneralizedAlpha(h=1e-2)), "<lambda>", "nan", "t = 0.05"),
+        lambda: pi.solve(
+            scene(
+                *(
+                    lambda b: [
+                        b,
+                        hinge(b),
+                        pi.PointLoad(b.section("right"), (0.0, 1.0), lambda t: 1.0 if t < 0.05 else np.nan, name="push"),
+                    ]
+                )(plate())
+            ),
+            0.1,
+            pi.GeneralizedAlpha(h=1e-2),
+        ),
+        "<lambda>",
+        "nan",
+        "t = 0.05",
+    ),
     "profile complex": (lambda: pi.profile.from_function(lambda t: 1j)(0.3), "<lambda>", "1j", "t = 0.3"),
     "profile shortest": (lambda: pi.profile.from_function(np.sin, shortest=0.0), "shortest = 0.0"),
     "flag": (lambda: pi.GeneralizedAlpha(h=1e-3, incremental_phi=np.array([1, 2])), "incremental_phi"),
     "state for a condition number": (
-        lambda: pi.condition_number(pi.problems.get("pendulum").model, pi.GeneralizedAlpha(h=1e-3), "start"), "condition_number", "'start'"),
+        lambda: pi.condition_number(pi.problems.get("pendulum").model, pi.GeneralizedAlpha(h=1e-3), "start"),
+        "condition_number",
+        "'start'",
+    ),
     "device as a file": (lambda: swing(out="/dev/null", overwrite=True), "/dev/null", "device"),
     "long name": (lambda: swing(out="n" * 300), "n" * 20, "long"),
     "start as text": (lambda: swing(t0="now"), "t0", "'now'"),
     "steps lost in the round-off of t": (
-        lambda: pi.solve(scene(plate()), 1e9 + 1e-5, pi.GeneralizedAlpha(h=1e-8), t0=1e9), "steps of 1e-08 s", "1.2e-07 s apart"),
-    "a run of a few round-offs": (lambda: pi.solve(scene(plate()), 1e9 + 1e-6, pi.IDA(), t0=1e9), "t_end = 1000000000.000001", "1.91e-06 s"),
+        lambda: pi.solve(scene(plate()), 1e9 + 1e-5, pi.GeneralizedAlpha(h=1e-8), t0=1e9),
+        "steps of 1e-08 s",
+        "1.2e-07 s apart",
+    ),
+    "a run of a few round-offs": (
+        lambda: pi.solve(scene(plate()), 1e9 + 1e-6, pi.IDA(), t0=1e9),
+        "t_end = 1000000000.000001",
+        "1.91e-06 s",
+    ),
     "a run of no time": (lambda: pi.solve(scene(plate()), 1e-300, pi.GeneralizedAlpha(h=1e-3)), "t_end = 1e-300", "1e-15 s"),
     "no run to compare": (lambda: pi.problems.get("pendulum").compare(3), "'pendulum'", "int"),
     "every": (lambda: swing(every=0), "every = 0"),

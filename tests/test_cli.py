@@ -13,7 +13,7 @@ from polyida.cli.main import main
 from polyida.study.job import load
 
 SMALL = ("--cells", "8", "--time", "0.02")
-SCENE = '''
+SCENE = """
 import numpy as np
 import polyida as pi
 
@@ -54,15 +54,15 @@ class Falling(pi.Model):
 
 def failing():
     return Falling()
-'''
+"""
 
 
-SOFT = '''
+SOFT = """
 from polyida.problems.plates import Material, double_plate_motors
 
 def build():
     return double_plate_motors(cells=8, material=Material(E=2e5, nu=0.3, rho=1100.0))
-'''
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -142,31 +142,34 @@ def test_a_failed_run_gives_one_and_keeps_what_it_has(folder, capsys):
     assert "GeneralizedAlpha" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("args", "said"), [
-    (["compare", "nonsense"], "double-plate"),
-    (["compare", "nowhere.py:build"], "no such file"),
-    (["compare", "scene.py"], "my_scene.py:build"),
-    (["run", "scene.py:absent"], "functions there: build, model"),
-    (["run", "scene.py:negative"], ": Material: E = -1.0"),
-    (["run", "scene.py:nothing"], "returned NoneType"),
-    (["run", "scene.py:misspelt"], "'tim'"),
-    (["run", "scene.py:model", "--cells", "4"], "--cells"),
-    (["run", "pendulum", "--cells", "4"], "--cells"),
-    (["run", "pendulum", "--time", "-1"], "time -1"),
-    (["run", "pendulum", "--step", "nan"], "step nan"),
-    (["run", "pendulum", "--integrator", "euler"], "alpha, ida"),
-    (["run", "pendulum", "--integrator", "ida", "--step", "1e-3"], "--step is no setting of ida"),
-    (["run", "pendulum", "--rtol", "1e-3"], "--rtol is no setting of alpha"),
-    (["run", "pendulum", "--rho-inf", "1.5"], "rho_inf"),
-    (["run", "pendulum", "--out", "scene.py/run.h5"], "cannot be made"),
-    (["run", "pendulum", "--out", "scene.py"], "--overwrite"),
-    (["run", "--resume", "run.h5", "--time", "1", "--step", "1e-5"], "--step has no place"),
-    (["run", "--resume", "run.h5", "--time", "1", "--integrator", "ida"], "--integrator has no place"),
-    (["run", "--resume", "run.h5", "--time", "1", "--out", "other.h5"], "--out has no place"),
-    (["run", "--resume", "run.h5", "--time", "1", "--cells", "4"], "--cells has no place"),
-    (["show", "absent.h5"], "no such file"),
-    (["show", "scene.py"], "scene.py"),
-])
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (["compare", "nonsense"], "double-plate"),
+        (["compare", "nowhere.py:build"], "no such file"),
+        (["compare", "scene.py"], "my_scene.py:build"),
+        (["run", "scene.py:absent"], "functions there: build, model"),
+        (["run", "scene.py:negative"], ": Material: E = -1.0"),
+        (["run", "scene.py:nothing"], "returned NoneType"),
+        (["run", "scene.py:misspelt"], "'tim'"),
+        (["run", "scene.py:model", "--cells", "4"], "--cells"),
+        (["run", "pendulum", "--cells", "4"], "--cells"),
+        (["run", "pendulum", "--time", "-1"], "time -1"),
+        (["run", "pendulum", "--step", "nan"], "step nan"),
+        (["run", "pendulum", "--integrator", "euler"], "alpha, ida"),
+        (["run", "pendulum", "--integrator", "ida", "--step", "1e-3"], "--step is no setting of ida"),
+        (["run", "pendulum", "--rtol", "1e-3"], "--rtol is no setting of alpha"),
+        (["run", "pendulum", "--rho-inf", "1.5"], "rho_inf"),
+        (["run", "pendulum", "--out", "scene.py/run.h5"], "cannot be made"),
+        (["run", "pendulum", "--out", "scene.py"], "--overwrite"),
+        (["run", "--resume", "run.h5", "--time", "1", "--step", "1e-5"], "--step has no place"),
+        (["run", "--resume", "run.h5", "--time", "1", "--integrator", "ida"], "--integrator has no place"),
+        (["run", "--resume", "run.h5", "--time", "1", "--out", "other.h5"], "--out has no place"),
+        (["run", "--resume", "run.h5", "--time", "1", "--cells", "4"], "--cells has no place"),
+        (["show", "absent.h5"], "no such file"),
+        (["show", "scene.py"], "scene.py"),
+    ],
+)
 def test_wrong_input_gives_one_line_and_two(args, said, capsys):
     err = refused(capsys, *args)
     assert said in err and len(err.splitlines()) == 1
@@ -249,20 +252,35 @@ def odd(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("function, said", [
-    ("time", "time '2' s"), ("step", "step None s"), ("point", "point = 3"), ("nobody", "'nobody'"), ("start", "q0"), ("keys", "option 3")])
+@pytest.mark.parametrize(
+    "function, said",
+    [
+        ("time", "time '2' s"),
+        ("step", "step None s"),
+        ("point", "point = 3"),
+        ("nobody", "'nobody'"),
+        ("start", "q0"),
+        ("keys", "option 3"),
+    ],
+)
 def test_an_option_of_the_wrong_kind_is_one_line(odd, capsys, function, said):
     assert main(["run", f"odd.py:{function}", "--out", "x.h5"]) == 2
     assert said in " ".join(capsys.readouterr().err.split()) and not (odd / "x.h5").exists()
 
 
-@pytest.mark.parametrize("arguments, said", [
-    (["run", "odd.py:build", "--out", "n" * 300 + ".h5"], "too long"),
-    (["compare", "odd.py:build", "--out", "n" * 300], "too long"),
-    (["run", "pendulum", "--time", "1e308", "--out", "x.h5"], "steps"),
-    (["run", "odd.py:build", "--integrator", "ida", "--time", "1e308", "--out", "x.h5"], "t_end = 1e+308 s is too far"),
-    (["run", "pendulum", "--integrator", "ida", "--time", "1e17", "--out", "x.h5"], "16 s apart"),
-    (["export", "run.h5", "--vtu", ""], "empty"), (["run", "odd.py:build", "--out="], "empty"), (["show", ""], "empty")])
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["run", "odd.py:build", "--out", "n" * 300 + ".h5"], "too long"),
+        (["compare", "odd.py:build", "--out", "n" * 300], "too long"),
+        (["run", "pendulum", "--time", "1e308", "--out", "x.h5"], "steps"),
+        (["run", "odd.py:build", "--integrator", "ida", "--time", "1e308", "--out", "x.h5"], "t_end = 1e+308 s is too far"),
+        (["run", "pendulum", "--integrator", "ida", "--time", "1e17", "--out", "x.h5"], "16 s apart"),
+        (["export", "run.h5", "--vtu", ""], "empty"),
+        (["run", "odd.py:build", "--out="], "empty"),
+        (["show", ""], "empty"),
+    ],
+)
 def test_what_cannot_be_is_one_line(odd, capsys, arguments, said):
     before = set(odd.iterdir())
     assert main(arguments) == 2
@@ -382,8 +400,14 @@ def test_what_a_file_adds_to_the_registry_is_found_when_the_file_is_named(own, f
     assert main(["study", f"{own}:squares", "--out", "s"]) == 0
     figures = json.loads((folder / "s" / "figures.json").read_text())
     assert figures["figures"] == {"largest": 4.0} and figures["command"] == f"polyida study {own}:squares --out s"
-    done = subprocess.run([sys.executable, "-c", READ, "run.h5"], cwd=folder, capture_output=True, text=True, check=True,
-                          env=os.environ | {"PYTHONPATH": str(Path(pi.__file__).parents[1])})
+    done = subprocess.run(
+        [sys.executable, "-c", READ, "run.h5"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONPATH": str(Path(pi.__file__).parents[1])},
+    )
     assert done.stdout.split() == ["True", "True", "swing"]
 
 

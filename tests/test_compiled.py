@@ -64,7 +64,9 @@ def expected(s, x):
 
 
 @pytest.mark.parametrize("whole", [True, False])
-@pytest.mark.parametrize("matrix", [None, np.arange(12.0).reshape(2, 6)[:, ::2], np.asfortranarray(np.arange(6.0).reshape(2, 3)), np.zeros((2, 0))])
+@pytest.mark.parametrize(
+    "matrix", [None, np.arange(12.0).reshape(2, 6)[:, ::2], np.asfortranarray(np.arange(6.0).reshape(2, 3)), np.zeros((2, 0))]
+)
 def test_compiled_code_reads_all_that_a_pack_holds(whole, matrix):
     s = example(whole, matrix)
     x = np.linspace(1.0, 2.0, s.matrix.shape[1] or 1)

@@ -115,19 +115,13 @@ def test_damaged_frames_are_refused(file, name, change):
     assert usable(file)
 
 
-@pytest.mark.parametrize(
-    "text", ["{", "[" * 100_000, "{}", "null", '{"gravity": [0, 0], "parts": [{"kind": "os.system"}]}']
-)
+@pytest.mark.parametrize("text", ["{", "[" * 100_000, "{}", "null", '{"gravity": [0, 0], "parts": [{"kind": "os.system"}]}'])
 def test_damaged_descriptions_are_refused(file, text):
     with h5py.File(file, "r+") as opened:
         names = [name for name, value in opened.attrs.items() if isinstance(value, str) and value.startswith("{")]
         for name in names:
             opened.attrs[name] = text
-        texts = [
-            name
-            for name, node in opened.items()
-            if getattr(node, "dtype", None) is not None and node.dtype.kind in "SO"
-        ]
+        texts = [name for name, node in opened.items() if getattr(node, "dtype", None) is not None and node.dtype.kind in "SO"]
         for name in texts:
             del opened[name]
             opened[name] = text

@@ -55,6 +55,7 @@ class OneBuffer(Pendulum):
 
 def changed(**functions):
     """The pendulum with some functions replaced by ones of the pendulum's result and the time."""
+
     def replaced(name, change):
         right = getattr(Pendulum, name)
 

@@ -15,9 +15,7 @@ from polyida.compiled import cache as kernel_cache
 
 PACKAGE = Path(kernel_cache.__file__).parents[1]
 CALLED = "from polyida.compiled import part\n\n\n@part\ndef called(x):\n    return x + {}\n"
-CALLER = (
-    "from polyida.called import called\nfrom polyida.compiled import entry\n\n\n@entry\ndef call(x):\n    return called(x)\n"
-)
+CALLER = "from polyida.called import called\nfrom polyida.compiled import entry\n\n\n@entry\ndef call(x):\n    return called(x)\n"
 SAY = "import polyida.caller as c; print(c.call(1), sum(c.call.stats.cache_hits.values()), c.call._cache.cache_path)"
 
 

@@ -8,11 +8,23 @@ import pytest
 import polyida as pi
 from polyida.keywords import KeywordError, named_keywords
 
-NOT_CALLED = {"Model", "Joint", "ForceElement", "Body", "Trajectory", "InputError", "LockingWarning", "ground"}  # to be derived from, or handed out
+NOT_CALLED = {
+    "Model",
+    "Joint",
+    "ForceElement",
+    "Body",
+    "Trajectory",
+    "InputError",
+    "LockingWarning",
+    "ground",
+}  # to be derived from, or handed out
 EACH_STEP = {"State", "Counts"}  # made in the loops of integrators
 PUBLIC = {f"pi.{name}": getattr(pi, name) for name in sorted({*pi.__all__} - NOT_CALLED - EACH_STEP) if callable(getattr(pi, name))}
 PUBLIC |= {f"pi.mesh.{name}": getattr(pi.mesh, name) for name in pi.mesh.__all__ if name not in ("Domain", "MeshQuality", "Section")}
-PUBLIC |= {f"pi.profile.{name}": getattr(pi.profile, name) for name in ("constant", "polynomial", "quintic", "ramp", "linear", "sine", "from_function")}
+PUBLIC |= {
+    f"pi.profile.{name}": getattr(pi.profile, name)
+    for name in ("constant", "polynomial", "quintic", "ramp", "linear", "sine", "from_function")
+}
 PUBLIC |= {"pi.export.vtu": pi.export.vtu}
 
 
@@ -24,13 +36,16 @@ def test_all_that_it_takes_is_named(name):
     assert len(told) > 500 or all(word in told for word in inspect.signature(PUBLIC[name]).parameters)
 
 
-@pytest.mark.parametrize("call, meant", [
-    (lambda: pi.GeneralizedAlpha(H=1e-3), "h"),
-    (lambda: pi.GeneralizedAlpha.hht(1e-3, rho=0.5), "rho_inf"),
-    (lambda: pi.IDA(rtoll=1e-3), "rtol"),
-    (lambda: pi.mesh.rectangle(1.0, 0.1, cell=4), "cells"),
-    (lambda: pi.Material(E=1.0, nu=0.3, density=1.0, rhoo=2.0), None),
-])
+@pytest.mark.parametrize(
+    "call, meant",
+    [
+        (lambda: pi.GeneralizedAlpha(H=1e-3), "h"),
+        (lambda: pi.GeneralizedAlpha.hht(1e-3, rho=0.5), "rho_inf"),
+        (lambda: pi.IDA(rtoll=1e-3), "rtol"),
+        (lambda: pi.mesh.rectangle(1.0, 0.1, cell=4), "cells"),
+        (lambda: pi.Material(E=1.0, nu=0.3, density=1.0, rhoo=2.0), None),
+    ],
+)
 def test_what_is_near_is_proposed(call, meant):
     with pytest.raises(pi.InputError, match=f"did you mean '{meant}'" if meant else "'density'; it takes E, nu, rho, plane") as raised:
         call()

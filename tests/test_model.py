@@ -15,9 +15,7 @@ class Slider(pi.Model):
         return np.diag([2.0, 2.0 * q[0] ** 2])
 
     def force(self, t, q, v):
-        return np.array(
-            [-2.0 * q[0] * v[1] ** 2 + 3.0 * q[0] + 0.5 * v[0], 4.0 * q[0] * v[0] * v[1] + np.sin(q[1]) + np.cos(t)]
-        )
+        return np.array([-2.0 * q[0] * v[1] ** 2 + 3.0 * q[0] + 0.5 * v[0], 4.0 * q[0] * v[0] * v[1] + np.sin(q[1]) + np.cos(t)])
 
     def phi(self, t, q):
         return np.array([q[0] - np.exp(0.3 * t) * np.cos(q[1])])
@@ -50,14 +48,7 @@ class Exact(Slider):
 
 
 STATE = dict(t=0.7, q=np.array([0.8, 0.4]), v=np.array([-0.6, 1.3]), a=np.array([0.9, -0.2]), lam=np.array([1.7]))
-ARGUMENTS = {
-    "force_q": "tqv",
-    "force_v": "tqv",
-    "mass_a_q": "qa",
-    "reaction_q": ("t", "q", "lam"),
-    "phi_t": "tq",
-    "phi_bias": "tqv",
-}
+ARGUMENTS = {"force_q": "tqv", "force_v": "tqv", "mass_a_q": "qa", "reaction_q": ("t", "q", "lam"), "phi_t": "tq", "phi_bias": "tqv"}
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)

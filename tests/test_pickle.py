@@ -79,7 +79,7 @@ def test_a_function_without_a_name_stays_at_home():
 def test_scenes_and_models_give_the_same_run(scenes):
     scene = rich(scenes)
     model = scene.build()
-    run = solved(model)                                     # the model then keeps factors, which stay at home
+    run = solved(model)  # the model then keeps factors, which stay at home
     copied = again(model)
     assert same(run, solved(again(scene).build())) and same(run, solved(copied))
     assert copied.labels == model.labels and copied.parts["lower"].section("right").body is copied.parts["lower"]

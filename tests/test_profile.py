@@ -73,9 +73,7 @@ def test_what_does_not(given):
 
 
 @pytest.mark.parametrize("name", MOVES)
-@pytest.mark.parametrize(
-    "values", [(0.0, 1.0, 0.0), (0.0, 1.0, -2.0), (0.0, 1.0, float("nan")), (0.0, float("nan"), 1.0)]
-)
+@pytest.mark.parametrize("values", [(0.0, 1.0, 0.0), (0.0, 1.0, -2.0), (0.0, 1.0, float("nan")), (0.0, float("nan"), 1.0)])
 def test_bad_moves(name, values):
     with pytest.raises(InputError, match=name):
         MOVES[name](*values)

@@ -28,9 +28,44 @@ class Odd:
         return "an odd thing"
 
 
-NOTHING = [None, "text", "", b"bytes", Odd(), {}, {"a": 1}, 1j, float("nan"), float("inf"), -float("inf"), lambda *_: None, Odd, len,
-           [[1.0], [2.0, 3.0]], np.array(["a"]), np.array([None, 1]), 10**400, [10**400], range(0), Ellipsis, slice(3)]
-LISTS = [[], [1.0], [1.0, 2.0, 3.0], np.zeros((2, 2)), np.zeros(0), [[1.0, 2.0]], [np.nan, 0.0], (np.inf, 1.0), ["1", "b"], [None, None], [1j, 0.0], "ab"]
+NOTHING = [
+    None,
+    "text",
+    "",
+    b"bytes",
+    Odd(),
+    {},
+    {"a": 1},
+    1j,
+    float("nan"),
+    float("inf"),
+    -float("inf"),
+    lambda *_: None,
+    Odd,
+    len,
+    [[1.0], [2.0, 3.0]],
+    np.array(["a"]),
+    np.array([None, 1]),
+    10**400,
+    [10**400],
+    range(0),
+    Ellipsis,
+    slice(3),
+]
+LISTS = [
+    [],
+    [1.0],
+    [1.0, 2.0, 3.0],
+    np.zeros((2, 2)),
+    np.zeros(0),
+    [[1.0, 2.0]],
+    [np.nan, 0.0],
+    (np.inf, 1.0),
+    ["1", "b"],
+    [None, None],
+    [1j, 0.0],
+    "ab",
+]
 SCALARS = [True, Fraction(-1, 2), np.float32("nan"), np.array(2.0) * np.nan, np.datetime64("2020-01-01")]
 
 
@@ -45,7 +80,12 @@ COUNT = POSITIVE + [0.5, 1.5, 2.0, np.float64(3.0), "3"]
 PAIR = NOTHING + LISTS + SCALARS + [1.0]
 TEXT = without(NOTHING[2:] + LISTS, str) + [""] + SCALARS + [1.0]
 CHOICE = NOTHING + LISTS + SCALARS + [1.0, "Stress", "no such thing"]
-PROFILE = [value for value in NOTHING if not callable(value)] + LISTS + SCALARS[2:] + [lambda t: None, lambda t: "a", lambda t: [t], lambda t: np.inf]
+PROFILE = (
+    [value for value in NOTHING if not callable(value)]
+    + LISTS
+    + SCALARS[2:]
+    + [lambda t: None, lambda t: "a", lambda t: [t], lambda t: np.inf]
+)
 PART = NOTHING + LISTS + SCALARS + [BOARD, MESH, MATERIAL, 1.0, pi.Plate]
 SIDE = PART
 MESHES = NOTHING + LISTS + SCALARS + ["plate.msh", BOARD, MESH.points]
@@ -75,67 +115,203 @@ def state(**changed):
 
 
 CALLS = {  # name: (function of keywords, {keyword: wrong values})
-    "Material": (made(pi.Material, E=1.0, nu=0.3, rho=1.0), {
-        "E": POSITIVE, "nu": NUMBER + [0.5, -1.0, 2.0, True], "rho": POSITIVE, "plane": CHOICE, "viscosity": NUMBER + [-1.0, True], "mass_damping": NUMBER + [-1.0]}),
-    "Plate": (made(pi.Plate, mesh=MESH, material=MATERIAL, thickness=0.01), {
-        "mesh": MESHES, "material": PART[:-3] + [1.0, MESH], "thickness": POSITIVE, "origin": PAIR, "angle": NUMBER + [True], "name": TEXT, "element": CHOICE,
-        "tau": POSITIVE}),
-    "Plate.section": (BOARD.section, {"selector": [value for value in NOTHING if not isinstance(value, type)] + without(LISTS, str)[3:] + [1.5, [1.5], [-1], [99], "middle", lambda p: p, lambda p: [True]]}),
+    "Material": (
+        made(pi.Material, E=1.0, nu=0.3, rho=1.0),
+        {
+            "E": POSITIVE,
+            "nu": NUMBER + [0.5, -1.0, 2.0, True],
+            "rho": POSITIVE,
+            "plane": CHOICE,
+            "viscosity": NUMBER + [-1.0, True],
+            "mass_damping": NUMBER + [-1.0],
+        },
+    ),
+    "Plate": (
+        made(pi.Plate, mesh=MESH, material=MATERIAL, thickness=0.01),
+        {
+            "mesh": MESHES,
+            "material": PART[:-3] + [1.0, MESH],
+            "thickness": POSITIVE,
+            "origin": PAIR,
+            "angle": NUMBER + [True],
+            "name": TEXT,
+            "element": CHOICE,
+            "tau": POSITIVE,
+        },
+    ),
+    "Plate.section": (
+        BOARD.section,
+        {
+            "selector": [value for value in NOTHING if not isinstance(value, type)]
+            + without(LISTS, str)[3:]
+            + [1.5, [1.5], [-1], [99], "middle", lambda p: p, lambda p: [True]]
+        },
+    ),
     "Plate.node": (BOARD.node, {"where": NOTHING + [[1.0], np.zeros((2, 2)), -1, 10**6, 1.5, (np.nan, 0.0)]}),
     "Plate.rim": (BOARD.rim, {"hole": [value for value in NOTHING if not isinstance(value, type)] + LISTS + [-1, 7, 1.5]}),
     "Revolute": (made(pi.Revolute, a=pi.ground, b=LEFT), {"a": SIDE, "b": SIDE + [pi.ground], "name": TEXT}),
     "Clamp": (made(pi.Clamp, a=LEFT), {"a": SIDE + [pi.ground], "b": SIDE + [RIGHT, LEFT], "name": TEXT}),
-    "AngleMotor": (made(pi.AngleMotor, a=pi.ground, b=LEFT, angle=0.0), {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "name": TEXT}),
+    "AngleMotor": (
+        made(pi.AngleMotor, a=pi.ground, b=LEFT, angle=0.0),
+        {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "name": TEXT},
+    ),
     "PointMass": (made(pi.PointMass, at=LEFT, mass=1.0), {"at": SIDE + [pi.ground], "mass": POSITIVE, "name": TEXT}),
-    "PointLoad": (made(pi.PointLoad, at=LEFT, force=(1.0, 0.0)), {"at": SIDE + [pi.ground], "force": PAIR, "profile": PROFILE, "name": TEXT}),
-    "EdgeTraction": (made(pi.EdgeTraction, at=LEFT, traction=(1.0, 0.0)), {"at": SIDE + [pi.ground, BOARD.node(0)], "traction": PAIR, "profile": PROFILE}),
+    "PointLoad": (
+        made(pi.PointLoad, at=LEFT, force=(1.0, 0.0)),
+        {"at": SIDE + [pi.ground], "force": PAIR, "profile": PROFILE, "name": TEXT},
+    ),
+    "EdgeTraction": (
+        made(pi.EdgeTraction, at=LEFT, traction=(1.0, 0.0)),
+        {"at": SIDE + [pi.ground, BOARD.node(0)], "traction": PAIR, "profile": PROFILE},
+    ),
     "Scene": (pi.Scene, {"gravity": PAIR}),
     "Scene.add": (lambda part: pi.Scene().add(part), {"part": NOTHING + LISTS + SCALARS + [LEFT, MESH, pi.ground, pi.Plate, MATERIAL]}),
-    "mesh.rectangle": (made(pi.mesh.rectangle, length=1.0, height=0.1, cells=4), {
-        "length": NUMBER[:-1] + [0, -1.0], "height": NUMBER[:-1] + [0, -1.0], "cells": COUNT, "seed": [-1, 0.5, None, "1", True], "iterations": COUNT, "origin": PAIR}),
-    "mesh.quads": (made(pi.mesh.quads, length=1.0, height=0.1, nx=2, ny=2), {"length": NUMBER[:-1] + [0, -1.0], "nx": COUNT, "ny": COUNT, "origin": PAIR}),
-    "mesh.triangles": (made(pi.mesh.triangles, length=1.0, height=0.1, nx=2, ny=2), {"height": NUMBER[:-1] + [0, -1.0], "nx": COUNT, "ny": COUNT, "origin": PAIR}),
-    "mesh.polygonize": (made(pi.mesh.polygonize, domain=pi.mesh.Rectangle(1.0, 1.0), cells=4), {
-        "domain": NOTHING + LISTS + [MESH], "cells": COUNT, "seed": [-1, 0.5, None, "1"], "iterations": COUNT}),
-    "mesh.Rectangle": (made(pi.mesh.Rectangle, length=1.0, height=1.0), {"length": NUMBER[:-1] + [0, -1.0], "height": NUMBER[:-1] + [0], "origin": PAIR}),
+    "mesh.rectangle": (
+        made(pi.mesh.rectangle, length=1.0, height=0.1, cells=4),
+        {
+            "length": NUMBER[:-1] + [0, -1.0],
+            "height": NUMBER[:-1] + [0, -1.0],
+            "cells": COUNT,
+            "seed": [-1, 0.5, None, "1", True],
+            "iterations": COUNT,
+            "origin": PAIR,
+        },
+    ),
+    "mesh.quads": (
+        made(pi.mesh.quads, length=1.0, height=0.1, nx=2, ny=2),
+        {"length": NUMBER[:-1] + [0, -1.0], "nx": COUNT, "ny": COUNT, "origin": PAIR},
+    ),
+    "mesh.triangles": (
+        made(pi.mesh.triangles, length=1.0, height=0.1, nx=2, ny=2),
+        {"height": NUMBER[:-1] + [0, -1.0], "nx": COUNT, "ny": COUNT, "origin": PAIR},
+    ),
+    "mesh.polygonize": (
+        made(pi.mesh.polygonize, domain=pi.mesh.Rectangle(1.0, 1.0), cells=4),
+        {"domain": NOTHING + LISTS + [MESH], "cells": COUNT, "seed": [-1, 0.5, None, "1"], "iterations": COUNT},
+    ),
+    "mesh.Rectangle": (
+        made(pi.mesh.Rectangle, length=1.0, height=1.0),
+        {"length": NUMBER[:-1] + [0, -1.0], "height": NUMBER[:-1] + [0], "origin": PAIR},
+    ),
     "mesh.Circle": (made(pi.mesh.Circle, radius=1.0), {"radius": NUMBER[:-1] + [0, -1.0], "center": PAIR}),
-    "mesh.Link": (made(pi.mesh.Link, length=1.0, height=0.2, pin_radius=0.02), {"length": NUMBER[:-1] + [0], "height": NUMBER[:-1], "pin_radius": NUMBER[:-1] + [0.1, 5.0]}),
+    "mesh.Link": (
+        made(pi.mesh.Link, length=1.0, height=0.2, pin_radius=0.02),
+        {"length": NUMBER[:-1] + [0], "height": NUMBER[:-1], "pin_radius": NUMBER[:-1] + [0.1, 5.0]},
+    ),
     "mesh.Union": (made(pi.mesh.Union, first=pi.mesh.Circle(1.0), second=pi.mesh.Circle(2.0)), {"first": NOTHING, "second": NOTHING}),
-    "mesh.Difference": (made(pi.mesh.Difference, first=pi.mesh.Circle(1.0), second=pi.mesh.Circle(2.0)), {"first": NOTHING, "second": NOTHING}),
-    "PolygonMesh": (made(pi.mesh.PolygonMesh, points=MESH.points, nodes=MESH.nodes, offsets=MESH.offsets), {
-        "points": NOTHING + LISTS + SCALARS, "nodes": NOTHING + LISTS + [MESH.nodes + 1000, -MESH.nodes, MESH.nodes[::-1]], "offsets": NOTHING + LISTS + [MESH.offsets[::-1], [0]],
-        "sections": without(NOTHING[2:], dict) + LISTS[1:] + [{"left": [99]}, {"left": "a"}, {"left": [0.5]}, {"left": None}]}),
+    "mesh.Difference": (
+        made(pi.mesh.Difference, first=pi.mesh.Circle(1.0), second=pi.mesh.Circle(2.0)),
+        {"first": NOTHING, "second": NOTHING},
+    ),
+    "PolygonMesh": (
+        made(pi.mesh.PolygonMesh, points=MESH.points, nodes=MESH.nodes, offsets=MESH.offsets),
+        {
+            "points": NOTHING + LISTS + SCALARS,
+            "nodes": NOTHING + LISTS + [MESH.nodes + 1000, -MESH.nodes, MESH.nodes[::-1]],
+            "offsets": NOTHING + LISTS + [MESH.offsets[::-1], [0]],
+            "sections": without(NOTHING[2:], dict) + LISTS[1:] + [{"left": [99]}, {"left": "a"}, {"left": [0.5]}, {"left": None}],
+        },
+    ),
     "mesh.read": (pi.mesh.read, {"path": FILE + ["a.msh", "a.xyz"]}),
     "mesh.write": (made(pi.mesh.write, mesh=MESH, path="a.vtu"), {"mesh": MESHES, "path": FILE + ["a.xyz", "noext"]}),
     "profile.constant": (pi.profile.constant, {"value": NUMBER}),
-    "profile.polynomial": (pi.profile.polynomial, {"coefficients": NOTHING + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [None, None], [1j, 0.0], "ab", 1.0]}),
+    "profile.polynomial": (
+        pi.profile.polynomial,
+        {"coefficients": NOTHING + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [None, None], [1j, 0.0], "ab", 1.0]},
+    ),
     "profile.sine": (made(pi.profile.sine, amplitude=1.0, frequency=1.0), {"amplitude": NUMBER, "frequency": NUMBER, "phase": NUMBER}),
-    "profile.quintic": (made(pi.profile.quintic, start=0.0, end=1.0, duration=1.0), {"start": NUMBER, "end": NUMBER, "duration": POSITIVE[:-1], "begin": NUMBER}),
+    "profile.quintic": (
+        made(pi.profile.quintic, start=0.0, end=1.0, duration=1.0),
+        {"start": NUMBER, "end": NUMBER, "duration": POSITIVE[:-1], "begin": NUMBER},
+    ),
     "profile.ramp": (made(pi.profile.ramp, start=0.0, end=1.0, duration=1.0), {"start": NUMBER, "duration": POSITIVE[:-1]}),
     "profile.linear": (made(pi.profile.linear, start=0.0, end=1.0, duration=1.0), {"end": NUMBER, "begin": NUMBER}),
-    "profile.from_function": (made(pi.profile.from_function, value=abs), {"value": without(NOTHING, type(len), type)[:-12] + [1.0], "d1": ["text", 1.0, Odd()], "kinks": [1.0, "ab", [None], [np.nan], Odd()]}),
-    "GeneralizedAlpha": (made(pi.GeneralizedAlpha, h=1e-3), {
-        "h": POSITIVE, "rho_inf": NUMBER + [1.0, -0.1], "tolerance": [x for x in SHARE if x is not None], "scaling": CHOICE, "max_iterations": COUNT, "start": CHOICE, "linear": CHOICE}),
+    "profile.from_function": (
+        made(pi.profile.from_function, value=abs),
+        {
+            "value": without(NOTHING, type(len), type)[:-12] + [1.0],
+            "d1": ["text", 1.0, Odd()],
+            "kinks": [1.0, "ab", [None], [np.nan], Odd()],
+        },
+    ),
+    "GeneralizedAlpha": (
+        made(pi.GeneralizedAlpha, h=1e-3),
+        {
+            "h": POSITIVE,
+            "rho_inf": NUMBER + [1.0, -0.1],
+            "tolerance": [x for x in SHARE if x is not None],
+            "scaling": CHOICE,
+            "max_iterations": COUNT,
+            "start": CHOICE,
+            "linear": CHOICE,
+        },
+    ),
     "EnergyMomentum": (made(pi.EnergyMomentum, h=1e-3), {"h": POSITIVE, "tolerance": SHARE, "max_iterations": COUNT}),
-    "IDA": (pi.IDA, {
-        "rtol": SHARE, "atol": NOTHING[1:] + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab", 0, -1.0, [1e-6, 0.0]], "max_order": [value for value in COUNT if value is not None] + [6], "form": CHOICE,
-        "max_step": NUMBER + [-1.0], "first_step": NUMBER + [-1.0], "rate": NUMBER + [-1.0], "max_num_steps": COUNT, "linear": CHOICE}),
-    "solve": (run, {
-        "model": NOTHING + LISTS + [BOARD, pi.Scene(), pi.Model], "t_end": NUMBER + [0.0, -1.0, True], "integrator": NOTHING + LISTS + [pi.IDA, "alpha", BOARD],
-        "q0": ARRAY + [[1.0, 2.0, 3.0], [5.0, 5.0]], "v0": ARRAY + [[1.0, 2.0, 3.0], [5.0, 5.0]], "t0": NUMBER + [1.0], "every": COUNT, "flush_every": COUNT,
-        "output": ARRAY + [[0.0, 0.0], [-1.0], [5.0]], "until": ["text", 1.0, [], Odd(), lambda t, q, v: "a", lambda t, q, v: np.nan, lambda t, q, v: q],
-        "memory_limit": NUMBER + [-1], "state": [value for value in NOTHING if value is not None] + LISTS, "out": FILE[1:5] + FILE[6:8] + FILE[9:10], "progress": ["text", 1.0, [], Odd()]}),
-    "solve from a state": (state, {"t": NUMBER, "q": NOTHING + LISTS, "v": NOTHING + LISTS, "a": NOTHING + LISTS, "lam": NOTHING + LISTS[:1] + LISTS[2:]}),
-    "static": (made(pi.static, model=build(pi.Clamp(LEFT))), {
-        "model": NOTHING + LISTS + [BOARD, pi.Scene()], "t": NUMBER, "q0": ARRAY, "steps": COUNT, "tolerance": SHARE, "max_iterations": COUNT}),
-    "consistent_state": (made(pi.consistent_state, model=MODEL, q0=[-1.0, 0.0]), {"model": NOTHING + [BOARD], "t0": NUMBER, "q0": ARRAY, "v0": ARRAY}),
-    "check_derivatives": (made(pi.check_derivatives, model=MODEL), {"model": NOTHING + [BOARD], "t": NUMBER, "q": ARRAY, "v": ARRAY, "a": ARRAY, "seed": ["a", -1, 0.5, Odd()]}),
+    "IDA": (
+        pi.IDA,
+        {
+            "rtol": SHARE,
+            "atol": NOTHING[1:] + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab", 0, -1.0, [1e-6, 0.0]],
+            "max_order": [value for value in COUNT if value is not None] + [6],
+            "form": CHOICE,
+            "max_step": NUMBER + [-1.0],
+            "first_step": NUMBER + [-1.0],
+            "rate": NUMBER + [-1.0],
+            "max_num_steps": COUNT,
+            "linear": CHOICE,
+        },
+    ),
+    "solve": (
+        run,
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene(), pi.Model],
+            "t_end": NUMBER + [0.0, -1.0, True],
+            "integrator": NOTHING + LISTS + [pi.IDA, "alpha", BOARD],
+            "q0": ARRAY + [[1.0, 2.0, 3.0], [5.0, 5.0]],
+            "v0": ARRAY + [[1.0, 2.0, 3.0], [5.0, 5.0]],
+            "t0": NUMBER + [1.0],
+            "every": COUNT,
+            "flush_every": COUNT,
+            "output": ARRAY + [[0.0, 0.0], [-1.0], [5.0]],
+            "until": ["text", 1.0, [], Odd(), lambda t, q, v: "a", lambda t, q, v: np.nan, lambda t, q, v: q],
+            "memory_limit": NUMBER + [-1],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "out": FILE[1:5] + FILE[6:8] + FILE[9:10],
+            "progress": ["text", 1.0, [], Odd()],
+        },
+    ),
+    "solve from a state": (
+        state,
+        {"t": NUMBER, "q": NOTHING + LISTS, "v": NOTHING + LISTS, "a": NOTHING + LISTS, "lam": NOTHING + LISTS[:1] + LISTS[2:]},
+    ),
+    "static": (
+        made(pi.static, model=build(pi.Clamp(LEFT))),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "t": NUMBER,
+            "q0": ARRAY,
+            "steps": COUNT,
+            "tolerance": SHARE,
+            "max_iterations": COUNT,
+        },
+    ),
+    "consistent_state": (
+        made(pi.consistent_state, model=MODEL, q0=[-1.0, 0.0]),
+        {"model": NOTHING + [BOARD], "t0": NUMBER, "q0": ARRAY, "v0": ARRAY},
+    ),
+    "check_derivatives": (
+        made(pi.check_derivatives, model=MODEL),
+        {"model": NOTHING + [BOARD], "t": NUMBER, "q": ARRAY, "v": ARRAY, "a": ARRAY, "seed": ["a", -1, 0.5, Odd()]},
+    ),
     "load": (pi.load, {"path": FILE}),
     "resume": (pi.resume, {"path": FILE}),
     "problems.get": (pi.problems.get, {"name": CHOICE}),
     "double_plate": (plates.double_plate, {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE}),
     "plate_chain": (plates.plate_chain, {"links": COUNT}),
-    "von_mises": (made(pi.von_mises, stress=[1.0, 0.0, 0.0]), {"stress": NOTHING + [1.0, [1.0], np.zeros((3, 2))], "zz": NUMBER + [[1.0, 2.0]]}),
+    "von_mises": (
+        made(pi.von_mises, stress=[1.0, 0.0, 0.0]),
+        {"stress": NOTHING + [1.0, [1.0], np.zeros((3, 2))], "zz": NUMBER + [[1.0, 2.0]]},
+    ),
 }
 CASES = [(name, key, number) for name, (_, wrong) in CALLS.items() for key, values in wrong.items() for number in range(len(values))]
 
@@ -163,10 +339,21 @@ def test_every_wrong_value_is_answered_by_a_clear_message(name, tmp_path, monkey
 
 WORDS = st.text(min_size=3, max_size=40)
 RUBBISH = st.one_of(
-    WORDS, st.binary(max_size=9), st.complex_numbers(), st.dictionaries(WORDS, st.floats(), max_size=2), st.sets(st.integers(), max_size=3),
-    st.lists(WORDS, min_size=1, max_size=3), st.lists(st.dictionaries(WORDS, st.none(), min_size=1), min_size=1, max_size=2), st.tuples(st.complex_numbers(), st.none()))
-NOT_FOR_RUBBISH = [(name, key) for name, (_, wrong) in CALLS.items() for key, values in wrong.items()
-                   if all(any(value is known for value in values) for known in ("text", NOTHING[4]))]
+    WORDS,
+    st.binary(max_size=9),
+    st.complex_numbers(),
+    st.dictionaries(WORDS, st.floats(), max_size=2),
+    st.sets(st.integers(), max_size=3),
+    st.lists(WORDS, min_size=1, max_size=3),
+    st.lists(st.dictionaries(WORDS, st.none(), min_size=1), min_size=1, max_size=2),
+    st.tuples(st.complex_numbers(), st.none()),
+)
+NOT_FOR_RUBBISH = [
+    (name, key)
+    for name, (_, wrong) in CALLS.items()
+    for key, values in wrong.items()
+    if all(any(value is known for value in values) for known in ("text", NOTHING[4]))
+]
 
 
 @settings(derandomize=True, deadline=None, max_examples=500, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))

@@ -27,14 +27,25 @@ def meshes(draw):
 @st.composite
 def materials(draw, damped=False):
     damping = {"viscosity": draw(st.floats(1e-5, 1e-2)), "mass_damping": draw(st.floats(0.0, 5.0))} if damped else {}
-    return pi.Material(E=10 ** draw(st.floats(6.5, 9.0)), nu=draw(st.floats(-0.4, 0.45)), rho=10 ** draw(st.floats(2.5, 4.0)),
-                       plane=draw(st.sampled_from(("stress", "strain"))), **damping)
+    return pi.Material(
+        E=10 ** draw(st.floats(6.5, 9.0)),
+        nu=draw(st.floats(-0.4, 0.45)),
+        rho=10 ** draw(st.floats(2.5, 4.0)),
+        plane=draw(st.sampled_from(("stress", "strain"))),
+        **damping,
+    )
 
 
 @st.composite
 def plates(draw, name, origin=(0.0, 0.0), damped=False):
-    return pi.Plate(draw(meshes()), draw(materials(damped)), draw(st.floats(1e-3, 0.1)), origin=origin, name=name,
-                    element=draw(st.sampled_from(("wachspress", "virtual"))))
+    return pi.Plate(
+        draw(meshes()),
+        draw(materials(damped)),
+        draw(st.floats(1e-3, 0.1)),
+        origin=origin,
+        name=name,
+        element=draw(st.sampled_from(("wachspress", "virtual"))),
+    )
 
 
 @st.composite
@@ -60,7 +71,9 @@ def scenes(draw, motors=True, loads=True, damped=False):
 def bent(model, seed, size=0.02):
     """A smooth displacement and rates of about that size, (q, v, a, lam)."""
     random, x = np.random.default_rng(seed), model.reference
-    waves = [random.standard_normal((2, 3)) @ np.array([np.sin(2 * x[:, 0] + k), np.cos(3 * x[:, 1] + k), x[:, 0] * x[:, 1]]) for k in range(3)]
+    waves = [
+        random.standard_normal((2, 3)) @ np.array([np.sin(2 * x[:, 0] + k), np.cos(3 * x[:, 1] + k), x[:, 0] * x[:, 1]]) for k in range(3)
+    ]
     q, v, a = (size * wave.T.ravel() for wave in waves)
     return q, v, a, random.standard_normal(model.m)
 
@@ -106,7 +119,9 @@ def test_the_force_is_the_slope_of_the_energy(scene, seed):
     model = scene.build()
     q, v, _, _ = bent(model, seed)
     s, still = 1e-5, np.zeros(model.n)
-    slope = (8 * (model.potential(q + s * v) - model.potential(q - s * v)) - model.potential(q + 2 * s * v) + model.potential(q - 2 * s * v)) / (12 * s)
+    slope = (
+        8 * (model.potential(q + s * v) - model.potential(q - s * v)) - model.potential(q + 2 * s * v) + model.potential(q - 2 * s * v)
+    ) / (12 * s)
     work = model.force(0.0, q, still) @ v
     assert abs(slope - work) <= 1e-6 * max(abs(work), model.strain_energy(q), 1e-9)
 

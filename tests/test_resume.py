@@ -53,29 +53,16 @@ def pendulum():
     return pi.problems.get("pendulum").model, {"q0": [-1.0, 0.0]}
 
 
-SETTINGS = (
-    {},
-    {"every": 7},
-    {"output": np.linspace(0.01, 0.79, 40)},
-    {"flush_every": 1},
-    {"until": lambda t, q, v: q[-1] + 0.9},
-)
+SETTINGS = ({}, {"every": 7}, {"output": np.linspace(0.01, 0.79, 40)}, {"flush_every": 1}, {"until": lambda t, q, v: q[-1] + 0.9})
 
 
 @pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: next(iter(settings), "plain"))
-@pytest.mark.parametrize(
-    "integrator", [ALPHA, pi.GeneralizedAlpha(h=2e-3, linear="kkt", rho_inf=0.5)], ids=["compiled", "kkt"]
-)
+@pytest.mark.parametrize("integrator", [ALPHA, pi.GeneralizedAlpha(h=2e-3, linear="kkt", rho_inf=0.5)], ids=["compiled", "kkt"])
 def test_a_scene_goes_on_bit_by_bit(model, tmp_path, integrator, settings):
     path, until = tmp_path / "run.h5", settings.get("until")
     interrupted(path, 0.42, model, 0.8, integrator, **settings)
     run, expected = pi.resume(path, until=until), pi.solve(model, 0.8, integrator, **settings)
-    assert (
-        run.success
-        and equal(run, expected)
-        and equal(pi.load(path), expected)
-        and run.counts.steps == expected.counts.steps
-    )
+    assert run.success and equal(run, expected) and equal(pi.load(path), expected) and run.counts.steps == expected.counts.steps
     assert (run.status, run.message) == (expected.status, expected.message) and os.listdir(tmp_path) == ["run.h5"]
 
 
@@ -97,11 +84,7 @@ def test_twice_interrupted(model, whole, tmp_path):
 def test_across_kinks_bit_by_bit(tmp_path):
     scene = plates.double_plate(cells=8)
     upper = next(iter(scene.parts.values()))
-    scene.add(
-        pi.AngleMotor(
-            pi.ground, upper.section("left"), angle=pi.profile.linear(0.0, 0.3, duration=0.2, begin=0.1), name="drive"
-        )
-    )
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.linear(0.0, 0.3, duration=0.2, begin=0.1), name="drive"))
     model = scene.build()
     expected = pi.solve(model, 0.5, ALPHA)
     for after in (0.05, 0.0985, 0.1, 0.25, 0.3):
@@ -174,17 +157,11 @@ def test_a_run_that_is_still_written_cannot_go_on(model, tmp_path):
 
     def progress(t):
         if t > 0.05 and not told:
-            child = (
-                "import polyida as pi, sys\ntry: pi.resume(sys.argv[1])\nexcept pi.InputError as error: print(error)"
-            )
-            done = subprocess.run(
-                [sys.executable, "-c", child, tmp_path / "run.h5"], capture_output=True, text=True, check=True
-            )
+            child = "import polyida as pi, sys\ntry: pi.resume(sys.argv[1])\nexcept pi.InputError as error: print(error)"
+            done = subprocess.run([sys.executable, "-c", child, tmp_path / "run.h5"], capture_output=True, text=True, check=True)
             told.append(done.stdout)
 
-    assert pi.solve(
-        model, 0.1, pi.GeneralizedAlpha(h=1e-3, linear="kkt"), out=tmp_path / "run.h5", progress=progress
-    ).success
+    assert pi.solve(model, 0.1, pi.GeneralizedAlpha(h=1e-3, linear="kkt"), out=tmp_path / "run.h5", progress=progress).success
     assert "another process is still writing it" in told[0]
 
 

@@ -10,13 +10,8 @@ def test_add_returns_the_part_and_counts_the_nameless(scenes):
     scene, upper = scenes.single()
     assert scene.parts["upper"] is upper
     left = upper.section("left")
-    parts = [
-        scene.add(part)
-        for part in (pi.Revolute(pi.ground, left), pi.Revolute(pi.ground, left), pi.PointMass(left, 1.0))
-    ]
-    assert (
-        list(scene.parts) == ["upper", "revolute 1", "revolute 2", "mass 1"] and list(scene.parts.values())[1:] == parts
-    )
+    parts = [scene.add(part) for part in (pi.Revolute(pi.ground, left), pi.Revolute(pi.ground, left), pi.PointMass(left, 1.0))]
+    assert list(scene.parts) == ["upper", "revolute 1", "revolute 2", "mass 1"] and list(scene.parts.values())[1:] == parts
 
 
 def test_a_taken_number_is_skipped(scenes):

@@ -197,9 +197,7 @@ def test_output_gives_just_the_times_wanted(pendulum, integrator, tmp_path):
 QUARTER = 1.8540746773013719 / np.sqrt(9.81)  # K(1/2) / sqrt(g / L): a pendulum's fall from the horizontal
 
 
-@pytest.mark.parametrize(
-    "integrator, tolerance", [(pi.GeneralizedAlpha(h=2e-4), 1e-6), (pi.IDA(rtol=1e-9, atol=1e-10), 1e-6)]
-)
+@pytest.mark.parametrize("integrator, tolerance", [(pi.GeneralizedAlpha(h=2e-4), 1e-6), (pi.IDA(rtol=1e-9, atol=1e-10), 1e-6)])
 def test_until_stops_where_the_function_changes_its_sign(pendulum, integrator, tolerance):
     run = pi.solve(pendulum, 5.0, integrator, q0=[-1.0, 0.0], until=lambda t, q, v: q[0])
     assert run.status == "stopped" and run.success and "until" in run.message
@@ -216,8 +214,16 @@ def test_until_does_not_stop_at_a_zero_at_the_start(pendulum):
     assert abs(run.t[-1] - QUARTER) < 1e-5  # y' is zero at the start and at the bottom
 
 
-@pytest.mark.parametrize("value, told", [(np.nan, "nan"), (False, "False.*changes sign"), (np.bool_(1), "True"),
-                                         (np.zeros(3), r"an array of shape \(3,\)"), ("soon", "'soon'")])
+@pytest.mark.parametrize(
+    "value, told",
+    [
+        (np.nan, "nan"),
+        (False, "False.*changes sign"),
+        (np.bool_(1), "True"),
+        (np.zeros(3), r"an array of shape \(3,\)"),
+        ("soon", "'soon'"),
+    ],
+)
 def test_until_that_gives_no_number(pendulum, value, told):
     with pytest.raises(pi.InputError, match=f"until: the function gave .*{told}"):
         pi.solve(pendulum, 1.0, ALPHA, q0=[-1.0, 0.0], until=lambda t, q, v: value)
@@ -338,19 +344,10 @@ def test_a_run_is_read_while_it_is_written(model, whole, tmp_path):
     def progress(t):
         if len(seen) < 3 and t > 0.1 * (len(seen) + 1):
             child = "import polyida as pi, sys; x = pi.load(sys.argv[1]); print(x.status, len(x), x.q[-1].sum().hex())"
-            done = subprocess.run(
-                [sys.executable, "-c", child, tmp_path / "run.h5"], capture_output=True, text=True, check=True
-            )
+            done = subprocess.run([sys.executable, "-c", child, tmp_path / "run.h5"], capture_output=True, text=True, check=True)
             seen.append(done.stdout.split())
 
-    pi.solve(
-        model,
-        0.4,
-        pi.GeneralizedAlpha(h=1e-3, linear="kkt"),
-        out=tmp_path / "run.h5",
-        flush_every=10,
-        progress=progress,
-    )
+    pi.solve(model, 0.4, pi.GeneralizedAlpha(h=1e-3, linear="kkt"), out=tmp_path / "run.h5", flush_every=10, progress=progress)
     lengths = [int(count) for _, count, _ in seen]
     final = pi.load(tmp_path / "run.h5")
     assert [status for status, *_ in seen] == ["running"] * 3 and 85 < lengths[0] < lengths[1] < lengths[2] < 401

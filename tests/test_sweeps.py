@@ -36,8 +36,14 @@ def task(number, **more):
 
 
 def study(numbers=range(3), **options):
-    return Study("sweep", "A sweep", lambda quick: [{"number": k} for k in numbers], task,
-                 lambda rows: {"total": sum(row.get("square", 0.0) for row in rows)}, **options)
+    return Study(
+        "sweep",
+        "A sweep",
+        lambda quick: [{"number": k} for k in numbers],
+        task,
+        lambda rows: {"total": sum(row.get("square", 0.0) for row in rows)},
+        **options,
+    )
 
 
 def test_rows_are_in_order_and_plain(tmp_path):
@@ -82,7 +88,10 @@ def test_isolated_tasks_that_crash_or_hang_are_rows(tmp_path, fresh):
     assert [row.get("square") for row in rows] == [4, None, 16, None, None, None, 64]
     assert rows[1]["error"] == "RuntimeError: three is no good"
     assert [(row["outcome"], row["error"]) for row in rows[3:6]] == [
-        ("crash", "crash: signal SIGSEGV"), ("crash", "crash: exit code 7"), ("hang", "hang: no end within 2 s")]
+        ("crash", "crash: signal SIGSEGV"),
+        ("crash", "crash: exit code 7"),
+        ("hang", "hang: no end within 2 s"),
+    ]
     assert os.getpid() not in {rows[0]["where"], rows[2]["where"], rows[6]["where"]}
     assert (rows[0]["where"] == rows[2]["where"]) is not fresh and rows[2]["where"] != rows[6]["where"]
 
@@ -108,8 +117,12 @@ if __name__ == "__main__":
 
 def test_a_worker_left_alone_ends_itself(tmp_path):
     """The process that asked is killed while a task goes on: the task ends at its limit and does not stay for ever."""
-    (tmp_path / "orphan.py").write_text(ORPHAN.replace("import Worker, GRACE", "import Worker\nimport polyida.study.isolation as i\ni.GRACE = 0.5"))
-    parent = subprocess.Popen([sys.executable, tmp_path / "orphan.py", tmp_path / "pid", "limit"], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+    (tmp_path / "orphan.py").write_text(
+        ORPHAN.replace("import Worker, GRACE", "import Worker\nimport polyida.study.isolation as i\ni.GRACE = 0.5")
+    )
+    parent = subprocess.Popen(
+        [sys.executable, tmp_path / "orphan.py", tmp_path / "pid", "limit"], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    )
     number = _wait_for(lambda: int((tmp_path / "pid").read_text()))
     parent.kill()
     parent.wait()
@@ -167,7 +180,9 @@ def test_the_command_writes_figures_and_tells_what_failed(tmp_path, capsys):
 
 
 def test_figures_are_strict_json(tmp_path, capsys):
-    wild = Study("sweep", "", lambda quick: [{"number": 1}], lambda number: {"x": float("nan"), "y": [np.inf, 1.0]}, lambda rows: {"z": float("inf")})
+    wild = Study(
+        "sweep", "", lambda quick: [{"number": 1}], lambda number: {"x": float("nan"), "y": [np.inf, 1.0]}, lambda rows: {"z": float("inf")}
+    )
     cli_study.main(wild, ["--out", str(tmp_path / "out")])
     data = json.loads((tmp_path / "out" / "figures.json").read_text(), parse_constant=lambda name: pytest.fail(name))
     assert data["figures"] == {"z": None} and data["rows"][0]["x"] is None and data["rows"][0]["y"] == [None, 1.0]

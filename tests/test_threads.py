@@ -15,8 +15,12 @@ from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")
 METHODS = {
-    "alpha": pi.GeneralizedAlpha(h=1e-3), "adaptive": pi.GeneralizedAlpha(h=2e-3, rtol=1e-5), "kkt": pi.GeneralizedAlpha(h=5e-3, linear="kkt"),
-    "energy": pi.EnergyMomentum(h=1e-3), "ggl2": pi.IDA(rtol=1e-4), "ggl1": pi.IDA(rtol=1e-4, form="ggl1"),
+    "alpha": pi.GeneralizedAlpha(h=1e-3),
+    "adaptive": pi.GeneralizedAlpha(h=2e-3, rtol=1e-5),
+    "kkt": pi.GeneralizedAlpha(h=5e-3, linear="kkt"),
+    "energy": pi.EnergyMomentum(h=1e-3),
+    "ggl2": pi.IDA(rtol=1e-4),
+    "ggl1": pi.IDA(rtol=1e-4, form="ggl1"),
 }
 
 
@@ -78,6 +82,7 @@ def test_files_written_in_threads_at_once(alone, tmp_path):
 
 def test_a_failing_run_beside_good_ones_tells_its_own_reason(alone):
     """What SUNDIALS says of one run is not taken for another's."""
+
     def failing(_):
         return pi.solve(plates.double_plate(cells=6).build(), 0.06, pi.IDA(rtol=1e-6, max_num_steps=5)).status
 

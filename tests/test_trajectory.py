@@ -13,17 +13,8 @@ def test_frames_come_back_to_the_bit(run, file):
     again = pi.load(file)
     for name in FRAMES:
         assert np.array_equal(getattr(again, name), getattr(run, name)), name
-    assert (again.status, again.message, again.counts, again.machine) == (
-        run.status,
-        run.message,
-        run.counts,
-        run.machine,
-    )
-    assert (again.cpu_seconds, again.wall_seconds, again.integrator) == (
-        run.cpu_seconds,
-        run.wall_seconds,
-        run.integrator,
-    )
+    assert (again.status, again.message, again.counts, again.machine) == (run.status, run.message, run.counts, run.machine)
+    assert (again.cpu_seconds, again.wall_seconds, again.integrator) == (run.cpu_seconds, run.wall_seconds, run.integrator)
     assert set(again.memory) == set(run.memory) and np.array_equal(again.memory["a_alg"], run.memory["a_alg"])
     assert again.success and again.summary() == run.summary()
 
@@ -36,9 +27,7 @@ def test_what_is_derived_comes_back_too(run, file):
         assert np.allclose(again.reaction(name), run.reaction(name), rtol=1e-14)
     for name in ("kinetic", "potential", "strain", "total"):
         assert np.allclose(getattr(again.energy, name), getattr(run.energy, name), rtol=1e-12, atol=1e-14)
-    assert np.array_equal(again.stress(-1), run.stress(-1)) and np.array_equal(
-        again.node_positions(-1), run.node_positions(-1)
-    )
+    assert np.array_equal(again.stress(-1), run.stress(-1)) and np.array_equal(again.node_positions(-1), run.node_positions(-1))
     assert list(again.model.parts) == list(run.model.parts)
 
 

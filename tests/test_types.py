@@ -23,8 +23,10 @@ def functions(name, thing):
         return {name: thing} if callable(thing) else {}
     bases = [base for base in thing.__mro__ if base.__module__.startswith("polyida.")]
     members = {key: value for base in reversed(bases) for key, value in vars(base).items() if key[0] != "_" or key == "__init__"}
-    unwrapped = {key: getattr(value, "fget", None) or getattr(value, "func", None) or getattr(value, "__func__", value)
-                 for key, value in members.items()}
+    unwrapped = {
+        key: getattr(value, "fget", None) or getattr(value, "func", None) or getattr(value, "__func__", value)
+        for key, value in members.items()
+    }
     return {f"{name}.{key}": value for key, value in unwrapped.items() if inspect.isfunction(value)}
 
 
@@ -39,7 +41,9 @@ def untyped(function):
     """Parameters without a type, and "return" where it has none; self, cls and what is a fixed * or ** have none."""
     signature = inspect.signature(function)
     kinds = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    bare = [p.name for p in signature.parameters.values() if p.annotation is p.empty and p.name not in ("self", "cls") and p.kind not in kinds]
+    bare = [
+        p.name for p in signature.parameters.values() if p.annotation is p.empty and p.name not in ("self", "cls") and p.kind not in kinds
+    ]
     return bare + ["return"] * (signature.return_annotation is signature.empty)
 
 

@@ -52,9 +52,7 @@ def chunked(file, name, rows):
 
 
 @pytest.mark.parametrize(
-    "content",
-    [b"", b"\x89HDF\r\n\x1a\n", b"t,x\n0,1\n" * 50, os.urandom(4096)],
-    ids=["empty", "signature", "text", "noise"],
+    "content", [b"", b"\x89HDF\r\n\x1a\n", b"t,x\n0,1\n" * 50, os.urandom(4096)], ids=["empty", "signature", "text", "noise"]
 )
 def test_foreign_files(tmp_path, content):
     (tmp_path / "run.h5").write_bytes(content)
@@ -96,8 +94,7 @@ HOSTILE = {
     "no whole record": lambda f: [f[f"slot {slot}"].resize(0, axis=0) for slot in range(2)],
     "q claims": lambda f: chunked(f, "q", 1 << 20),
     "claims": lambda f: (
-        replaced(f, "scene/mesh 0/points", np.zeros(1), maxshape=(None,))
-        or f["scene/mesh 0/points"].resize(1 << 50, axis=0)
+        replaced(f, "scene/mesh 0/points", np.zeros(1), maxshape=(None,)) or f["scene/mesh 0/points"].resize(1 << 50, axis=0)
     ),
 }
 

@@ -65,9 +65,12 @@ def warn_of_locking(name, plate):
     """LockingWarning where cells keep their volume at the cost of bending: plane strain, nu near 1/2, too few corners a cell."""
     material, corners = plate.material, len(plate.mesh.nodes) / plate.mesh.n_cells
     if material.plane == "strain" and material.nu > LOCKING and (plate.element == "wachspress" or corners < 4):
-        warnings.warn(f"{name}: nu = {material.nu:g} in plane strain with {plate.element} elements of {corners:.2g} corners: they lock, bending comes "
-                      'out much too stiff; use element="virtual" on quadrilaterals or polygons, which does not',
-                      LockingWarning, stacklevel=5)
+        warnings.warn(
+            f"{name}: nu = {material.nu:g} in plane strain with {plate.element} elements of {corners:.2g} corners: they lock, bending comes "
+            'out much too stiff; use element="virtual" on quadrilaterals or polygons, which does not',
+            LockingWarning,
+            stacklevel=5,
+        )
 
 
 def operator_of(plate):
@@ -120,8 +123,14 @@ def operator_arrays(bodies):
     """Concatenated reference operators, each once."""
     operators = list({id(body.operator): body.operator for body in bodies}.values())
     parts = {
-        "layout": (np.int64, (6,)), "corners": (np.int32, ()), "gradients": (float, ()), "weights": (float, ()),
-        "pairs": (np.int32, ()), "indptr": (np.int32, ()), "indices": (np.int32, ()), "mass": (float, ()),
+        "layout": (np.int64, (6,)),
+        "corners": (np.int32, ()),
+        "gradients": (float, ()),
+        "weights": (float, ()),
+        "pairs": (np.int32, ()),
+        "indptr": (np.int32, ()),
+        "indices": (np.int32, ()),
+        "mass": (float, ()),
     }
     lists = {name: [getattr(operator, name) for operator in operators] for name in parts}
     fields = {name: concatenated(lists[name], dtype, tail) for name, (dtype, tail) in parts.items()}
@@ -150,9 +159,12 @@ def body_arrays(bodies, gravity):
     return {
         "body_node": starts([range(body.mesh.n_nodes) for body in bodies]),
         "body_block": starts([body.operator.indices for body in bodies]),
-        "body_c1": np.array(c1), "body_nu": np.array(ratio), "body_density": np.array(density),
+        "body_c1": np.array(c1),
+        "body_nu": np.array(ratio),
+        "body_density": np.array(density),
         "body_drag": np.array([body.plate.material.mass_damping for body in bodies]),
-        "body_viscosity": np.array([body.plate.material.viscosity for body in bodies]), "body_stabilisation": np.array(factor),
+        "body_viscosity": np.array([body.plate.material.viscosity for body in bodies]),
+        "body_stabilisation": np.array(factor),
         "weight": concatenated(weight, float, (2,)),
     }
 
@@ -161,7 +173,8 @@ def load_arrays(loads, drives, first_node):
     """Nodal forces of the loads and the number of the profile that scales each."""
     nodes = [load.at.nodes + first_node[id(load.at.body)] for load in loads.values()]
     return {
-        "load_ptr": starts(nodes), "load_nodes": concatenated(nodes, np.int32),
+        "load_ptr": starts(nodes),
+        "load_nodes": concatenated(nodes, np.int32),
         "load_values": concatenated([load.nodal() for load in loads.values()], float, (2,)),
         "load_drive": np.array([drives.add(load.profile, name) for name, load in loads.items()], np.int64),
     }

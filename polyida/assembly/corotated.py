@@ -101,7 +101,7 @@ def active_components(s, laws):
         acts[laws.points[laws.points >= 0]] = True
     for p in np.flatnonzero(bilinear(s)):
         for i in (s.product_first[p], s.product_second[p]):
-            acts[s.vector_points[s.vector_start[i]:s.vector_start[i + 1]]] = True
+            acts[s.vector_points[s.vector_start[i] : s.vector_start[i + 1]]] = True
     return np.flatnonzero(np.repeat(acts, 2))
 
 
@@ -109,7 +109,7 @@ def order_along_joints(active, s):
     """Place of each unknown (active components, then multipliers): every row of phi after the components it touches."""
     number, order, m = {int(p): i for i, p in enumerate(active)}, [], len(s.row_constant)
     for row in range(m):
-        columns = s.row_columns[s.row_start[row]:s.row_start[row + 1]]
+        columns = s.row_columns[s.row_start[row] : s.row_start[row + 1]]
         order += [number.pop(p) for p in columns.tolist() if p in number]
         order.append(len(active) + row)
     order += number.values()
@@ -122,9 +122,19 @@ def room(model, system):
     """Scratch for solves with `system`."""
     points, m, size = 2 * model.n_points, model.m, len(system.active) + model.m
     width = system.factor.band.shape[1]
-    return Room(np.zeros(model.n + width, np.float32), np.empty((model.n_nodes, 2)), np.empty((model.n_points, 2)),
-                np.empty((model.n_points, 2)), np.empty((points, points)), np.empty(len(model.arrays.links.row_columns)), np.empty((points, points)),
-                np.empty((points, m)), *small_room(size), np.empty(points), np.zeros((0, 0) if model.laws is None else (points, points)))
+    return Room(
+        np.zeros(model.n + width, np.float32),
+        np.empty((model.n_nodes, 2)),
+        np.empty((model.n_points, 2)),
+        np.empty((model.n_points, 2)),
+        np.empty((points, points)),
+        np.empty(len(model.arrays.links.row_columns)),
+        np.empty((points, points)),
+        np.empty((points, m)),
+        *small_room(size),
+        np.empty(points),
+        np.zeros((0, 0) if model.laws is None else (points, points)),
+    )
 
 
 def small_room(size):

@@ -31,18 +31,42 @@ def add_damping(s, u, v, elastic, r):
         o, n0 = s.body_operator[b], s.body_node[b]
         p, e = s.at[o], s.at[o + 1]
         if s.body_drag[b] != 0.0:
-            kernels.mass_product(s.indptr[p[5]:e[5]], s.indices[p[6]:e[6]], s.mass[p[6]:e[6]], s.body_drag[b] * s.body_density[b], n0, v, r)
+            kernels.mass_product(
+                s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]], s.body_drag[b] * s.body_density[b], n0, v, r
+            )
         if s.body_viscosity[b] == 0.0:
             continue
         none = elastic[:0]
         elastic[:] = 0.0
-        kernels.internal_force(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]], n0, s.body_c1[b],
-                               s.body_nu[b], u, elastic, none)
+        kernels.internal_force(
+            s.layout[p[0] : e[0]],
+            s.corners[p[1] : e[1]],
+            s.gradients[p[2] : e[2]],
+            s.weights[p[3] : e[3]],
+            n0,
+            s.body_c1[b],
+            s.body_nu[b],
+            u,
+            elastic,
+            none,
+        )
         for i in range(n0, s.body_node[b + 1]):
             r[i, 0] -= elastic[i, 0]
             r[i, 1] -= elastic[i, 1]
-        two_states.internal_force_viscous(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]], n0,
-                                          s.body_c1[b], s.body_nu[b], s.body_viscosity[b], u, v, r, none)
+        two_states.internal_force_viscous(
+            s.layout[p[0] : e[0]],
+            s.corners[p[1] : e[1]],
+            s.gradients[p[2] : e[2]],
+            s.weights[p[3] : e[3]],
+            n0,
+            s.body_c1[b],
+            s.body_nu[b],
+            s.body_viscosity[b],
+            u,
+            v,
+            r,
+            none,
+        )
 
 
 @entry
@@ -52,9 +76,23 @@ def damped_blocks(s, u, v, c_v, c_q, blocks):
     for b in range(s.body_operator.shape[0]):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]
-        two_states.tangent_viscous(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]],
-                                   s.pairs[p[4]:e[4]], s.body_node[b], first, s.body_c1[b], s.body_nu[b], s.body_viscosity[b], u, v,
-                                   c_q, c_v, blocks)
+        two_states.tangent_viscous(
+            s.layout[p[0] : e[0]],
+            s.corners[p[1] : e[1]],
+            s.gradients[p[2] : e[2]],
+            s.weights[p[3] : e[3]],
+            s.pairs[p[4] : e[4]],
+            s.body_node[b],
+            first,
+            s.body_c1[b],
+            s.body_nu[b],
+            s.body_viscosity[b],
+            u,
+            v,
+            c_q,
+            c_v,
+            blocks,
+        )
         drag, stiff = c_v * s.body_drag[b] * s.body_density[b], c_q * s.body_stabilisation[b]
         for k in range(e[6] - p[6]):
             value = drag * s.mass[p[6] + k] + stiff * s.stabilisation[p[6] + k]

@@ -21,13 +21,25 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         p, e = s.at[o], s.at[o + 1]
-        det = kernels.internal_force(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]],
-                                     n0, s.body_c1[b], s.body_nu[b], u, r, rotation)
+        det = kernels.internal_force(
+            s.layout[p[0] : e[0]],
+            s.corners[p[1] : e[1]],
+            s.gradients[p[2] : e[2]],
+            s.weights[p[3] : e[3]],
+            n0,
+            s.body_c1[b],
+            s.body_nu[b],
+            u,
+            r,
+            rotation,
+        )
         if not det >= least:
             least = det
-        kernels.mass_product(s.indptr[p[5]:e[5]], s.indices[p[6]:e[6]], s.mass[p[6]:e[6]], s.body_density[b], n0, a, r)
+        kernels.mass_product(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]], s.body_density[b], n0, a, r)
         if s.body_stabilisation[b] != 0.0:
-            stabilisation.force(s.indptr[p[5]:e[5]], s.indices[p[6]:e[6]], s.stabilisation[p[6]:e[6]], s.body_stabilisation[b], n0, u, r)
+            stabilisation.force(
+                s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, u, r
+            )
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
         for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
@@ -52,8 +64,20 @@ def tangent_blocks(s, u, c_m, c_q, blocks):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]
         if c_q != 0.0:
-            kernels.tangent(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]],
-                            s.pairs[p[4]:e[4]], s.body_node[b], first, s.body_c1[b], s.body_nu[b], u, c_q, blocks)
+            kernels.tangent(
+                s.layout[p[0] : e[0]],
+                s.corners[p[1] : e[1]],
+                s.gradients[p[2] : e[2]],
+                s.weights[p[3] : e[3]],
+                s.pairs[p[4] : e[4]],
+                s.body_node[b],
+                first,
+                s.body_c1[b],
+                s.body_nu[b],
+                u,
+                c_q,
+                blocks,
+            )
         mass_scale, stiffness_scale = c_m * s.body_density[b], c_q * s.body_stabilisation[b]
         if mass_scale != 0.0 or stiffness_scale != 0.0:
             for k in range(e[6] - p[6]):
@@ -69,11 +93,20 @@ def strain_energy(s, u):
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
         p, e = s.at[o], s.at[o + 1]
-        total += kernels.strain_energy(s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]],
-                                       s.body_node[b], s.body_c1[b], s.body_nu[b], u)
+        total += kernels.strain_energy(
+            s.layout[p[0] : e[0]],
+            s.corners[p[1] : e[1]],
+            s.gradients[p[2] : e[2]],
+            s.weights[p[3] : e[3]],
+            s.body_node[b],
+            s.body_c1[b],
+            s.body_nu[b],
+            u,
+        )
         if s.body_stabilisation[b] != 0.0:
-            total += stabilisation.energy(s.indptr[p[5]:e[5]], s.indices[p[6]:e[6]], s.stabilisation[p[6]:e[6]], s.body_stabilisation[b],
-                                          s.body_node[b], u)
+            total += stabilisation.energy(
+                s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], s.body_node[b], u
+            )
     return total
 
 
@@ -83,4 +116,4 @@ def momentum(s, a, r):
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
         p, e = s.at[o], s.at[o + 1]
-        kernels.mass_product(s.indptr[p[5]:e[5]], s.indices[p[6]:e[6]], s.mass[p[6]:e[6]], s.body_density[b], s.body_node[b], a, r)
+        kernels.mass_product(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]], s.body_density[b], s.body_node[b], a, r)

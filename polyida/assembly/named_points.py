@@ -13,8 +13,11 @@ class NamedPoints(Model):
 
     def attachment(self, name):
         """What a mass, load or joint holds on to (a joint: its side b, or a where b is ground); InputError for another name."""
-        held = {known: part for known, part in self.parts.items()
-                if isinstance(part, Joint) or isinstance(getattr(part, "at", None), Attachment)}
+        held = {
+            known: part
+            for known, part in self.parts.items()
+            if isinstance(part, Joint) or isinstance(getattr(part, "at", None), Attachment)
+        }
         if name not in held:
             raise InputError(f"no mass, load or joint is called {name!r}; known: {', '.join(map(repr, held))}")
         part = held[name]

@@ -49,11 +49,17 @@ class SceneModel(Constraints):
         self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
         elements, deforming = of_kind(parts, ForceElement), [own for own in self.own_bodies if own.elastic]
         self.damped, self.flexible = any(body.plate.material.damped for body in self.bodies), bool(self.bodies or deforming)
-        self.needs = Needs(mass_varies=False, velocity_forces=self.damped or bool(elements), driven=bool((links.product_drive >= 0).any()),
-                           phi_q_varies=bool(bilinear(links).any()))
+        self.needs = Needs(
+            mass_varies=False,
+            velocity_forces=self.damped or bool(elements),
+            driven=bool((links.product_drive >= 0).any()),
+            phi_q_varies=bool(bilinear(links).any()),
+        )
         self.reference = np.concatenate([body.points for body in self.bodies] + [own.pairs for own in self.own_bodies])
-        self.own_forces = OwnForces([*(OwnForce(name, element, self) for name, element in elements.items()),
-                                     *(Elastic(own, self.n_nodes) for own in deforming)], self.n)
+        self.own_forces = OwnForces(
+            [*(OwnForce(name, element, self) for name, element in elements.items()), *(Elastic(own, self.n_nodes) for own in deforming)],
+            self.n,
+        )
         self.own_mass = own_mass(self.own_bodies, parts, self.first_node, self.n) if self.own_bodies else None
         python = dict.fromkeys([own.name for own in (*self.own_bodies, *self.own_forces.each)] if self.laws is None else [])
         self.compiled, self.alike, self.looks_apart = not python, not self.own_bodies, 1 if self.own_bodies else self.looks_apart
@@ -72,7 +78,9 @@ class SceneModel(Constraints):
         r, phi = np.empty((self.n_nodes, 2)), np.empty(self.m)
         rotation = np.empty((0, 2)) if rotation is None else rotation
         dz, forces = np.empty((2, self.n_points, 2))
-        det, cosine = compiled.equilibrium(self.arrays, self.drives(t), self._nodal(q), self._nodal(a), self._flat(lam), r, phi, rotation, dz, forces)
+        det, cosine = compiled.equilibrium(
+            self.arrays, self.drives(t), self._nodal(q), self._nodal(a), self._flat(lam), r, phi, rotation, dz, forces
+        )
         return r.ravel(), phi, rotation, det, cosine
 
     def residual(self, t, q, v, a, lam):
@@ -183,7 +191,9 @@ class SceneModel(Constraints):
         if not det > 0:
             where = _deepest(self.bodies, self._nodal(q))
             return f"{where} is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
-        return None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
+        return (
+            None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
+        )
 
     def potential(self, q):
         """Strain energy and potential of gravity, J, relative to the reference configuration, and energy of force elements."""
@@ -234,8 +244,16 @@ class SceneModel(Constraints):
         for body in self.bodies:
             modulus, nu = body.plate.material.in_plane
             out, operator = np.empty((body.mesh.n_cells, 3)), body.operator
-            kernels.stress(*operator.force_arrays, operator.lane_cells, operator.areas, body.nodes.start,
-                           modulus / (1 - nu**2), nu, self._nodal(q), out)
+            kernels.stress(
+                *operator.force_arrays,
+                operator.lane_cells,
+                operator.areas,
+                body.nodes.start,
+                modulus / (1 - nu**2),
+                nu,
+                self._nodal(q),
+                out,
+            )
             parts.append(out)
         return np.concatenate(parts)
 
@@ -252,7 +270,7 @@ class SceneModel(Constraints):
 
 
 def _deepest(bodies, u):
-    """"cell 3 of 'upper' at (x, y)": that of the least mean det F at displacements u (nodes, 2), and its centre at rest, m."""
+    """ "cell 3 of 'upper' at (x, y)": that of the least mean det F at displacements u (nodes, 2), and its centre at rest, m."""
     found = []
     for body in bodies:
         operator = body.operator

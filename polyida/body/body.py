@@ -150,8 +150,10 @@ def mass_of(body):
     pairs, matrix = len(rest_of(body)), _finite(body.mass_matrix())
     shape = "nothing of the kind" if matrix is None else matrix.shape
     if matrix is None or matrix.shape not in ((pairs, pairs), (2 * pairs, 2 * pairs)):
-        raise InputError(f"{body.label}: mass_matrix() gave {shape}; it must give finite numbers ({pairs}, {pairs}), or on both of "
-                         f"each pair ({2 * pairs}, {2 * pairs})")
+        raise InputError(
+            f"{body.label}: mass_matrix() gave {shape}; it must give finite numbers ({pairs}, {pairs}), or on both of "
+            f"each pair ({2 * pairs}, {2 * pairs})"
+        )
     size = np.abs(matrix).max()
     if np.abs(matrix - matrix.conj().T).max() > SAME * size:
         raise InputError(f"{body.label}: mass_matrix() is not Hermitian (symmetric where it is real)")
@@ -176,8 +178,10 @@ def translation_of(body):
     for point in points_of(body):
         if abs(point.weights @ given - 1.0) > SAME or (point.has_direction and abs(point.turn_weights @ given) > SAME):
             moved = complex(np.round(point.weights @ given, 9))
-            raise InputError(f"{body.label}: by translation() {given.tolist()} attachment {point.name!r} moves by {moved:g} "
-                             "and must move by 1, and its direction by nothing; give the translation() of these coordinates")
+            raise InputError(
+                f"{body.label}: by translation() {given.tolist()} attachment {point.name!r} moves by {moved:g} "
+                "and must move by 1, and its direction by nothing; give the translation() of these coordinates"
+            )
     return given
 
 

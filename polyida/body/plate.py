@@ -52,8 +52,11 @@ class Plate:
             raise InputError(f"{label}: mesh is {type(self.mesh).__name__}, a polyida mesh is needed (polyida.mesh.rectangle, read, ...)")
         if not isinstance(self.material, Material):
             raise InputError(f"{label}: material is {self.material!r}, a polyida.Material is needed")
-        settle(self, thickness=positive(label, "thickness", self.thickness, "metres"),
-               origin=tuple(vector2(label, "origin", self.origin).tolist()))
+        settle(
+            self,
+            thickness=positive(label, "thickness", self.thickness, "metres"),
+            origin=tuple(vector2(label, "origin", self.origin).tolist()),
+        )
         if not is_number(self.angle):
             raise InputError(f"{label}: angle = {self.angle!r} must be a finite number of rad")
         if not is_one_of(self.element, ELEMENTS):
@@ -64,8 +67,10 @@ class Plate:
             self._of_mesh(self.mesh.require_convex)
             corners = int(np.diff(self.mesh.offsets).max())
             if corners > MOST_CORNERS:
-                raise InputError(f"{label}: a cell has {corners} corners; Wachspress elements grow too soft beyond {MOST_CORNERS}, "
-                                 'use element="virtual" or a finer mesh')
+                raise InputError(
+                    f"{label}: a cell has {corners} corners; Wachspress elements grow too soft beyond {MOST_CORNERS}, "
+                    'use element="virtual" or a finer mesh'
+                )
 
     @cached_property
     def placed(self) -> PolygonMesh:
@@ -112,8 +117,10 @@ class Plate:
         heights, extent = mesh.cell_areas / reach, np.ptp(mesh.points, axis=0).max()
         thinnest = int(np.argmin(heights))
         if heights[thinnest] < THINNEST * extent:
-            raise InputError(f"{self.label}: cell {thinnest} is a sliver, {heights[thinnest]:.2g} m thick in a mesh of {extent:.3g} m; "
-                             f"cells must be thicker than {THINNEST:g} of the mesh's extent")
+            raise InputError(
+                f"{self.label}: cell {thinnest} is a sliver, {heights[thinnest]:.2g} m thick in a mesh of {extent:.3g} m; "
+                f"cells must be thicker than {THINNEST:g} of the mesh's extent"
+            )
 
     def _of_mesh(self, function, *arguments):
         """A function of the mesh, its complaints under the plate's name."""

@@ -17,8 +17,7 @@ from polyida.errors import InputError
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
 LISTED = {"compared": "quantity", "source": "source"}
 HELP = "Flexible multibody dynamics with polygonal finite elements. Start with: polyida compare double-plate"
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None,
-                  help=HELP)
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None, help=HELP)
 
 
 def _option(kind, text, *names):
@@ -28,8 +27,10 @@ def _option(kind, text, *names):
 SCENE_HELP = "A name from `polyida list`, or my_scene.py:build (the file is executed)."
 Scene = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP)]
 SceneOrNone = Annotated[str | None, typer.Argument(metavar="SCENE", help=SCENE_HELP, show_default=False)]
-RESUME_HELP = ("Go on with a run that did not reach its end, or to a later --time, in the same file; SCENE is needed "
-               "only where a user's file holds functions.")
+RESUME_HELP = (
+    "Go on with a run that did not reach its end, or to a later --time, in the same file; SCENE is needed "
+    "only where a user's file holds functions."
+)
 RunFile = Annotated[Path, typer.Argument(metavar="RUN.h5", help="A run saved by `polyida run` or `polyida compare`.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", "--force", help="Replace what is there.")]
 Cells = _option(int, "Polygons in each plate.")
@@ -79,9 +80,16 @@ def _start(version: Annotated[bool, typer.Option("--version", help="Print the ve
 
 
 @app.command()
-def compare(context: typer.Context, scene: Scene,
-            out: _option(Path, "Folder of the report; SCENE-compare by default.") = None,
-            cells: Cells = None, time: Time = None, step: Step = None, rtol: Rtol = None, overwrite: Overwrite = False):
+def compare(
+    context: typer.Context,
+    scene: Scene,
+    out: _option(Path, "Folder of the report; SCENE-compare by default.") = None,
+    cells: Cells = None,
+    time: Time = None,
+    step: Step = None,
+    rtol: Rtol = None,
+    overwrite: Overwrite = False,
+):
     """Run both integrators and a refined run on one scene: a table, and a folder with the report."""
     from polyida.show import page, report
     from polyida.study.compare import compare as run_all
@@ -104,14 +112,31 @@ def compare(context: typer.Context, scene: Scene,
 
 
 @app.command()
-def run(scene: SceneOrNone = None, integrator: Integrator = None, cells: Cells = None, time: Time = None,
-        step: Step = None, rho_inf: RhoInf = None, rtol: Rtol = None, atol: Atol = None,
-        out: _option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None, overwrite: Overwrite = False,
-        resume: _option(Path, RESUME_HELP) = None):
+def run(
+    scene: SceneOrNone = None,
+    integrator: Integrator = None,
+    cells: Cells = None,
+    time: Time = None,
+    step: Step = None,
+    rho_inf: RhoInf = None,
+    rtol: Rtol = None,
+    atol: Atol = None,
+    out: _option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None,
+    overwrite: Overwrite = False,
+    resume: _option(Path, RESUME_HELP) = None,
+):
     """Run one integrator on a scene, written to an HDF5 file as it goes."""
     if resume:
-        given = {"step": step, "rho-inf": rho_inf, "rtol": rtol, "atol": atol, "out": out, "overwrite": overwrite or None,
-                 "integrator": integrator, "cells": None if scene else cells}
+        given = {
+            "step": step,
+            "rho-inf": rho_inf,
+            "rtol": rtol,
+            "atol": atol,
+            "out": out,
+            "overwrite": overwrite or None,
+            "integrator": integrator,
+            "cells": None if scene else cells,
+        }
         _require_none(given, "--resume goes on with the file's own integrator, settings and place")
         _resumed(resume, scene, cells, time)
         return
@@ -128,8 +153,16 @@ def run(scene: SceneOrNone = None, integrator: Integrator = None, cells: Cells =
     with bars() as tell, job.code():
         tell("preparing kernels", None)
         warm_up(job, member)
-        result = solve(job.model, job.time, member, q0=job.q0, v0=job.v0,
-                       progress=lambda t: tell(integrator, t / job.time), out=path, overwrite=overwrite)
+        result = solve(
+            job.model,
+            job.time,
+            member,
+            q0=job.q0,
+            v0=job.v0,
+            progress=lambda t: tell(integrator, t / job.time),
+            out=path,
+            overwrite=overwrite,
+        )
     _saved(result, path)
 
 
@@ -184,23 +217,30 @@ def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", h
 def show(file: RunFile):
     """Show what a saved run holds: how it ended, its work, and what it was made with."""
     loaded = _load(file)
-    counts, machine = (", ".join(f"{key} {value}" for key, value in data.items())
-                       for data in (loaded.counts.as_dict(), loaded.machine))
+    counts, machine = (", ".join(f"{key} {value}" for key, value in data.items()) for data in (loaded.counts.as_dict(), loaded.machine))
     kind, n, m = type(loaded.model).__name__, loaded.q.shape[1], loaded.lam.shape[1]
-    table(str(file), ["", ""], [
-        ["run", loaded.summary()],
-        ["frames", f"{len(loaded.t)}" + (f", t = {loaded.t[0]:g} .. {loaded.t[-1]:g} s" if len(loaded.t) else "")],
-        ["model", f"{kind}, {n} coordinates, {m} constraints"],
-        ["integrator", repr(loaded.integrator)],
-        ["counts", counts],
-        ["time", f"{loaded.cpu_seconds:.2f} CPU s, {loaded.wall_seconds:.2f} s"],
-        ["made with", machine],
-    ])
+    table(
+        str(file),
+        ["", ""],
+        [
+            ["run", loaded.summary()],
+            ["frames", f"{len(loaded.t)}" + (f", t = {loaded.t[0]:g} .. {loaded.t[-1]:g} s" if len(loaded.t) else "")],
+            ["model", f"{kind}, {n} coordinates, {m} constraints"],
+            ["integrator", repr(loaded.integrator)],
+            ["counts", counts],
+            ["time", f"{loaded.cpu_seconds:.2f} CPU s, {loaded.wall_seconds:.2f} s"],
+            ["made with", machine],
+        ],
+    )
 
 
 @app.command()
-def animate(file: RunFile, out: _option(Path, "GIF file; beside the run by default.") = None,
-            frames: Annotated[int, typer.Option(help="Pictures at most.")] = 80, overwrite: Overwrite = False):
+def animate(
+    file: RunFile,
+    out: _option(Path, "GIF file; beside the run by default.") = None,
+    frames: Annotated[int, typer.Option(help="Pictures at most.")] = 80,
+    overwrite: Overwrite = False,
+):
     """Draw the plates of a saved run as an animated GIF, coloured by von Mises stress."""
     from polyida.show.animation import gif
 
@@ -213,8 +253,12 @@ def animate(file: RunFile, out: _option(Path, "GIF file; beside the run by defau
 
 
 @app.command()
-def export(file: RunFile, vtu: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the VTU frames.")],
-           frames: Frames = None, overwrite: Overwrite = False):
+def export(
+    file: RunFile,
+    vtu: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the VTU frames.")],
+    frames: Frames = None,
+    overwrite: Overwrite = False,
+):
     """Write the frames of a saved run as VTU files with a PVD collection, for ParaView."""
     from polyida.show.vtu import vtu as write
 

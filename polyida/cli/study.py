@@ -130,4 +130,4 @@ def shown(value):
     if isinstance(value, float):
         return f"{value:.4g}"
     text = "" if value is None else str(value)
-    return text if len(text) <= CELL else f"{text[:CELL - 1]}…"
+    return text if len(text) <= CELL else f"{text[: CELL - 1]}…"

@@ -84,8 +84,13 @@ def bars():
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
-               TextColumn("{task.fields[detail]}"))
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[detail]}"),
+    )
     console = Console(stderr=True)
     quiet = {"auto_refresh": False, "transient": True, "redirect_stdout": False, "redirect_stderr": False}
     with Progress(*columns, console=console, disable=not console.is_terminal, **quiet) as progress:

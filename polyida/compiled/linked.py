@@ -3,21 +3,24 @@
 numba by itself optimises every function and makes machine code of it, and again of every function that calls it, with all below.
 """
 
-from polyida.compiled.internals import (
-    Compiler,
-    CPUDispatcher,
-    JITCodeLibrary,
-    PassManager,
-    typed_passes,
-    untyped_passes,
-)
+from polyida.compiled.internals import Compiler, CPUDispatcher, JITCodeLibrary, PassManager, typed_passes, untyped_passes
 from polyida.compiled.thrift import Options, thrifty
 
 PASSES = (
-    untyped_passes.TranslateByteCode, untyped_passes.FixupArgs, untyped_passes.IRProcessing, untyped_passes.RewriteSemanticConstants,
-    untyped_passes.DeadBranchPrune, untyped_passes.GenericRewrites, untyped_passes.ReconstructSSA, untyped_passes.DeadBranchPrune,
-    typed_passes.NopythonTypeInference, typed_passes.PreLowerStripPhis, typed_passes.IRLegalization, typed_passes.AnnotateTypes,
-    typed_passes.NativeLowering, typed_passes.NoPythonBackend,
+    untyped_passes.TranslateByteCode,
+    untyped_passes.FixupArgs,
+    untyped_passes.IRProcessing,
+    untyped_passes.RewriteSemanticConstants,
+    untyped_passes.DeadBranchPrune,
+    untyped_passes.GenericRewrites,
+    untyped_passes.ReconstructSSA,
+    untyped_passes.DeadBranchPrune,
+    typed_passes.NopythonTypeInference,
+    typed_passes.PreLowerStripPhis,
+    typed_passes.IRLegalization,
+    typed_passes.AnnotateTypes,
+    typed_passes.NativeLowering,
+    typed_passes.NoPythonBackend,
 )
 
 

@@ -137,5 +137,5 @@ def _array(context, builder, kind, words):
     """An array that Python keeps."""
     array, size = context.make_array(kind)(context, builder), context.get_abi_sizeof(context.get_data_type(kind.dtype))
     data = builder.inttoptr(words[0], array.data.type)
-    populate_array(array, data, words[1:1 + kind.ndim], words[1 + kind.ndim:], WORD(size), None)
+    populate_array(array, data, words[1 : 1 + kind.ndim], words[1 + kind.ndim :], WORD(size), None)
     return array._getvalue()

@@ -86,7 +86,14 @@ def _variables(self, value):
     return _LIST(self, value)
 
 
-PLAIN = {(owner, name): getattr(owner, name) for owner, name in (
-    (BaseFunction, "get_call_type"), (BaseContext, "get_function"), (BaseContext, "get_abi_sizeof"), (Inst, "_rec_list_vars"))}
+PLAIN = {
+    (owner, name): getattr(owner, name)
+    for owner, name in (
+        (BaseFunction, "get_call_type"),
+        (BaseContext, "get_function"),
+        (BaseContext, "get_abi_sizeof"),
+        (Inst, "_rec_list_vars"),
+    )
+}
 _ASK, _FIND, _SIZE, _LIST = PLAIN.values()
 SPARED = dict(zip(PLAIN, (_typed, _found, _sized, _variables)))

@@ -61,7 +61,7 @@ def _room(layout, per_corner, per_corner_point):
     for b in range(layout.shape[0]):
         vectors = max(vectors, layout[b, 0] * (per_corner + layout[b, 1] * per_corner_point))
     room = np.empty((vectors + 1) * LANES)
-    return room[misalignment(room):]
+    return room[misalignment(room) :]
 
 
 @part
@@ -92,7 +92,7 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
     seen = spread(np.inf), spread(0.0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
-        force, size = room[2 * m * LANES:], 2 * m * LANES
+        force, size = room[2 * m * LANES :], 2 * m * LANES
         _differences(u, corners, first, node_offset, m, room)
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
@@ -125,15 +125,16 @@ def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset
     room = _room(layout, 6, 8)
     for b in range(layout.shape[0]):
         m, points, g = layout[b, 0] - 1, layout[b, 1], layout[b, 3]
-        sums, products = room[2 * m * LANES:], room[6 * m * LANES:]
+        sums, products = room[2 * m * LANES :], room[6 * m * LANES :]
         _differences(u, corners, layout[b, 2], node_offset, m, room)
         if b + 1 < layout.shape[0]:
-            for k in range(layout[b + 1, 0]**2):
+            for k in range(layout[b + 1, 0] ** 2):
                 prefetch_blocks(blocks, pairs, layout[b + 1, 5] + k * LANES, pair_offset)
         for p in range(points):
             start = g + 2 * p * m * LANES
-            a = moduli(_gradient(gradients, start, room, m), load(weights, layout[b, 4] + p * LANES),
-                       scale * c1 * nu, scale * c1 * (1.0 - nu))
+            a = moduli(
+                _gradient(gradients, start, room, m), load(weights, layout[b, 4] + p * LANES), scale * c1 * nu, scale * c1 * (1.0 - nu)
+            )
             for j in range(m):
                 store(products, 8 * (j * points + p) * LANES, moduli_times(a, load2(gradients, start + 2 * j * LANES)))
         for k in range(0, 4 * m * LANES, 4 * LANES):
@@ -142,8 +143,9 @@ def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset
             for i in range(j + 1):
                 block = zeros4()
                 for p in range(points):
-                    block = add_stiffness(block, load2(gradients, g + 2 * (p * m + i) * LANES),
-                                          load8(products, 8 * (j * points + p) * LANES))
+                    block = add_stiffness(
+                        block, load2(gradients, g + 2 * (p * m + i) * LANES), load8(products, 8 * (j * points + p) * LANES)
+                    )
                 _add_block(block, i, j, m, pairs, layout[b, 5], pair_offset, blocks, sums)
         _add_last(m, pairs, layout[b, 5], pair_offset, blocks, sums)
 

@@ -147,9 +147,14 @@ def _loader(result, element, count, doc):
     def load(typing_context, array, start):
         def generate(context, builder, sig, args):
             size = getattr(element, "count", 1)
-            values = [_read(builder, _address(context, builder, sig.args[0], args[0],
-                                              builder.add(args[1], args[1].type(k * size)), element), element)
-                      for k in range(count)]
+            values = [
+                _read(
+                    builder,
+                    _address(context, builder, sig.args[0], args[0], builder.add(args[1], args[1].type(k * size)), element),
+                    element,
+                )
+                for k in range(count)
+            ]
             if element == INT32:
                 return builder.sext(values[0], args[1].type)
             return values[0] if count == 1 else context.make_tuple(builder, sig.return_type, values)
@@ -246,7 +251,7 @@ def gather(typing_context, array, places, start, offset):
     def generate(context, builder, sig, args):
         pointers = _rows(context, builder, sig.args[0], args[0], (sig.args[1], *args[1:]), 2)
         pairs = [_read(builder, pointer, pair.element) for pointer in pointers]
-        low, high = _joined(builder, pairs[:LANES // 2]), _joined(builder, pairs[LANES // 2:])
+        low, high = _joined(builder, pairs[: LANES // 2]), _joined(builder, pairs[LANES // 2 :])
         columns = [_shuffle(builder, low, high, list(range(k, 2 * LANES, 2))) for k in (0, 1)]
         return context.make_tuple(builder, sig.return_type, columns)
 

@@ -107,26 +107,45 @@ def moduli(h, w, spherical, deviatoric):
     both = ball + half
     c11, c12, c22 = half * (f11 * f11 + f12 * f12), half * (f11 * f21 + f12 * f22), half * (f21 * f21 + f22 * f22)
     straight, crossed = f11 * f22, f12 * f21
-    return (s11 + c11 + both * f11 * f11, s12 + both * f11 * f12,
-            c12 + both * f11 * f21, ball * straight + half * crossed,
-            s22 + c11 + both * f12 * f12, ball * crossed + half * straight, c12 + both * f12 * f22,
-            s11 + c22 + both * f21 * f21, s12 + both * f21 * f22, s22 + c22 + both * f22 * f22)
+    return (
+        s11 + c11 + both * f11 * f11,
+        s12 + both * f11 * f12,
+        c12 + both * f11 * f21,
+        ball * straight + half * crossed,
+        s22 + c11 + both * f12 * f12,
+        ball * crossed + half * straight,
+        c12 + both * f12 * f22,
+        s11 + c22 + both * f21 * f21,
+        s12 + both * f21 * f22,
+        s22 + c22 + both * f22 * f22,
+    )
 
 
 @traced(8)
 def moduli_times(a, g):
     """T[a, k, b] = sum_l A[a, k, b, l] G[l], order 111 121 112 122 211 221 212 222."""
     a1111, a1112, a1121, a1122, a1212, a1221, a1222, a2121, a2122, a2222 = a
-    return (a1111 * g[0] + a1112 * g[1], a1112 * g[0] + a1212 * g[1], a1121 * g[0] + a1122 * g[1],
-            a1221 * g[0] + a1222 * g[1], a1121 * g[0] + a1221 * g[1], a1122 * g[0] + a1222 * g[1],
-            a2121 * g[0] + a2122 * g[1], a2122 * g[0] + a2222 * g[1])
+    return (
+        a1111 * g[0] + a1112 * g[1],
+        a1112 * g[0] + a1212 * g[1],
+        a1121 * g[0] + a1122 * g[1],
+        a1221 * g[0] + a1222 * g[1],
+        a1121 * g[0] + a1221 * g[1],
+        a1122 * g[0] + a1222 * g[1],
+        a2121 * g[0] + a2122 * g[1],
+        a2122 * g[0] + a2222 * g[1],
+    )
 
 
 @traced(4)
 def add_stiffness(k, g, t):
     """K[a, b] + sum_k G[k] T[a, k, b]."""
-    return (k[0] + g[0] * t[0] + g[1] * t[1], k[1] + g[0] * t[2] + g[1] * t[3],
-            k[2] + g[0] * t[4] + g[1] * t[5], k[3] + g[0] * t[6] + g[1] * t[7])
+    return (
+        k[0] + g[0] * t[0] + g[1] * t[1],
+        k[1] + g[0] * t[2] + g[1] * t[3],
+        k[2] + g[0] * t[4] + g[1] * t[5],
+        k[3] + g[0] * t[6] + g[1] * t[7],
+    )
 
 
 @traced(4)

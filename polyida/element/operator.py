@@ -120,13 +120,22 @@ def pack(mesh, areas, mean_gradients, groups):
     table, lane_cells = np.concatenate(tables), np.concatenate(parts["lane_cells"])
     along = np.argsort(lane_cells[::LANES], kind="stable")
     return ReferenceOperator(
-        offsets=_integers(mesh.offsets), nodes=_integers(mesh.nodes), n_nodes=n_nodes, areas=areas,
-        mean_gradients=mean_gradients, layout=table[along],
+        offsets=_integers(mesh.offsets),
+        nodes=_integers(mesh.nodes),
+        n_nodes=n_nodes,
+        areas=areas,
+        mean_gradients=mean_gradients,
+        layout=table[along],
         lane_cells=_integers(lane_cells.reshape(-1, LANES)[along].ravel()),
-        corners=_integers(np.concatenate(parts["corners"])), gradients=_aligned(parts["gradients"]),
-        weights=_aligned(parts["weights"]), pairs=_integers(np.concatenate(parts["pairs"])),
-        indptr=indptr, indices=indices, mass=_summed("mass", groups, places),
-        stabilisation=_summed("stabilisation", groups, places))
+        corners=_integers(np.concatenate(parts["corners"])),
+        gradients=_aligned(parts["gradients"]),
+        weights=_aligned(parts["weights"]),
+        pairs=_integers(np.concatenate(parts["pairs"])),
+        indptr=indptr,
+        indices=indices,
+        mass=_summed("mass", groups, places),
+        stabilisation=_summed("stabilisation", groups, places),
+    )
 
 
 def _pattern(n_nodes, groups):
@@ -179,4 +188,4 @@ def _aligned(parts):
     size = sum(part.size for part in parts)
     room = np.empty(size + 8)
     start = -room.ctypes.data % 64 // 8
-    return np.concatenate(parts, out=room[start:start + size])
+    return np.concatenate(parts, out=room[start : start + size])

@@ -33,9 +33,11 @@ def two_state_strain(h, d, rate, square):
     e11, e12, e22 = strain(h)
     f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
     half, shear = 0.5 * square, 0.5 * rate
-    return (e11 + rate * (f11 * d[0] + f21 * d[2]) + half * (d[0] * d[0] + d[2] * d[2]),
-            e12 + shear * (f11 * d[1] + f21 * d[3] + f12 * d[0] + f22 * d[2]) + half * (d[0] * d[1] + d[2] * d[3]),
-            e22 + rate * (f12 * d[1] + f22 * d[3]) + half * (d[1] * d[1] + d[3] * d[3]))
+    return (
+        e11 + rate * (f11 * d[0] + f21 * d[2]) + half * (d[0] * d[0] + d[2] * d[2]),
+        e12 + shear * (f11 * d[1] + f21 * d[3] + f12 * d[0] + f22 * d[2]) + half * (d[0] * d[1] + d[2] * d[3]),
+        e22 + rate * (f12 * d[1] + f22 * d[3]) + half * (d[1] * d[1] + d[3] * d[3]),
+    )
 
 
 @traced(4)

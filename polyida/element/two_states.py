@@ -11,28 +11,9 @@ import numpy as np
 
 from polyida.compiled import entry, part
 from polyida.element.kernels import _gradient, _room
-from polyida.element.lanes import (
-    LANES,
-    gather,
-    lane,
-    load,
-    load2,
-    load4,
-    load8,
-    scatter_add,
-    spread,
-    store,
-    zeros2,
-    zeros4,
-)
+from polyida.element.lanes import LANES, gather, lane, load, load2, load4, load8, scatter_add, spread, store, zeros2, zeros4
 from polyida.element.material import add, add_rotation, add_stiffness, add_times, difference, negative, watch
-from polyida.element.two_state_material import (
-    advanced,
-    all_moduli_times,
-    combination,
-    two_state_moduli,
-    two_state_piola,
-)
+from polyida.element.two_state_material import advanced, all_moduli_times, combination, two_state_moduli, two_state_piola
 
 SECOND_ALONE = (1.0, 0.0, 0.0, 1.0)
 """State = first field, direction = second."""
@@ -48,20 +29,33 @@ def internal_force_viscous(layout, corners, gradients, weights, node_offset, c1,
     tau_v: relaxation time in s. rotation as in kernels.internal_force. The force dissipates v . (f - f(tau_v = 0)) =
     tau_v int t Edot : D : Edot >= 0 (W).
     """
-    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (tau_v, 0.0, 0.0), SECOND_ALONE, u, v,
-                  f, rotation)
+    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (tau_v, 0.0, 0.0), SECOND_ALONE, u, v, f, rotation)
 
 
 @entry
-def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, tau_v, u, v,
-                    c_q, c_v, blocks):
+def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, tau_v, u, v, c_q, c_v, blocks):
     """Add c_q dg/dq + c_v dg/dv of internal_force_viscous to blocks (M, 2, 2) in one pass.
 
     dg/dv = tau_v int t B^T D B, symmetric to round-off, positive semidefinite; dg/dq is unsymmetric where v is not a
     rigid motion's.
     """
-    _tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, (tau_v, 0.0),
-             (c_q, c_q + c_v * tau_v, c_q * tau_v), SECOND_ALONE, u, v, blocks)
+    _tangent(
+        layout,
+        corners,
+        gradients,
+        weights,
+        pairs,
+        node_offset,
+        pair_offset,
+        c1,
+        nu,
+        (tau_v, 0.0),
+        (c_q, c_q + c_v * tau_v, c_q * tau_v),
+        SECOND_ALONE,
+        u,
+        v,
+        blocks,
+    )
 
 
 @entry
@@ -71,8 +65,7 @@ def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1
     viscosity = tau_v / h, no unit, 0 for an elastic body. The force has no resultant, and no moment about any point
     at the mean positions. rotation as in kernels.internal_force, of F_m.
     """
-    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (2.0 * viscosity, 1.0, 1.0), MEAN_AND_HALF,
-                  u0, u1, f, rotation)
+    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (2.0 * viscosity, 1.0, 1.0), MEAN_AND_HALF, u0, u1, f, rotation)
 
 
 @part
@@ -97,7 +90,7 @@ def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, m
     for k in range(layout.shape[0]):
         m, first = layout[k, 0] - 1, layout[k, 2]
         size = 2 * m * LANES
-        direction, force = room[size:], room[2 * size:]
+        direction, force = room[size:], room[2 * size :]
         _fields(a, b, corners, first, node_offset, m, mix, room)
         for i in range(0, size, 2 * LANES):
             store(force, i, zeros2())
@@ -131,21 +124,27 @@ def _scatter_force(force, turn, corners, first, node_offset, m, f, rotation):
 
 
 @part
-def _tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, response, factors, mix,
-             a, b, blocks):
+def _tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, response, factors, mix, a, b, blocks):
     """Unsymmetric tangent with factors (c_s, c_f, c_d) of two_state_moduli."""
     room = _room(layout, 12, 8)
     rate, square = response
     for k in range(layout.shape[0]):
         m, points, g = layout[k, 0] - 1, layout[k, 1], layout[k, 3]
         size = 2 * m * LANES
-        direction, sums, products = room[size:], room[2 * size:], room[6 * size:]
+        direction, sums, products = room[size:], room[2 * size :], room[6 * size :]
         _fields(a, b, corners, layout[k, 2], node_offset, m, mix, room)
         for p in range(points):
             start = g + p * size
             moduli = two_state_moduli(
-                _gradient(gradients, start, room, m), _gradient(gradients, start, direction, m),
-                load(weights, layout[k, 4] + p * LANES), c1 * nu, c1 * (1.0 - nu), rate, square, factors)
+                _gradient(gradients, start, room, m),
+                _gradient(gradients, start, direction, m),
+                load(weights, layout[k, 4] + p * LANES),
+                c1 * nu,
+                c1 * (1.0 - nu),
+                rate,
+                square,
+                factors,
+            )
             for j in range(m):
                 product = all_moduli_times(moduli, load2(gradients, start + 2 * j * LANES))
                 store(products, 8 * (j * points + p) * LANES, product)
@@ -155,8 +154,9 @@ def _tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offse
             for i in range(m):
                 block = zeros4()
                 for p in range(points):
-                    block = add_stiffness(block, load2(gradients, g + p * size + 2 * i * LANES),
-                                          load8(products, 8 * (j * points + p) * LANES))
+                    block = add_stiffness(
+                        block, load2(gradients, g + p * size + 2 * i * LANES), load8(products, 8 * (j * points + p) * LANES)
+                    )
                 scatter_add(blocks, pairs, layout[k, 5] + (i * (m + 1) + j) * LANES, pair_offset, block)
                 _sum_up(sums, i, block)
                 _sum_up(sums, m + j, block)

@@ -36,8 +36,10 @@ def reference_operator(mesh, tau=0.1):
     Raises InputError for tau <= 0, a cell of no area or clockwise, a side of zero length, a node without a cell.
     """
     if not (np.isfinite(tau) and tau > 0):
-        raise InputError(f"virtual element: tau = {tau!r} must be a positive number, 0.1 is usual; without "
-                         "stabilisation cells of more than three corners have no stiffness against some deformations")
+        raise InputError(
+            f"virtual element: tau = {tau!r} must be a positive number, 0.1 is usual; without "
+            "stabilisation cells of more than three corners have no stiffness against some deformations"
+        )
     return build(mesh, lambda corners, cells, nodes: _element(corners, cells, nodes, tau))
 
 
@@ -57,13 +59,14 @@ def _element(corners, cells, nodes, tau):
 
 def _require_area(corners, cells, nodes):
     """InputError naming the first cell with a side of zero length, or without positive area."""
-    lengths = np.sqrt(((after(corners) - corners)**2).sum(axis=1))
+    lengths = np.sqrt(((after(corners) - corners) ** 2).sum(axis=1))
     flat = ~(lengths > 0)
     if flat.any():
         k = np.flatnonzero(flat.any(axis=0))[0]
         raise InputError(f"cell {cells[k]}: the side after node {nodes[np.argmax(flat[:, k]), k]} has no length")
     area = measures(corners)[0]
-    wrong = np.flatnonzero(~(area > THINNEST * lengths.sum(axis=0)**2))
+    wrong = np.flatnonzero(~(area > THINNEST * lengths.sum(axis=0) ** 2))
     if wrong.size:
-        raise InputError(f"cell {cells[wrong[0]]}: area {area[wrong[0]]:.3g} m^2; a virtual element needs a cell "
-                         "counter-clockwise, with positive area")
+        raise InputError(
+            f"cell {cells[wrong[0]]}: area {area[wrong[0]]:.3g} m^2; a virtual element needs a cell counter-clockwise, with positive area"
+        )

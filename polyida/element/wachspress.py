@@ -48,9 +48,11 @@ def _turning(corners, cells, nodes):
         k = np.flatnonzero(wrong.any(axis=0))[0]
         corner = int(np.argmax(wrong[:, k]))
         angle = 180 - np.degrees(np.arctan2(sines[corner, k], (before(edges) * edges).sum(axis=-2)[corner, k]))
-        raise InputError(f"cell {cells[k]}: corner {corner} (node {nodes[corner, k]}) has an interior angle of "
-                         f"{angle:.6g} degrees; a Wachspress element needs strictly convex, counter-clockwise cells, "
-                         "every angle below 180 degrees and no side of zero length")
+        raise InputError(
+            f"cell {cells[k]}: corner {corner} (node {nodes[corner, k]}) has an interior angle of "
+            f"{angle:.6g} degrees; a Wachspress element needs strictly convex, counter-clockwise cells, "
+            "every angle below 180 degrees and no side of zero length"
+        )
     return sines
 
 

@@ -22,8 +22,15 @@ UNKNOWNS = ("q", "v", "a")
 
 
 @named_keywords
-def condition_number(model: Model, integrator: GeneralizedAlpha | IDA, state: State, scaling: str | None = None,
-                     unknown: str = "q", h: float | None = None, exact: bool | None = None) -> float:
+def condition_number(
+    model: Model,
+    integrator: GeneralizedAlpha | IDA,
+    state: State,
+    scaling: str | None = None,
+    unknown: str = "q",
+    h: float | None = None,
+    exact: bool | None = None,
+) -> float:
     """Condition number of the `iteration_matrix` of GeneralizedAlpha or IDA at a state.
 
     exact: in the 2-norm, from a dense inverse, right also far beyond 1e16 (by default up to 2000 unknowns); otherwise an
@@ -64,7 +71,7 @@ def _alpha(model, integrator, state, unknown):
     divided = {"q": 1.0, "v": to_v, "a": to_a}[unknown]
     matrix = assemble(tangent, phi_q, scaling_factors(integrator.scaling, c.beta * h * h, tangent))
     columns = np.ones(matrix.shape[0])
-    columns[:model.n] = 1 / divided
+    columns[: model.n] = 1 / divided
     return scaled(matrix, np.ones(matrix.shape[0]), columns)
 
 

@@ -88,8 +88,11 @@ def cells_of(h, span):
 
 def unseen(model, h):
     """In words, the loads that move within less than two steps of h all the time; empty where there are none."""
-    found = [f"{name!r} moves within {profile.shortest:.3g} s" for name, profile, _ in _profiles(model)
-             if profile.kinks == () and (profile.shortest or np.inf) < 2 * h]
+    found = [
+        f"{name!r} moves within {profile.shortest:.3g} s"
+        for name, profile, _ in _profiles(model)
+        if profile.kinks == () and (profile.shortest or np.inf) < 2 * h
+    ]
     return f"steps of {h:.3g} s do not show how {' and '.join(found)}" if found else ""
 
 

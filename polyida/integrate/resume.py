@@ -29,9 +29,16 @@ if TYPE_CHECKING:
 
 
 @named_keywords
-def resume(path: str | Path, t_end: float | None = None, *, model: Model | None = None, integrator: object = None,
-           until: Callable[[float, NDArray, NDArray], float] | bool | None = None, progress: Callable[[float], object] | None = None,
-           memory_limit: float = MEMORY_LIMIT) -> "Trajectory":
+def resume(
+    path: str | Path,
+    t_end: float | None = None,
+    *,
+    model: Model | None = None,
+    integrator: object = None,
+    until: Callable[[float, NDArray, NDArray], float] | bool | None = None,
+    progress: Callable[[float], object] | None = None,
+    memory_limit: float = MEMORY_LIMIT,
+) -> "Trajectory":
     """Go on with the run in a file of `solve(..., out=path)` or `save`, to its t_end or another; the whole Trajectory.
 
     It starts at the state of the last flush; frames beyond it are computed again. Fixed-step generalized-alpha to the
@@ -104,9 +111,7 @@ def _plan(stored, t_end, until):
     if restart is None or "t_end" not in plan:
         raise InputError("it holds no state to go on from")
     if until is None and plan["until"]:
-        raise InputError(
-            "the run had a function `until`, which no file holds; give until=, or until=False to go on without"
-        )
+        raise InputError("the run had a function `until`, which no file holds; give until=, or until=False to go on without")
     plan |= {"t_end": plan["t_end"] if t_end is None else float(t_end), "until": bool(until)}
     if not restart.state.t < plan["t_end"]:
         raise InputError(f"the run has reached t = {restart.state.t:.9g} s; give a later t_end to go on")

@@ -31,11 +31,25 @@ APART = 16  # times between t and t + h, at least
 
 
 @named_keywords
-def solve(model: Model, t_end: float, integrator: Integrator, *, q0: ArrayLike | None = None, v0: ArrayLike | None = None,
-          t0: float = 0.0, state: State | None = None, every: int = 1, output: ArrayLike | None = None,
-          until: Callable[[float, NDArray, NDArray], float] | None = None, progress: Callable[[float], object] | None = None,
-          out: str | Path | None = None, overwrite: bool = False, flush_every: int = 100, fsync: bool = False,
-          memory_limit: float = MEMORY_LIMIT) -> "Trajectory":
+def solve(
+    model: Model,
+    t_end: float,
+    integrator: Integrator,
+    *,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    t0: float = 0.0,
+    state: State | None = None,
+    every: int = 1,
+    output: ArrayLike | None = None,
+    until: Callable[[float, NDArray, NDArray], float] | None = None,
+    progress: Callable[[float], object] | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    flush_every: int = 100,
+    fsync: bool = False,
+    memory_limit: float = MEMORY_LIMIT,
+) -> "Trajectory":
     """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
 
     q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.
@@ -91,9 +105,7 @@ def require_run(model, t_end, begin, integrator):
     """Raise InputError unless these can make a run from `begin`."""
     guard(model)
     if not hasattr(integrator, "steps") or isinstance(integrator, type):
-        raise InputError(
-            f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)"
-        )
+        raise InputError(f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
     getattr(integrator, "require", lambda model: None)(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")

@@ -120,8 +120,10 @@ def _require_near(model, name, required, violation, size):
     if required and abs(violation[worst]) > VIOLATION * size:
         what = "phi" if name == "q0" else "phi_q v + phi_t"
         hint = ", or leave it out to have it made" if name == "v0" else ""
-        raise InputError(f"{name} violates the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0; "
-                         f"give a consistent {name}{hint}")
+        raise InputError(
+            f"{name} violates the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0; "
+            f"give a consistent {name}{hint}"
+        )
 
 
 def _project_position(model, t, q):
@@ -135,5 +137,7 @@ def _project_position(model, t, q):
             return q
         q, before = q + move, moved
     worst = int(np.argmax(np.abs(phi)))
-    raise InputError(f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "
-                     "no configuration near q0 satisfies all of them")
+    raise InputError(
+        f"the constraints are inconsistent: {model.constraint_name(worst)} stays at phi = {phi[worst]:.3g}; "
+        "no configuration near q0 satisfies all of them"
+    )

@@ -46,8 +46,9 @@ class Equilibrium(State):
 
 
 @named_keywords
-def static(model: Model, t: float = 0.0, q0: ArrayLike | None = None, steps: int = 1, tolerance: float = 1e-10,
-           max_iterations: int = 50) -> Equilibrium:
+def static(
+    model: Model, t: float = 0.0, q0: ArrayLike | None = None, steps: int = 1, tolerance: float = 1e-10, max_iterations: int = 50
+) -> Equilibrium:
     """The Equilibrium at time t: a State at rest with `stable`; one that is not stable comes with a warning.
 
     The load grows in `steps` equal parts: part s solves `g(q) + phi_q^T lam = (1 - s) g(0)`, g(0) being the load at q = 0.

@@ -48,9 +48,20 @@ def _trajectory(stored, memory_limit):
         status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
     if damage:
         status, message = "damaged", damage
-    return Trajectory(model, integrator_of(stored), **stored.frames(memory_limit), status=status, message=message, counts=stored.counts,
-                      cpu_seconds=stored.seconds[0], wall_seconds=stored.seconds[1], machine=dict(about["machine"]),
-                      restart=stored.restart, plan=dict(about["plan"]), missing=missing)
+    return Trajectory(
+        model,
+        integrator_of(stored),
+        **stored.frames(memory_limit),
+        status=status,
+        message=message,
+        counts=stored.counts,
+        cpu_seconds=stored.seconds[0],
+        wall_seconds=stored.seconds[1],
+        machine=dict(about["machine"]),
+        restart=stored.restart,
+        plan=dict(about["plan"]),
+        missing=missing,
+    )
 
 
 def _model(stored):
@@ -84,8 +95,9 @@ def model_of(stored, drives):
         scene.add(part)
     model = scene.build()
     if (model.n, model.m) != (stored.n, stored.m):
-        raise InputError(f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; "
-                         "the file is damaged")
+        raise InputError(
+            f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; the file is damaged"
+        )
     return model
 
 

@@ -205,7 +205,9 @@ class Stored:
             wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
             falls = np.diff(values, prepend=last) < 0 if name == "t" else wrong
             if (wrong | falls).any():
-                return first + int((wrong | falls).argmax()), f"{name}: " + ("values that are not finite" if wrong.any() else "the times do not increase")
+                return first + int((wrong | falls).argmax()), f"{name}: " + (
+                    "values that are not finite" if wrong.any() else "the times do not increase"
+                )
             last = values[-1]
         return self.count, ""
 

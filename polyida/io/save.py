@@ -68,13 +68,22 @@ def create(path, model, integrator, n, m, plan, machine):
 
 def commit(store, status, message, counts, seconds, restart, last=False):
     """Make the frames so far hold, with how the run stands and where it goes on. last: for good."""
-    record = {"status": status, "message": message, "counts": counts.as_dict(), "cpu_seconds": seconds[0],
-              "wall_seconds": seconds[1], "restart": None, "memory": []}
+    record = {
+        "status": status,
+        "message": message,
+        "counts": counts.as_dict(),
+        "cpu_seconds": seconds[0],
+        "wall_seconds": seconds[1],
+        "restart": None,
+        "memory": [],
+    }
     numbers = []
     if restart:
         s = restart.state
         memory = {name: np.asarray(value, float) for name, value in s.memory.items()}
-        record |= {"restart": {"frames": restart.frames, "counts": restart.counts},
-                   "memory": [[name, list(value.shape)] for name, value in memory.items()]}
+        record |= {
+            "restart": {"frames": restart.frames, "counts": restart.counts},
+            "memory": [[name, list(value.shape)] for name, value in memory.items()],
+        }
         numbers = [s.t, s.q, s.v, s.a, s.lam, *memory.values()]
     store.file.commit(record, numbers, store.waiting(), last)

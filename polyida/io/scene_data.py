@@ -26,8 +26,10 @@ def to_data(parts, gravity):
     of the profiles that have no formula.
     """
     book = _Book(parts)
-    entries = [{"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, number, part)}
-               for number, (name, part) in enumerate(parts.items())]
+    entries = [
+        {"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, number, part)}
+        for number, (name, part) in enumerate(parts.items())
+    ]
     return {"gravity": _plain(gravity), "parts": entries}, book.arrays, book.drives
 
 
@@ -149,7 +151,9 @@ class _Reader:
         key, arrays = side["key"], self.arrays
         nodes, body = arrays[f"{key}/nodes"], self.parts[side["body"]]
         kind, count = (BodyPoint, len(rest_of(body))) if isinstance(body, Body) else (Attachment, body.mesh.n_nodes)
-        weights, turn = (None if found is None else _weights(found, kind) for found in (arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights")))
+        weights, turn = (
+            None if found is None else _weights(found, kind) for found in (arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights"))
+        )
         if nodes.size == 0 or nodes.dtype.kind != "i" or nodes.min() < 0 or nodes.max() >= count:
             raise InputError(f"the scene in the file is damaged: {key} selects nodes that {side['body']!r} does not have")
         if not nodes.shape == weights.shape == (weights if turn is None else turn).shape == (nodes.size,):

@@ -39,7 +39,9 @@ class Clamp(Joint):
         place, held = (self.a, self.b) if grounds[0] else (self.b, self.a)
         if place.point is not None and not np.array_equal(place.point, held.point):
             label = labelled("Clamp", self.name)
-            raise InputError(f"{label}: it holds {held!r} where that is at rest, not at {place!r}; give ground itself, and place the body there")
+            raise InputError(
+                f"{label}: it holds {held!r} where that is at rest, not at {place!r}; give ground itself, and place the body there"
+            )
 
     def rows(self) -> list[Row | Vector]:
         """`x_i - X_i` of every node, or `(x_A - x_B, d_A - Q d_B)`, or where a body keeps its directions' length `(x_A - x_B, Q d_A x d_B)`."""

@@ -134,7 +134,9 @@ class Row:
 
     def __mul__(self, number: float) -> "Row":
         if not is_number(number):
-            raise InputError(f"a row of a joint is multiplied by {number!r}, which is no number; products of three vectors are not bilinear")
+            raise InputError(
+                f"a row of a joint is multiplied by {number!r}, which is no number; products of three vectors are not bilinear"
+            )
         scaled = tuple(replace(p, still=p.still.times(complex(number))) for p in self.products)
         return replace(self, products=scaled, constant=number * self.constant)
 

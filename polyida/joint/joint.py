@@ -52,7 +52,5 @@ class Joint:
 
     def facing(self) -> Self:
         """The joint with plain `ground` put where its other side is in the reference configuration."""
-        a, b = (
-            side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a))
-        )
+        a, b = (side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a)))
         return replace(self, a=a, b=b)

@@ -47,6 +47,12 @@ def _estimate(matrix):
         lu = splu(matrix)
     except RuntimeError:
         return np.inf
-    inverse = LinearOperator(matrix.shape, lu.solve, rmatvec=lambda b: lu.solve(b, trans="T"), matmat=lu.solve,
-                             rmatmat=lambda b: lu.solve(b, trans="T"), dtype=float)
+    inverse = LinearOperator(
+        matrix.shape,
+        lu.solve,
+        rmatvec=lambda b: lu.solve(b, trans="T"),
+        matmat=lu.solve,
+        rmatmat=lambda b: lu.solve(b, trans="T"),
+        dtype=float,
+    )
     return float(abs(matrix).sum(axis=0).max() * onenormest(inverse))

@@ -68,7 +68,7 @@ class KKT:
     def solve(self, r, phi):
         """(dq, dlam) for the residuals r (n,) and phi (m,)."""
         x = self.lu.solve(-np.concatenate([self.scaling.row * r, phi]))
-        return x[: self.n], self.scaling.column * x[self.n:]
+        return x[: self.n], self.scaling.column * x[self.n :]
 
 
 def require_independent(model, phi_q, q):
@@ -78,5 +78,7 @@ def require_independent(model, phi_q, q):
         names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(rows.lengths > 0))[:MOST])
         raise InputError(f"constraints {names}: phi_q has a row of zeros there; a constraint must depend on q")
     if least(rows) < DEPENDENT:
-        raise InputError(f"constraints {involved(model, rows)} are redundant: one of them follows from the others (or "
-                         "contradicts them); remove it, or start elsewhere where only this position is singular")
+        raise InputError(
+            f"constraints {involved(model, rows)} are redundant: one of them follows from the others (or "
+            "contradicts them); remove it, or start elsewhere where only this position is singular"
+        )

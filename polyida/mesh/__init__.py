@@ -8,5 +8,21 @@ from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.quality import MeshQuality
 from polyida.mesh.sections import Section
 
-__all__ = ["Circle", "Difference", "Domain", "Intersection", "Link", "MeshQuality", "PolygonMesh", "Rectangle",
-           "Section", "Union", "polygonize", "quads", "read", "rectangle", "triangles", "write"]
+__all__ = [
+    "Circle",
+    "Difference",
+    "Domain",
+    "Intersection",
+    "Link",
+    "MeshQuality",
+    "PolygonMesh",
+    "Rectangle",
+    "Section",
+    "Union",
+    "polygonize",
+    "quads",
+    "read",
+    "rectangle",
+    "triangles",
+    "write",
+]

@@ -37,9 +37,8 @@ def index_array(values, what):
     if array.size == 0:
         array = array.astype(np.int32)
     if array.ndim != 1 or array.dtype.kind not in "iu":
-        raise InputError(f"{what} must be a one-dimensional array of integers, "
-                         f"not {array.dtype} of shape {array.shape}")
-    if array.size and (int(array.max()) > 2**31 - 1 or int(array.min()) < -2**31):
+        raise InputError(f"{what} must be a one-dimensional array of integers, not {array.dtype} of shape {array.shape}")
+    if array.size and (int(array.max()) > 2**31 - 1 or int(array.min()) < -(2**31)):
         raise InputError(f"{what} holds {array.min()}..{array.max()}, beyond 32 bit integers")
     return _frozen(array, np.int32)
 
@@ -80,26 +79,27 @@ def require_valid_cells(mesh):
     """InputError unless every node is used, every cell counter-clockwise and simple, and no two cells overlap."""
     unused = np.flatnonzero(np.bincount(mesh.nodes, minlength=mesh.n_nodes) == 0)
     if unused.size:
-        raise InputError(f"node {unused[0]} at {mesh.points[unused[0]].tolist()} belongs to no cell "
-                         f"({unused.size} such nodes)")
+        raise InputError(f"node {unused[0]} at {mesh.points[unused[0]].tolist()} belongs to no cell ({unused.size} such nodes)")
     cell = topology.corner_cells(mesh.offsets)
     keys = np.sort(cell.astype(np.int64) * mesh.n_nodes + mesh.nodes)
     twice = np.flatnonzero(keys[1:] == keys[:-1])
     if twice.size:
-        raise InputError(f"{_place(mesh, keys[twice[0]] // mesh.n_nodes)} has node "
-                         f"{keys[twice[0]] % mesh.n_nodes} as two of its corners")
+        raise InputError(f"{_place(mesh, keys[twice[0]] // mesh.n_nodes)} has node {keys[twice[0]] % mesh.n_nodes} as two of its corners")
     with np.errstate(over="ignore", invalid="ignore"):
         size = np.ptp(mesh.points, axis=0).max()
         bad = np.flatnonzero(~(mesh.cell_areas > 1e-14 * np.square(size) / mesh.n_cells))
     if bad.size:
         area = mesh.cell_areas[bad[0]]
-        raise InputError(f"{_place(mesh, bad[0])} has area {area:.3g}; cells must be counter-clockwise, "
-                         f"with positive area ({bad.size} such cells)")
+        raise InputError(
+            f"{_place(mesh, bad[0])} has area {area:.3g}; cells must be counter-clockwise, with positive area ({bad.size} such cells)"
+        )
     _require_simple(mesh)
     _require_single_edges(mesh)
     if cells := overlapping_cells(mesh):
-        raise InputError(f"{_place(mesh, cells[0])} and {_place(mesh, cells[1])} overlap: a mesh covers no place twice; "
-                         "what lies on another part is a plate of its own")
+        raise InputError(
+            f"{_place(mesh, cells[0])} and {_place(mesh, cells[1])} overlap: a mesh covers no place twice; "
+            "what lies on another part is a plate of its own"
+        )
 
 
 def _require_simple(mesh):
@@ -135,8 +135,10 @@ def _require_single_edges(mesh):
     same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
     if same.size:
         first, second = topology.corner_cells(mesh.offsets)[order[[same[0], same[0] + 1]]]
-        raise InputError(f"{_place(mesh, first)} and {_place(mesh, second)} lie on the same side of the edge "
-                         f"{pairs[order[same[0]]].tolist()}: cells must not overlap")
+        raise InputError(
+            f"{_place(mesh, first)} and {_place(mesh, second)} lie on the same side of the edge "
+            f"{pairs[order[same[0]]].tolist()}: cells must not overlap"
+        )
 
 
 def require_convex(mesh, tolerance):
@@ -146,5 +148,7 @@ def require_convex(mesh, tolerance):
     if bad.size:
         cell = topology.corner_cells(mesh.offsets)[bad[0]]
         angle = 180.0 - np.degrees(turn[bad[0]])
-        raise InputError(f"{_place(mesh, cell)} is not strictly convex: its angle at node {mesh.nodes[bad[0]]} is "
-                         f"{angle:.4f} degrees and must be below 180")
+        raise InputError(
+            f"{_place(mesh, cell)} is not strictly convex: its angle at node {mesh.nodes[bad[0]]} is "
+            f"{angle:.4f} degrees and must be below 180"
+        )

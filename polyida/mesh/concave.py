@@ -84,8 +84,8 @@ def _cut(points, cell, smallest_turn):
     if len(cell) == 3 or turn.min() > smallest_turn:
         return [cell]
     ring = np.roll(cell, -int(np.argmin(turn)))
-    best = max(range(2, len(ring) - 1), key=lambda k: _merit(points, ring[:k + 1], np.r_[ring[0], ring[k:]]))
-    pieces = ring[:best + 1], np.r_[ring[0], ring[best:]]
+    best = max(range(2, len(ring) - 1), key=lambda k: _merit(points, ring[: k + 1], np.r_[ring[0], ring[k:]]))
+    pieces = ring[: best + 1], np.r_[ring[0], ring[best:]]
     return [part for piece in pieces for part in _cut(points, piece, smallest_turn)]
 
 

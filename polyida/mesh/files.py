@@ -55,8 +55,10 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False) -> None:
     path = _path(path)
     _require_format(path)
     if path.suffix.lower() not in POLYGON_FORMATS and np.diff(mesh.offsets).max() > 4:
-        raise InputError(f"mesh file {path}: {path.suffix} holds triangles and quads only; the mesh has polygons, "
-                         f"which {', '.join(POLYGON_FORMATS)} hold")
+        raise InputError(
+            f"mesh file {path}: {path.suffix} holds triangles and quads only; the mesh has polygons, "
+            f"which {', '.join(POLYGON_FORMATS)} hold"
+        )
     if path.exists() and not overwrite:
         raise InputError(f"mesh file {path} exists; pass overwrite=True to replace it")
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
@@ -148,8 +150,7 @@ def _plane_points(data):
     points = np.column_stack([points, np.zeros((len(points), 3 - points.shape[1]))])
     kinds = sorted({block.type for block in data.cells} - {*PLANE, *LOWER})
     if kinds:
-        raise InputError(f"holds cells of type {', '.join(kinds)}; "
-                         "only first order triangles, quads and polygons can be used")
+        raise InputError(f"holds cells of type {', '.join(kinds)}; only first order triangles, quads and polygons can be used")
     plane = [np.asarray(block.data, dtype=np.int64) for block in data.cells if block.type in PLANE and len(block.data)]
     if not plane:
         raise InputError("holds no triangles, quads or polygons")
@@ -223,7 +224,7 @@ def _named_nodes(data, n_points):
         named.setdefault(name, []).append(np.asarray(index).ravel())
     for name, mask in (data.point_data or {}).items():
         if name.startswith(PREFIX):
-            named.setdefault(unquote(name[len(PREFIX):]), []).append(np.flatnonzero(np.asarray(mask).ravel()))
+            named.setdefault(unquote(name[len(PREFIX) :]), []).append(np.flatnonzero(np.asarray(mask).ravel()))
     for name, block, chosen in _named_blocks(data):
         named.setdefault(name, []).append(np.asarray(block.data)[chosen].ravel())
     named = {name: np.unique(np.concatenate(parts).astype(np.int64)) for name, parts in named.items()}
@@ -253,8 +254,10 @@ def _meshio_mesh(meshio, mesh):
     sizes = np.diff(mesh.offsets)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(sizes)) + 1, [len(sizes)]])
     kind = {3: "triangle", 4: "quad"}
-    blocks = [(kind.get(sizes[a], "polygon"), mesh.nodes[mesh.offsets[a]:mesh.offsets[b]].reshape(b - a, -1))
-              for a, b in zip(starts[:-1], starts[1:], strict=True)]
+    blocks = [
+        (kind.get(sizes[a], "polygon"), mesh.nodes[mesh.offsets[a] : mesh.offsets[b]].reshape(b - a, -1))
+        for a, b in zip(starts[:-1], starts[1:], strict=True)
+    ]
     data = {}
     for name, index in mesh.sections.items():
         mask = np.zeros(mesh.n_nodes)

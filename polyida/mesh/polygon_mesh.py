@@ -66,7 +66,7 @@ class PolygonMesh:
         if not -self.n_cells <= i < self.n_cells:
             raise InputError(f"mesh has cells 0..{self.n_cells - 1}, not {i}")
         i = i % self.n_cells
-        return self.nodes[self.offsets[i]:self.offsets[i + 1]]
+        return self.nodes[self.offsets[i] : self.offsets[i + 1]]
 
     @cached_property
     def cell_areas(self) -> NDArray:

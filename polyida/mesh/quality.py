@@ -34,12 +34,19 @@ def quality(mesh):
     vertices = np.diff(mesh.offsets)
     pieces = _pieces(mesh)
     return MeshQuality(
-        cells=mesh.n_cells, nodes=mesh.n_nodes, shortest_edge=float(lengths.min() / lengths.mean()),
-        min_angle=float(angle.min()), max_angle=float(angle.max()),
-        min_vertices=int(vertices.min()), max_vertices=int(vertices.max()),
-        area_ratio=float(mesh.cell_areas.min() / mesh.cell_areas.max()), convex=bool(angle.max() < 180.0 - 6e-5),
-        half_bandwidth=topology.half_bandwidth(mesh.nodes, mesh.offsets), pieces=pieces,
-        holes=pieces - (mesh.n_nodes - len(mesh.edges) + mesh.n_cells))
+        cells=mesh.n_cells,
+        nodes=mesh.n_nodes,
+        shortest_edge=float(lengths.min() / lengths.mean()),
+        min_angle=float(angle.min()),
+        max_angle=float(angle.max()),
+        min_vertices=int(vertices.min()),
+        max_vertices=int(vertices.max()),
+        area_ratio=float(mesh.cell_areas.min() / mesh.cell_areas.max()),
+        convex=bool(angle.max() < 180.0 - 6e-5),
+        half_bandwidth=topology.half_bandwidth(mesh.nodes, mesh.offsets),
+        pieces=pieces,
+        holes=pieces - (mesh.n_nodes - len(mesh.edges) + mesh.n_cells),
+    )
 
 
 def _pieces(mesh):

@@ -62,8 +62,7 @@ def _by_name(mesh, name):
 def _by_mask(mesh, function):
     mask = np.asarray(function(mesh.points))
     if mask.shape != (mesh.n_nodes,) or mask.dtype != bool:
-        raise InputError(f"section function must return a boolean mask of shape ({mesh.n_nodes},), "
-                         f"not {mask.dtype} of shape {mask.shape}")
+        raise InputError(f"section function must return a boolean mask of shape ({mesh.n_nodes},), not {mask.dtype} of shape {mask.shape}")
     kept = mesh.boundary_nodes[mask[mesh.boundary_nodes]]
     if kept.size == 0:
         name = getattr(function, "__name__", function)

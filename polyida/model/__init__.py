@@ -150,8 +150,7 @@ class Model:
         r = self.mass(q) @ a + self.force(t, q, v)
         return r + self.phi_q(t, q).T @ lam if self.m else r
 
-    def tangent(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray,
-                c_m: float, c_v: float, c_q: float) -> Matrix:
+    def tangent(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, c_m: float, c_v: float, c_q: float) -> Matrix:
         """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n); terms that `needs` excludes are not evaluated."""
         result = c_m * self.mass(q) + c_q * self.force_q(t, q, v)
         if self.needs.velocity_forces and c_v:

@@ -15,8 +15,15 @@ OF_FORCES = ("force_v", "tangent, v")
 
 
 @named_keywords
-def check_derivatives(model: Model, t: float = 0.0, q: ArrayLike | None = None, v: ArrayLike | None = None, a: ArrayLike | None = None,
-                      lam: ArrayLike | None = None, seed: int = 0) -> dict[str, float]:
+def check_derivatives(
+    model: Model,
+    t: float = 0.0,
+    q: ArrayLike | None = None,
+    v: ArrayLike | None = None,
+    a: ArrayLike | None = None,
+    lam: ArrayLike | None = None,
+    seed: int = 0,
+) -> dict[str, float]:
     """Compare every derivative of a model with differences of what it is the derivative of.
 
     States that are not given are drawn at random (q of size 1, v of size 1). Returns {name: relative error}, the largest
@@ -35,10 +42,14 @@ def check_derivatives(model: Model, t: float = 0.0, q: ArrayLike | None = None, 
         "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
         "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
         "mass_a_q": (model.mass_a_q(q, a), differences.jacobian(lambda x: model.mass(x) @ a, q, n)),
-        "tangent": (model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0),
-                    differences.jacobian(lambda x: Model.residual(model, t, x, v, a, lam), q, n)),
-        "tangent, v": (model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0),
-                       differences.jacobian(lambda x: Model.residual(model, t, q, x, a, lam), v, n)),
+        "tangent": (
+            model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0),
+            differences.jacobian(lambda x: Model.residual(model, t, x, v, a, lam), q, n),
+        ),
+        "tangent, v": (
+            model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0),
+            differences.jacobian(lambda x: Model.residual(model, t, q, x, a, lam), v, n),
+        ),
     }
     if m:
         pairs |= {

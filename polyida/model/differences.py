@@ -47,6 +47,7 @@ def jacobian(function, x, rows):
     """Jacobian of `function(x)` (rows,) with respect to x (n,): a dense (rows, n) array, one column a coordinate."""
     result = np.empty((rows, x.size))
     for k in range(x.size):
+
         def moved(s, k=k):
             shifted = x.copy()
             shifted[k] += s

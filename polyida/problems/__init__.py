@@ -51,8 +51,7 @@ class Problem:
         if not len(getattr(run, "t", ())):
             raise InputError(f"problem {self.name!r}: {type(run).__name__} is no run with frames; give what solve returns")
         if abs(run.t[-1] - self.t_end) > 1e-9 * self.t_end:
-            raise InputError(f"problem {self.name!r}: the run ends at t = {run.t[-1]:g} s, "
-                             f"the reference is known at t = {self.t_end:g} s")
+            raise InputError(f"problem {self.name!r}: the run ends at t = {run.t[-1]:g} s, the reference is known at t = {self.t_end:g} s")
         return self.errors(**{name: self._measured(name, run) for name in self.reference})
 
     def _measured(self, name, run):

@@ -19,13 +19,19 @@ p2, p4, p6 = m2 * da * rr, m4 * zt * h, m6 * u * k  # what couples beta and Thet
 
 # Each loop is a closed chain of arms in the complex plane: sum over arms of ARMS[loop, arm] exp(i angle) = ENDS[loop],
 # with the arms' angles TURNS q: beta, beta + Theta, gamma, Phi + delta, delta, Omega + epsilon, epsilon.
-TURNS = np.array([
-    [1, 0, 0, 0, 0, 0, 0], [1, 1, 0, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0, 0], [0, 0, 0, 1, 1, 0, 0],
-    [0, 0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, 1, 1], [0, 0, 0, 0, 0, 0, 1]], float)
-ARMS = np.array([
-    [rr, -d, 1j * ss, 0, 0, 0, 0],
-    [rr, -d, 0, 1j * e, -zt, 0, 0],
-    [rr, -d, 0, 0, 0, -zf, 1j * u]])
+TURNS = np.array(
+    [
+        [1, 0, 0, 0, 0, 0, 0],
+        [1, 1, 0, 0, 0, 0, 0],
+        [0, 0, 1, 0, 0, 0, 0],
+        [0, 0, 0, 1, 1, 0, 0],
+        [0, 0, 0, 0, 1, 0, 0],
+        [0, 0, 0, 0, 0, 1, 1],
+        [0, 0, 0, 0, 0, 0, 1],
+    ],
+    float,
+)
+ARMS = np.array([[rr, -d, 1j * ss, 0, 0, 0, 0], [rr, -d, 0, 1j * e, -zt, 0, 0], [rr, -d, 0, 0, 0, -zf, 1j * u]])
 ENDS = np.array([xb + 1j * yb, xa + 1j * ya, xa + 1j * ya])
 
 
@@ -73,21 +79,27 @@ class Andrews(Model):
     def force(self, t, q, v):
         arm, turn, length = _spring(q[GAMMA])
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), p6 * np.cos(q[OMEGA])
-        return np.array([
-            theta * v[1] * (v[1] + 2 * v[0]) - mom, -theta * v[0]**2,
-            c0 * (1 - l0 / length) * (arm.conjugate() * turn).real,
-            -phi * v[4]**2, phi * v[3] * (v[3] + 2 * v[4]),
-            omega * v[6]**2, -omega * v[5] * (v[5] + 2 * v[6])])
+        return np.array(
+            [
+                theta * v[1] * (v[1] + 2 * v[0]) - mom,
+                -theta * v[0] ** 2,
+                c0 * (1 - l0 / length) * (arm.conjugate() * turn).real,
+                -phi * v[4] ** 2,
+                phi * v[3] * (v[3] + 2 * v[4]),
+                omega * v[6] ** 2,
+                -omega * v[5] * (v[5] + 2 * v[6]),
+            ]
+        )
 
     def force_q(self, t, q, v):
         arm, turn, length = _spring(q[GAMMA])
         along, bend = (arm.conjugate() * turn).real, (arm.conjugate() * 1j * turn).real
         theta, phi, omega = p2 * np.cos(q[THETA]), -p4 * np.sin(q[PHI]), -p6 * np.sin(q[OMEGA])
         result = np.zeros((7, 7))
-        result[:2, THETA] = theta * np.array([v[1] * (v[1] + 2 * v[0]), -v[0]**2])
-        result[GAMMA, GAMMA] = c0 * (l0 * along**2 / length**3 + (1 - l0 / length) * (abs(turn)**2 + bend))
-        result[3:5, PHI] = phi * np.array([-v[4]**2, v[3] * (v[3] + 2 * v[4])])
-        result[5:, OMEGA] = omega * np.array([v[6]**2, -v[5] * (v[5] + 2 * v[6])])
+        result[:2, THETA] = theta * np.array([v[1] * (v[1] + 2 * v[0]), -(v[0] ** 2)])
+        result[GAMMA, GAMMA] = c0 * (l0 * along**2 / length**3 + (1 - l0 / length) * (abs(turn) ** 2 + bend))
+        result[3:5, PHI] = phi * np.array([-(v[4] ** 2), v[3] * (v[3] + 2 * v[4])])
+        result[5:, OMEGA] = omega * np.array([v[6] ** 2, -v[5] * (v[5] + 2 * v[6])])
         return result
 
     def force_v(self, t, q, v):
@@ -108,31 +120,73 @@ class Andrews(Model):
         return _pairs(1j * self._arms(q) @ TURNS)
 
     def phi_bias(self, t, q, v):
-        return _pairs(-self._arms(q) @ (TURNS @ v)**2)
+        return _pairs(-self._arms(q) @ (TURNS @ v) ** 2)
 
     def reaction_q(self, t, q, lam):
         pull = lam[::2] - 1j * lam[1::2]
         return -(TURNS.T * (pull @ self._arms(q)).real) @ TURNS
 
     def potential(self, q):
-        return c0 / 2 * (_spring(q[GAMMA])[2] - l0)**2 - mom * q[BETA]
+        return c0 / 2 * (_spring(q[GAMMA])[2] - l0) ** 2 - mom * q[BETA]
 
 
 def problem():
     """0.03 s from rest; the crank beta turns two and a half times."""
     return Problem(
-        name="andrews", model=Andrews(), v0=np.zeros(7), t_end=0.03,
-        q0=np.array([-0.06171389001427645, 0, 0.45527981916307037, 0.22266839016588588, 0.48736497954384256,
-                     -0.22266839016588588, 1.2305474445498212]),
+        name="andrews",
+        model=Andrews(),
+        v0=np.zeros(7),
+        t_end=0.03,
+        q0=np.array(
+            [
+                -0.06171389001427645,
+                0,
+                0.45527981916307037,
+                0.22266839016588588,
+                0.48736497954384256,
+                -0.22266839016588588,
+                1.2305474445498212,
+            ]
+        ),
         reference={
-            "q": np.array([15.81077119629904, -15.75637105984298, 0.04082224013073101, -0.5347301163226948,
-                           0.5244099658805303, 0.5347301163226948, 1.048080741042263]),
-            "v": np.array([1139.920302151208, -1424.379294994111, 11.03291221937134, 19.29337464421385,
-                           0.5735699284790808, -19.29337464421385, 0.3231791658026955]),
-            "a": np.array([-24631.76316946196, 51850.37701610329, 324102.5686413781, 566749.3645176213,
-                           16743.62929479361, -566749.3645176222, 9826.520791458423]),
-            "lam": np.array([199.175333373191, -29.75531228015052, 23.06654119098399, 31.45271365475927,
-                             22.64249232082739, 11.61740700019673])},
+            "q": np.array(
+                [
+                    15.81077119629904,
+                    -15.75637105984298,
+                    0.04082224013073101,
+                    -0.5347301163226948,
+                    0.5244099658805303,
+                    0.5347301163226948,
+                    1.048080741042263,
+                ]
+            ),
+            "v": np.array(
+                [
+                    1139.920302151208,
+                    -1424.379294994111,
+                    11.03291221937134,
+                    19.29337464421385,
+                    0.5735699284790808,
+                    -19.29337464421385,
+                    0.3231791658026955,
+                ]
+            ),
+            "a": np.array(
+                [
+                    -24631.76316946196,
+                    51850.37701610329,
+                    324102.5686413781,
+                    566749.3645176213,
+                    16743.62929479361,
+                    -566749.3645176222,
+                    9826.520791458423,
+                ]
+            ),
+            "lam": np.array(
+                [199.175333373191, -29.75531228015052, 23.06654119098399, 31.45271365475927, 22.64249232082739, 11.61740700019673]
+            ),
+        },
         # DOP853 at relative tolerances of 1e-12 and 2.3e-14 agrees with itself to 1e-11 rad, with these to:
         known_to={"q": 1.5e-9, "v": 5.5e-7, "a": 0.06, "lam": 1.5e-5},
-        **ABOUT["andrews"])
+        **ABOUT["andrews"],
+    )

@@ -14,7 +14,7 @@ PAIR = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2))  # |left - right|^2 = q^T 
 def road(t):
     """Position, velocity and acceleration of the driven wheel (xb, yb), each (2,)."""
     y, dy = RADIUS * np.sin(OMEGA * t), RADIUS * OMEGA * np.cos(OMEGA * t)
-    ddy = -OMEGA**2 * y
+    ddy = -(OMEGA**2) * y
     x = np.sqrt(L**2 - y**2)
     dx = -y * dy / x
     return np.array([x, y]), np.array([dx, dy]), np.array([-(dy**2 + y * ddy + dx**2) / x, ddy])
@@ -66,11 +66,16 @@ class CarAxis(Model):
 def problem():
     """3 s of the road, nearly five periods; multipliers in the sign of `M a + g + phi_q^T lam = 0`."""
     return Problem(
-        name="car-axis", model=CarAxis(), t_end=3.0,
-        q0=np.array([0.0, 0.5, 1.0, 0.5]), v0=np.array([-0.5, 0.0, -0.5, 0.0]),
+        name="car-axis",
+        model=CarAxis(),
+        t_end=3.0,
+        q0=np.array([0.0, 0.5, 1.0, 0.5]),
+        v0=np.array([-0.5, 0.0, -0.5, 0.0]),
         reference={
             "q": np.array([0.04934557842754028, 0.49698946023017115, 1.0417425248854215, 0.37391102726536124]),
             "v": np.array([-0.07705836840409723, 0.007446866587237785, 0.017556815753723223, 0.7703410437792519]),
-            "lam": np.array([0.004736886590848933, 0.0011046803312573436])},
+            "lam": np.array([0.004736886590848933, 0.0011046803312573436]),
+        },
         known_to={"q": 2e-13, "v": 5e-12, "lam": 4e-15},  # how near DOP853 comes at a relative tolerance of 2.3e-14
-        **ABOUT["car-axis"])
+        **ABOUT["car-axis"],
+    )

@@ -55,7 +55,12 @@ def problem():
     x, y = TABLE[-1][1:]
     speed, tension = np.sqrt(-2 * Pendulum.gravity * y), -3 * Pendulum.weight * Pendulum.gravity * y / Pendulum.length
     return Problem(
-        name="pendulum", model=Pendulum(), q0=np.array([-1.0, 0.0]), v0=np.zeros(2), t_end=10.0,
+        name="pendulum",
+        model=Pendulum(),
+        q0=np.array([-1.0, 0.0]),
+        v0=np.zeros(2),
+        t_end=10.0,
         reference={"q": np.array([x, y]), "v": speed * np.array([-y, x]), "lam": np.array([tension])},
         known_to={"q": 2e-12, "v": 8e-12, "lam": 6e-11},  # how near DOP853 comes at a relative tolerance of 2.3e-14
-        **ABOUT["pendulum"])
+        **ABOUT["pendulum"],
+    )

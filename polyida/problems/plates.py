@@ -99,8 +99,7 @@ def _problem(name, scene):
     if not digits:
         about = about | {"source": "no reference for this mesh; measure against a refined run"}
     measures = {"tip": lambda run: run.position("tip")[-1], "tip_velocity": tip_velocity}
-    return Problem(name=name, model=model, q0=None, v0=None, t_end=1.0, reference=digits, known_to=known_to,
-                   measures=measures, **about)
+    return Problem(name=name, model=model, q0=None, v0=None, t_end=1.0, reference=digits, known_to=known_to, measures=measures, **about)
 
 
 def tip_velocity(run):

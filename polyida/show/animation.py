@@ -33,8 +33,9 @@ def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress
             progress(len(images))
     palette = images[len(images) // 2].quantize(128)
     images = [image.quantize(palette=palette, dither=0) for image in images]
-    images[0].save(path, save_all=True, append_images=images[1:], loop=0, optimize=False,
-                   duration=max(20, round(1000 * seconds / len(images))))
+    images[0].save(
+        path, save_all=True, append_images=images[1:], loop=0, optimize=False, duration=max(20, round(1000 * seconds / len(images)))
+    )
     return path
 
 
@@ -49,8 +50,14 @@ def _draw(run, chosen, width):
     low, high = box(np.concatenate(places))
     with settings():
         made, axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
-        cells = PolyCollection(plates.polygons(run.model, places[0]), array=stress[0], cmap="viridis",
-                               clim=(0, colour_top(stress)), edgecolors="face", linewidths=0.2)
+        cells = PolyCollection(
+            plates.polygons(run.model, places[0]),
+            array=stress[0],
+            cmap="viridis",
+            clim=(0, colour_top(stress)),
+            edgecolors="face",
+            linewidths=0.2,
+        )
         outline = LineCollection(plates.outlines(run.model, places[0]), colors=INK, linewidths=0.5)
         for collection in (cells, outline):
             axes.add_collection(collection)

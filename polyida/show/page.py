@@ -71,8 +71,10 @@ def finite(value):
 
 def _figure(folder, name, caption):
     data = base64.b64encode((folder / f"{name}.png").read_bytes()).decode()
-    return (f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
-            f"<figcaption>{escape(caption)} <code>{name}.pdf</code></figcaption></figure>")
+    return (
+        f'<figure><img alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+        f"<figcaption>{escape(caption)} <code>{name}.pdf</code></figcaption></figure>"
+    )
 
 
 def _cell(kind, text):

@@ -86,9 +86,9 @@ def reactions(runs, names, limit=8):
             for i, (label, run) in enumerate(runs.items()):
                 axis.plot(run.t, run.reaction(name)[:, k], label=plain(label), **line(i))
             axis.set(title=plain(name), ylabel=_quantity(first.model, name, k))
-        for axis in axes.ravel()[len(panels):]:
+        for axis in axes.ravel()[len(panels) :]:
             axis.set_visible(False)
-        for axis in axes.ravel()[max(len(panels) - columns, 0):len(panels)]:
+        for axis in axes.ravel()[max(len(panels) - columns, 0) : len(panels)]:
             axis.set_xlabel("t, s")
             axis.tick_params(labelbottom=True)
         _legend(made, axes[0, 0])
@@ -168,8 +168,17 @@ def _label_times(axes, run, frames):
         inner = positions[last.nodes].mean(axis=0)
         along = positions[end] - inner
         beyond = 12 * along / (np.hypot(*along) + 1e-300)
-        axes.annotate(f"{run.t[k]:.3g} s", positions[end], xytext=beyond, textcoords="offset points", fontsize=7.5,
-                      ha="center", va="center", annotation_clip=False, color=INK)
+        axes.annotate(
+            f"{run.t[k]:.3g} s",
+            positions[end],
+            xytext=beyond,
+            textcoords="offset points",
+            fontsize=7.5,
+            ha="center",
+            va="center",
+            annotation_clip=False,
+            color=INK,
+        )
 
 
 def _wide_left(made, axes):

@@ -79,8 +79,7 @@ class _Blocks:
         nodes, offsets = plates.connectivity(model)
         corners = np.diff(offsets)
         self.order = [np.flatnonzero(corners == count) for count in np.unique(corners)]
-        self.cells = [(_kind(count), nodes[offsets[of][:, None] + np.arange(count)])
-                      for count, of in zip(np.unique(corners), self.order)]
+        self.cells = [(_kind(count), nodes[offsets[of][:, None] + np.arange(count)]) for count, of in zip(np.unique(corners), self.order)]
         cells = [body.mesh.n_cells for body in plates.bodies(model)]
         self.plate = np.repeat(np.arange(len(cells)), cells)
 
@@ -91,9 +90,12 @@ class _Blocks:
         positions, stress = run.node_positions(k), run.stress(k)
         displacement, velocity = (np.asarray(frames[k])[: positions.size].reshape(-1, 2) for frames in (run.q, run.v))
         cell_data = {"von Mises": run.von_mises(k), "stress": stress, "plate": self.plate}
-        return meshio.Mesh(_flat(positions), self.cells,
-                           point_data={"displacement": _flat(displacement), "velocity": _flat(velocity)},
-                           cell_data={name: [values[of] for of in self.order] for name, values in cell_data.items()})
+        return meshio.Mesh(
+            _flat(positions),
+            self.cells,
+            point_data={"displacement": _flat(displacement), "velocity": _flat(velocity)},
+            cell_data={name: [values[of] for of in self.order] for name, values in cell_data.items()},
+        )
 
 
 def _kind(corners):

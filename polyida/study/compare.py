@@ -46,8 +46,11 @@ class Comparison:
         short = {"generalized-alpha": "alpha", "IDA": "ida", REFINED: "refined"}
         numbers = {f"{short.get(row['run'], row['run'])}_{key}": value for row in self.rows for key, value in row.items()}
         numbers["gap_end"] = self.gap
-        return {key: value for key, value in numbers.items()
-                if isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)}
+        return {
+            key: value
+            for key, value in numbers.items()
+            if isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+        }
 
     @property
     def gap(self):
@@ -96,8 +99,7 @@ def compare(job, rtol=None, progress=None, others=None):
     runs = {label: _run(job, member, label, tell) for label, member in members.items()}
     refined = refine(job, members["generalized-alpha"], tell)
     distances = {label: (run.t, refined.distance(run)) for label, run in runs.items()}
-    rows = [_row(label, run, distances[label][1]) | published(job, run.q[-1], run.success)
-            for label, run in runs.items()]
+    rows = [_row(label, run, distances[label][1]) | published(job, run.q[-1], run.success) for label, run in runs.items()]
     rows.append(refined.row() | published(job, refined.watched[-1], not refined.message))
     notes = [f"{label}: {run.message}" for label, run in runs.items() if not run.success]
     notes += [f"{REFINED}: {refined.message}"] if refined.message else []
@@ -111,8 +113,10 @@ def _others(others, taken):
         raise InputError(f"compare: others = {others!r} must be a dictionary {{label: integrator}}")
     for label in others:
         if not isinstance(label, str) or not label or set(label) & set("/\\\0") or label in taken or len(label) > LONGEST:
-            raise InputError(f"compare: label {label!r} must be the name of a file, no longer than {LONGEST} characters, "
-                             f"and none of {', '.join(sorted(taken))}")
+            raise InputError(
+                f"compare: label {label!r} must be the name of a file, no longer than {LONGEST} characters, "
+                f"and none of {', '.join(sorted(taken))}"
+            )
     return others
 
 
@@ -163,8 +167,13 @@ class Refined:
 
     def row(self):
         """What is known of it, in the form of the other rows."""
-        return {"run": REFINED, "settings": repr(self.integrator), "success": not self.message,
-                "t_end": float(self.t[-1]), "cpu_s": self.cpu_seconds} | self.counts.as_dict()
+        return {
+            "run": REFINED,
+            "settings": repr(self.integrator),
+            "success": not self.message,
+            "t_end": float(self.t[-1]),
+            "cpu_s": self.cpu_seconds,
+        } | self.counts.as_dict()
 
 
 def refine(job, integrator, tell):
@@ -190,13 +199,19 @@ def refine(job, integrator, tell):
 
 def _row(label, run, distance):
     return {
-        "run": label, "settings": repr(run.integrator), "success": bool(run.success), "t_end": float(run.t[-1]),
+        "run": label,
+        "settings": repr(run.integrator),
+        "success": bool(run.success),
+        "t_end": float(run.t[-1]),
         "error_max": float(np.nanmax(distance, initial=0.0)) if np.isfinite(distance).any() else float("nan"),
-        "error_end": float(distance[-1]), "cpu_s": float(run.cpu_seconds), "wall_s": float(run.wall_seconds),
+        "error_end": float(distance[-1]),
+        "cpu_s": float(run.cpu_seconds),
+        "wall_s": float(run.wall_seconds),
         **run.counts.as_dict(),
         "drift_max": float(np.max(run.drift, initial=0.0)),
         "velocity_drift_max": float(np.max(run.velocity_drift, initial=0.0)),
-        "energy_change": float(unbalanced(run)[-1]), "motor_work": float(motor_work(run)[-1]),
+        "energy_change": float(unbalanced(run)[-1]),
+        "motor_work": float(motor_work(run)[-1]),
     }
 
 

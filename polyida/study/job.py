@@ -122,7 +122,7 @@ def _default_point(model):
 
 
 def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
-    """"alpha", "ida", "energy" or a registered integrator with the settings given.
+    """ "alpha", "ida", "energy" or a registered integrator with the settings given.
 
     Raises InputError for an unknown name and for a setting of another one.
     """

@@ -33,8 +33,11 @@ def named(spec, book, kind=Callable, what="functions"):
     module = executed(Path(path))
     found = getattr(module, name, None) or registry.find(book, name)
     if not isinstance(found, kind):
-        own = [key for key, value in vars(module).items()
-               if isinstance(value, kind) and getattr(value, "__module__", module.__name__) == module.__name__]
+        own = [
+            key
+            for key, value in vars(module).items()
+            if isinstance(value, kind) and getattr(value, "__module__", module.__name__) == module.__name__
+        ]
         raise InputError(f"{path}: it has no {name!r}; {what} there: {', '.join(own) or 'none'}")
     return found
 

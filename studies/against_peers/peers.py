@@ -89,8 +89,17 @@ def pardiso(model, blocks, dtype=np.float64):
     def phase(number):
         *whole, one, quiet = [ctypes.byref(ctypes.c_int32(value)) for value in (1, 1, 2, number, model.n, 1, 0)]
         given = [pointer(array, kind) for array, kind in zip(arrays, kinds[6:10])]
-        solver._mkl_pardiso(pointer(solver.pt, kinds[0]), *whole, *given, one, pointer(parameters, kinds[11]), quiet,
-                            pointer(b), pointer(x), ctypes.byref(error))
+        solver._mkl_pardiso(
+            pointer(solver.pt, kinds[0]),
+            *whole,
+            *given,
+            one,
+            pointer(parameters, kinds[11]),
+            quiet,
+            pointer(b),
+            pointer(x),
+            ctypes.byref(error),
+        )
         if error.value:
             raise RuntimeError(f"PARDISO: error {error.value} in phase {number}")
         return x
@@ -118,8 +127,16 @@ class WholeJacobian:
         mass, jacobian, each = model.mass().tocoo(), coo_array(model.phi_q(0.0, np.zeros(n))), np.arange(n)
         self.mass, B, m = mass.data, jacobian.data, model.m
         r, c = jacobian.row, jacobian.col
-        places = [(each, each), (each, n + each), (n + stiff.row, stiff.col), (n + mass.row, n + mass.col),
-                  (c, 2 * n + m + r), (n + c, 2 * n + r), (2 * n + r, c), (2 * n + m + r, n + c)]
+        places = [
+            (each, each),
+            (each, n + each),
+            (n + stiff.row, stiff.col),
+            (n + mass.row, n + mass.col),
+            (c, 2 * n + m + r),
+            (n + c, 2 * n + r),
+            (2 * n + r, c),
+            (2 * n + m + r, n + c),
+        ]
         self.fixed = -np.ones(n), np.concatenate([B, B, B, B])
         rows, columns = (np.concatenate(side) for side in zip(*places))
         numbered = coo_array((np.arange(1.0, len(rows) + 1), (rows, columns)), shape=2 * (2 * (n + m),)).tocsc()
@@ -149,8 +166,15 @@ def sparse_ida(model, t_end, settings=None):
     sizes = typical_sizes(model, consistent_state(model, 0.0, None, None), t_end)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own
         solver = Solver(
-            system.residual, rtol=settings.rtol, atol=system.tolerances(*settings.tolerances(model.n, sizes)), jacfn=jacobian,
-            max_order=settings.order(model), linsolver="sparse", sparsity=csc_matrix(jacobian.pattern), nthreads=1)
+            system.residual,
+            rtol=settings.rtol,
+            atol=system.tolerances(*settings.tolerances(model.n, sizes)),
+            jacfn=jacobian,
+            max_order=settings.order(model),
+            linsolver="sparse",
+            sparsity=csc_matrix(jacobian.pattern),
+            nthreads=1,
+        )
     begin, t, steps = time.process_time(), 0.0, 0
     solver.init_step(0.0, *system.pack(consistent_state(model, 0.0, None, None)))
     while t < t_end:
@@ -187,8 +211,7 @@ class FirstOrder:
             slope = csc_array(self.slopes._phi_q_along(1.0, v, t, q))
         wide, square = csc_array((n, m)), csc_array((m, m))
         in_y = [[bent, -unit, wide, wide], [K, None, None, None], [B, None, square, None], [slope, B, None, square]]
-        in_yp = [[unit, None, None, B.T], [None, model.mass(), B.T, None], [wide.T, None, square, None],
-                 [None, wide.T, None, square]]
+        in_yp = [[unit, None, None, B.T], [None, model.mass(), B.T, None], [wide.T, None, square, None], [None, wide.T, None, square]]
         return block_array(in_y, format="csc"), block_array(in_yp, format="csc")
 
 
@@ -206,8 +229,7 @@ def radau(model, times, rtol, look):
     (y, yp), (length, speed) = first.system.pack(start), typical_sizes(model, start, times[-1])
     atol = rtol * np.repeat([length, speed, 10 * speed], [n, n, 2 * model.m])
     begin = time.process_time()
-    found = solve_dae(first.residual, (0.0, times[-1]), y, yp, method="Radau", rtol=rtol, atol=atol, t_eval=times,
-                      jac=first.jacobians)
+    found = solve_dae(first.residual, (0.0, times[-1]), y, yp, method="Radau", rtol=rtol, atol=atol, t_eval=times, jac=first.jacobians)
     seconds = time.process_time() - begin
     if found.status != 0:
         raise RuntimeError(f"solve_dae: {found.message}")
@@ -231,15 +253,27 @@ class ExudynScene:
         add, zero = self.system, [0.0] * model.n
         names = ("referenceCoordinates", "initialCoordinates", "initialCoordinates_t")
         body = add.AddNode(items.NodeGenericODE2(**dict.fromkeys(names, zero), numberOfODE2Coordinates=model.n))
-        add.AddObject(items.ObjectGenericODE2(nodeNumbers=[body], massMatrix=self.container(model.mass()),
-                                              forceUserFunction=self.force, jacobianUserFunction=self.stiffness))
+        add.AddObject(
+            items.ObjectGenericODE2(
+                nodeNumbers=[body],
+                massMatrix=self.container(model.mass()),
+                forceUserFunction=self.force,
+                jacobianUserFunction=self.stiffness,
+            )
+        )
         ground = add.AddNode(items.NodePointGround())
         markers = [add.AddMarker(items.MarkerNodeCoordinates(nodeNumber=node)) for node in (ground, body)]
-        add.AddObject(items.ObjectConnectorCoordinateVector(
-            markerNumbers=markers, scalingMarker0=np.zeros((model.m, 1)), constraintUserFunction=self.phi,
-            jacobianUserFunction=self.phi_q))
-        self.sensor = add.AddSensor(items.SensorUserFunction(
-            sensorNumbers=[], writeToFile=False, storeInternal=True, sensorUserFunction=self.seen))
+        add.AddObject(
+            items.ObjectConnectorCoordinateVector(
+                markerNumbers=markers,
+                scalingMarker0=np.zeros((model.m, 1)),
+                constraintUserFunction=self.phi,
+                jacobianUserFunction=self.phi_q,
+            )
+        )
+        self.sensor = add.AddSensor(
+            items.SensorUserFunction(sensorNumbers=[], writeToFile=False, storeInternal=True, sensorUserFunction=self.seen)
+        )
         add.Assemble()
 
     def container(self, matrix):
@@ -289,5 +323,9 @@ class ExudynScene:
         return row, np.array(self.system.GetSensorStoredData(self.sensor))[:, 1:]
 
 
-BACKENDS = {"superlu": superlu, "band": band, "pardiso": pardiso,
-            "pardiso single": lambda model, blocks: pardiso(model, blocks, np.float32)}
+BACKENDS = {
+    "superlu": superlu,
+    "band": band,
+    "pardiso": pardiso,
+    "pardiso single": lambda model, blocks: pardiso(model, blocks, np.float32),
+}

@@ -28,9 +28,7 @@ def damped(cells, time, viscosity):
 def run_order(cells, time, viscosity, max_order, rtol=1e-5, cap=60_000):
     """One run of IDA with a highest order: counts, CPU seconds, error of the tip, and its steps over time."""
     job, tip = damped(cells, time, viscosity)
-    run = solve(
-        job.model, time, IDA(rtol=rtol, max_order=max_order, max_num_steps=cap), every=10
-    )
+    run = solve(job.model, time, IDA(rtol=rtol, max_order=max_order, max_num_steps=cap), every=10)
     steps = np.diff(run.t) / 10
     error = float(np.linalg.norm(watch(job)(run.q[-1]) - tip)) if run.success else float("nan")
     return {

@@ -39,9 +39,7 @@ def _superlu(A, b, symmetric):
     from scipy.sparse.linalg import splu
 
     if symmetric:
-        return splu(
-            csc_array(A), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        ).solve(b)
+        return splu(csc_array(A), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve(b)
     return splu(csc_array(A), permc_spec="COLAMD").solve(b)
 
 

@@ -56,12 +56,7 @@ def balance(scene, member, x, time, cells, frames=400):
     energy, keep = run.energy, slice(None, None, max(1, len(run.t) // frames))
     scale = WEIGHTS_FALL if scene == "swinging" else float(energy.kinetic[0])
     change = (energy.total - energy.total[0]) / scale
-    outcome = {
-        "dof": model.n,
-        "outcome": "done" if run.success else run.message,
-        "steps": run.counts.steps,
-        "cpu_s": run.cpu_seconds,
-    }
+    outcome = {"dof": model.n, "outcome": "done" if run.success else run.message, "steps": run.counts.steps, "cpu_s": run.cpu_seconds}
     drift = {"energy_drift": float(np.abs(change).max()), "energy_change": float(change[-1]) * scale}
     row = outcome | drift | {"t": run.t[keep], "energy": change[keep]}
     return row if scene == "swinging" else row | momentum_drift(momenta(model, run.q, run.v), keep)
@@ -71,8 +66,4 @@ def momentum_drift(found, keep):
     """How far momenta (frames, 3) go from the first, of its size; the angular one over time as well."""
     drift, angular = np.abs(found - found[0]).max(axis=0), abs(found[0, 2])
     linear = float(drift[:2].max() / np.linalg.norm(found[0, :2]))
-    return {
-        "linear_drift": linear,
-        "angular_drift": float(drift[2] / angular),
-        "angular": (found[keep, 2] - found[0, 2]) / angular,
-    }
+    return {"linear_drift": linear, "angular_drift": float(drift[2] / angular), "angular": (found[keep, 2] - found[0, 2]) / angular}

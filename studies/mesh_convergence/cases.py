@@ -36,9 +36,7 @@ def clamped(mesh, material, element, gravity=(0.0, 0.0), thickness=1.0, load=Non
     scene = Scene(gravity=gravity)
     plate = scene.add(Plate(mesh, material, thickness, name="plate", element=element))
     scene.add(Clamp(plate.section(clamp), name="clamp"))
-    scene.add(
-        PointLoad(plate.node(at) if isinstance(at, tuple) else plate.section(at), load or (0.0, 0.0), name="load")
-    )
+    scene.add(PointLoad(plate.node(at) if isinstance(at, tuple) else plate.section(at), load or (0.0, 0.0), name="load"))
     return scene.build(), plate
 
 
@@ -94,9 +92,7 @@ def compliance(kind, element, through, at):
     or a "section".
     """
     place = (0.0, 0.0) if at == "node" else "left"
-    model, _ = clamped(
-        mesh_of(kind, 1.0, 0.1, through), Material(1e9, 0.0, 1000.0), element, load=(-1.0, 0.0), at=place, clamp="right"
-    )
+    model, _ = clamped(mesh_of(kind, 1.0, 0.1, through), Material(1e9, 0.0, 1000.0), element, load=(-1.0, 0.0), at=place, clamp="right")
     ratio = float(-model.displacement("load", linear_response(model))[0] * 1e9 * 0.1)
     return result(model, np.array([ratio - 1])) | {"compliance": ratio}
 

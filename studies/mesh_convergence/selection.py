@@ -1,12 +1,6 @@
 """Meshes and elements of the mesh study: which cases at how many cells through the thickness."""
 
-MEMBERS = (
-    ("polygons", "wachspress"),
-    ("quads", "wachspress"),
-    ("triangles", "wachspress"),
-    ("polygons", "virtual"),
-    ("quads", "virtual"),
-)
+MEMBERS = (("polygons", "wachspress"), ("quads", "wachspress"), ("triangles", "wachspress"), ("polygons", "virtual"), ("quads", "virtual"))
 POLYGONS, QUADS = MEMBERS[:1], MEMBERS[1:2]
 SLENDER = 200  # L / h of an elastica whose shear is 16 times less than at 50
 

@@ -78,17 +78,8 @@ def sides(on, off, repeats):
     """Both sides in turn: medians of CPU seconds and the counts that they return, as a row."""
     on(), off()
     pairs = [(cpu(on), cpu(off)) for _ in range(repeats)]
-    (on_s, off_s), (count_on, count_off) = (
-        np.median([[a[0], b[0]] for a, b in pairs], axis=0),
-        [side[1] for side in pairs[-1]],
-    )
-    return {
-        "count_on": count_on,
-        "count_off": count_off,
-        "cpu_on_s": float(on_s),
-        "cpu_off_s": float(off_s),
-        "times": float(off_s / on_s),
-    }
+    (on_s, off_s), (count_on, count_off) = (np.median([[a[0], b[0]] for a, b in pairs], axis=0), [side[1] for side in pairs[-1]])
+    return {"count_on": count_on, "count_off": count_off, "cpu_on_s": float(on_s), "cpu_off_s": float(off_s), "times": float(off_s / on_s)}
 
 
 def done(run):
@@ -100,6 +91,7 @@ def done(run):
 
 def again(what, integrator):
     """A saving of the general path: a model that evaluates `what` once or never, against one that always does."""
+
     def measure(cells, t_end, repeats):
         def side(name):
             model = Wasteful(plates.double_plate(cells), name)
@@ -118,6 +110,7 @@ def again(what, integrator):
 
 def settings(count, on, off):
     """A saving of the integrator: one setting or engine against another."""
+
     def measure(cells, t_end, repeats):
         model = plates.double_plate(cells).build()
 
@@ -178,6 +171,7 @@ class FullNewton(OneByOne):
 
 def no_border(cells, t_end, repeats):
     """A free plate has no point that a joint or a mass holds; a mass of a millionth of a gram makes one, with its columns and its border."""
+
     def side(loaded):
         scene = Scene(gravity=plates.GRAVITY)
         plate = scene.add(_plate(rectangle(plates.LENGTH, plates.HEIGHT, cells=cells, seed=1), "plate", 0.0))
@@ -195,18 +189,14 @@ def _plate(mesh, name, x):
 
 def shared_operator(cells, t_end, repeats):
     """Two plates on one mesh object, against two on equal meshes: bytes of the element arrays, CPU of the build."""
+
     def build(meshes):
         scene = Scene(gravity=plates.GRAVITY)
-        upper, lower = (
-            scene.add(_plate(mesh, name, x)) for mesh, name, x in zip(meshes, ("upper", "lower"), (0.0, plates.LENGTH))
-        )
+        upper, lower = (scene.add(_plate(mesh, name, x)) for mesh, name, x in zip(meshes, ("upper", "lower"), (0.0, plates.LENGTH)))
         scene.add(Revolute(ground, upper.section("left")))
         scene.add(Revolute(upper.section("right"), lower.section("left")))
         s = scene.build().arrays.plates
-        return sum(
-            array.nbytes
-            for array in (s.layout, s.corners, s.gradients, s.weights, s.pairs, s.indptr, s.indices, s.mass)
-        )
+        return sum(array.nbytes for array in (s.layout, s.corners, s.gradients, s.weights, s.pairs, s.indptr, s.indices, s.mass))
 
     one, two = (rectangle(plates.LENGTH, plates.HEIGHT, cells=cells, seed=1) for _ in range(2))
     return sides(lambda: build((one, one)), lambda: build((one, two)), repeats)

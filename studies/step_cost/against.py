@@ -34,9 +34,12 @@ def against(commit):
     """The study of a commit's steps. InputError where this is no clone that has it."""
     whole = whole_name(commit)
     return Study(
-        "step_cost", f"Cost of a step over that at {whole[:10]}",
+        "step_cost",
+        f"Cost of a step over that at {whole[:10]}",
         lambda quick: [{"figure": name, "commit": whole} for name in PAIRS if not (quick and name.endswith("1e5"))],
-        measured, figures, notes=notes,
+        measured,
+        figures,
+        notes=notes,
         columns=("figure", "n", "pairs", "ratio", "lowest", "highest", "before_ms", "now_ms", "before_iterations", "now_iterations"),
     )
 

@@ -52,8 +52,13 @@ def step_row(scene, dof, integrator, short, long, repeats):
     first, last = pairs[-1][0][1], pairs[-1][1][1]
     steps = last.steps - first.steps
     ms = 1e3 * float(np.median([b[0] - a[0] for a, b in pairs])) / steps
-    row = {"n": model.n, "steps": steps, "ms_per_step": ms, "backend": last.backend,
-           "start_ms": 1e3 * float(np.median([a[0] for a, _ in pairs])) - ms * first.steps}
+    row = {
+        "n": model.n,
+        "steps": steps,
+        "ms_per_step": ms,
+        "backend": last.backend,
+        "start_ms": 1e3 * float(np.median([a[0] for a, _ in pairs])) - ms * first.steps,
+    }
     for name in ("newton_iterations", "residuals", "tangents", "factorizations"):
         row[f"{name}_per_step"] = (getattr(last, name) - getattr(first, name)) / steps
     row["factorizations_in_all"] = last.factorizations
@@ -101,8 +106,20 @@ def kernels_ms(model):
     _residuals(1, *residual)
     _tangents(1, *tangent)
     system, _ = corotated.corotated(model, blocks, rotation)
-    correction = (model.arrays.links, system, corotated.room(model, system), drives, rotation, dz, state.lam.copy(), r,
-                  phi, c_m, np.empty(nodal), np.empty(model.m))
+    correction = (
+        model.arrays.links,
+        system,
+        corotated.room(model, system),
+        drives,
+        rotation,
+        dz,
+        state.lam.copy(),
+        r,
+        phi,
+        c_m,
+        np.empty(nodal),
+        np.empty(model.m),
+    )
     count = max(3, 200_000 // model.n)
     timed = {"residual": (_residuals, residual), "tangent": (_tangents, tangent), "solve": (_solves, correction)}
     times = {}
@@ -120,7 +137,8 @@ def parts_of_a_step(model, row):
     shares = {f"{name}_ms": one[name] * row[f"{count}_per_step"] for name, count in counted.items()}
     return shares | {
         "rest_ms": row["ms_per_step"] - sum(shares.values()),
-        "one_solve_ms": one["solve"], "one_factor_ms": one["factor"],
+        "one_solve_ms": one["solve"],
+        "one_factor_ms": one["factor"],
         "residual_ns_per_dof": 1e6 * one["residual"] / model.n,
         "residual_tangent_ns_per_dof": 1e6 * (one["residual"] + one["tangent"]) / model.n,
     }
@@ -160,8 +178,13 @@ def floor_row(dof, backend, repeats):
         factor_s, solve_s = median_cpu(factor, repeats), median_cpu(solved, 3 * repeats)
     solution = solution[model.once(symbolic_of).order] if backend == "fronts" else solution
     error = np.abs(peers.matrix_of(model, blocks) @ solution - 1.0).max()
-    return {"n": model.n, "factor_ms": 1e3 * factor_s, "solve_ms": 1e3 * solve_s,
-            "floor_ms": 1e3 * (factor_s + 3 * solve_s), "relative_residual": float(error)}
+    return {
+        "n": model.n,
+        "factor_ms": 1e3 * factor_s,
+        "solve_ms": 1e3 * solve_s,
+        "floor_ms": 1e3 * (factor_s + 3 * solve_s),
+        "relative_residual": float(error),
+    }
 
 
 def sparse_row(dof, t_end, repeats):
@@ -198,9 +221,16 @@ def memory_alone(dof, steps):
     built, (seconds, run) = peak_bytes(), cpu(lambda: solve(model, steps * H, GeneralizedAlpha(h=H)))
     peak = peak_bytes()
     return {
-        "n": model.n, "steps": run.counts.steps, "status": run.status, "imported_bytes": imported, "built_bytes": built,
-        "peak_bytes": peak, "bytes_per_dof": peak / model.n, "frame_bytes": 8 * len(run) * (3 * model.n + model.m + 1),
-        "ms_per_step": 1e3 * seconds / steps, "newton_iterations_per_step": run.counts.newton_iterations / steps,
+        "n": model.n,
+        "steps": run.counts.steps,
+        "status": run.status,
+        "imported_bytes": imported,
+        "built_bytes": built,
+        "peak_bytes": peak,
+        "bytes_per_dof": peak / model.n,
+        "frame_bytes": 8 * len(run) * (3 * model.n + model.m + 1),
+        "ms_per_step": 1e3 * seconds / steps,
+        "newton_iterations_per_step": run.counts.newton_iterations / steps,
     }
 
 
@@ -235,8 +265,7 @@ def start_rows(dof, warm):
         cold = _started(dof, folder)
         filled = np.median([_started(dof, folder) for _ in range(warm)], axis=0)
     names = ("import_s", "mesh_s", "first_step_s", "start_s")
-    return {f"{kind}_{name}": float(value) for kind, values in (("cold", cold), ("warm", filled))
-            for name, value in zip(names, values)}
+    return {f"{kind}_{name}": float(value) for kind, values in (("cold", cold), ("warm", filled)) for name, value in zip(names, values)}
 
 
 def _started(dof, folder):

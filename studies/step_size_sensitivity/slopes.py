@@ -40,11 +40,7 @@ def order(rows, scene, part, form="index3"):
 
 def method(rows, scene, part, solve):
     """Slope of an error after a few steps with carried phi, h from 1e-4 to 1e-2 s."""
-    runs = [
-        row
-        for row in runs_of(rows, part="tiny", scene=scene, phi="carried", solve=solve)
-        if 0.99e-4 < row["h"] < 1.01e-2
-    ]
+    runs = [row for row in runs_of(rows, part="tiny", scene=scene, phi="carried", solve=solve) if 0.99e-4 < row["h"] < 1.01e-2]
     return fitted(column(runs, "h"), column(runs, f"error_{part}"))
 
 

@@ -40,42 +40,63 @@ def _refined(make, t_end, **settings):
 
 
 AXES = {
-    "modulus, Pa": Axis(_refined(lambda value: scenes.swing(scenes.rubber(value)), 0.5),
-                        (50e6, 20e6, 10e6, 5e6, 2e6, 1e6, 3e5, 1e5), (50e6, 5e6, 1e5)),
+    "modulus, Pa": Axis(
+        _refined(lambda value: scenes.swing(scenes.rubber(value)), 0.5), (50e6, 20e6, 10e6, 5e6, 2e6, 1e6, 3e5, 1e5), (50e6, 5e6, 1e5)
+    ),
     "rigid limit, Pa": Axis(cases.stiff_limit, (1e9, 1e10, 1e11, 2e11), (1e9, 2e11)),
-    "tip over plate mass": Axis(_refined(lambda value: scenes.swing(tip_mass=value * scenes.PLATE_MASS), 0.1),
-                                (1e-6, 1e-3, 1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6), (1e-6, 1.0, 1e3, 1e6), slow=("ggl1",)),
+    "tip over plate mass": Axis(
+        _refined(lambda value: scenes.swing(tip_mass=value * scenes.PLATE_MASS), 0.1),
+        (1e-6, 1e-3, 1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6),
+        (1e-6, 1.0, 1e3, 1e6),
+        slow=("ggl1",),
+    ),
     "slenderness": Axis(_refined(scenes.slender, 0.3), (10.0, 20.0, 50.0, 100.0, 200.0), (10.0, 50.0, 200.0)),
     "links": Axis(_refined(scenes.chain, 0.3), (2, 3, 5, 10, 20, 35, 50), (2, 10, 50)),
-    "gravity factor": Axis(_refined(scenes.heavy, lambda factor: 0.3 / np.sqrt(factor), h=lambda factor: 1e-3 / np.sqrt(factor)),
-                           (1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 10.0, 100.0)),
-    "long step, s": Axis(identities.large_steps, (0.003, 0.01, 0.03, 0.1, 0.3, 1.0), (0.01, 0.1, 1.0), cases.FIXED,
-                         foreseen=identities.cannot_be_predicted),
+    "gravity factor": Axis(
+        _refined(scenes.heavy, lambda factor: 0.3 / np.sqrt(factor), h=lambda factor: 1e-3 / np.sqrt(factor)),
+        (1.0, 3.0, 10.0, 30.0, 100.0),
+        (1.0, 10.0, 100.0),
+    ),
+    "long step, s": Axis(
+        identities.large_steps, (0.003, 0.01, 0.03, 0.1, 0.3, 1.0), (0.01, 0.1, 1.0), cases.FIXED, foreseen=identities.cannot_be_predicted
+    ),
     "short step, s": Axis(cases.small_steps, (1e-6, 1e-7, 1e-8, 1e-9, 1e-10), (1e-6, 1e-8, 1e-10), cases.FIXED + IDA),
     "rho_inf": Axis(cases.spectral_radius, (0.9, 0.8, 0.5, 0.0, 0.95, 0.99), (0.9, 0.0, 0.99), ("alpha", "adaptive", "stabilised")),
     "Newton tolerance": Axis(cases.newton_tolerance, (1e-4, 1e-3, 1e-2, 1e-6, 1e-8, 1e-10, 1e-12), (1e-4, 1e-2, 1e-12), cases.FIXED),
     "error tolerance": Axis(cases.error_tolerance, (1e-5, 1e-4, 1e-3, 1e-2, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12), (1e-5, 1e-2, 1e-8), CHOOSING),
     "turns": Axis(identities.many_turns, (1, 3, 10, 30, 100), (1, 10, 100), slow=("ggl1",)),
     "reversal, rad/s": Axis(identities.reversal, (1.0, 3.0, 10.0, 30.0, 100.0), (1.0, 100.0), slow=("ggl1",)),
-    "jump in a step, rad": Axis(identities.half_turn, (0.5, 1.0, 1.5, 2.0, 2.5, 3.1, 3.2, 4.7, 6.28), (0.5, 1.5, 3.1), slow=("ggl1",),
-                                foreseen=identities.bends_too_far),
-    "width of a sliver, m": Axis(_refined(scenes.sliver, 0.3, benign=1e-2), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12),
-                                 (1e-2, 1e-4, 1e-8), foreseen=cases.too_thin),
-    "short edge, m": Axis(_refined(scenes.short_edge, 0.3, benign=1e-2), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12),
-                          (1e-2, 1e-6, 1e-12)),
+    "jump in a step, rad": Axis(
+        identities.half_turn,
+        (0.5, 1.0, 1.5, 2.0, 2.5, 3.1, 3.2, 4.7, 6.28),
+        (0.5, 1.5, 3.1),
+        slow=("ggl1",),
+        foreseen=identities.bends_too_far,
+    ),
+    "width of a sliver, m": Axis(
+        _refined(scenes.sliver, 0.3, benign=1e-2),
+        (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12),
+        (1e-2, 1e-4, 1e-8),
+        foreseen=cases.too_thin,
+    ),
+    "short edge, m": Axis(
+        _refined(scenes.short_edge, 0.3, benign=1e-2), (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12), (1e-2, 1e-6, 1e-12)
+    ),
     "corners of one element": Axis(cases.one_element, (3, 4, 5, 6, 8, 12, 20, 30), (3, 8, 30), foreseen=cases.too_many_corners),
     "corners of one virtual element": Axis(cases.one_virtual_element, (3, 4, 5, 6, 8, 12, 20, 30), (3, 8, 30)),
     "plates of one element": Axis(_refined(scenes.blocks, 0.3), (1, 2, 3, 5, 10, 20), (1, 2, 5)),
     "four-bar from, rad": Axis(cases.through_flat, (1.5, 1.0, 0.5, 0.1, 0.0), (1.0, 0.0)),
-    "held twice": Axis(cases.held_twice, cases.REDUNDANT, cases.REDUNDANT, ("alpha", "energy", "ggl2"),
-                       foreseen=cases.refused_as_redundant),
+    "held twice": Axis(
+        cases.held_twice, cases.REDUNDANT, cases.REDUNDANT, ("alpha", "energy", "ggl2"), foreseen=cases.refused_as_redundant
+    ),
     "pulse, s": Axis(cases.blow, (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8), (1e-2, 1e-4, 1e-8)),
-    "driven collapse, Pa": Axis(_refined(scenes.collapsing, 1.1), (50e6, 20e6, 10e6, 5e6, 2e6, 1e6), (50e6, 10e6, 1e6),
-                               foreseen=cases.too_soft),
-    "pressure over modulus": Axis(cases.pressing, (0.05, 0.1, 0.15, 0.18, 0.2, 0.25, 0.5, 1.0), (0.1, 0.18, 0.25),
-                                  foreseen=cases.beyond_the_material),
-    "viscosity, s": Axis(_refined(scenes.damped, 0.3), (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1), (1e-6, 1e-3, 1e-1),
-                        slow=("ggl1",)),
+    "driven collapse, Pa": Axis(
+        _refined(scenes.collapsing, 1.1), (50e6, 20e6, 10e6, 5e6, 2e6, 1e6), (50e6, 10e6, 1e6), foreseen=cases.too_soft
+    ),
+    "pressure over modulus": Axis(
+        cases.pressing, (0.05, 0.1, 0.15, 0.18, 0.2, 0.25, 0.5, 1.0), (0.1, 0.18, 0.25), foreseen=cases.beyond_the_material
+    ),
+    "viscosity, s": Axis(_refined(scenes.damped, 0.3), (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1), (1e-6, 1e-3, 1e-1), slow=("ggl1",)),
     "steps": Axis(many_steps, (20_000, 100_000, 1_000_000), (20_000,), ("alpha", "energy")),
     "steps of IDA": Axis(many_steps, (2_000, 100_000), (2_000,), ("ggl2",)),
     "kills of a run": Axis(killed_runs, (50,), (5,), ("alpha", "energy", "ggl2")),

@@ -36,9 +36,11 @@ def against_refined(make, t_end, h=1e-3, within=2e-3, loss=0.05, benign=None):
             return run, [time]
         return run, [off_by_refined(run, known, within if name in FIXED else 5e-3), held(run, SETTLED), *_energies(run, name, loss)]
 
-    case.__doc__ = (f"The tip within {within:g} of the scene's size, {500 * 1e-5:g} for the integrators that choose their step, of "
-                    f"runs of generalized-alpha and of the energy-momentum method with an eighth of the step; phi holds, energy does "
-                    f"not grow. Where both of these collapse, the run does, at the same time.")
+    case.__doc__ = (
+        f"The tip within {within:g} of the scene's size, {500 * 1e-5:g} for the integrators that choose their step, of "
+        f"runs of generalized-alpha and of the energy-momentum method with an eighth of the step; phi holds, energy does "
+        f"not grow. Where both of these collapse, the run does, at the same time."
+    )
     return case
 
 
@@ -91,8 +93,11 @@ def stiff_limit(modulus, name):
     """
     model = scenes.swing(scenes.rubber(modulus))
     run = solve(model, 0.5, integrator(name))
-    return run, [off_by(run, rigid_tip(model, 0.5), 2e-3 + 0.3 * 50e6 / modulus / 2, "tip against rigid bodies"), held(run, SETTLED),
-                 *_energies(run, name, 0.1)]
+    return run, [
+        off_by(run, rigid_tip(model, 0.5), 2e-3 + 0.3 * 50e6 / modulus / 2, "tip against rigid bodies"),
+        held(run, SETTLED),
+        *_energies(run, name, 0.1),
+    ]
 
 
 def rigid_tip(model, t_end):
@@ -137,8 +142,13 @@ def one_element(corners, name, element="wachspress"):
     mass = model._nodal_mass
     inertia = sum(arm[:, k] @ (mass @ arm[:, k]) for k in (0, 1))
     pull = np.ones(len(arm)) @ (mass @ arm)
-    angle = solve_ivp(lambda t, y: [y[1], -9.81 * (pull[0] * np.cos(y[0]) - pull[1] * np.sin(y[0])) / inertia], (0.0, 0.5), [0.0, 0.0],
-                      rtol=1e-10, atol=1e-12).y[0, -1]
+    angle = solve_ivp(
+        lambda t, y: [y[1], -9.81 * (pull[0] * np.cos(y[0]) - pull[1] * np.sin(y[0])) / inertia],
+        (0.0, 0.5),
+        [0.0, 0.0],
+        rtol=1e-10,
+        atol=1e-12,
+    ).y[0, -1]
     to_tip = tip(run)[0] + [0.5, 0.0]
     place = [to_tip[0] * np.cos(angle) - to_tip[1] * np.sin(angle) - 0.5, to_tip[0] * np.sin(angle) + to_tip[1] * np.cos(angle)]
     return run, [off_by(run, place, 5e-3, "tip against a rigid pendulum"), held(run, SETTLED), *_energies(run, name, 0.05)]
@@ -160,12 +170,17 @@ def small_steps(h, name):
     third = jerk(model, start, 1e-4)
     q, v, pull = start.a * t**2 / 2 + third * t**3 / 6, start.a * t + third * t**2 / 2, np.abs(start.a).max()
     extra = 500 * 1e-7 if chooses else 0.0
-    checks = [Check("q against Taylor", np.abs(run.q[-1] - q).max(), 2e-3 * pull * t**2 + extra),
-              Check("v against Taylor", np.abs(run.v[-1] - v).max(), 2e-3 * pull * t + 1e3 * extra), held(run, SETTLED)]
+    checks = [
+        Check("q against Taylor", np.abs(run.q[-1] - q).max(), 2e-3 * pull * t**2 + extra),
+        Check("v against Taylor", np.abs(run.v[-1] - v).max(), 2e-3 * pull * t + 1e3 * extra),
+        held(run, SETTLED),
+    ]
     if name in ("alpha", "stabilised"):
         a, lam = consistent_acceleration(model, float(run.t[-1]), run.q[-1], run.v[-1])
-        checks += [Check("a against the equations", np.abs(run.a[-1] - a).max() / np.abs(a).max(), 1e-4),
-                   Check("lam against the equations", np.abs(run.lam[-1] - lam).max() / np.abs(lam).max(), 1e-4)]
+        checks += [
+            Check("a against the equations", np.abs(run.a[-1] - a).max() / np.abs(a).max(), 1e-4),
+            Check("lam against the equations", np.abs(run.lam[-1] - lam).max() / np.abs(lam).max(), 1e-4),
+        ]
     return run, checks
 
 
@@ -227,8 +242,11 @@ def blow(duration, name):
     momentum = ones @ (model._nodal_mass @ v)
     spin = np.sum(x[:, 0] * (model._nodal_mass @ v[:, 1]) - x[:, 1] * (model._nodal_mass @ v[:, 0]))
     exact = 1e-8 if name == "energy" else 5e-3
-    return run, [Check("linear momentum", float(np.hypot(momentum[0], momentum[1] - 1.0)), exact),
-                 Check("angular momentum", abs(spin - 1.0), 0.02), held(run)]
+    return run, [
+        Check("linear momentum", float(np.hypot(momentum[0], momentum[1] - 1.0)), exact),
+        Check("angular momentum", abs(spin - 1.0), 0.02),
+        held(run),
+    ]
 
 
 def pressing(pressure, name):

@@ -85,8 +85,12 @@ def killed_runs(kills, name, seed=0):
     deviation = max(deviation, _apart(last, whole, name))
     same_end = float(np.abs(last.q[-1] - whole.q[-1]).max())
     allowed = ALLOWED[name]
-    return last, [Check("frames lost beyond the last flush", float(max(lost, 0)), 0.5), Check("kept frames, m", deviation, max(allowed, 1e-300)),
-                  Check("end of the resumed run, m", same_end, max(allowed, 1e-300)), Check("kills", float(kills), float(count))]
+    return last, [
+        Check("frames lost beyond the last flush", float(max(lost, 0)), 0.5),
+        Check("kept frames, m", deviation, max(allowed, 1e-300)),
+        Check("end of the resumed run, m", same_end, max(allowed, 1e-300)),
+        Check("kills", float(kills), float(count)),
+    ]
 
 
 def _going_on(path, model, method, t_end, accepted):
@@ -106,7 +110,7 @@ def _going_on(path, model, method, t_end, accepted):
 def _apart(run, whole, name):
     """Largest difference of the frames of fixed-step runs, entry by entry; for IDA that of the motion at equal times."""
     if name in ("alpha", "energy"):
-        differences = [np.abs(np.asarray(getattr(run, key)) - getattr(whole, key)[:len(run)]).max(initial=0.0) for key in FRAMES]
+        differences = [np.abs(np.asarray(getattr(run, key)) - getattr(whole, key)[: len(run)]).max(initial=0.0) for key in FRAMES]
         return float(max(differences) if name == "alpha" else differences[1])
     at = np.stack([np.interp(run.t, whole.t, column) for column in whole.q.T], axis=1)
     return float(np.abs(np.asarray(run.q) - at).max())
@@ -125,6 +129,7 @@ def killed_sweeps(kills, name="any", seed=0, tasks=12):
     and the rows are those of a sweep that was never killed."""
     chance, count, repeated, wrong = random.Random(seed), 0, 0, 0
     with tempfile.TemporaryDirectory() as folder:
+
         def sweep(number):
             place = Path(folder) / str(number)
             place.mkdir(exist_ok=True)
@@ -145,4 +150,7 @@ def killed_sweeps(kills, name="any", seed=0, tasks=12):
             wrong += work() != expected
             repeated = max(repeated, len((place / "log").read_text().split()) - tasks - here)
             wrong += any(path.suffix != ".json" for path in (place / "tasks").iterdir())
-    return None, [Check("sweeps with other rows or litter", float(wrong), 0.5), Check("tasks done again though written", float(max(repeated, 0)), 0.5)]
+    return None, [
+        Check("sweeps with other rows or litter", float(wrong), 0.5),
+        Check("tasks done again though written", float(max(repeated, 0)), 0.5),
+    ]

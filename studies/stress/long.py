@@ -32,7 +32,7 @@ class Meter:
         counts, cpu, _ = np.array(self.marks).T
         each = np.diff(cpu) / np.diff(counts)
         quarter = len(each) // 4
-        return float(np.median(each[-quarter:]) / np.median(each[quarter:2 * quarter]))
+        return float(np.median(each[-quarter:]) / np.median(each[quarter : 2 * quarter]))
 
     @property
     def grown(self):
@@ -57,5 +57,10 @@ def many_steps(steps, name):
         gained, lost = balance(run, 1e-6, 1e-6)
     if not run.success:
         return run, []
-    return run, [Check("drift, m", run.drift.max(), 1e-10 * extent(model)), gained, lost, Check("time a step, late over early", meter.slower, 2.0),
-                 Check("memory gained, bytes", max(meter.grown, 0.0), 4 * 2**20 + 8.0 * steps)]
+    return run, [
+        Check("drift, m", run.drift.max(), 1e-10 * extent(model)),
+        gained,
+        lost,
+        Check("time a step, late over early", meter.slower, 2.0),
+        Check("memory gained, bytes", max(meter.grown, 0.0), 4 * 2**20 + 8.0 * steps),
+    ]

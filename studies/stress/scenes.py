@@ -118,10 +118,15 @@ def four_bar(start, material=plates.RUBBER):
     of, scene = mesh.rectangle(1.0, 0.1, CELLS, seed=1), Scene(DOWN)
     end = np.array([np.cos(start), np.sin(start)])
     places = {"crank": ((0.0, 0.0), start), "coupler": (end, 0.0), "rocker": ((1.0, 0.0), start)}
-    crank, coupler, rocker = (scene.add(Plate(of, material, 0.01, origin=tuple(at), angle=angle, name=name))
-                              for name, (at, angle) in places.items())
-    for a, b in ((ground, crank.section("left")), (crank.section("right"), coupler.section("left")),
-                 (coupler.section("right"), rocker.section("right")), (ground, rocker.section("left"))):
+    crank, coupler, rocker = (
+        scene.add(Plate(of, material, 0.01, origin=tuple(at), angle=angle, name=name)) for name, (at, angle) in places.items()
+    )
+    for a, b in (
+        (ground, crank.section("left")),
+        (crank.section("right"), coupler.section("left")),
+        (coupler.section("right"), rocker.section("right")),
+        (ground, rocker.section("left")),
+    ):
         scene.add(Revolute(a, b))
     scene.add(PointMass(coupler.section("right"), 0.1, name="tip"))
     return scene.build()
@@ -192,10 +197,7 @@ def zigzag(rate, h):
         return rate * (min(t, t0) + h * (x - 2 * (x**3 - x**4 / 2)) - max(t - t0 - h, 0.0))
 
     return profile.Profile(
-        value,
-        lambda t: rate * (1 - 2 * s(t) ** 2 * (3 - 2 * s(t))),
-        lambda t: -12 * rate / h * s(t) * (1 - s(t)),
-        (t0, t0 + h),
+        value, lambda t: rate * (1 - 2 * s(t) ** 2 * (3 - 2 * s(t))), lambda t: -12 * rate / h * s(t) * (1 - s(t)), (t0, t0 + h)
     )
 
 

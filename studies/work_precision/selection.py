@@ -5,13 +5,7 @@ import numpy as np
 from polyida.study.members import FIXED, IDA_FORMS
 
 CLASSICAL = {"pendulum": 2e-2, "car-axis": 1e-2, "andrews": 6e-5}  # problem: coarsest step, s; halved again and again
-SCENES = {
-    "double-plate": 4e-3,
-    "double-plate-motors": 4e-3,
-    "plate-chain": 4e-3,
-    "rigid-limit": 4e-3,
-    "spin-up-beam": 4e-2,
-}
+SCENES = {"double-plate": 4e-3, "double-plate-motors": 4e-3, "plate-chain": 4e-3, "rigid-limit": 4e-3, "spin-up-beam": 4e-2}
 STIFF = ("rigid-limit", "spin-up-beam")
 EVENT = "sudden-blow"
 MEMBERS = (*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS))
@@ -25,11 +19,7 @@ FULL = {"problems": (*CLASSICAL, *SCENES), "steps": range(6), "members": MEMBERS
 ALWAYS = (  # members, problems, why these do not meet
     (set(MEMBERS) - {"alpha", "alpha, adaptive"}, (EVENT,), "what is compared is error control with fixed steps"),
     ({"energy-momentum"}, CLASSICAL, "it takes scenes of plates only"),
-    (
-        {"alpha, rho 0.5", "alpha, rho 0.99"},
-        CLASSICAL,
-        "they differ in the damping of mesh modes, of which there are none",
-    ),
+    ({"alpha, rho 0.5", "alpha, rho 0.99"}, CLASSICAL, "they differ in the damping of mesh modes, of which there are none"),
     (
         {"IDA index3", "IDA index2", "IDA index1", "IDA baumgarte"},
         STIFF,
@@ -60,12 +50,8 @@ def tasks(quick):
         if not left_out(problem, member, quick)
         for x in ladder(problem, member, quick)
     ]
-    made += [
-        {"problem": EVENT, "integrator": "alpha", "x": float(f"{8e-3 / 2**k:.3g}"), "quick": quick} for k in range(9)
-    ]
-    return made + [
-        {"problem": EVENT, "integrator": "alpha, adaptive", "x": 10.0**-k, "quick": quick} for k in range(3, 9)
-    ]
+    made += [{"problem": EVENT, "integrator": "alpha", "x": float(f"{8e-3 / 2**k:.3g}"), "quick": quick} for k in range(9)]
+    return made + [{"problem": EVENT, "integrator": "alpha, adaptive", "x": 10.0**-k, "quick": quick} for k in range(3, 9)]
 
 
 def ladder(problem, member, quick):
@@ -86,9 +72,7 @@ def tightest(problem, quick):
 
 
 def _powers(loose, tight, quick):
-    return [
-        float(f"1e{round(power)}") for power in np.arange(np.log10(loose), np.log10(tight) - 0.5, -2 if quick else -1)
-    ]
+    return [float(f"1e{round(power)}") for power in np.arange(np.log10(loose), np.log10(tight) - 0.5, -2 if quick else -1)]
 
 
 def not_run(rows):

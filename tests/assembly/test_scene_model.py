@@ -43,12 +43,7 @@ def test_rotations_follow_a_rigid_turn(scenes):
 
 @pytest.mark.parametrize(
     "kind, driven, varies",
-    [
-        ("revolute", False, False),
-        ("clamp between", False, False),
-        ("motor to ground", True, False),
-        ("motor between", True, True),
-    ],
+    [("revolute", False, False), ("clamp between", False, False), ("motor to ground", True, False), ("motor between", True, True)],
     indirect=["kind"],
 )
 def test_needs(scenes, kind, driven, varies):
@@ -110,9 +105,7 @@ def test_building_again_gives_the_same(scenes):
     scene = scenes.jointed("motor between")
     one, two = scene.build(), scene.build()
     q = 0.01 * np.random.default_rng(0).standard_normal(one.n)
-    assert np.array_equal(one.force(0.1, q, q), two.force(0.1, q, q)) and np.array_equal(
-        one.phi(0.1, q), two.phi(0.1, q)
-    )
+    assert np.array_equal(one.force(0.1, q, q), two.force(0.1, q, q)) and np.array_equal(one.phi(0.1, q), two.phi(0.1, q))
 
 
 @pytest.mark.parametrize("size", [2, 1000])

@@ -11,9 +11,28 @@ from hypothesis import strategies as st
 import polyida as pi
 
 KINDS = (int, float, np.int32, np.int64, np.uint32, np.float32, np.float64, Fraction)
-WHOLE = {"E": 50_000_000, "nu": 0, "rho": 1100, "viscosity": 0, "mass_damping": 1, "thickness": 1, "angle": 0, "tau": 1,
-         "x": 2, "y": 1, "mass": 2, "fx": 3, "fy": 2, "tx": 100, "ty": 0, "gx": 0, "gy": 10,
-         "turn": 1, "factor": 2, "length": 1}
+WHOLE = {
+    "E": 50_000_000,
+    "nu": 0,
+    "rho": 1100,
+    "viscosity": 0,
+    "mass_damping": 1,
+    "thickness": 1,
+    "angle": 0,
+    "tau": 1,
+    "x": 2,
+    "y": 1,
+    "mass": 2,
+    "fx": 3,
+    "fy": 2,
+    "tx": 100,
+    "ty": 0,
+    "gx": 0,
+    "gy": 10,
+    "turn": 1,
+    "factor": 2,
+    "length": 1,
+}
 VALUES = {"viscosity": (0, 1), "mass_damping": (0, 1), "angle": (0, 1)}
 
 

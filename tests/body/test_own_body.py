@@ -166,8 +166,10 @@ def test_energy_and_momentum_beside_a_flexible_plate():
     assert np.ptp(run.energy.total) < 1e-9 * run.energy.total[0] and np.ptp(run.energy.kinetic) > 1e-4 * run.energy.total[0]
     lift = np.concatenate([np.tile(np.eye(2), (model.bodies[0].nodes.stop, 1)), np.eye(2), np.zeros((2, 2))])
     momentum = run.v @ (model.mass() @ lift)
-    turning = [np.stack([-z[:, 1], z[:, 0]], axis=1).ravel() @ (model.mass() @ v)
-               for z, v in zip((model.reference.ravel() + run.q).reshape(len(run), -1, 2), run.v)]
+    turning = [
+        np.stack([-z[:, 1], z[:, 0]], axis=1).ravel() @ (model.mass() @ v)
+        for z, v in zip((model.reference.ravel() + run.q).reshape(len(run), -1, 2), run.v)
+    ]
     assert np.ptp(momentum, axis=0).max() < 1e-10 * np.abs(momentum).max()
     assert np.ptp(turning) < 1e-9 * np.abs(turning).max()
 

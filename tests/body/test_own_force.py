@@ -219,9 +219,15 @@ def by_law(law, functions=()):
     return dataclass(frozen=True, eq=False)(type("Other", (Wind,), {"law": law, **dict(functions)}))
 
 
-@pytest.mark.parametrize("method, apart", [
-    (pi.GeneralizedAlpha(h=1e-3, tolerance=1e-11, start="plain"), 1e-12), (pi.GeneralizedAlpha(h=1e-3, form="stabilised", tolerance=1e-11, start="plain"), 1e-12),
-    (pi.EnergyMomentum(h=1e-3), 1e-12), (pi.IDA(rtol=1e-8), 1e-7)])
+@pytest.mark.parametrize(
+    "method, apart",
+    [
+        (pi.GeneralizedAlpha(h=1e-3, tolerance=1e-11, start="plain"), 1e-12),
+        (pi.GeneralizedAlpha(h=1e-3, form="stabilised", tolerance=1e-11, start="plain"), 1e-12),
+        (pi.EnergyMomentum(h=1e-3), 1e-12),
+        (pi.IDA(rtol=1e-8), 1e-7),
+    ],
+)
 def test_a_law_is_the_same_force(scenes, method, apart):
     """As in Python, by the plain paths: to what Newton leaves, or the error of steps that IDA chooses; a start has the factor's precision."""
     models = [pulled(scenes, kind, d=2.0) for kind in (Pull, Compiled)]
@@ -302,13 +308,16 @@ def test_laws_beside_python_are_called_one_by_one(scenes):
     assert np.allclose(model.force(0.2, q, v), alone.force(0.2, q, v), rtol=1e-13)
 
 
-@pytest.mark.parametrize("kind, words", [
-    (by_law(lambda t, x, v, data, f: None), "must be a function decorated with numba.njit"),
-    (by_law(gust, {"forces": Push.forces}), "it must give one of them"),
-    (by_law(broken), "numba does not compile its law.*nonsense"),
-    (by_law(half), "forces of 'wind' gave numbers that are not finite"),
-    (by_law(gust, {"numbers": lambda self: "two"}), "numbers.. must give a list of finite numbers"),
-])
+@pytest.mark.parametrize(
+    "kind, words",
+    [
+        (by_law(lambda t, x, v, data, f: None), "must be a function decorated with numba.njit"),
+        (by_law(gust, {"forces": Push.forces}), "it must give one of them"),
+        (by_law(broken), "numba does not compile its law.*nonsense"),
+        (by_law(half), "forces of 'wind' gave numbers that are not finite"),
+        (by_law(gust, {"numbers": lambda self: "two"}), "numbers.. must give a list of finite numbers"),
+    ],
+)
 def test_what_is_wrong_with_a_law_is_told(scenes, kind, words):
     scene, upper = scenes.hinged()
     with pytest.raises(pi.InputError, match=words):

@@ -1,4 +1,5 @@
 """A force and a body of one's own, outside the package: drag on a tip, and a point-like body on a spring, in every integrator."""
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,9 @@ class Magnet(pi.ForceElement):
 
 def scene(*forces):
     made = pi.Scene(gravity=(0.0, -9.81))
-    bar = made.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=60, seed=1), pi.Material(E=50e6, nu=0.3, rho=1100.0), thickness=0.01, name="bar"))
+    bar = made.add(
+        pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=60, seed=1), pi.Material(E=50e6, nu=0.3, rho=1100.0), thickness=0.01, name="bar")
+    )
     made.add(pi.Revolute(pi.ground, bar.section("left"), name="hinge"))
     made.add(pi.PointMass(bar.section("right"), 0.1, name="tip"))
     for force in forces:

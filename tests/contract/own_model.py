@@ -22,16 +22,22 @@ class CarAxis(pi.Model):
     def force(self, t, q, v):
         (xl, yl, xr, yr), (xb, yb) = q, road(t)
         left, right = np.hypot(xl, yl), np.hypot(xr - xb, yr - yb)
-        return -np.array([(L0 - left) * xl / left, (L0 - left) * yl / left - MASS,
-                          (L0 - right) * (xr - xb) / right, (L0 - right) * (yr - yb) / right - MASS])
+        return -np.array(
+            [
+                (L0 - left) * xl / left,
+                (L0 - left) * yl / left - MASS,
+                (L0 - right) * (xr - xb) / right,
+                (L0 - right) * (yr - yb) / right - MASS,
+            ]
+        )
 
     def phi(self, t, q):
         (xl, yl, xr, yr), (xb, yb) = q, road(t)
-        return np.array([xl * xb + yl * yb, (xl - xr)**2 + (yl - yr)**2 - L**2])
+        return np.array([xl * xb + yl * yb, (xl - xr) ** 2 + (yl - yr) ** 2 - L**2])
 
     def phi_q(self, t, q):
         (xl, yl, xr, yr), (xb, yb) = q, road(t)
-        return np.array([[xb, yb, 0, 0], [2*(xl - xr), 2*(yl - yr), 2*(xr - xl), 2*(yr - yl)]])
+        return np.array([[xb, yb, 0, 0], [2 * (xl - xr), 2 * (yl - yr), 2 * (xr - xl), 2 * (yr - yl)]])
 
 
 reference = np.array([0.04934557842754, 0.49698946023017, 1.04174252488542, 0.37391102726536])

@@ -12,8 +12,9 @@ from polyida.element.wachspress import reference_operator
 def mesh(points, cells):
     """A mesh from points (N, 2) and lists of corner nodes."""
     offsets = np.append(0, np.cumsum([len(cell) for cell in cells]))
-    return SimpleNamespace(points=np.array(points, dtype=float), nodes=np.concatenate(cells).astype(np.int32),
-                           offsets=offsets.astype(np.int32))
+    return SimpleNamespace(
+        points=np.array(points, dtype=float), nodes=np.concatenate(cells).astype(np.int32), offsets=offsets.astype(np.int32)
+    )
 
 
 def polygon(n, seed=0):
@@ -38,8 +39,11 @@ def mixed(length=1.0, height=1.0, cells=60, seed=2):
     a few of its cells halved into triangles and rests."""
     cells_of, points = _voronoi(np.random.default_rng(seed).random((cells, 2)) * [length, height], length, height)
     points, cells_of = _collapse(points, cells_of, 0.2 * np.sqrt(length * height / cells))
-    halves = [part for k, cell in enumerate(cells_of)
-              for part in ((cell[:3], np.r_[cell[0], cell[2:]]) if k % 5 == 0 and len(cell) > 4 else (cell,))]
+    halves = [
+        part
+        for k, cell in enumerate(cells_of)
+        for part in ((cell[:3], np.r_[cell[0], cell[2:]]) if k % 5 == 0 and len(cell) > 4 else (cell,))
+    ]
     return mesh(points, halves)
 
 
@@ -82,15 +86,15 @@ class Body:
     def displacement(self, function):
         """Displacements from a function of the points, after the padding."""
         u = np.zeros((self.first + self.op.n_nodes, 2))
-        u[self.first:] = function(self.points)
+        u[self.first :] = function(self.points)
         return u
 
     def force(self, u):
         """Internal force and rotation sums of the body's nodes, and the status."""
         f, rotation = np.zeros_like(u), np.zeros_like(u)
         status = kernels.internal_force(*self.op.force_arrays, self.first, self.c1, self.NU, u, f, rotation)
-        assert not f[:self.first].any() and not rotation[:self.first].any()
-        return f[self.first:], rotation[self.first:], status
+        assert not f[: self.first].any() and not rotation[: self.first].any()
+        return f[self.first :], rotation[self.first :], status
 
     def energy(self, u):
         """Strain energy."""
@@ -119,8 +123,7 @@ class Body:
     def stress(self, u):
         """Cauchy stress of the cells."""
         out = np.full((self.op.n_cells, 3), np.nan)
-        kernels.stress(*self.op.force_arrays, self.op.lane_cells, self.op.areas, self.first, self.c1 / self.THICKNESS,
-                       self.NU, u, out)
+        kernels.stress(*self.op.force_arrays, self.op.lane_cells, self.op.areas, self.first, self.c1 / self.THICKNESS, self.NU, u, out)
         return out
 
 
@@ -132,8 +135,7 @@ def body():
 
 def hanging():
     """Six cells: nodes on the middle of sides, and an L with a reentrant corner."""
-    points = [[0, 0], [1, 0], [2, 0], [1, .5], [2, .5], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2], [0, 3], [1, 3], [2, 3],
-              [.5, 1]]
+    points = [[0, 0], [1, 0], [2, 0], [1, 0.5], [2, 0.5], [0, 1], [1, 1], [2, 1], [1, 2], [2, 2], [0, 3], [1, 3], [2, 3], [0.5, 1]]
     cells = [[0, 1, 3, 6, 13, 5], [1, 2, 4, 3], [3, 4, 7, 6], [5, 13, 6, 7, 9, 8, 11, 10], [8, 9, 12], [8, 12, 11]]
     return mesh(points, cells)
 
@@ -144,8 +146,7 @@ def meshes():
     return SimpleNamespace(mesh=mesh, polygon=polygon, quads=quads, mixed=mixed, hanging=hanging)
 
 
-SHAPES = {"mixed": mixed, "quads": lambda: quads(5, 4, jitter=0.3),
-          **{f"{n}-gon": lambda n=n: polygon(n) for n in (3, 4, 5, 6, 7, 8, 30)}}
+SHAPES = {"mixed": mixed, "quads": lambda: quads(5, 4, jitter=0.3), **{f"{n}-gon": lambda n=n: polygon(n) for n in (3, 4, 5, 6, 7, 8, 30)}}
 
 
 @pytest.fixture(params=SHAPES)

@@ -130,8 +130,8 @@ def test_two_bodies_share_an_operator(meshes, body):
     shape = meshes.mixed()
     first, second = body(shape), body(shape, padding=len(shape.points))
     u = second.displacement(wavy)
-    u[:second.first] = second.displacement(lambda x: 0.1 * x**2)[second.first:]
-    alone = np.ascontiguousarray(u[second.first:])
+    u[: second.first] = second.displacement(lambda x: 0.1 * x**2)[second.first :]
+    alone = np.ascontiguousarray(u[second.first :])
     assert (second.force(u)[0] == first.force(alone)[0]).all()
     assert (second.tangent(u) == first.tangent(alone)).all()
     assert second.energy(u) == first.energy(alone)

@@ -24,8 +24,9 @@ def stiffness(element, nu, mesh):
     return -1e-5 * (bending + shear) / (tip.weights @ q.reshape(-1, 2)[tip.nodes][:, 1])
 
 
-@pytest.mark.parametrize("mesh", [pi.mesh.rectangle(LENGTH, HEIGHT, 90, seed=1), pi.mesh.quads(LENGTH, HEIGHT, 40, 4)],
-                         ids=["polygons", "quads"])
+@pytest.mark.parametrize(
+    "mesh", [pi.mesh.rectangle(LENGTH, HEIGHT, 90, seed=1), pi.mesh.quads(LENGTH, HEIGHT, 40, 4)], ids=["polygons", "quads"]
+)
 def test_the_virtual_element_does_not_lock(mesh):
     for nu in (0.3, 0.45, 0.499, 0.49999):
         with warnings.catch_warnings(action="error"):

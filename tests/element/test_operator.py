@@ -11,12 +11,13 @@ def cell_gradients(op):
 
     gradients, weights = [None] * op.n_cells, [None] * op.n_cells
     for b, (n, p, corner, g, w, _) in enumerate(op.layout):
-        block = op.gradients[g:g + p * (n - 1) * 2 * LANES].reshape(p, n - 1, 2, LANES)
+        block = op.gradients[g : g + p * (n - 1) * 2 * LANES].reshape(p, n - 1, 2, LANES)
         for k in range(LANES):
             cell = op.lane_cells[b * LANES + k]
-            area = op.weights[w:w + p * LANES].reshape(p, LANES)[:, k]
-            assert (op.corners[corner:corner + n * LANES].reshape(n, LANES)[:, k] ==
-                    op.nodes[op.offsets[cell]:op.offsets[cell + 1]]).all()
+            area = op.weights[w : w + p * LANES].reshape(p, LANES)[:, k]
+            assert (
+                op.corners[corner : corner + n * LANES].reshape(n, LANES)[:, k] == op.nodes[op.offsets[cell] : op.offsets[cell + 1]]
+            ).all()
             if area.any():
                 own = block[..., k]
                 gradients[cell] = np.concatenate([own, -own.sum(axis=1, keepdims=True)], axis=1)
@@ -29,13 +30,13 @@ def test_gradients_reproduce_linear_fields_at_every_point(meshes):
     op = reference_operator(shape)
     assert {3, 4, 5, 6, 7, 8} <= set(np.diff(op.offsets))
     for cell, (gradients, weights) in enumerate(zip(*cell_gradients(op))):
-        corners = shape.points[op.nodes[op.offsets[cell]:op.offsets[cell + 1]]]
+        corners = shape.points[op.nodes[op.offsets[cell] : op.offsets[cell + 1]]]
         assert len(weights) == (1 if len(corners) == 3 else len(corners))
         identity = np.einsum("nd,pne->pde", corners - corners[0], gradients)
         assert abs(identity - np.eye(2)).max() < 1e-13
         assert weights.sum() == pytest.approx(op.areas[cell], rel=1e-14)
         mean = np.einsum("p,pnd->nd", weights, gradients) / op.areas[cell]
-        exact = op.mean_gradients[op.offsets[cell]:op.offsets[cell + 1]]
+        exact = op.mean_gradients[op.offsets[cell] : op.offsets[cell + 1]]
         assert abs(mean - exact).max() < 1e-13 * abs(exact).max()
 
 

@@ -38,8 +38,8 @@ class TwoStates:
         """(force, rotation sums, status) of a kernel."""
         f, rotation, plate = np.zeros_like(a), np.zeros_like(a), self.plate
         status = kernel(*self.op.force_arrays, self.first, plate.c1, plate.NU, number, a, b, f, rotation)
-        assert not f[:self.first].any() and not rotation[:self.first].any()
-        return f[self.first:], rotation[self.first:], status
+        assert not f[: self.first].any() and not rotation[: self.first].any()
+        return f[self.first :], rotation[self.first :], status
 
     def tangent(self, kernel, number, a, b, *factors):
         """Dense tangent (2 n, 2 n)."""
@@ -97,7 +97,7 @@ def test_rigid_spin_has_no_viscous_stress_at_any_deformation(plate):
     scale = plate.plate.c1 * abs(v).max()
     assert abs(plate.viscous(u, v) - elastic).max() < 1e-14 * scale
     damping = plate.viscous_tangent(u, v, 0.0, 1.0)
-    assert abs(damping @ v[plate.first:].ravel()).max() < 1e-13 * abs(damping).max() * abs(v).max()
+    assert abs(damping @ v[plate.first :].ravel()).max() < 1e-13 * abs(damping).max() * abs(v).max()
 
 
 def test_tangents_of_the_viscous_force(plate):
@@ -123,7 +123,7 @@ def test_viscous_force_dissipates(plate):
     u, rng = plate.plate.displacement(wavy), np.random.default_rng(3)
     elastic, scale = plate.plate.force(u)[0], abs(plate.viscous_tangent(u, u, 0.0, 1.0)).max()
     for v in (velocity(plate), rng.standard_normal(u.shape), 1e3 * rng.standard_normal(u.shape)):
-        own = v[plate.first:]
+        own = v[plate.first :]
         power = (own * (plate.viscous(u, v) - elastic)).sum()
         assert power > 0
         damping = plate.viscous_tangent(u, v, 0.0, 1.0)
@@ -134,7 +134,7 @@ def test_forces_have_no_resultant(plate, shape):
     u0, u1, v = plate.plate.displacement(wavy), plate.plate.displacement(later), velocity(plate)
     mean = (u0 + u1) / 2
     for f, u in ((plate.viscous(u0, v), u0), (plate.midpoint(u0, u1), mean), (plate.midpoint(u0, u1, 0.4), mean)):
-        place = shape.points + u[plate.first:]
+        place = shape.points + u[plate.first :]
         assert abs(f.sum(axis=0)).max() < 1e-14 * abs(f).sum()
         assert abs((place[:, 0] * f[:, 1] - place[:, 1] * f[:, 0]).sum()) < 1e-13 * abs(f).sum()
 
@@ -142,14 +142,14 @@ def test_forces_have_no_resultant(plate, shape):
 def test_midpoint_force_works_exactly_the_change_of_energy(plate):
     u0 = plate.plate.displacement(wavy)
     for u1 in (plate.plate.displacement(later), u0 + 0.01 * np.random.default_rng(2).standard_normal(u0.shape)):
-        f, way = plate.midpoint(u0, u1), (u1 - u0)[plate.first:]
+        f, way = plate.midpoint(u0, u1), (u1 - u0)[plate.first :]
         gained = plate.plate.energy(u1) - plate.plate.energy(u0)
         assert (f * way).sum() == pytest.approx(gained, abs=1e-13 * abs(f * way).sum())
 
 
 def test_midpoint_force_with_viscosity_works_more_by_the_dissipation(plate):
     u0, u1 = plate.plate.displacement(wavy), plate.plate.displacement(later)
-    f, way = plate.midpoint(u0, u1, 0.4), (u1 - u0)[plate.first:]
+    f, way = plate.midpoint(u0, u1, 0.4), (u1 - u0)[plate.first :]
     gained = plate.plate.energy(u1) - plate.plate.energy(u0)
     strained = plate.viscous_tangent((u0 + u1) / 2, u0, 0.0, 1.0, tau=1.0)
     lost = 0.4 * way.ravel() @ strained @ way.ravel()

@@ -34,8 +34,8 @@ class Virtual:
     def force(self, u):
         f = np.zeros_like(u)
         stabilisation.force(*self.on_pattern, u, f)
-        assert not f[:self.first].any()
-        return self.plain.force(u)[0] + f[self.first:]
+        assert not f[: self.first].any()
+        return self.plain.force(u)[0] + f[self.first :]
 
     def energy(self, u):
         return self.plain.energy(u) + stabilisation.energy(*self.on_pattern, u)
@@ -176,9 +176,17 @@ def test_the_force_is_that_of_the_matrix(cells, flexible):
     assert abs(f[3:] - exact).max() < 1e-13 * abs(f).max()
 
 
-@pytest.mark.parametrize("tau, count, low, high", [
-    (0.1, 40, -0.05, 0.06), (0.1, 90, -0.04, 0.04), (0.1, 250, -0.01, 0.01),
-    (0.5, 40, -0.55, -0.3), (0.5, 90, -0.25, -0.1), (0.5, 250, -0.1, -0.05)])
+@pytest.mark.parametrize(
+    "tau, count, low, high",
+    [
+        (0.1, 40, -0.05, 0.06),
+        (0.1, 90, -0.04, 0.04),
+        (0.1, 250, -0.01, 0.01),
+        (0.5, 40, -0.55, -0.3),
+        (0.5, 90, -0.25, -0.1),
+        (0.5, 250, -0.1, -0.05),
+    ],
+)
 def test_bending_of_a_cantilever_depends_on_tau(tau, count, low, high, flexible):
     """Error of the tip deflection, 10 times as long as high, against Timoshenko's beam."""
     length, height = 1.0, 0.1

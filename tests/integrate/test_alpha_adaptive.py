@@ -18,9 +18,7 @@ def sudden_event(scenes, cells=20):
     scene.add(pi.PointMass(tip, 0.1, name="tip"))
     scene.add(pi.PointLoad(tip, (0.0, -5.0), pi.profile.ramp(0.0, 1.0, duration=9.0), name="bend"))
     for name, change, begin in (("hit", 1.0, PULSE), ("release", -1.0, PULSE + 5e-3)):
-        scene.add(
-            pi.PointLoad(tip, (0.0, -40.0), pi.profile.quintic(0.0, change, duration=5e-3, begin=begin), name=name)
-        )
+        scene.add(pi.PointLoad(tip, (0.0, -40.0), pi.profile.quintic(0.0, change, duration=5e-3, begin=begin), name=name))
     return scene.build()
 
 
@@ -41,9 +39,7 @@ def test_the_pulse_takes_the_short_steps(scenes):
     run = pi.solve(sudden_event(scenes), TO, pi.GeneralizedAlpha(h=0.05, atol=1e-5))
     h, at = np.diff(run.t), run.t[1:]
     assert h[at < PULSE].max() > 0.03 and h[(at > PULSE) & (at < PULSE + 0.02)].max() < 0.004
-    assert (
-        all(np.abs(run.t - kink).min() < 1e-12 for kink in (9.0, PULSE, PULSE + 5e-3, PULSE + 0.01)) and run.t[-1] == TO
-    )
+    assert all(np.abs(run.t - kink).min() < 1e-12 for kink in (9.0, PULSE, PULSE + 5e-3, PULSE + 0.01)) and run.t[-1] == TO
 
 
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
@@ -64,8 +60,7 @@ def test_error_follows_the_tolerance_and_lam_is_clean(scenes, form):
 def test_compiled_and_plain_paths_take_the_same_steps(scenes):
     model = scenes.jointed("revolute").build()
     runs = [
-        pi.solve(model, 0.1, pi.GeneralizedAlpha(h=0.01, rtol=1e-4, atol=1e-6, tolerance=1e-7, linear=linear))
-        for linear in ("auto", "kkt")
+        pi.solve(model, 0.1, pi.GeneralizedAlpha(h=0.01, rtol=1e-4, atol=1e-6, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt")
     ]
     assert runs[0].counts.rejected == runs[1].counts.rejected > 0
     assert np.allclose(runs[0].t, runs[1].t) and np.abs(runs[0].q - runs[1].q).max() < 1e-8

@@ -41,9 +41,7 @@ def test_second_order_on_a_ramp_from_1e_2_to_6e_4(scenes):
 def turning(scenes):
     """A plate, turned by a motor at its hinge."""
     scene, upper = scenes.hinged((0.0, 0.0))
-    scene.add(
-        pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.ramp(0.0, 0.5, duration=0.3), name="drive")
-    )
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.ramp(0.0, 0.5, duration=0.3), name="drive"))
     return scene.build()
 
 
@@ -59,8 +57,7 @@ def test_stabilised_form(scenes, linear):
     found = orders(scenes, model, end, (30, 60, 120), 480, tolerance=1e-6, form="stabilised", linear=linear)
     assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.1)
     runs = [
-        pi.solve(model, end, pi.GeneralizedAlpha(h=5e-3, tolerance=1e-7, form=form, linear=linear))
-        for form in ("index3", "stabilised")
+        pi.solve(model, end, pi.GeneralizedAlpha(h=5e-3, tolerance=1e-7, form=form, linear=linear)) for form in ("index3", "stabilised")
     ]
     assert runs[0].velocity_drift.max() > 1e-6
     assert runs[1].velocity_drift.max() < 1e-12 and runs[1].drift.max() < 1e-11
@@ -69,9 +66,7 @@ def test_stabilised_form(scenes, linear):
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
 def test_a_model_of_ones_own(scenes, form):
     model = pi.problems.get("pendulum").model
-    found = orders(
-        scenes, model, 0.5, (50, 100, 200), 1600, {"tolerance": 1e-7}, tolerance=1e-9, form=form, begin=START
-    )
+    found = orders(scenes, model, 0.5, (50, 100, 200), 1600, {"tolerance": 1e-7}, tolerance=1e-9, form=form, begin=START)
     assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.1)
 
 
@@ -90,9 +85,7 @@ def test_other_members(scenes, name):
     steps = [0.5 / n for n in (50, 100, 200)]
     runs = [pi.solve(model, 0.5, make(h, tolerance=1e-9), **START) for h in steps]
     assert scenes.slope(steps, [np.abs(run.q[-1] - exact.q[-1]).max() for run in runs]) == pytest.approx(order, abs=0.1)
-    compiled, plain = (
-        pi.solve(bending(scenes), 0.05, make(1e-3, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt")
-    )
+    compiled, plain = (pi.solve(bending(scenes), 0.05, make(1e-3, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt"))
     assert np.abs(compiled.q - plain.q).max() < 1e-9
 
 
@@ -149,8 +142,7 @@ def test_extrapolation_is_of_higher_order_and_cheaper(scenes):
     assert min(found.values()) > 3.0
     exact = pi.solve(model, end, pi.GeneralizedAlpha(h=end / 960, tolerance=1e-7, extrapolate=True))
     plain, better = (
-        pi.solve(model, end, pi.GeneralizedAlpha(h=end / n, extrapolate=extrapolate))
-        for n, extrapolate in ((480, False), (60, True))
+        pi.solve(model, end, pi.GeneralizedAlpha(h=end / n, extrapolate=extrapolate)) for n, extrapolate in ((480, False), (60, True))
     )
     assert better.counts.steps == 60 and better.counts.newton_iterations < plain.counts.newton_iterations
     assert np.abs(better.q[-1] - exact.q[-1]).max() < 0.3 * np.abs(plain.q[-1] - exact.q[-1]).max()

@@ -36,9 +36,7 @@ def errors(model, run):
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
 @pytest.mark.parametrize("linear", ["auto", "kkt"])
 def test_clean_at_1e_9(driven, moving, linear, form):
-    run = pi.solve(
-        driven, moving.t + 20e-9, pi.GeneralizedAlpha(h=1e-9, tolerance=1e-10, linear=linear, form=form), state=moving
-    )
+    run = pi.solve(driven, moving.t + 20e-9, pi.GeneralizedAlpha(h=1e-9, tolerance=1e-10, linear=linear, form=form), state=moving)
     a, lam = errors(driven, run)
     assert run.success and a < 1e-7 and lam < 1e-10
 
@@ -46,17 +44,12 @@ def test_clean_at_1e_9(driven, moving, linear, form):
 @pytest.mark.parametrize("linear", ["auto", "kkt"])
 def test_polluted_where_phi_comes_from_positions(driven, moving, linear):
     for h, expected in ((1e-7, 1e-2), (1e-9, 1e2)):
-        run = pi.solve(
-            driven, moving.t + 20 * h, pi.GeneralizedAlpha(h=h, linear=linear, incremental_phi=False), state=moving
-        )
+        run = pi.solve(driven, moving.t + 20 * h, pi.GeneralizedAlpha(h=h, linear=linear, incremental_phi=False), state=moving)
         assert run.success and errors(driven, run)[0] > expected
 
 
 def test_both_are_the_same_at_ordinary_steps(driven):
-    runs = [
-        pi.solve(driven, 0.2, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-8, incremental_phi=carried))
-        for carried in (True, False)
-    ]
+    runs = [pi.solve(driven, 0.2, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-8, incremental_phi=carried)) for carried in (True, False)]
     assert np.abs(runs[0].q - runs[1].q).max() < 1e-10 and np.abs(runs[0].lam - runs[1].lam).max() < 1e-5
 
 
@@ -74,9 +67,7 @@ def test_change_of_phi_and_rate(scenes, kind):
     gains = increments.gain_table(model, times, drives, h)
     level = lambda t, q, v: (model.phi(t, q), model.phi_q(t, q) @ v + model.phi_t(t, q))  # noqa: E731
     phi, rate = (np.array(x) for x in level(times[0], q, v))
-    joints.joint_change(
-        model.arrays.links, drives[0], gains[0], h, model.dz(q), model.dz(v), model.dz(dd), model.dz(dv), phi, rate
-    )
+    joints.joint_change(model.arrays.links, drives[0], gains[0], h, model.dz(q), model.dz(v), model.dz(dd), model.dz(dv), phi, rate)
     expected = level(times[1], q + h * v + dd, v + dv)
     assert np.allclose(phi, expected[0], atol=1e-13) and np.allclose(rate, expected[1], atol=1e-12)
 

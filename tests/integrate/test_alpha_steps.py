@@ -108,9 +108,7 @@ def test_the_start_is_left_as_it_is_where_the_step_is_the_same():
 def test_a_first_step_that_is_cut_keeps_the_jump_of_a_kink(scenes, linear):
     """A motor that starts to turn at once, in a step too large for it."""
     scene, upper = scenes.hinged()
-    scene.add(
-        pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.linear(0.0, 3.0, duration=1.0), name="drive")
-    )
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.linear(0.0, 3.0, duration=1.0), name="drive"))
     run = pi.solve(scene.build(), 0.5, pi.GeneralizedAlpha(h=0.05, linear=linear))
     assert run.success and run.counts.rejected > 0 and run.drift.max() < 1e-6
 
@@ -118,9 +116,7 @@ def test_a_first_step_that_is_cut_keeps_the_jump_of_a_kink(scenes, linear):
 @BOTH
 def test_damped_scenes(scenes, linear):
     """Energy falls, and both paths agree."""
-    model = plates.double_plate(
-        cells=12, material=pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=1e-3, mass_damping=0.5)
-    ).build()
+    model = plates.double_plate(cells=12, material=pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=1e-3, mass_damping=0.5)).build()
     run = pi.solve(model, 0.3, pi.GeneralizedAlpha(h=1e-3, linear=linear, tolerance=1e-6))
     other = pi.solve(model, 0.3, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-6))
     assert run.success and np.abs(run.q - other.q).max() < 1e-6

@@ -28,8 +28,9 @@ def test_the_same_iterations_in_every_step(monkeypatch, make, form):
     assert found[0] == found[1] and len(found[0]) == 400
 
 
-@pytest.mark.parametrize("settings", [
-    {}, {"incremental_phi": False}, {"form": "stabilised"}, {"rtol": 1e-5}, {"extrapolate": True}], ids=str)
+@pytest.mark.parametrize(
+    "settings", [{}, {"incremental_phi": False}, {"form": "stabilised"}, {"rtol": 1e-5}, {"extrapolate": True}], ids=str
+)
 def test_the_same_states(scenes, kind, settings):
     """To 1e-12 where Newton goes on to below that: the factor is in single precision, and a looser one leaves its round-off."""
     integrator = pi.GeneralizedAlpha(h=1e-3, tolerance=1e-8, **settings)

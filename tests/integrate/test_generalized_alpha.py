@@ -25,8 +25,7 @@ def test_second_order_on_a_smooth_load(scenes, rho_inf, linear):
     """In q, v and lam, as the largest deviation over all times, from the first step on."""
     model, end, counts, finest = bending(scenes), 0.3, (60, 120, 240), 960
     runs = {
-        n: pi.solve(model, end, pi.GeneralizedAlpha(h=end / n, rho_inf=rho_inf, tolerance=1e-6, linear=linear))
-        for n in (*counts, finest)
+        n: pi.solve(model, end, pi.GeneralizedAlpha(h=end / n, rho_inf=rho_inf, tolerance=1e-6, linear=linear)) for n in (*counts, finest)
     }
     for name in ("q", "v", "lam"):
         errors = [np.abs(getattr(runs[n], name) - getattr(runs[finest], name)[:: finest // n]).max() for n in counts]
@@ -56,9 +55,7 @@ def test_the_perturbed_start_is_what_makes_lam_second_order(scenes):
 
 def test_compiled_and_plain_paths_agree(scenes, kind):
     model = scenes.jointed(kind).build()
-    compiled, plain = (
-        pi.solve(model, 0.1, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt")
-    )
+    compiled, plain = (pi.solve(model, 0.1, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt"))
     assert compiled.success and plain.success
     assert np.array_equal(compiled.t, plain.t)
     for name, size in (("q", 1e-9), ("v", 1e-6), ("lam", 1e-5)):
@@ -200,17 +197,13 @@ def test_small_steps(scenes, h):
     model = scenes.jointed("motor between").build()
     run = pi.solve(model, 20 * h, pi.GeneralizedAlpha(h=h))
     assert run.success, run.message
-    assert (
-        np.abs(run.q[-1] + 0.5 * 9.81 * run.t[-1] ** 2 * np.tile([0.0, 1.0], model.n_nodes)).max() < 6 * run.t[-1] ** 2
-    )
+    assert np.abs(run.q[-1] + 0.5 * 9.81 * run.t[-1] ** 2 * np.tile([0.0, 1.0], model.n_nodes)).max() < 6 * run.t[-1] ** 2
 
 
 @pytest.mark.parametrize("tolerance", [1e-8, 1e-10, 1e-12])
 @pytest.mark.parametrize("linear", ["auto", "kkt"])
 def test_a_tolerance_below_round_off_is_met_as_well_as_can_be(scenes, linear, tolerance):
-    run = pi.solve(
-        scenes.jointed("motor between").build(), 0.03, pi.GeneralizedAlpha(h=1e-3, tolerance=tolerance, linear=linear)
-    )
+    run = pi.solve(scenes.jointed("motor between").build(), 0.03, pi.GeneralizedAlpha(h=1e-3, tolerance=tolerance, linear=linear))
     assert run.success, run.message
 
 
@@ -240,14 +233,7 @@ def test_a_jump_of_the_imposed_velocity_does_not_ring(scenes, begin):
 
 def test_every_and_progress():
     seen = []
-    run = pi.solve(
-        pi.problems.get("pendulum").model,
-        0.5,
-        pi.GeneralizedAlpha(h=0.01),
-        q0=[-1.0, 0.0],
-        every=7,
-        progress=seen.append,
-    )
+    run = pi.solve(pi.problems.get("pendulum").model, 0.5, pi.GeneralizedAlpha(h=0.01), q0=[-1.0, 0.0], every=7, progress=seen.append)
     assert len(seen) == 50 == run.counts.steps
     assert np.allclose(run.t, [*np.arange(0.0, 0.5, 0.07), 0.5])
 

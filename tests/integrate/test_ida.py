@@ -70,15 +70,26 @@ class Driven(Model):
         return tuple(t for t in self.at if t0 < t < t1)
 
 
-@pytest.mark.parametrize("settings, named", [
-    ({"rtol": 0.0}, "rtol 0.0"), ({"rtol": "tight"}, "rtol tight"), ({"rtol": float("nan")}, "rtol nan"),
-    ({"atol": -1e-8}, "atol -1e-08"), ({"atol": (1e-8, 0.0)}, "atol"), ({"atol": ["a", "b"]}, "atol"),
-    ({"atol": ()}, "atol"),
-    ({"form": "ggl3"}, "'ggl3' is unknown; there are ggl2, ggl1"), ({"max_order": 6}, "max_order 6"),
-    ({"max_order": 0}, "max_order 0"), ({"max_order": 2.5}, "max_order 2.5"), ({"max_step": -1.0}, "max_step -1.0"),
-    ({"max_num_steps": 0}, "max_num_steps 0"), ({"first_step": float("inf")}, "first_step inf"),
-    ({"rate": -1}, "rate -1"),
-])
+@pytest.mark.parametrize(
+    "settings, named",
+    [
+        ({"rtol": 0.0}, "rtol 0.0"),
+        ({"rtol": "tight"}, "rtol tight"),
+        ({"rtol": float("nan")}, "rtol nan"),
+        ({"atol": -1e-8}, "atol -1e-08"),
+        ({"atol": (1e-8, 0.0)}, "atol"),
+        ({"atol": ["a", "b"]}, "atol"),
+        ({"atol": ()}, "atol"),
+        ({"form": "ggl3"}, "'ggl3' is unknown; there are ggl2, ggl1"),
+        ({"max_order": 6}, "max_order 6"),
+        ({"max_order": 0}, "max_order 0"),
+        ({"max_order": 2.5}, "max_order 2.5"),
+        ({"max_step": -1.0}, "max_step -1.0"),
+        ({"max_num_steps": 0}, "max_num_steps 0"),
+        ({"first_step": float("inf")}, "first_step inf"),
+        ({"rate": -1}, "rate -1"),
+    ],
+)
 def test_wrong_settings_are_named(settings, named):
     with pytest.raises(InputError, match=f"IDA: .*{named}"):
         IDA(**settings)
@@ -133,13 +144,21 @@ def test_a_solve_at_another_cj_factors_anew():
 
 
 # bounds: some three times the error measured; its last digits follow the platform's round-off through step control
-@pytest.mark.parametrize("name, form, tolerance, of_q, of_lam", [
-    ("pendulum", "ggl2", 1e-6, 2e-3, 2e-2), ("pendulum", "ggl1", 1e-6, 1e-3, 2e-2),
-    ("pendulum", "ggl2", 1e-8, 3e-5, 3e-4), ("pendulum", "ggl1", 1e-8, 2e-5, 3e-4),
-    ("car-axis", "ggl2", 1e-8, 1e-6, 1e-7), ("car-axis", "ggl1", 1e-8, 2e-6, 1e-7),
-    ("andrews", "ggl2", 1e-6, 1.5e-3, 1e-1), ("andrews", "ggl1", 1e-6, 1.5e-3, 1e-1),
-    ("andrews", "ggl2", 1e-8, 2e-5, 2e-3), ("andrews", "ggl1", 1e-8, 2e-5, 2e-3),
-])
+@pytest.mark.parametrize(
+    "name, form, tolerance, of_q, of_lam",
+    [
+        ("pendulum", "ggl2", 1e-6, 2e-3, 2e-2),
+        ("pendulum", "ggl1", 1e-6, 1e-3, 2e-2),
+        ("pendulum", "ggl2", 1e-8, 3e-5, 3e-4),
+        ("pendulum", "ggl1", 1e-8, 2e-5, 3e-4),
+        ("car-axis", "ggl2", 1e-8, 1e-6, 1e-7),
+        ("car-axis", "ggl1", 1e-8, 2e-6, 1e-7),
+        ("andrews", "ggl2", 1e-6, 1.5e-3, 1e-1),
+        ("andrews", "ggl1", 1e-6, 1.5e-3, 1e-1),
+        ("andrews", "ggl2", 1e-8, 2e-5, 2e-3),
+        ("andrews", "ggl1", 1e-8, 2e-5, 2e-3),
+    ],
+)
 def test_published_digits(name, form, tolerance, of_q, of_lam):
     p, states, counts, error = run_problem(name, IDA(rtol=tolerance, atol=(tolerance, tolerance), form=form))
     assert states[-1].t == p.t_end

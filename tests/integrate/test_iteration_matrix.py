@@ -53,9 +53,7 @@ def test_exact_is_the_ratio_of_singular_values(scene):
     matrix = iteration_matrix(model, pi.GeneralizedAlpha(h=1e-3), state, "physical")
     assert matrix.shape == (model.n + model.m, model.n + model.m)
     values = np.linalg.svd(matrix.toarray(), compute_uv=False)
-    assert condition_number(model, pi.GeneralizedAlpha(h=1e-3), state) == pytest.approx(
-        values[0] / values[-1], rel=1e-6
-    )
+    assert condition_number(model, pi.GeneralizedAlpha(h=1e-3), state) == pytest.approx(values[0] / values[-1], rel=1e-6)
 
 
 def test_the_estimate_is_that_of_the_1_norm(scene):
@@ -109,8 +107,10 @@ def pendulum_state():
 @pytest.mark.parametrize("form, slope", conditioning.IDA_SLOPES.items())
 def test_idas_forms_in_the_limit(scenes, scene, form, slope):
     steps = 1e-3 / conditioning.fastest(*scene) ** 2 * 10.0 ** -np.arange(3)
-    raw, flat = ([condition_number(scene[0], pi.IDA(form=form), scene[1], scaling, h=h, exact=True) for h in steps]
-                 for scaling in ("none", "characteristic"))
+    raw, flat = (
+        [condition_number(scene[0], pi.IDA(form=form), scene[1], scaling, h=h, exact=True) for h in steps]
+        for scaling in ("none", "characteristic")
+    )
     assert scenes.slope(steps, raw) == pytest.approx(slope, abs=0.02)
     assert scenes.slope(steps, flat) == pytest.approx(0, abs=1e-3) and max(flat) < 1e3
 
@@ -147,8 +147,13 @@ def test_a_sparse_mass_beside_dense_differences():
 
 def test_what_there_is_not(scene):
     alpha, ida = pi.GeneralizedAlpha(h=1e-3), pi.IDA()
-    for integrator, choice, more in ((alpha, ("best",), {}), (alpha, ("none", "p"), {}), (ida, ("bottasso",), {"h": 1e-3}),
-                                     (ida, ("none", "v"), {"h": 1e-3}), (ida, ("none",), {"h": -1})):
+    for integrator, choice, more in (
+        (alpha, ("best",), {}),
+        (alpha, ("none", "p"), {}),
+        (ida, ("bottasso",), {"h": 1e-3}),
+        (ida, ("none", "v"), {"h": 1e-3}),
+        (ida, ("none",), {"h": -1}),
+    ):
         with pytest.raises(pi.InputError, match=str(more.get("h") if choice == ("none",) else choice[-1])):
             condition_number(scene[0], integrator, scene[1], *choice, **more)
     with pytest.raises(pi.InputError, match="h = None must be a positive step"):

@@ -58,9 +58,7 @@ def test_free_plates_keep_their_momentum(scenes, integrator):
 def test_reactions_change_the_momentum(scenes, integrator):
     """Force of the hinge plus weight is the slope of the momentum; the motor's torque that of the angular momentum."""
     scene, upper = scenes.hinged(material={"E": 1e9})
-    scene.add(
-        pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.ramp(0.0, 0.3, duration=0.2), name="drive")
-    )
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.ramp(0.0, 0.3, duration=0.2), name="drive"))
     run = pi.solve(scene.build(), 0.2, integrator)
     linear, angular = momenta(run)
     weight = run.model.arrays.plates.weight
@@ -75,10 +73,7 @@ def test_reactions_change_the_momentum(scenes, integrator):
 
 def test_free_double_plate_at_one_second():
     model = double_plate(cells=40).build()
-    alpha, ida = (
-        pi.solve(model, 1.0, pi.GeneralizedAlpha(h=1.25e-4)),
-        pi.solve(model, 1.0, pi.IDA(rtol=2e-7, atol=2e-9)),
-    )
+    alpha, ida = (pi.solve(model, 1.0, pi.GeneralizedAlpha(h=1.25e-4)), pi.solve(model, 1.0, pi.IDA(rtol=2e-7, atol=2e-9)))
     assert alpha.success and ida.success
     assert np.linalg.norm(alpha.position("tip")[-1] - ida.position("tip")[-1]) < 2e-5
 
@@ -124,10 +119,7 @@ def test_bending_frequencies_of_a_cantilever(scenes):
     scene.add(pi.Clamp(plate.section("left")))
     model = scene.build()
     free = ~model.phi_q(0.0, np.zeros(model.n)).toarray().any(axis=0)
-    K, M = (
-        matrix[free][:, free].tocsc()
-        for matrix in (model.force_q(0.0, np.zeros(model.n), np.zeros(model.n)), model.mass())
-    )
+    K, M = (matrix[free][:, free].tocsc() for matrix in (model.force_q(0.0, np.zeros(model.n), np.zeros(model.n)), model.mass()))
     found = np.sqrt(np.sort(eigsh(K, 3, M, sigma=0.0, return_eigenvectors=False)))
     exact = np.array([1.87510407, 4.69409113, 7.85475744]) ** 2 * np.sqrt(E / rho) * height / np.sqrt(12)
     assert found == pytest.approx(exact, rel=5e-3)

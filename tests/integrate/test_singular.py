@@ -6,8 +6,10 @@ import pytest
 import polyida as pi
 
 ALL = {
-    "alpha": pi.GeneralizedAlpha(h=2e-3), "alpha, rho 0.999": pi.GeneralizedAlpha(h=2e-3, rho_inf=0.999),
-    "alpha, stabilised": pi.GeneralizedAlpha(h=2e-3, form="stabilised"), "alpha, adaptive": pi.GeneralizedAlpha(h=1e-2, rtol=1e-6),
+    "alpha": pi.GeneralizedAlpha(h=2e-3),
+    "alpha, rho 0.999": pi.GeneralizedAlpha(h=2e-3, rho_inf=0.999),
+    "alpha, stabilised": pi.GeneralizedAlpha(h=2e-3, form="stabilised"),
+    "alpha, adaptive": pi.GeneralizedAlpha(h=1e-2, rtol=1e-6),
     "alpha, Richardson": pi.GeneralizedAlpha(h=1e-2, extrapolate=True),
 } | {f"IDA {form}": pi.IDA(form=form) for form in ("ggl2", "ggl1", "index2", "index1", "baumgarte")}
 FLAT = 0.7471212  # s, when the parallelogram lies flat; all integrators at fine steps agree on these digits
@@ -38,9 +40,9 @@ class FourBar(pi.Model):
     def phi_q(self, t, q):
         (cranks, rods), B, k = self._links(q), np.zeros((self.m, self.n)), self.bars + 1
         for i, crank in enumerate(cranks):
-            B[i, 2 * i:2 * i + 2] = crank
+            B[i, 2 * i : 2 * i + 2] = crank
         for i, rod in enumerate(rods):
-            B[k + i, 2 * i:2 * i + 4] = *-rod, *rod
+            B[k + i, 2 * i : 2 * i + 4] = *-rod, *rod
         return B
 
     def upright(self):

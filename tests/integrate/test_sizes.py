@@ -42,13 +42,14 @@ def test_a_scene_of_millimetres_takes_the_same_steps():
     assert max(apart) < 1e-8  # the factor is in single precision, and steps follow what it leaves
 
 
-@pytest.mark.parametrize("name, share, order, least", [
-    ("pendulum", 0.2, 5, 0.8), ("andrews", 1.0, 5, 0.8), ("car-axis", 0.3, 2, 0.6)])
+@pytest.mark.parametrize("name, share, order, least", [("pendulum", 0.2, 5, 0.8), ("andrews", 1.0, 5, 0.8), ("car-axis", 0.3, 2, 0.6)])
 def test_the_error_of_rigid_systems_follows_rtol(name, share, order, least):
     p = pi.problems.get(name)
     at = np.linspace(0.0, share * p.t_end, 21)[1:]
-    runs = [pi.solve(p.model, at[-1], pi.IDA(rtol=rtol, max_order=order if rtol > 1e-10 else 5), q0=p.q0, v0=p.v0, output=at)
-            for rtol in (*LADDER, 1e-11)]
+    runs = [
+        pi.solve(p.model, at[-1], pi.IDA(rtol=rtol, max_order=order if rtol > 1e-10 else 5), q0=p.q0, v0=p.v0, output=at)
+        for rtol in (*LADDER, 1e-11)
+    ]
     assert slope([np.abs(run.q - runs[-1].q).max() for run in runs[:-1]]) >= least
 
 
@@ -76,8 +77,10 @@ class Spring(pi.Model):
         return 200.0 * q
 
 
-@pytest.mark.parametrize("q, v, a, expected", [
-    (0.5, 0.0, -50.0, [0.5, 5.0]), (0.0, 3.0, 0.0, [0.3, 3.0]), (0.0, 0.0, 5.0, [0.05, 0.5]), (0.0, 0.0, 0.0, [1.0, 0.25])])
+@pytest.mark.parametrize(
+    "q, v, a, expected",
+    [(0.5, 0.0, -50.0, [0.5, 5.0]), (0.0, 3.0, 0.0, [0.3, 3.0]), (0.0, 0.0, 5.0, [0.05, 0.5]), (0.0, 0.0, 0.0, [1.0, 0.25])],
+)
 def test_sizes_of_a_model_of_ones_own_come_from_its_first_state(q, v, a, expected):
     state = State(0.0, *np.array([[q], [v], [a]]), np.zeros(0))
     assert typical_sizes(Spring(), state, 4.0) == pytest.approx(expected, rel=1e-6)

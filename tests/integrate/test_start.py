@@ -17,9 +17,7 @@ def holds(model, state, size=1e-10):
     B = model.phi_q(state.t, state.q)
     assert np.abs(model.phi(state.t, state.q)).max() < size
     assert np.abs(B @ state.v + model.phi_t(state.t, state.q)).max() < size * max(1.0, np.abs(state.v).max())
-    assert np.abs(B @ state.a + model.phi_bias(state.t, state.q, state.v)).max() < size * max(
-        1.0, np.abs(state.a).max()
-    )
+    assert np.abs(B @ state.a + model.phi_bias(state.t, state.q, state.v)).max() < size * max(1.0, np.abs(state.a).max())
     r = model.residual(state.t, state.q, state.v, state.a, state.lam)
     assert np.abs(r).max() < size * max(1.0, np.abs(B.T @ state.lam).max())
 
@@ -131,6 +129,7 @@ def test_constraints_that_cannot_be_met_are_named():
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e6])
 def test_a_start_with_round_off_about_zero_is_taken_as_it_is(unit):
     """The cosine of a right angle is 6e-17: where phi_q is a little off, Newton would halve that for ever."""
+
     class Crank(type(pi.problems.get("pendulum").model)):
         def phi(self, t, q):
             return q[:1]

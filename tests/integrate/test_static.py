@@ -82,8 +82,7 @@ def test_csm1():
     """
     material = pi.Material(1.4e6, 0.4, 1000.0, plane="strain")
     coarse, fine = (
-        1e3 * cantilever_tip(pi.mesh.quads(0.35101, 0.02, *cells), material, 1.0, (0.0, -2.0))
-        for cells in ((140, 8), (280, 16))
+        1e3 * cantilever_tip(pi.mesh.quads(0.35101, 0.02, *cells), material, 1.0, (0.0, -2.0)) for cells in ((140, 8), (280, 16))
     )
     assert fine == pytest.approx([-7.2225, -66.280], rel=5e-3)
     assert (4 * fine - coarse) / 3 == pytest.approx([-7.2225, -66.280], rel=1e-3)
@@ -178,9 +177,7 @@ def test_a_mechanism_is_said_to_move_freely(scenes):
         pi.static(scenes.hinged()[0].build())
 
 
-@pytest.mark.parametrize(
-    "setting, value", [("steps", 0), ("steps", 1.5), ("q0", [1.0, 2.0]), ("q0", "here"), ("tolerance", -1.0)]
-)
+@pytest.mark.parametrize("setting, value", [("steps", 0), ("steps", 1.5), ("q0", [1.0, 2.0]), ("q0", "here"), ("tolerance", -1.0)])
 def test_bad_settings(scenes, setting, value):
     with pytest.raises(pi.InputError, match=setting):
         pi.static(scenes.cantilever()[0].build(), **{setting: value})

@@ -127,9 +127,7 @@ def test_one_damaged_record_does_no_harm(path, good, whole):
         assert outcome(path, whole) == "whole"
 
 
-@pytest.mark.parametrize(
-    "name, value, told", [("q", np.nan, "q: values that are not finite"), ("t", -1.0, "t: the times do not increase")]
-)
+@pytest.mark.parametrize("name, value, told", [("q", np.nan, "q: values that are not finite"), ("t", -1.0, "t: the times do not increase")])
 def test_frames_before_one_that_makes_no_sense_come_back(path, whole, name, value, told):
     with h5py.File(path, "r+") as file:
         file[name][3] = value

@@ -152,10 +152,12 @@ def test_every_flush_is_brought_to_the_disk_where_asked(model, whole, tmp_path, 
 def test_overwrite_is_true_or_false(model, whole, tmp_path, overwrite):
     whole.save(tmp_path / "run.h5")
     before = (tmp_path / "run.h5").read_bytes()
-    for write in (lambda: whole.save(tmp_path / "run.h5", overwrite=overwrite),
-                  lambda: pi.solve(model, 0.01, ALPHA, out=tmp_path / "run.h5", overwrite=overwrite),
-                  lambda: pi.export.vtu(whole, tmp_path / "frames", overwrite=overwrite),
-                  lambda: gif(whole, tmp_path / "run.gif", overwrite=overwrite)):
+    for write in (
+        lambda: whole.save(tmp_path / "run.h5", overwrite=overwrite),
+        lambda: pi.solve(model, 0.01, ALPHA, out=tmp_path / "run.h5", overwrite=overwrite),
+        lambda: pi.export.vtu(whole, tmp_path / "frames", overwrite=overwrite),
+        lambda: gif(whole, tmp_path / "run.gif", overwrite=overwrite),
+    ):
         with pytest.raises(pi.InputError, match=f"overwrite = {overwrite!r} must be"):
             write()
     assert (tmp_path / "run.h5").read_bytes() == before and os.listdir(tmp_path) == ["run.h5"]
@@ -192,9 +194,18 @@ def test_a_file_without_a_frame_yet_is_read_and_gone_on_with(tmp_path):
     assert equal(pi.resume(path, model=model), pi.solve(model, 0.01, ALPHA, output=[0.009]))
 
 
-@pytest.mark.parametrize("settings, told", [({"t_end": "0.1"}, "t_end = '0.1'"), ({"t_end": [1.0]}, "t_end = "), ({"t_end": True}, "t_end"),
-                                            ({"t_end": np.nan}, "t_end"), ({"until": 3}, "until = 3"), ({"progress": 1}, "progress"),
-                                            ({"memory_limit": "all"}, "memory_limit")])
+@pytest.mark.parametrize(
+    "settings, told",
+    [
+        ({"t_end": "0.1"}, "t_end = '0.1'"),
+        ({"t_end": [1.0]}, "t_end = "),
+        ({"t_end": True}, "t_end"),
+        ({"t_end": np.nan}, "t_end"),
+        ({"until": 3}, "until = 3"),
+        ({"progress": 1}, "progress"),
+        ({"memory_limit": "all"}, "memory_limit"),
+    ],
+)
 def test_a_wrong_setting_of_resume_is_no_damage_of_the_file(whole, tmp_path, settings, told):
     whole.save(tmp_path / "run.h5")
     with pytest.raises(pi.InputError, match=f"resume: {told}"):

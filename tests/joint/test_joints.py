@@ -35,9 +35,7 @@ def expected(model, name, t, q, rotation):
     joint = model.parts[name]
     if isinstance(joint, pi.AngleMotor):
         a, b = (None if s is pi.ground else side(model, s, q, s.turn_weights) for s in (joint.a, joint.b))
-        rest_a, rest_b = (
-            other.direction if s is pi.ground else s.direction for s, other in ((joint.a, joint.b), (joint.b, joint.a))
-        )
+        rest_a, rest_b = (other.direction if s is pi.ground else s.direction for s, other in ((joint.a, joint.b), (joint.b, joint.a)))
         a, b = (rest_a if a is None else a), (rest_b if b is None else b)
         start = np.arctan2(rest_a[0] * rest_b[1] - rest_a[1] * rest_b[0], rest_a @ rest_b)
         return [(rotation(joint.angle(t) + start) @ a) @ J @ b]
@@ -45,10 +43,7 @@ def expected(model, name, t, q, rotation):
         held, sign = (joint.a, 1.0) if joint.b is pi.ground else (joint.b, -1.0)
         start = next(body.nodes.start for body in model.bodies if body.plate is held.body)
         return sign * q.reshape(-1, 2)[held.nodes + start].ravel()
-    points = [
-        other.point if s is pi.ground else side(model, s, q, s.weights)
-        for s, other in ((joint.a, joint.b), (joint.b, joint.a))
-    ]
+    points = [other.point if s is pi.ground else side(model, s, q, s.weights) for s, other in ((joint.a, joint.b), (joint.b, joint.a))]
     result = points[0] - points[1]
     if isinstance(joint, pi.Clamp):
         a, b = (side(model, s, q, s.turn_weights) for s in (joint.a, joint.b))
@@ -147,11 +142,18 @@ def test_a_clamp_is_where_its_section_is_at_rest(scenes):
         pi.Clamp(pi.ground.at((0.3, 0.0)), upper.section("left"), name="root")
 
 
-@pytest.mark.parametrize("wrong, told", [
-    (lambda a, b: [a.x * b.x], "multiplied by"), (lambda a, b: [a.x + 1.0], "needs a vector"), (lambda a, b: a.x, "must give a list of rows"),
-    (lambda a, b: [pi.cross(a.d, b.x) + a.d], "is added to"), (lambda a, b: [3.0], "needs a vector"),
-    (lambda a, b: [a.d.turned("fast")], "neither a number in rad nor a profile"), (lambda a, b: [a.x - b.x + b.d], "does not hold at rest"),
-])
+@pytest.mark.parametrize(
+    "wrong, told",
+    [
+        (lambda a, b: [a.x * b.x], "multiplied by"),
+        (lambda a, b: [a.x + 1.0], "needs a vector"),
+        (lambda a, b: a.x, "must give a list of rows"),
+        (lambda a, b: [pi.cross(a.d, b.x) + a.d], "is added to"),
+        (lambda a, b: [3.0], "needs a vector"),
+        (lambda a, b: [a.d.turned("fast")], "neither a number in rad nor a profile"),
+        (lambda a, b: [a.x - b.x + b.d], "does not hold at rest"),
+    ],
+)
 def test_formulas_that_are_none_are_told(scenes, wrong, told):
     joint = type("Wrong", (pi.Joint,), {"rows": lambda self: wrong(self.a, self.b)})
     scene, upper, lower = scenes.pair()

@@ -92,10 +92,7 @@ def test_a_rigid_turn_keeps_the_factor(scenes, kind, angle):
     """The stale factor of the unturned scene solves the turned one as well as a fresh factor does."""
     model = scenes.jointed(kind).build()
     system, _ = Point(model, 0.0, np.zeros(model.n), np.zeros(model.m)).factored()
-    point, (r, phi) = (
-        Point(model, 0.0, scenes.turned(model, np.zeros(model.n), angle), np.zeros(model.m)),
-        right_sides(model),
-    )
+    point, (r, phi) = (Point(model, 0.0, scenes.turned(model, np.zeros(model.n), angle), np.zeros(model.m)), right_sides(model))
     dq, dlam = point.solve(system, r, phi)
     exact_q, exact_lam = point.exact(r, phi)
     assert near(dq, exact_q) and near(dlam, exact_lam)

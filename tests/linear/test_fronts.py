@@ -43,7 +43,7 @@ def solved(s, panels, b):
     x = np.zeros(len(b) + 5, np.float32)
     x[s.order] = b
     solve_fronts(s, panels, x)
-    assert not x[len(b):].any()
+    assert not x[len(b) :].any()
     return x[s.order].astype(float)
 
 
@@ -81,13 +81,13 @@ def test_fronts_are_an_elimination_tree(name):
     assert s.first[0] == 0 and s.first[-1] == count and (np.diff(s.first) >= 0).all()
     waiting = []
     for f, children in enumerate(s.children):
-        rows = s.rows[s.start[f]:s.start[f + 1]]
+        rows = s.rows[s.start[f] : s.start[f + 1]]
         assert (np.diff(rows) > 0).all() and (rows >= s.first[f + 1]).all()
         known = set(range(s.first[f], s.first[f + 1])) | set(rows)
         for _ in range(children):
             assert set(waiting.pop()) <= known
         for k in range(s.first[f], s.first[f + 1]):
-            joined = s.order[2 * pattern.indices[pattern.indptr[s.nodes[k]]:pattern.indptr[s.nodes[k] + 1]]] // 2
+            joined = s.order[2 * pattern.indices[pattern.indptr[s.nodes[k]] : pattern.indptr[s.nodes[k] + 1]]] // 2
             assert set(joined[joined >= k]) <= known
         waiting.append(rows)
     assert not any(len(rows) for rows in waiting)
@@ -125,7 +125,7 @@ def test_no_factor_where_not_positive_definite(spoil):
     pattern, points = grid(20, 8)
     blocks, _ = spd_blocks(pattern)
     s = symbolic(pattern.indptr, pattern.indices, points)
-    at = pattern.indptr[77] + np.flatnonzero(pattern.indices[pattern.indptr[77]:pattern.indptr[78]] == 77)[0]
+    at = pattern.indptr[77] + np.flatnonzero(pattern.indices[pattern.indptr[77] : pattern.indptr[78]] == 77)[0]
     if spoil == "negative":
         blocks[at] -= 2 * np.abs(blocks).max() * np.eye(2)
     elif spoil == "singular":

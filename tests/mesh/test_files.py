@@ -140,39 +140,48 @@ class TestRepair:
         assert (again.points[again.sections["left"], 0] == 0.0).all()
 
     def test_physical_groups_become_sections(self, tmp_path):
-        path = gmsh(tmp_path / "named.msh", flat(SQUARES),
-                    [("line", [[0, 3]]), ("vertex", [[5]]), ("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])],
-                    field_data={"wall": np.array([1, 1]), "tip": np.array([2, 0]), "body": np.array([3, 2])},
-                    cell_data={"gmsh:physical": [np.array([1]), np.array([2]), np.array([3, 3])],
-                               "gmsh:geometrical": [np.array([1]), np.array([2]), np.array([3, 3])]})
+        path = gmsh(
+            tmp_path / "named.msh",
+            flat(SQUARES),
+            [("line", [[0, 3]]), ("vertex", [[5]]), ("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])],
+            field_data={"wall": np.array([1, 1]), "tip": np.array([2, 0]), "body": np.array([3, 2])},
+            cell_data={
+                "gmsh:physical": [np.array([1]), np.array([2]), np.array([3, 3])],
+                "gmsh:geometrical": [np.array([1]), np.array([2]), np.array([3, 3])],
+            },
+        )
         mesh = read(path)
         assert (mesh.points[mesh.sections["wall"], 0] == 0.0).all() and len(mesh.sections["wall"]) == 2
         assert mesh.points[mesh.sections["tip"]].tolist() == [[2.0, 1.0]]
         assert "body" not in mesh.sections and "left" in mesh.sections
 
     def test_node_sets_of_abaqus(self, tmp_path):
-        meshio.Mesh(flat(SQUARES), [("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])],
-                    point_sets={"grip": np.array([0, 3])}).write(tmp_path / "sets.inp")
+        meshio.Mesh(flat(SQUARES), [("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])], point_sets={"grip": np.array([0, 3])}).write(
+            tmp_path / "sets.inp"
+        )
         mesh = read(tmp_path / "sets.inp")
         assert (mesh.points[mesh.sections["grip"], 0] == 0.0).all() and len(mesh.sections["grip"]) == 2
 
 
 class TestBadFiles:
-    @pytest.mark.parametrize("name, content, message", [
-        ("empty.msh", b"", "cannot be read"),
-        ("noise.msh", bytes(range(256)) * 8, "cannot be read"),
-        ("noise.vtu", bytes(range(256)) * 8, "cannot be read"),
-        ("page.vtu", b"<html></html>", "cannot be read"),
-        ("huge.msh", b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n999999999999999\n1 0 0 0\n$EndNodes\n", "cannot"),
-        ("loop.inp", b"*INCLUDE, INPUT=loop.inp\n", "cannot be read"),
-        ("code.pkl", b"cos\nsystem\n", "suffix '.pkl'"),
-        ("range.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 9\n", "points 0..8, the file has 0..2"),
-        ("nan.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "finite"),
-        ("off.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 1\nf 1 2 3\n", "not plane"),
-        ("points.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\n", "no triangles"),
-        ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "area"),
-        ("point.obj", b"v 1 1 0\nv 1 1 0\nv 1 1 0\nf 1 2 3\n", "area|corners|offsets|cell"),
-    ])
+    @pytest.mark.parametrize(
+        "name, content, message",
+        [
+            ("empty.msh", b"", "cannot be read"),
+            ("noise.msh", bytes(range(256)) * 8, "cannot be read"),
+            ("noise.vtu", bytes(range(256)) * 8, "cannot be read"),
+            ("page.vtu", b"<html></html>", "cannot be read"),
+            ("huge.msh", b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n999999999999999\n1 0 0 0\n$EndNodes\n", "cannot"),
+            ("loop.inp", b"*INCLUDE, INPUT=loop.inp\n", "cannot be read"),
+            ("code.pkl", b"cos\nsystem\n", "suffix '.pkl'"),
+            ("range.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 9\n", "points 0..8, the file has 0..2"),
+            ("nan.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "finite"),
+            ("off.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 1\nf 1 2 3\n", "not plane"),
+            ("points.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\n", "no triangles"),
+            ("flat.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "area"),
+            ("point.obj", b"v 1 1 0\nv 1 1 0\nv 1 1 0\nf 1 2 3\n", "area|corners|offsets|cell"),
+        ],
+    )
     def test_one_message_with_the_name(self, tmp_path, capfd, name, content, message):
         path = tmp_path / name
         path.write_bytes(content)

@@ -7,8 +7,7 @@ from scipy.spatial import cKDTree
 from polyida.errors import InputError
 from polyida.mesh import Circle, Difference, Intersection, Link, Rectangle, Union, polygonize, rectangle
 
-SIZES = [(1.0, 0.1, 160), (1.0, 0.1, 2), (1.0, 1.0, 40), (0.1, 1.0, 60), (1.0, 0.005, 80), (2e-3, 1e-3, 30),
-         (3.0, 1.0, 700)]
+SIZES = [(1.0, 0.1, 160), (1.0, 0.1, 2), (1.0, 1.0, 40), (0.1, 1.0, 60), (1.0, 0.005, 80), (2e-3, 1e-3, 30), (3.0, 1.0, 700)]
 
 
 @pytest.fixture(scope="module", params=SIZES, ids=str)
@@ -63,8 +62,9 @@ class TestRectangle:
         axis = int(height > length)
         along = np.argsort(np.argsort(mesh.points[:, axis], kind="stable"))
         quality = mesh.quality()
-        by_coordinate = np.maximum.reduceat(along[mesh.nodes], mesh.offsets[:-1]) \
-            - np.minimum.reduceat(along[mesh.nodes], mesh.offsets[:-1])
+        by_coordinate = np.maximum.reduceat(along[mesh.nodes], mesh.offsets[:-1]) - np.minimum.reduceat(
+            along[mesh.nodes], mesh.offsets[:-1]
+        )
         assert quality.half_bandwidth <= by_coordinate.max() + 2
         assert (np.diff(np.minimum.reduceat(mesh.nodes, mesh.offsets[:-1])) > -quality.half_bandwidth).all()
 
@@ -83,12 +83,25 @@ class TestRectangle:
         assert mesh.n_cells == 8
         assert mesh.points.min(axis=0) == pytest.approx([2.0, -3.05]) and "left" in mesh.sections
 
-    @pytest.mark.parametrize("bad, message", [
-        (dict(cells=0), "cells is 0"), (dict(cells=-4), "cells is -4"), (dict(cells=2.5), "whole number"),
-        (dict(cells=True), "cells"), (dict(length=-1.0), "length is -1.0"), (dict(height=0.0), "height"),
-        (dict(length=np.nan), "finite"), (dict(length="long"), "number"), (dict(height=None), "number"),
-        (dict(seed=-1), "seed"), (dict(seed=0.5), "seed"), (dict(iterations=0), "iterations"),
-        (dict(origin=1.0), "origin"), (dict(origin=(0.0, np.inf)), "origin")])
+    @pytest.mark.parametrize(
+        "bad, message",
+        [
+            (dict(cells=0), "cells is 0"),
+            (dict(cells=-4), "cells is -4"),
+            (dict(cells=2.5), "whole number"),
+            (dict(cells=True), "cells"),
+            (dict(length=-1.0), "length is -1.0"),
+            (dict(height=0.0), "height"),
+            (dict(length=np.nan), "finite"),
+            (dict(length="long"), "number"),
+            (dict(height=None), "number"),
+            (dict(seed=-1), "seed"),
+            (dict(seed=0.5), "seed"),
+            (dict(iterations=0), "iterations"),
+            (dict(origin=1.0), "origin"),
+            (dict(origin=(0.0, np.inf)), "origin"),
+        ],
+    )
     def test_bad_values(self, bad, message):
         with pytest.raises(InputError, match=message):
             rectangle(**(dict(length=1.0, height=0.1, cells=10) | bad))
@@ -157,23 +170,33 @@ class TestDomains:
         ring = square_ring()
         assert ring.distance(np.array([[0.5, 0.5], [1.5, 1.5], [4.0, 1.0]])).tolist() == [-0.5, 0.5, 1.0]
 
-    @pytest.mark.parametrize("make, message", [
-        (lambda: Circle(-1.0), "radius"), (lambda: Rectangle(1.0, 0.0), "height"),
-        (lambda: Link(1.0, 0.1, 0.06), "pin radius is 0.06"), (lambda: Circle(1.0, (0, 0, 0)), "center"),
-        (lambda: Intersection(Circle(1.0), Circle(1.0, (5, 5))), "empty"),
-        (lambda: polygonize(Circle(1.0) - Circle(2.0), 50), "empty"),
-        (lambda: polygonize("disc", 50), "domain"), (lambda: polygonize(Circle(1.0), 0), "cells"),
-        (lambda: polygonize(Rectangle(2, 1) - Circle(0.02, (1, 0.5)), 10), "too few")])
+    @pytest.mark.parametrize(
+        "make, message",
+        [
+            (lambda: Circle(-1.0), "radius"),
+            (lambda: Rectangle(1.0, 0.0), "height"),
+            (lambda: Link(1.0, 0.1, 0.06), "pin radius is 0.06"),
+            (lambda: Circle(1.0, (0, 0, 0)), "center"),
+            (lambda: Intersection(Circle(1.0), Circle(1.0, (5, 5))), "empty"),
+            (lambda: polygonize(Circle(1.0) - Circle(2.0), 50), "empty"),
+            (lambda: polygonize("disc", 50), "domain"),
+            (lambda: polygonize(Circle(1.0), 0), "cells"),
+            (lambda: polygonize(Rectangle(2, 1) - Circle(0.02, (1, 0.5)), 10), "too few"),
+        ],
+    )
     def test_bad_values(self, make, message):
         with pytest.raises(InputError, match=message):
             make()
 
 
-@pytest.mark.parametrize("make", [
-    lambda at: Link(1.0, 0.2, 0.04, origin=at),
-    lambda at: Rectangle(1.0, 1.0, at) - Circle(0.2, np.add(at, 0.5)),
-    lambda at: Rectangle(1.0, 1.0, at) - Rectangle(0.5, 0.5, at),
-])
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda at: Link(1.0, 0.2, 0.04, origin=at),
+        lambda at: Rectangle(1.0, 1.0, at) - Circle(0.2, np.add(at, 0.5)),
+        lambda at: Rectangle(1.0, 1.0, at) - Rectangle(0.5, 0.5, at),
+    ],
+)
 def test_a_domain_far_away_gives_the_mesh_at_the_origin_moved(make):
     far = np.array([1e6, -1e6])
     near, moved = (polygonize(make(at), 40, seed=1) for at in (np.zeros(2), far))

@@ -76,7 +76,11 @@ class TestStructured:
         assert mesh.n_cells == nx * ny * (1 if corners == 4 else 2)
         assert mesh.area == pytest.approx(1.0, rel=1e-14)
         assert {name: len(nodes) for name, nodes in mesh.sections.items()} == {
-            "left": ny + 1, "right": ny + 1, "top": nx + 1, "bottom": nx + 1}
+            "left": ny + 1,
+            "right": ny + 1,
+            "top": nx + 1,
+            "bottom": nx + 1,
+        }
         assert mesh.quality().half_bandwidth <= min(nx, ny) + 2
         mesh.require_convex()
 
@@ -122,39 +126,49 @@ class TestSections:
         section = mesh.section(lambda p: (p[:, 1] > 0) & (np.abs(p[:, 0] - 1.5) > 0.2))
         assert (np.diff(mesh.points[section.nodes, 0]) > 0).all()
 
-    @pytest.mark.parametrize("selector, message", [
-        ("middle", "no section 'middle'.*'left', 'right', 'top', 'bottom'"),
-        (lambda points: points[:, 0] > 9, "selects no boundary node.*'left'"),
-        (lambda points: points[:, 0], "boolean mask"),
-        (lambda points: np.array([True]), "boolean mask"),
-        ([], "selects no node"),
-        ([99], "0..8"), ([1, 1], "twice"), ([0.5], "integers"), ([[1], [2, 3]], "section")])
+    @pytest.mark.parametrize(
+        "selector, message",
+        [
+            ("middle", "no section 'middle'.*'left', 'right', 'top', 'bottom'"),
+            (lambda points: points[:, 0] > 9, "selects no boundary node.*'left'"),
+            (lambda points: points[:, 0], "boolean mask"),
+            (lambda points: np.array([True]), "boolean mask"),
+            ([], "selects no node"),
+            ([99], "0..8"),
+            ([1, 1], "twice"),
+            ([0.5], "integers"),
+            ([[1], [2, 3]], "section"),
+        ],
+    )
     def test_bad_selectors(self, selector, message):
         with pytest.raises(InputError, match=message):
             quads(1.0, 1.0, 2, 2).section(selector)
 
 
 class TestBadInput:
-    @pytest.mark.parametrize("points, nodes, offsets, message", [
-        (SQUARE, [0, 3, 2, 1], [0, 4], "cell 0.*counter-clockwise"),
-        (SQUARE, [0, 1, 2, 4], [0, 4], "cell 0 names node 4.*0..3"),
-        (SQUARE, [0, 1, 2, -1], [0, 4], "names node -1"),
-        (SQUARE, [0, 1], [0, 2], "cell 0 has 2 corners"),
-        (SQUARE, [0, 1, 2], [0, 3], "node 3.*belongs to no cell"),
-        (SQUARE, [0, 1, 2, 3, 0], [0, 5], "node 0 as two of its corners"),
-        (SQUARE, [0, 1, 2, 3], [0, 3], "offsets"),
-        (SQUARE, [0, 1, 2, 3], [], "offsets"),
-        (SQUARE, [0.0, 1.0, 2.0, 3.0], [0, 4], "integers"),
-        (SQUARE, [0, 1, 2, 2**40], [0, 4], "32 bit"),
-        (SQUARE * [1, np.nan], [0, 1, 2, 3], [0, 4], "point 0 is"),
-        (SQUARE + [0, np.inf], [0, 1, 2, 3], [0, 4], "finite"),
-        (np.c_[SQUARE, SQUARE], [0, 1, 2, 3], [0, 4], "shape"),
-        ("points", [0, 1, 2, 3], [0, 4], "points"),
-        (SQUARE * 1e200, [0, 1, 2, 3], [0, 4], "area"),
-        (SQUARE * [1, 0], [0, 1, 2, 3], [0, 4], "area"),
-        (SQUARE, [0, 1, 2, 3, 0, 1, 2, 3], [0, 4, 8], "same side of the edge"),
-        (np.array([[0, 0], [4, 0], [4, 3], [2, -1], [0, 3.0]]), [0, 1, 2, 3, 4], [0, 5], "crosses"),
-    ])
+    @pytest.mark.parametrize(
+        "points, nodes, offsets, message",
+        [
+            (SQUARE, [0, 3, 2, 1], [0, 4], "cell 0.*counter-clockwise"),
+            (SQUARE, [0, 1, 2, 4], [0, 4], "cell 0 names node 4.*0..3"),
+            (SQUARE, [0, 1, 2, -1], [0, 4], "names node -1"),
+            (SQUARE, [0, 1], [0, 2], "cell 0 has 2 corners"),
+            (SQUARE, [0, 1, 2], [0, 3], "node 3.*belongs to no cell"),
+            (SQUARE, [0, 1, 2, 3, 0], [0, 5], "node 0 as two of its corners"),
+            (SQUARE, [0, 1, 2, 3], [0, 3], "offsets"),
+            (SQUARE, [0, 1, 2, 3], [], "offsets"),
+            (SQUARE, [0.0, 1.0, 2.0, 3.0], [0, 4], "integers"),
+            (SQUARE, [0, 1, 2, 2**40], [0, 4], "32 bit"),
+            (SQUARE * [1, np.nan], [0, 1, 2, 3], [0, 4], "point 0 is"),
+            (SQUARE + [0, np.inf], [0, 1, 2, 3], [0, 4], "finite"),
+            (np.c_[SQUARE, SQUARE], [0, 1, 2, 3], [0, 4], "shape"),
+            ("points", [0, 1, 2, 3], [0, 4], "points"),
+            (SQUARE * 1e200, [0, 1, 2, 3], [0, 4], "area"),
+            (SQUARE * [1, 0], [0, 1, 2, 3], [0, 4], "area"),
+            (SQUARE, [0, 1, 2, 3, 0, 1, 2, 3], [0, 4, 8], "same side of the edge"),
+            (np.array([[0, 0], [4, 0], [4, 3], [2, -1], [0, 3.0]]), [0, 1, 2, 3, 4], [0, 5], "crosses"),
+        ],
+    )
     def test_message_names_the_place(self, points, nodes, offsets, message):
         with pytest.raises(InputError, match=message):
             PolygonMesh(points, nodes, offsets)
@@ -196,15 +210,19 @@ def winding_strip(turn, cells=16):
 
 @pytest.mark.parametrize("far", [0.0, 1e6])
 class TestOverlap:
-    @pytest.mark.parametrize("given", [
-        apart(square(), square(0.7, 0.4)),
-        apart(square(), square()),
-        apart(square(), square(0.25, 0.25, 0.5)),
-        apart(square(), square(0.5, 0.0)),
-        apart(square(), square(1.5), square(0.999, 0.5)),
-        winding_strip(6.5),
-        winding_strip(12.0),
-    ], ids=["corner", "twice", "inside", "half", "a little", "around", "around twice"])
+    @pytest.mark.parametrize(
+        "given",
+        [
+            apart(square(), square(0.7, 0.4)),
+            apart(square(), square()),
+            apart(square(), square(0.25, 0.25, 0.5)),
+            apart(square(), square(0.5, 0.0)),
+            apart(square(), square(1.5), square(0.999, 0.5)),
+            winding_strip(6.5),
+            winding_strip(12.0),
+        ],
+        ids=["corner", "twice", "inside", "half", "a little", "around", "around twice"],
+    )
     def test_cells_that_share_no_edge_but_lie_on_each_other_are_named(self, given, far):
         points, nodes, offsets = given
         with pytest.raises(InputError, match=r"cell \d+ at \(.*\) and cell \d+ at \(.*\) overlap") as error:
@@ -212,11 +230,11 @@ class TestOverlap:
         first, second = (int(word.split()[0]) for word in str(error.value).split("cell ")[1:3])
         assert first != second
 
-    @pytest.mark.parametrize("given", [
-        apart(square(), square(1.0), square(0.5, 1.0)),
-        apart(square(), square(1.0, 1.0), square(-3.0, 0.3, 2.0)),
-        winding_strip(6.2),
-    ], ids=["touching", "at a corner", "around"])
+    @pytest.mark.parametrize(
+        "given",
+        [apart(square(), square(1.0), square(0.5, 1.0)), apart(square(), square(1.0, 1.0), square(-3.0, 0.3, 2.0)), winding_strip(6.2)],
+        ids=["touching", "at a corner", "around"],
+    )
     def test_parts_that_touch_are_welcome(self, given, far):
         points, nodes, offsets = given
         assert PolygonMesh(points + [far, -far], nodes, offsets).quality().pieces in (1, 3)

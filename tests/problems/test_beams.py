@@ -32,11 +32,7 @@ def test_rigid_pendulum_keeps_its_energy():
     inertia = m * (L**2 + rigid_limit.HEIGHT**2) / 12
     first = L * w1 * np.array([-np.sin(a1), np.cos(a1)])
     second = L * w2 * np.array([-np.sin(a2), np.cos(a2)])
-    speeds = (
-        m * (first / 2) @ (first / 2)
-        + m * (first + second / 2) @ (first + second / 2)
-        + M * (first + second) @ (first + second)
-    )
+    speeds = m * (first / 2) @ (first / 2) + m * (first + second / 2) @ (first + second / 2) + M * (first + second) @ (first + second)
     kinetic = (speeds + inertia * (w1**2 + w2**2)) / 2
     heights = m * np.sin(a1) / 2 + m * (np.sin(a1) + np.sin(a2) / 2) + M * (np.sin(a1) + np.sin(a2))
     assert kinetic + g * L * heights == pytest.approx(0.0, abs=1e-10)
@@ -51,9 +47,7 @@ def test_the_rigid_state_meets_the_constraints_of_the_plates():
 def test_rigid_joint_forces_are_those_at_the_start():
     p = problems.get("rigid-limit", cells=8, t_end=1e-6)
     started = consistent_state(p.model)
-    assert started.lam == pytest.approx(
-        p.reference["lam"], abs=5.0
-    )  # sudden release: the plates' inertia is not yet rigid
+    assert started.lam == pytest.approx(p.reference["lam"], abs=5.0)  # sudden release: the plates' inertia is not yet rigid
 
 
 def test_plates_come_near_to_rigid_ones_as_their_compliance():

@@ -82,12 +82,15 @@ def test_errors_are_largest_deviations():
     assert p.errors(q=p.reference["q"] + [1e-3, -2e-3]) == {"q": pytest.approx(2e-3)}
 
 
-@pytest.mark.parametrize(("found", "said"), [
-    ({"foo": 1.0}, "'foo' is not in the reference, which knows q, v, lam"),
-    ({"q": [1.0]}, r"q has shape \(1,\), the reference has \(2,\)"),
-    ({"lam": 1.0}, r"lam has shape \(\), the reference has \(1,\)"),
-    ({"v": "fast"}, r"v must be numbers of shape \(2,\)"),
-])
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        ({"foo": 1.0}, "'foo' is not in the reference, which knows q, v, lam"),
+        ({"q": [1.0]}, r"q has shape \(1,\), the reference has \(2,\)"),
+        ({"lam": 1.0}, r"lam has shape \(\), the reference has \(1,\)"),
+        ({"v": "fast"}, r"v must be numbers of shape \(2,\)"),
+    ],
+)
 def test_errors_of_what_does_not_fit_are_refused(found, said):
     with pytest.raises(InputError, match=f"problem 'pendulum': {said}"):
         problems.get("pendulum").errors(**found)
@@ -101,17 +104,20 @@ def test_a_fine_run_comes_as_near_as_the_reference_is_known(name):
         assert error < 1e-5 * np.abs(p.reference[part]).max() and p.known_to[part] < error
 
 
-@pytest.mark.parametrize(("name", "options", "said"), [
-    ("plate-chain", {"link": 3}, "has no option 'link'; its options are links, cells, seed"),
-    ("andrews", {"cells": 3}, "has no option 'cells'; it has no options"),
-    ("plate-chain", {"links": 0}, ".*links = 0 .*; its options are links, cells, seed"),
-    ("double-plate", {"cells": "many"}, ".*cells is 'many'.*; its options are cells, seed"),
-    ("double-plate", {"seed": -1}, ".*seed is -1.*; its options are cells, seed"),
-    ("spin-up-beam", {"nx": 0}, ".*nx is 0.*; its options are nx, ny, element"),
-    ("spin-up-beam", {"element": 3}, ".*element 3.*; its options are nx, ny, element"),
-    ("rigid-limit", {"t_end": "a"}, ".*t_end = 'a'.*; its options are modulus, cells, seed, t_end"),
-    ("rigid-limit", {"modulus": None}, ".*modulus = None.*; its options are modulus, cells, seed, t_end"),
-])
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("plate-chain", {"link": 3}, "has no option 'link'; its options are links, cells, seed"),
+        ("andrews", {"cells": 3}, "has no option 'cells'; it has no options"),
+        ("plate-chain", {"links": 0}, ".*links = 0 .*; its options are links, cells, seed"),
+        ("double-plate", {"cells": "many"}, ".*cells is 'many'.*; its options are cells, seed"),
+        ("double-plate", {"seed": -1}, ".*seed is -1.*; its options are cells, seed"),
+        ("spin-up-beam", {"nx": 0}, ".*nx is 0.*; its options are nx, ny, element"),
+        ("spin-up-beam", {"element": 3}, ".*element 3.*; its options are nx, ny, element"),
+        ("rigid-limit", {"t_end": "a"}, ".*t_end = 'a'.*; its options are modulus, cells, seed, t_end"),
+        ("rigid-limit", {"modulus": None}, ".*modulus = None.*; its options are modulus, cells, seed, t_end"),
+    ],
+)
 def test_wrong_options_name_the_problem_and_its_options(name, options, said):
     with pytest.raises(InputError, match=f"problem '{name}'[ :]+{said}"):
         problems.get(name, **options)

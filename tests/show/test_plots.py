@@ -15,7 +15,7 @@ def drawn(figure, kind=PolyCollection):
 
 
 def test_mesh_draws_every_polygon(model):
-    cells, = drawn(plots.mesh(model))
+    (cells,) = drawn(plots.mesh(model))
     assert len(cells.get_paths()) == sum(body.mesh.n_cells for body in model.bodies)
 
 
@@ -43,6 +43,7 @@ def test_reactions_have_a_panel_a_component_and_say_the_unit(runs):
 
 def test_reactions_say_what_their_own_rows_are(scenes):
     """One row need not be a motor's; the directions of a clamp have moments."""
+
     class Slot(pi.Joint):
         def rows(self):
             return [pi.cross(self.a.d, self.b.x - self.a.x)]

@@ -73,8 +73,21 @@ def test_a_third_integrator_is_compared_too():
     assert "two of the integrators" in gap(found)
 
 
-@pytest.mark.parametrize("others", [3, pi.IDA(), {"mine": 3}, {"mine": pi.IDA}, {3: pi.IDA()}, {"": pi.IDA()}, {"a/b": pi.IDA()},
-                                    {"n" * 300: pi.IDA()}, {"IDA": pi.IDA()}, {"refined run": pi.IDA()}])
+@pytest.mark.parametrize(
+    "others",
+    [
+        3,
+        pi.IDA(),
+        {"mine": 3},
+        {"mine": pi.IDA},
+        {3: pi.IDA()},
+        {"": pi.IDA()},
+        {"a/b": pi.IDA()},
+        {"n" * 300: pi.IDA()},
+        {"IDA": pi.IDA()},
+        {"refined run": pi.IDA()},
+    ],
+)
 def test_others_of_the_wrong_kind_are_refused(others):
     with pytest.raises(InputError, match="others|no integrator|label"):
         compare(load("double-plate", cells=8, time=0.01), others=others)

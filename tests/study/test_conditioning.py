@@ -20,9 +20,7 @@ def test_condition_is_that_of_singular_values_where_these_can_be_had(soft):
     model, state = soft
     tangent, B, step_square = conditioning.alpha_blocks(model, state, 1e-2)
     matrix = assemble(tangent, B, scaling_factors("bottasso", step_square, tangent)).toarray()
-    assert conditioning.alpha_condition(model, state, 1e-2, "q", "bottasso") == pytest.approx(
-        np.linalg.cond(matrix), rel=1e-6
-    )
+    assert conditioning.alpha_condition(model, state, 1e-2, "q", "bottasso") == pytest.approx(np.linalg.cond(matrix), rel=1e-6)
 
 
 @pytest.mark.parametrize("scaling, slope", conditioning.ALPHA_SCALINGS.items())
@@ -56,11 +54,7 @@ def test_scaling_restores_the_digits_of_weak_back_ends_only(soft):
     def error(backend, scaling):
         return max(solve_error.alpha_errors(model, state, 1e-8, backend, scaling))
 
-    assert (
-        error("sparse LU, partial pivoting", "none")
-        > 1e-4
-        > 1e8 * error("sparse LU, partial pivoting", "physical") / 1e2
-    )
+    assert error("sparse LU, partial pivoting", "none") > 1e-4 > 1e8 * error("sparse LU, partial pivoting", "physical") / 1e2
     assert error("dense LU, partial pivoting", "none") < 1e-11
     assert max(error(backend, "physical") for backend in solve_error.BACKENDS) < 1e-3
 

@@ -119,9 +119,20 @@ def test_peers_find_the_same_motion(model, solver):
     assert np.abs(seen - own).max() < 2e-5
 
 
-SAVED = {"constant mass", "linear joints", "no motors: phi_t, bias", "no motors: reaction_q", "no damping: dg/dv",
-         "no border", "stale matrix", "factor kept", "single precision", "shared operator", "no energies, no stresses",
-         "no frames"}
+SAVED = {
+    "constant mass",
+    "linear joints",
+    "no motors: phi_t, bias",
+    "no motors: reaction_q",
+    "no damping: dg/dv",
+    "no border",
+    "stale matrix",
+    "factor kept",
+    "single precision",
+    "shared operator",
+    "no energies, no stresses",
+    "no frames",
+}
 
 
 @pytest.mark.parametrize("saving", savings.SAVINGS)
@@ -166,8 +177,10 @@ def test_growth_and_floor_come_from_their_rows():
     step = {"part": "step", "scene": "scene 1", "integrator": "alpha"}
     step |= {"residual_ns_per_dof": 1.0, "residual_tangent_ns_per_dof": 2.0}
     rows = [step | {"dof": n, "n": n, "ms_per_step": 1e-4 * n**1.2} for n in (1_000, 10_000, 100_000)]
-    rows += [{"part": "floor", "dof": 1_000, "backend": name, "factor_ms": ms, "solve_ms": 0.0, "floor_ms": ms}
-             for name, ms in (("fronts", 2.0), ("band", 1.0))]
+    rows += [
+        {"part": "floor", "dof": 1_000, "backend": name, "factor_ms": ms, "solve_ms": 0.0, "floor_ms": ms}
+        for name, ms in (("fronts", 2.0), ("band", 1.0))
+    ]
     found = of_cost.figures(rows)
     assert found["growth_exponent"] == pytest.approx(1.2)
     assert found["alpha_step_over_floor_1e3"] == pytest.approx(1e-4 * 1_000**1.2)
@@ -195,6 +208,7 @@ def test_a_side_of_a_pair_times_as_many_steps_as_it_was_asked_for(now):
 
 def test_a_ratio_is_that_of_now_over_before(monkeypatch, tmp_path):
     """Each pair has its own: what the machine does to both sides of one does not move the median."""
+
     class Side:
         about = {"n": 12}
 

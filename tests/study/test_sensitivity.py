@@ -17,18 +17,14 @@ def test_second_order_from_the_first_step_on(kind):
 
 
 def test_the_references_floor_lies_below_the_errors_that_are_fitted():
-    floor, errors = (
-        sensitivity.reference_floor("load", 4, 1e-2, 0.05),
-        sensitivity.order_errors("load", 4, 1e-2, 0, 0.05),
-    )
+    floor, errors = (sensitivity.reference_floor("load", 4, 1e-2, 0.05), sensitivity.order_errors("load", 4, 1e-2, 0, 0.05))
     assert all(floor[part] < 0.1 * errors[part] for part in sensitivity.PARTS)
 
 
 def rows_of(errors, phi="carried", part="tiny", scene="smooth motors", **more):
     named = {f"error_{name}": error for name, error in errors.items()}
     return [
-        {"part": part, "scene": scene, "phi": phi, "solve": "physical", "h": h, **more}
-        | {name: value(h) for name, value in named.items()}
+        {"part": part, "scene": scene, "phi": phi, "solve": "physical", "h": h, **more} | {name: value(h) for name, value in named.items()}
         for h in sensitivity.decades(1e-9, 1e-2)
     ]
 
@@ -36,10 +32,7 @@ def rows_of(errors, phi="carried", part="tiny", scene="smooth motors", **more):
 def test_slopes_are_fitted_where_one_cause_alone_is_seen():
     method = rows_of({part: (lambda h, p=power: h**p) for part, power in slopes.METHOD.items()})
     noise = rows_of(
-        {
-            part: (lambda h, p=slopes.METHOD[part], r=power: h**p + 1e-22 * h**r)
-            for part, power in slopes.ROUND_OFF.items()
-        },
+        {part: (lambda h, p=slopes.METHOD[part], r=power: h**p + 1e-22 * h**r) for part, power in slopes.ROUND_OFF.items()},
         "from positions",
     )
     for part in slopes.PARTS:
@@ -54,10 +47,7 @@ def test_errors_below_the_references_floor_are_not_fitted():
 
 
 def test_stalls_beyond_the_steps_own_motion_are_not_fitted():
-    rows = [
-        row | {"stall_q": 1e-16 / row["h"] ** 2 if row["h"] > 2e-9 else 1e3}
-        for row in rows_of({}, "from positions", scene="scene 2")
-    ]
+    rows = [row | {"stall_q": 1e-16 / row["h"] ** 2 if row["h"] > 2e-9 else 1e3} for row in rows_of({}, "from positions", scene="scene 2")]
     assert slopes.stall(rows, "scene 2", "from positions", "physical") == pytest.approx(-2.0)
 
 

@@ -56,86 +56,34 @@ def made_up(name, task):
         return errors | floors | {"h": size, "outcome": "done", "iterations": 2.0, "stall_q": 1e-18 / size**2}
     if name == "conditioning":
         values = [1e-3] * len(task["h"])
-        return {
-            "values": values,
-            "theory": 0,
-            "slope": -4.0,
-            "slope_limit": -4.0,
-            "worst": 1e5,
-            "at_1e-2": 1e-2,
-            "at_1e-9": 1e-2,
-        }
+        return {"values": values, "theory": 0, "slope": -4.0, "slope_limit": -4.0, "worst": 1e5, "at_1e-2": 1e-2, "at_1e-9": 1e-2}
     if name == "bdf_order":
-        return work | {
-            "steps_per_s": 40.0,
-            "t_reached": 0.25,
-            "tip_error": 1e-5,
-            "t": T,
-            "h": [1e-4] * 4,
-            "rejected": 0,
-        }
+        return work | {"steps_per_s": 40.0, "t_reached": 0.25, "tip_error": 1e-5, "t": T, "h": [1e-4] * 4, "rejected": 0}
     if name == "energy":
         momentum = {"linear_drift": 1e-9, "angular_drift": 1e-9, "angular": [0.0, 1e-9, 1e-9, 1e-9]}
-        return (
-            work | momentum | {"energy_drift": 1e-9, "energy_change": 1e-9, "t": T, "energy": [0.0, 1e-9, -1e-9, 2.0]}
-        )
+        return work | momentum | {"energy_drift": 1e-9, "energy_change": 1e-9, "t": T, "energy": [0.0, 1e-9, -1e-9, 2.0]}
     if name == "mesh_convergence":
-        moved = {
-            "moved": [-7e-3, -66e-3],
-            "bending_errors": [1e-3] * 3,
-            "axial_errors": [1e-3] * 2,
-            "compliance": 1.0 + size,
-        }
-        return (
-            work
-            | moved
-            | {"deviation": 0.1 / task["through"] ** 2, "t": T, "u": [0.0, 1e-4, 5e-4, 5e-4], "w": [0.0] * 4}
-        )
+        moved = {"moved": [-7e-3, -66e-3], "bending_errors": [1e-3] * 3, "axial_errors": [1e-3] * 2, "compliance": 1.0 + size}
+        return work | moved | {"deviation": 0.1 / task["through"] ** 2, "t": T, "u": [0.0, 1e-4, 5e-4, 5e-4], "w": [0.0] * 4}
     return performance(name, task)
 
 
 def performance(name, task):
     if name == "skip":
-        return {
-            "off": "",
-            "counted": "",
-            "count_on": 1,
-            "count_off": 2,
-            "cpu_on_s": 1.0,
-            "cpu_off_s": 2.0,
-            "times": 2.0,
-        }
+        return {"off": "", "counted": "", "count_on": 1, "count_off": 2, "cpu_on_s": 1.0, "cpu_off_s": 2.0, "times": 2.0}
     if name == "stress":
-        return {
-            "outcome": "right",
-            "checked": "drift",
-            "deviation": 1e-12,
-            "bound": 1e-9,
-            "steps": 10,
-            "status": "done",
-            "reason": "",
-        }
+        return {"outcome": "right", "checked": "drift", "deviation": 1e-12, "bound": 1e-9, "steps": 10, "status": "done", "reason": ""}
     if name == "start":
         times = ("cpu_s", "wall_s", "import_s", "build_s", "run_s")
         return {f"{cache}_{time}": 2.0 for cache in ("cold", "warm") for time in times}
     if name == "against_peers":
         setting = task["setting"]
-        known = (
-            {"reference_doubt": 1e-8}
-            if task["solver"] == "reference"
-            else {"cpu_s": 1e-4 / setting, "steps": 1 / setting}
-        )
+        known = {"reference_doubt": 1e-8} if task["solver"] == "reference" else {"cpu_s": 1e-4 / setting, "steps": 1 / setting}
         return {"n": task["dof"], "error_max": 0.5 * setting**1.5, "error_end": setting**2} | known
     parts = {f"{part}_ms": 1.0 for part in ("residual", "tangent", "factor", "solve", "rest")}
     sizes = {f"{key}_bytes": 2**20 for key in ("imported", "built", "peak", "frame")}
     starts = {f"{how}_{what}_s": 1.0 for how in ("cold", "warm") for what in ("import", "mesh", "first_step", "start")}
-    costs = {
-        "n": task["dof"],
-        "ms_per_step": 1e-3 * task["dof"],
-        "newton_iterations_per_step": 1.0,
-        "floor_ms": 1.0,
-        "speedup": 5.0,
-    }
+    costs = {"n": task["dof"], "ms_per_step": 1e-3 * task["dof"], "newton_iterations_per_step": 1.0, "floor_ms": 1.0, "speedup": 5.0}
     return (
         parts
         | sizes
@@ -206,14 +154,9 @@ def test_what_can_be_drawn_is_drawn(name, tmp_path):
     assert whole.pictures and not [line for line in whole.notes if "not formed" in line]
     few = rows[:: max(1, len(rows) // 5)]
     for row in few:
-        broken = [
-            {key: row[key] for key in study.tasks(True)[0] if key in row} | BROKEN if other is row else other
-            for other in few
-        ]
+        broken = [{key: row[key] for key in study.tasks(True)[0] if key in row} | BROKEN if other is row else other for other in few]
         found = findings.findings(study, broken, tmp_path)
-        assert found.pictures and all(
-            line.endswith("no rows to draw") for line in found.notes if line.startswith("not formed")
-        )
+        assert found.pictures and all(line.endswith("no rows to draw") for line in found.notes if line.startswith("not formed"))
 
 
 def test_a_part_that_cannot_be_formed_keeps_no_other_from_it(tmp_path, monkeypatch, capsys):
@@ -243,9 +186,7 @@ def findings_study(bad):
 
 def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):
     text = "x" * 100
-    data = command(
-        findings_study(lambda rows, *folder: {}), [{"number": 1, "outcome": text, "error": ""}], tmp_path, monkeypatch
-    )
+    data = command(findings_study(lambda rows, *folder: {}), [{"number": 1, "outcome": text, "error": ""}], tmp_path, monkeypatch)
     assert text not in capsys.readouterr().out and data["rows"][0]["outcome"] == text
     assert cli_study.shown(text) == "x" * 39 + "…" and cli_study.shown("x" * 40) == "x" * 40
 
@@ -253,9 +194,7 @@ def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("quick", [True, False])
 def test_every_member_that_is_not_run_is_told_with_its_reason(quick):
     rows = tasks(quick)
-    assert all(
-        not left_out(row["problem"], row["integrator"], quick) or row["problem"] == "sudden-blow" for row in rows
-    )
+    assert all(not left_out(row["problem"], row["integrator"], quick) or row["problem"] == "sudden-blow" for row in rows)
     lines = not_run(rows)
     assert lines and all(line.rpartition(": ")[2] for line in lines)
     assert any("energy-momentum" in line and "scenes of plates only" in line for line in lines)

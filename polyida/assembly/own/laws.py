@@ -68,15 +68,23 @@ def call(typing, address, t, x, v, data, f, sides, count):
 def evaluate(laws, k, t, x, v, f):
     """Fill f (sides, 2), N, with the forces of law k at the places x and velocities v; nan where it writes nothing."""
     f[:] = np.nan
-    call(laws.parts[k, 0], t, x, v, laws.numbers[laws.parts[k, 2]:laws.parts[k + 1, 2]], f, x.shape[0],
-         laws.parts[k + 1, 2] - laws.parts[k, 2])
+    call(
+        laws.parts[k, 0],
+        t,
+        x,
+        v,
+        laws.numbers[laws.parts[k, 2] : laws.parts[k + 1, 2]],
+        f,
+        x.shape[0],
+        laws.parts[k + 1, 2] - laws.parts[k, 2],
+    )
 
 
 @part
 def place(laws, k, dz, vz):
     """x and v of the sides of law k at displacements dz and velocities vz of the points, and room for its forces."""
     first, count = laws.parts[k, 1], laws.parts[k + 1, 1] - laws.parts[k, 1]
-    x, v = laws.rest[first:first + count].copy(), np.zeros((count, 2))
+    x, v = laws.rest[first : first + count].copy(), np.zeros((count, 2))
     for i in range(count):
         p = laws.points[first + i]
         if p >= 0:

@@ -74,13 +74,19 @@ class RowTable:
         columns = [[2 * point + axis for point in row for axis in range(2)] for row in touched]
         slopes = np.array([row.get(point, 0j) for row, points in zip(self._slopes, touched) for point in points], complex)
         return {
-            "row_constant": np.array(self._constants, float), "row_start": starts(columns),
-            "row_columns": np.array([c for row in columns for c in row], np.int64), "row_slopes": _pairs(slopes).ravel(),
-            "product_row": np.array(row, np.int64), "product_first": np.array(first, np.int64),
-            "product_second": np.array(second, np.int64), "product_drive": np.array(drive, np.int64),
+            "row_constant": np.array(self._constants, float),
+            "row_start": starts(columns),
+            "row_columns": np.array([c for row in columns for c in row], np.int64),
+            "row_slopes": _pairs(slopes).ravel(),
+            "product_row": np.array(row, np.int64),
+            "product_first": np.array(first, np.int64),
+            "product_second": np.array(second, np.int64),
+            "product_drive": np.array(drive, np.int64),
             "product_one_way": np.array(one_way, np.bool_),
-            "vector_rest": _pairs(rest), "vector_start": starts(points),
-            "vector_points": np.array([p for row in points for p in row], np.int64), "vector_weights": _pairs(weights),
+            "vector_rest": _pairs(rest),
+            "vector_start": starts(points),
+            "vector_points": np.array([p for row in points for p in row], np.int64),
+            "vector_weights": _pairs(weights),
         }
 
     def _touched(self):
@@ -119,8 +125,10 @@ def _apart(part):
     if not isinstance(part, Joint):
         return "its coordinates() must be on the rows that it gives"
     a, b = part.a, part.b
-    return (f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; "
-            "place the bodies so that they meet")
+    return (
+        f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; "
+        "place the bodies so that they meet"
+    )
 
 
 def _called(name, labels):

@@ -57,5 +57,7 @@ def require_damping(name, c):
     if not (finite and c.beta > 0 and c.alpha_m < 1 and c.alpha_f < 1):
         raise InputError(f"{name}: {c} must be finite, with beta > 0, alpha_m < 1, alpha_f < 1")
     if not c.at_infinity < 1 - 1e-6:
-        raise InputError(f"{name}: {c} has the spectral radius {c.at_infinity:.3g} at infinite frequency; on index 3 it "
-                         "must be below 1, or constraint forces grow (trapezoidal rule: beta 1/4, gamma 1/2)")
+        raise InputError(
+            f"{name}: {c} has the spectral radius {c.at_infinity:.3g} at infinite frequency; on index 3 it "
+            "must be below 1, or constraint forces grow (trapezoidal rule: beta 1/4, gamma 1/2)"
+        )

@@ -152,8 +152,22 @@ class SceneLoop:
     def steps(self, p, system, first, last, *frames):
         """Take the steps from `first` to `last` with a factored system: (steps, how it ended, last |dq|)."""
         seen = np.zeros(2, np.int64)
-        result = stretch(self.model.arrays, system.corotated, system.room, p, self.tie, self.damp, self.model.laws, self.drives[first:last + 1],
-                         self.gains[first:last], self.memory, self.trial, self.scratch, seen, *frames)
+        result = stretch(
+            self.model.arrays,
+            system.corotated,
+            system.room,
+            p,
+            self.tie,
+            self.damp,
+            self.model.laws,
+            self.drives[first : last + 1],
+            self.gains[first:last],
+            self.memory,
+            self.trial,
+            self.scratch,
+            seen,
+            *frames,
+        )
         self.counts.residuals += int(seen[0])
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])

@@ -44,10 +44,25 @@ class Steps:
         to_a, to_v = c.rates(h)
         least, most, share = s.newton_tolerance(to_a * h * h)
         self.method = step.Method(
-            h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q),
-            s.incremental_phi and model.carries, s.max_iterations, abs(c.error) * h * h if s.adaptive else 0.0, s.rtol or 0.0,
-            s.atol or 0.0, calm_error(h, s.h))
-        y.past[:step.CHANGE], y.past[step.CHANGE:step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
+            h,
+            c.alpha_m,
+            c.alpha_f,
+            c.beta,
+            c.gamma,
+            to_a,
+            to_v,
+            least,
+            most,
+            self.caution * share,
+            extent(model, state.q),
+            s.incremental_phi and model.carries,
+            s.max_iterations,
+            abs(c.error) * h * h if s.adaptive else 0.0,
+            s.rtol or 0.0,
+            s.atol or 0.0,
+            calm_error(h, s.h),
+        )
+        y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
         y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
         self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
@@ -141,7 +156,7 @@ class Steps:
     def state(self, t):
         """The last accepted state with all that a run goes on from."""
         y = self.memory
-        return self._state(t, *y.past[:step.A + 1].copy(), y.closed[step.LAM].copy(), None, True)
+        return self._state(t, *y.past[: step.A + 1].copy(), y.closed[step.LAM].copy(), None, True)
 
     def _state(self, t, q, v, a, lam, place, whole=False):
         """A State; at the end of a stretch with all that the next one starts from."""
@@ -150,7 +165,7 @@ class Steps:
     def _memory(self, place):
         y, p = self.memory, self.method
         made = np.zeros(0) if self.system is None else self.system.made_at
-        memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1:step.MASSES].copy()))
+        memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1 : step.MASSES].copy()))
         memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made, "extent": p.extent}
         if self.model.needs.mass_varies:
             memory["weights"] = y.past[step.MASSES].copy()

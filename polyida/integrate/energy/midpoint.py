@@ -82,17 +82,28 @@ def plates_middle(s, h, w):
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         p, e = s.at[o], s.at[o + 1]
-        indptr, indices, mass = s.indptr[p[5]:e[5]], s.indices[p[6]:e[6]], s.mass[p[6]:e[6]]
+        indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
         det = two_states.internal_force_midpoint(
-            s.layout[p[0]:e[0]], s.corners[p[1]:e[1]], s.gradients[p[2]:e[2]], s.weights[p[3]:e[3]], n0, s.body_c1[b], s.body_nu[b],
-            s.body_viscosity[b] / h, w.u0, w.u1, w.r, w.rotation)
+            s.layout[p[0] : e[0]],
+            s.corners[p[1] : e[1]],
+            s.gradients[p[2] : e[2]],
+            s.weights[p[3] : e[3]],
+            n0,
+            s.body_c1[b],
+            s.body_nu[b],
+            s.body_viscosity[b] / h,
+            w.u0,
+            w.u1,
+            w.r,
+            w.rotation,
+        )
         if not det >= least:
             least = det
         elements.mass_product(indptr, indices, mass, s.body_density[b], n0, w.a, w.r)
         if s.body_drag[b] != 0.0:
             elements.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w.vm, w.r)
         if s.body_stabilisation[b] != 0.0:
-            stabilisation.force(indptr, indices, s.stabilisation[p[6]:e[6]], s.body_stabilisation[b], n0, w.um, w.r)
+            stabilisation.force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, w.um, w.r)
     return least
 
 
@@ -153,8 +164,9 @@ class Midpoint(Steps):
         self.fresh = self.system is None
         if self.fresh:
             self._factor(drives[0], t)
-        ended = newton(model.arrays, self.system, self.scratch, *drives, h, self.settings.tolerance, self.settings.max_iterations,
-                       self.extent, w, seen)
+        ended = newton(
+            model.arrays, self.system, self.scratch, *drives, h, self.settings.tolerance, self.settings.max_iterations, self.extent, w, seen
+        )
         self.counts.residuals += int(seen[0])
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])

@@ -105,15 +105,15 @@ class System:
     def split(self, y, yp):
         """q, v, a, lam, mu (None without) as views of y and y'."""
         n, m = self.model.n, self.model.m
-        multipliers = (yp if self.form.integrated else y)[2 * n:]
-        return y[:n], y[n:2 * n], yp[n:2 * n], multipliers[:m], multipliers[m:] if self.form.stabilised else None
+        multipliers = (yp if self.form.integrated else y)[2 * n :]
+        return y[:n], y[n : 2 * n], yp[n : 2 * n], multipliers[:m], multipliers[m:] if self.form.stabilised else None
 
     def pack(self, state):
         """(y, y') at a consistent State."""
         n, m = self.model.n, self.model.m
         y, yp = np.zeros(self.size), np.zeros(self.size)
-        y[:n], y[n:2 * n], yp[:n], yp[n:2 * n] = state.q, state.v, state.v, state.a
-        (yp if self.form.integrated else y)[2 * n:2 * n + m] = state.lam
+        y[:n], y[n : 2 * n], yp[:n], yp[n : 2 * n] = state.q, state.v, state.v, state.a
+        (yp if self.form.integrated else y)[2 * n : 2 * n + m] = state.lam
         return y, yp
 
     def state(self, t, y, yp):
@@ -124,7 +124,7 @@ class System:
     def tolerances(self, atol_q, atol_v):
         """Absolute tolerances of y, (size,), from those of q and v."""
         n, atol = self.model.n, np.empty(self.size)
-        atol[:n], atol[n:2 * n], atol[2 * n:] = atol_q, atol_v, MULTIPLIER_ATOL
+        atol[:n], atol[n : 2 * n], atol[2 * n :] = atol_q, atol_v, MULTIPLIER_ATOL
         return atol
 
     def residual(self, t, y, yp, res):
@@ -135,10 +135,10 @@ class System:
             res[:] = np.nan
             return
         np.subtract(yp[:n], v, out=res[:n])
-        res[n:2 * n] = model.residual(t, q, v, a, lam)
+        res[n : 2 * n] = model.residual(t, q, v, a, lam)
         if model.m:
             B = None if self.form.rows == (0,) else self.phi_q(t, q)
-            res[2 * n:] = self.constraint_rows(t, q, v, a, B)
+            res[2 * n :] = self.constraint_rows(t, q, v, a, B)
             if mu is not None:
                 res[:n] += B.T @ mu
 
@@ -175,11 +175,7 @@ class System:
     def constraint_rows(self, t, q, v, a, B):
         """c(t, q, v, a), one block of m rows after the other."""
         model = self.model
-        values = {
-            0: lambda: model.phi(t, q),
-            1: lambda: B @ v + model.phi_t(t, q),
-            2: lambda: B @ a + model.phi_bias(t, q, v),
-        }
+        values = {0: lambda: model.phi(t, q), 1: lambda: B @ v + model.phi_t(t, q), 2: lambda: B @ a + model.phi_bias(t, q, v)}
         rows = [values[order]() for order in self.form.rows]
         return self._sum(rows) if self.form.combined else np.concatenate(rows)
 

@@ -27,8 +27,15 @@ HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the gen
 OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
 STATUS = {
-    -2: "accuracy", -3: "error test", -4: "newton", -6: "linear setup", -7: "linear solve", -8: "residual",
-    -9: "residual", -12: "residual", -22: "input",
+    -2: "accuracy",
+    -3: "error test",
+    -4: "newton",
+    -6: "linear setup",
+    -7: "linear solve",
+    -8: "residual",
+    -9: "residual",
+    -12: "residual",
+    -22: "input",
 }
 
 
@@ -96,8 +103,12 @@ class IDA:
             return self.atol, VELOCITY_ATOL * self.atol
         if len(self.atol) == 2:
             return self.atol
-        _check("atol", f"of {len(self.atol)} entries", len(self.atol) == 2 * n,
-               f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}")
+        _check(
+            "atol",
+            f"of {len(self.atol)} entries",
+            len(self.atol) == 2 * n,
+            f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}",
+        )
         return np.array(self.atol[:n]), np.array(self.atol[n:])
 
     def told(self, memory: dict) -> str:
@@ -114,8 +125,10 @@ class IDA:
         """Raise InputError where times near t_end are too far apart, as numbers, to resolve the model's motion."""
         length, speed = typical_sizes(model, state, t_end - state.t)
         if math.ulp(t_end) > length / speed:
-            raise InputError(f"IDA: t_end = {t_end:g} s is too far: times there are {math.ulp(t_end):.2g} s apart, and "
-                             f"the model moves within {length / speed:.2g} s")
+            raise InputError(
+                f"IDA: t_end = {t_end:g} s is too far: times there are {math.ulp(t_end):.2g} s apart, and "
+                f"the model moves within {length / speed:.2g} s"
+            )
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.
@@ -173,10 +186,17 @@ class _Run:
         self.tried, self.last_step = math.nan, math.nan
         self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
         self.solver = Solver(
-            self._residual, rtol=float(settings.rtol), atol=self.system.tolerances(*settings.tolerances(model.n, sizes)),
-            max_order=settings.order(model), max_step=float(settings.max_step), first_step=float(settings.first_step),
-            linsolver="gmres", krylov_dim=5,
-            precond=IDAPrecond(linear.setup, linear.solve), jactimes=IDAJacTimes(None, linear.product))
+            self._residual,
+            rtol=float(settings.rtol),
+            atol=self.system.tolerances(*settings.tolerances(model.n, sizes)),
+            max_order=settings.order(model),
+            max_step=float(settings.max_step),
+            first_step=float(settings.first_step),
+            linsolver="gmres",
+            krylov_dim=5,
+            precond=IDAPrecond(linear.setup, linear.solve),
+            jactimes=IDAJacTimes(None, linear.product),
+        )
 
     def _residual(self, t, y, yp, res):
         self.counts.residuals += 1
@@ -184,7 +204,7 @@ class _Run:
             self.attempts, self.tried = self.attempts + 1, t
         self.system.residual(t, y, yp, res)
         if not (math.isfinite(res.dot(res)) or np.isfinite(res).all()):
-            self.refused, self.blamed = (t, np.array(y[:self.model.n])), self.model.not_finite
+            self.refused, self.blamed = (t, np.array(y[: self.model.n])), self.model.not_finite
 
     def piece(self, state, begin, times, limits):
         """Accepted States on the smooth piece from begin to the last of `times`, all of which it hits.
@@ -233,7 +253,9 @@ class _Run:
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
         if self.refused:
             why = self.model.objection(*self.refused)
-            status, reason = ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
+            status, reason = (
+                ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
+            )
         phi = np.abs(self.model.phi(state.t, state.q))
         tried = float(self.tried - state.t)
         seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}

@@ -81,17 +81,17 @@ class ReducedSolve(EchoedSolve):
         vary = self.system.rows_vary
         if self.border is None or (vary and self.system.model.m <= MANY):
             self._make_border(t, y, yp)
-        n, m, blocks, q, r1 = self.blocks.n, self.blocks.m, self.blocks, y[:self.blocks.n].copy(), r[:self.blocks.n]
-        free = self.step.solve(q, r[n:2 * n] + blocks.damping_product(self.cj, r1))
-        below = r[2 * n:] + self.velocity_rows @ r1
+        n, m, blocks, q, r1 = self.blocks.n, self.blocks.m, self.blocks, y[: self.blocks.n].copy(), r[: self.blocks.n]
+        free = self.step.solve(q, r[n : 2 * n] + blocks.damping_product(self.cj, r1))
+        below = r[2 * n :] + self.velocity_rows @ r1
         dq, w = self.border.solve(free, self.rows, below, self.corner)
         if vary and self.system.holds_phi:
             phi, at = self.system.model.phi, self.system.clamp(t)
-            below[:m] -= phi(at, q + dq) - phi(at, q) - r[2 * n:2 * n + m]
+            below[:m] -= phi(at, q + dq) - phi(at, q) - r[2 * n : 2 * n + m]
             dq, w = self.border.solve(free, self.rows, below, self.corner)
-        z[:n], z[n:2 * n], z[2 * n:] = dq, self.cj * dq - r1, w / self.cj if blocks.integrated else w
+        z[:n], z[n : 2 * n], z[2 * n :] = dq, self.cj * dq - r1, w / self.cj if blocks.integrated else w
         if blocks.stabilised:
-            z[n:2 * n] += blocks.B.T @ w[m:]
+            z[n : 2 * n] += blocks.B.T @ w[m:]
 
     def _make_border(self, t, y, yp):
         """Rows, columns and corner of (t, y, y') on the factor at hand."""
@@ -101,5 +101,5 @@ class ReducedSolve(EchoedSolve):
         self.rows, self.velocity_rows = blocks.rows(self.cj)
         self.corner = np.zeros((len(self.rows), len(self.rows)))
         if blocks.stabilised:
-            self.corner[:, blocks.m:] = self.velocity_rows @ blocks.B.T
-        self.border = Border(self.step.solve(y[:blocks.n].copy(), blocks.columns(self.cj)))
+            self.corner[:, blocks.m :] = self.velocity_rows @ blocks.B.T
+        self.border = Border(self.step.solve(y[: blocks.n].copy(), blocks.columns(self.cj)))

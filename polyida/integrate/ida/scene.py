@@ -55,21 +55,20 @@ def room(model):
     active = corotated.active_components(model.arrays.links, model.laws)
     place = order_along_joints(active, model.arrays.links)
     wide, size = 2 * model.n_points, len(place)
-    return Room(np.empty(nodes), np.empty(nodes), np.empty(points), np.empty(points), np.empty(points), np.empty(m), np.empty(m),
-                np.empty(m), np.empty(m), np.empty(m), np.empty(nodes), np.empty(nodes), np.zeros(points), np.empty(points),
-                np.empty(len(model.arrays.links.row_columns)), overlap(model.arrays.links, model.n_points, model.n_nodes), np.empty((wide, wide)), np.empty((wide, m)),
-                place, np.empty((size, size)),
-                np.empty(size), np.empty(size, np.int64))
+    shapes = [nodes] * 2 + [points] * 3 + [m] * 5 + [nodes] * 2
+    rows, shared = len(model.arrays.links.row_columns), overlap(model.arrays.links, model.n_points, model.n_nodes)
+    more = np.empty(rows), shared, np.empty((wide, wide)), np.empty((wide, m)), place, *corotated.small_room(size)
+    return Room(*map(np.empty, shapes), np.zeros(points), np.empty(points), *more)
 
 
 def order_along_joints(active, links):
     """Place of the unknowns (active components, lam, mu): mu beside lam."""
     m, single = len(links.row_constant), corotated.order_along_joints(active, links)
     before = np.argsort(np.argsort(single * 2.0))
-    multipliers = single[len(active):]
+    multipliers = single[len(active) :]
     shift = np.array([(multipliers < at).sum() for at in before], np.int64)
     place = before + shift
-    return np.concatenate([place, place[len(active):] + 1]) if m else place
+    return np.concatenate([place, place[len(active) :] + 1]) if m else place
 
 
 def overlap(links, points, nodes):
@@ -165,8 +164,9 @@ class SceneSystem(System):
 
     def residual(self, t, y, yp, res):
         """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where an element is inside out or a motor flipped."""
-        det = residual(self.model.arrays, self.room, self.model.drives(self.clamp(t)), y, yp, self.form.integrated, self.damp,
-                       self.model.laws, res)
+        det = residual(
+            self.model.arrays, self.room, self.model.drives(self.clamp(t)), y, yp, self.form.integrated, self.damp, self.model.laws, res
+        )
         if not det > 0:
             res[:] = math.nan
 
@@ -206,6 +206,9 @@ class SceneSolve(EchoedSolve):
     def reduced(self, t, y, yp, r, z):
         """z = J^-1 r, joints as the last residual saw them; nan where there is no factor."""
         model, system, step = self.step.model, self.system, self.step
-        if not math.isfinite(self.cj) or not solve(model.arrays, step.corotated, self.massive, step.room, system.room,
-                                                   model.drives(system.clamp(t)), self.cj, system.form.integrated, system.damp, r, z):
+        if not math.isfinite(self.cj):
+            z[:] = math.nan
+            return
+        where = model.arrays, step.corotated, self.massive, step.room, system.room, model.drives(system.clamp(t))
+        if not solve(*where, self.cj, system.form.integrated, system.damp, r, z):
             z[:] = math.nan

@@ -63,10 +63,10 @@ def _joined(blocks, K, damping, cj, B_T):
         return block_array([[*first, None, mu], [*second, lam, None], [*below, None, None]], format="csc")
     columns = (2 if blocks.stabilised else 1) * m
     J = np.zeros((2 * n + columns, 2 * n + columns))
-    J[:n, :n], J[:n, n:2 * n] = cj * np.eye(n), -np.eye(n)
-    J[n:2 * n, :n], J[n:2 * n, n:2 * n], J[n:2 * n, 2 * n:2 * n + m] = K, dense(damping), B_T
-    J[:n, 2 * n + m:] = B_T[:, :columns - m]
-    J[2 * n:, :n], J[2 * n:, n:2 * n] = blocks.P, Q
+    J[:n, :n], J[:n, n : 2 * n] = cj * np.eye(n), -np.eye(n)
+    J[n : 2 * n, :n], J[n : 2 * n, n : 2 * n], J[n : 2 * n, 2 * n : 2 * n + m] = K, dense(damping), B_T
+    J[:n, 2 * n + m :] = B_T[:, : columns - m]
+    J[2 * n :, :n], J[2 * n :, n : 2 * n] = blocks.P, Q
     return J
 
 

@@ -97,8 +97,7 @@ class Run:
         if state.restart:
             self.restart = Restart(state, self.store.count, vars(self.counts).copy())
         if self.store.file and (
-            self.counts.steps - self.flushed_steps >= self.plan["flush_every"]
-            or time.monotonic() - self.flushed_at >= FLUSH_SECONDS
+            self.counts.steps - self.flushed_steps >= self.plan["flush_every"] or time.monotonic() - self.flushed_at >= FLUSH_SECONDS
         ):
             self._flush()
 
@@ -164,8 +163,19 @@ class Run:
             gone = f"{self.store.file.shown} was removed or replaced: these frames are in no file"
             message = f"{message}; {gone}" if message else gone
         restart = self.flushed if self.store.file else self.restart
-        return Trajectory(self.model, self.integrator, **self.store.arrays(), status=status, message=message, counts=self.counts,
-                          cpu_seconds=cpu, wall_seconds=wall, machine=machine_info(), restart=restart, plan=self.plan)
+        return Trajectory(
+            self.model,
+            self.integrator,
+            **self.store.arrays(),
+            status=status,
+            message=message,
+            counts=self.counts,
+            cpu_seconds=cpu,
+            wall_seconds=wall,
+            machine=machine_info(),
+            restart=restart,
+            plan=self.plan,
+        )
 
 
 def _again(run, state, counts):

@@ -50,8 +50,17 @@ def symbolic(indptr, indices, points=None):
     count = len(indptr) - 1
     where = np.empty((0, 2)) if points is None else np.array(points, float).reshape(-1, 2)
     nodes, fronts = np.arange(count, dtype=np.int32), np.empty((2 * count + 1, 3), np.int64)
-    found = dissect(indptr, indices, where, nodes, fronts, np.zeros(count, np.int8), np.empty(count), *np.empty((3, count), np.int32),
-                    *np.empty((2, count + 2), np.int64))
+    found = dissect(
+        indptr,
+        indices,
+        where,
+        nodes,
+        fronts,
+        np.zeros(count, np.int8),
+        np.empty(count),
+        *np.empty((3, count), np.int32),
+        *np.empty((2, count + 2), np.int64),
+    )
     fronts = fronts[:found][::-1]
     place = np.empty(count, np.int32)
     place[nodes] = np.arange(count, dtype=np.int32)
@@ -77,9 +86,9 @@ def _reached(indptr, indices, nodes, place, first, children):
     joined = place[indices[np.argsort(np.repeat(place, count), kind="stable")]]  # neighbours of the node at each place
     reach, waiting, depth, deepest = [], [], 0, 0
     for low, high, held in zip(first[:-1], first[1:], children):
-        taken, waiting = waiting[len(waiting) - held:], waiting[:len(waiting) - held]
-        rows = np.unique(np.concatenate([joined[begin[low]:begin[high]], *taken]))
-        rows = rows[np.searchsorted(rows, high):]
+        taken, waiting = waiting[len(waiting) - held :], waiting[: len(waiting) - held]
+        rows = np.unique(np.concatenate([joined[begin[low] : begin[high]], *taken]))
+        rows = rows[np.searchsorted(rows, high) :]
         depth += _update_entries(rows) - sum(map(_update_entries, taken))
         deepest = max(deepest, depth)
         reach.append(rows)

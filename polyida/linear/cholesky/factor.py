@@ -92,5 +92,8 @@ def _columns(indptr, indices, blocks, n):
         raise NotFactorable("the tangent is singular to working precision")
     lower, diagonal = tril(lu.L, -1, format="csc"), lu.U.diagonal()
     return _empty(COLUMNS, lu.perm_c.astype(np.int32))._replace(
-        start=lower.indptr.astype(np.int32), rows=lower.indices.astype(np.int32), values=lower.data.astype(np.float32),
-        reciprocal=(1.0 / diagonal).astype(np.float32))
+        start=lower.indptr.astype(np.int32),
+        rows=lower.indices.astype(np.int32),
+        values=lower.data.astype(np.float32),
+        reciprocal=(1.0 / diagonal).astype(np.float32),
+    )

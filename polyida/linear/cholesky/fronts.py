@@ -29,14 +29,14 @@ def factorize(symbolic, blocks, dtype=np.float32):
 @entry
 def fill_panels(s, blocks, panels, numbers, places):
     """Eliminate front after front; numbers, places are scratch. False where a pivot is not positive."""
-    room, updates = numbers[:s.size * s.size], numbers[s.size * s.size:]
-    local, waiting = places[:s.nodes.shape[0]], places[s.nodes.shape[0]:]
+    room, updates = numbers[: s.size * s.size], numbers[s.size * s.size :]
+    local, waiting = places[: s.nodes.shape[0]], places[s.nodes.shape[0] :]
     top = behind = 0
     for f in range(s.children.shape[0]):
-        first, last, rows = s.first[f], s.first[f + 1], s.rows[s.start[f]:s.start[f + 1]]
+        first, last, rows = s.first[f], s.first[f + 1], s.rows[s.start[f] : s.start[f + 1]]
         own = 2 * (last - first)
         n = own + 2 * rows.shape[0]
-        front = room[:n * n].reshape((n, n))
+        front = room[: n * n].reshape((n, n))
         for i in range(n):
             for j in range(i - i % 2, n):
                 front[i, j] = 0.0
@@ -48,12 +48,12 @@ def fill_panels(s, blocks, panels, numbers, places):
         for _ in range(s.children[f]):
             behind -= 1
             c = waiting[behind]
-            reach = s.rows[s.start[c]:s.start[c + 1]]
+            reach = s.rows[s.start[c] : s.start[c + 1]]
             top -= reach.shape[0] * (2 * reach.shape[0] + 1)
             add_update(updates[top:], reach, local, front)
         if not eliminate(front, own):
             return False
-        keep_rows(front, own, panels[s.panel[f]:s.panel[f + 1]])
+        keep_rows(front, own, panels[s.panel[f] : s.panel[f + 1]])
         top += keep_update(front, own, updates[top:])
         waiting[behind] = f
         behind += 1
@@ -160,7 +160,7 @@ def keep_rows(front, own, panel):
     n, at = front.shape[0], 0
     for k in range(0, own, 4):
         for i in range(k, min(k + 4, own)):
-            row, kept = front[i, i:], panel[at + i - k:at + n - k]
+            row, kept = front[i, i:], panel[at + i - k : at + n - k]
             for j in range(row.shape[0]):
                 kept[j] = row[j]
             kept[0] = 1.0 / row[0]
@@ -173,7 +173,7 @@ def keep_update(front, own, updates):
     at = 0
     for i in range(own, front.shape[0]):
         row = front[i, i:]
-        kept = updates[at:at + row.shape[0]]
+        kept = updates[at : at + row.shape[0]]
         for j in range(row.shape[0]):
             kept[j] = row[j]
         at += row.shape[0]
@@ -228,20 +228,20 @@ def forward(panels, at, w, own, n):
     """w <- U^-T w on the front's own places, and less their part on the others, n in all; its panel begins at `at`."""
     for k in range(0, own - 3, 4):
         m = n - k
-        a, b = panels[at:at + m], panels[at + m:at + 2 * m]
-        c, d = panels[at + 2 * m:at + 3 * m], panels[at + 3 * m:at + 4 * m]
+        a, b = panels[at : at + m], panels[at + m : at + 2 * m]
+        c, d = panels[at + 2 * m : at + 3 * m], panels[at + 3 * m : at + 4 * m]
         p = w[k] * a[0]
         q = (w[k + 1] - a[1] * p) * b[1]
         r = (w[k + 2] - a[2] * p - b[2] * q) * c[2]
         s = (w[k + 3] - a[3] * p - b[3] * q - c[3] * r) * d[3]
         w[k], w[k + 1], w[k + 2], w[k + 3] = p, q, r, s
-        v, a, b, c, d = w[k + 4:], a[4:], b[4:], c[4:], d[4:]
+        v, a, b, c, d = w[k + 4 :], a[4:], b[4:], c[4:], d[4:]
         for j in range(m - 4):
             v[j] -= a[j] * p + b[j] * q + c[j] * r + d[j] * s
         at += 4 * m
     if own % 4:
         m = n - own + 2
-        a, b = panels[at:at + m], panels[at + m:at + 2 * m]
+        a, b = panels[at : at + m], panels[at + m : at + 2 * m]
         p = w[own - 2] * a[0]
         q = (w[own - 1] - a[1] * p) * b[1]
         w[own - 2], w[own - 1] = p, q
@@ -256,7 +256,7 @@ def backward(panels, at, w, own, n):
     if own % 4:
         m = n - own + 2
         at -= 2 * m
-        a, b, v = panels[at + 2:at + m], panels[at + m + 2:at + 2 * m], w[own:]
+        a, b, v = panels[at + 2 : at + m], panels[at + m + 2 : at + 2 * m], w[own:]
         p, q = w[own - 2], w[own - 1]
         for j in range(m - 2):
             p -= a[j] * v[j]
@@ -266,9 +266,9 @@ def backward(panels, at, w, own, n):
     for k in range(own // 4 * 4 - 4, -1, -4):
         m = n - k
         at -= 4 * m
-        a, b = panels[at:at + m], panels[at + m:at + 2 * m]
-        c, d = panels[at + 2 * m:at + 3 * m], panels[at + 3 * m:at + 4 * m]
-        e, f, g, h, v = a[4:], b[4:], c[4:], d[4:], w[k + 4:]
+        a, b = panels[at : at + m], panels[at + m : at + 2 * m]
+        c, d = panels[at + 2 * m : at + 3 * m], panels[at + 3 * m : at + 4 * m]
+        e, f, g, h, v = a[4:], b[4:], c[4:], d[4:], w[k + 4 :]
         p, q, r, s = w[k], w[k + 1], w[k + 2], w[k + 3]
         for j in range(m - 4):
             value = v[j]

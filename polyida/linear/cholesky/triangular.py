@@ -37,11 +37,11 @@ def solve_band(band, x):
         row = band[j]
         value = x[j] * row[0]
         x[j] = value
-        part = x[j + 1:j + 1 + width]
+        part = x[j + 1 : j + 1 + width]
         for k in range(width):
             part[k] -= row[k + 1] * value
     for j in range(n - 1, -1, -1):
-        row, part = band[j], x[j + 1:j + 1 + width]
+        row, part = band[j], x[j + 1 : j + 1 + width]
         total = x[j]
         for k in range(width):
             total -= row[k + 1] * part[k]

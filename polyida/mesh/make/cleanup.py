@@ -57,8 +57,7 @@ def _may_merge(polygons, edges, length):
     rim = np.sort(topology.boundary_edges(polygons.nodes, polygons.offsets, n), axis=1).astype(np.int64)
     on_rim = np.zeros(n, dtype=bool)
     on_rim[rim] = True
-    across = on_rim[edges].all(axis=1) & ~np.isin(edges[:, 0].astype(np.int64) * n + edges[:, 1],
-                                                  rim[:, 0] * n + rim[:, 1])
+    across = on_rim[edges].all(axis=1) & ~np.isin(edges[:, 0].astype(np.int64) * n + edges[:, 1], rim[:, 0] * n + rim[:, 1])
     return ~across & (~(polygons.rank[edges] == 2).all(axis=1) | (length < 1e-6 * length.mean()))
 
 

@@ -82,8 +82,12 @@ class Rectangle(Domain):
         size = np.array([positive(length, "rectangle length"), positive(height, "rectangle height")])
         self.lower = place(origin, "rectangle origin")
         self.upper = self.lower + size
-        self.walls = [w.Line(0, self.lower[0], -1.0), w.Line(0, self.upper[0], 1.0),
-                      w.Line(1, self.lower[1], -1.0), w.Line(1, self.upper[1], 1.0)]
+        self.walls = [
+            w.Line(0, self.lower[0], -1.0),
+            w.Line(0, self.upper[0], 1.0),
+            w.Line(1, self.lower[1], -1.0),
+            w.Line(1, self.upper[1], 1.0),
+        ]
 
 
 @named_keywords
@@ -171,10 +175,12 @@ class Link(Domain):
         length, height = positive(length, "link length"), positive(height, "link height")
         pin_radius = positive(pin_radius, "link pin radius")
         if 2 * pin_radius >= min(height, length):
-            raise InputError(f"link pin radius is {pin_radius}; it must be below half its height {height} "
-                             f"and half its length {length}")
+            raise InputError(f"link pin radius is {pin_radius}; it must be below half its height {height} and half its length {length}")
         left = place(origin, "link origin")
         right = left + [length, 0.0]
         self.lower, self.upper = left - 0.5 * height, right + 0.5 * height
-        self.walls = [w.Capsule(left, right, 0.5 * height, 1.0), w.Capsule(left, left, pin_radius, -1.0),
-                      w.Capsule(right, right, pin_radius, -1.0)]
+        self.walls = [
+            w.Capsule(left, right, 0.5 * height, 1.0),
+            w.Capsule(left, left, pin_radius, -1.0),
+            w.Capsule(right, right, pin_radius, -1.0),
+        ]

@@ -57,8 +57,10 @@ def at_origin(domain):
     size = 2.0 ** np.ceil(np.log2(np.max(domain.upper - domain.lower)))
     place = size * np.round(domain.lower / size)
     if np.abs(place).max() > FARTHEST * size:
-        raise InputError(f"polygonize: the domain begins at {domain.lower.tolist()}, more than {FARTHEST:g} of its sizes from the origin, "
-                         "too far for the digits of its walls; mesh it at the origin and move the plate by its origin=")
+        raise InputError(
+            f"polygonize: the domain begins at {domain.lower.tolist()}, more than {FARTHEST:g} of its sizes from the origin, "
+            "too far for the digits of its walls; mesh it at the origin and move the plate by its origin="
+        )
     return (Moved(domain, -place), place) if place.any() else (domain, 0.0)
 
 
@@ -78,7 +80,7 @@ def raw_polygons(domain, cells, seed, iterations):
 
 def _attempt(domain, cells, rng, area, corners, iterations, tolerance=5e-3):
     spacing = np.sqrt(area / cells)
-    fixed = concave.corner_seeds(domain, corners, spacing)[:cells - 1]
+    fixed = concave.corner_seeds(domain, corners, spacing)[: cells - 1]
     free = voronoi.random_seeds(domain, cells - len(fixed), rng, fixed, spacing)
     seeds, diagram = voronoi.lloyd(fixed, free, domain, area, iterations, tolerance)
 
@@ -100,8 +102,12 @@ def _require_resolved(polygons, domain, area, corners):
     found = topology.areas(polygons.points, polygons.nodes, polygons.offsets)
     followed = [np.sum(np.abs(w.distance(start)) < 1e-9 * size) >= _needed(w, domain) for w in domain.walls]
     followed += [np.linalg.norm(start - corner, axis=1).min() < 1e-9 * size for corner in corners]
-    followed += [np.all(np.abs(domain.distance(0.5 * (start + end))) < 0.35 * np.linalg.norm(end - start, axis=1)),
-                 len(np.unique(rim[:, 0])) == len(rim), (found > 0.0).all(), abs(found.sum() - area) < 0.2 * area]
+    followed += [
+        np.all(np.abs(domain.distance(0.5 * (start + end))) < 0.35 * np.linalg.norm(end - start, axis=1)),
+        len(np.unique(rim[:, 0])) == len(rim),
+        (found > 0.0).all(),
+        abs(found.sum() - area) < 0.2 * area,
+    ]
     if not all(followed):
         raise voronoi.Unresolved(f"{len(found)} cells are too few to follow the boundary of the domain; use more cells")
 

@@ -11,8 +11,7 @@ from polyida.mesh.polygon_mesh import PolygonMesh
 
 
 @named_keywords
-def rectangle(length: float, height: float, cells: int, seed: int = 0, iterations: int = 40,
-              origin: ArrayLike = (0.0, 0.0)) -> PolygonMesh:
+def rectangle(length: float, height: float, cells: int, seed: int = 0, iterations: int = 40, origin: ArrayLike = (0.0, 0.0)) -> PolygonMesh:
     """Polygon mesh of 0 <= x <= length, -height/2 <= y <= height/2 (m), moved by origin.
 
     Half the plate is meshed and mirrored about y = 0: the corners and the mid nodes (0, 0) and (length, 0) are exact.

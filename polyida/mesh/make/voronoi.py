@@ -92,8 +92,7 @@ def bounded_cells(seeds, domain, spacing, reach):
 def _own_cells(diagram, wall, n):
     ridges, ends = diagram.ridge_points, np.array(diagram.ridge_vertices)
     own = ridges.min(axis=1) < n
-    return Cells(diagram.vertices, ridges[own], ends[own], diagram.points,
-                 np.concatenate([np.full(n, -1), wall]), n)
+    return Cells(diagram.vertices, ridges[own], ends[own], diagram.points, np.concatenate([np.full(n, -1), wall]), n)
 
 
 def _closed(cells, domain, spacing, last):
@@ -133,8 +132,8 @@ def lloyd(fixed, free, domain, area, iterations, tolerance):
         cells, reach = bounded_cells(seeds, domain, spacing, reach)
         areas, centroids = areas_and_centroids(seeds, cells)
         move = centroids - seeds
-        move[:len(fixed)] = 0.0
-        error = np.sqrt(np.sum(areas**2 * np.sum(move**2, axis=1))) * len(seeds) / areas.sum()**1.5
+        move[: len(fixed)] = 0.0
+        error = np.sqrt(np.sum(areas**2 * np.sum(move**2, axis=1))) * len(seeds) / areas.sum() ** 1.5
         stretched = seeds + 1.7 * move
         inside = domain.distance(stretched) < -0.1 * spacing
         seeds = np.where(inside[:, None], stretched, seeds + move)

@@ -87,9 +87,7 @@ def fastest(model, state):
     s = state
     stiffness = dense(model.tangent(s.t, s.q, s.v, s.a, s.lam, 0.0, 0.0, 1.0))
     size = model.n
-    return float(
-        np.sqrt(eigh(stiffness, dense(model.mass(s.q)), eigvals_only=True, subset_by_index=[size - 1, size - 1])[0])
-    )
+    return float(np.sqrt(eigh(stiffness, dense(model.mass(s.q)), eigvals_only=True, subset_by_index=[size - 1, size - 1])[0]))
 
 
 def alpha_blocks(model, state, h, rho_inf=0.9):

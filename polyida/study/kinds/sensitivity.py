@@ -24,10 +24,7 @@ STEPS = 4  # of each h at tiny steps
 BEGIN = 0.1  # s, where runs on smooth motion start
 FINEST = 32  # steps of the finest grid in one of the coarsest, on smooth motion
 TIGHT = 1e-11  # rtol of the reference on smooth motion; ten times that tells how well it is known
-STARTS, SHORT = (
-    9,
-    1e-5,
-)  # errors at steps up to SHORT, s, are medians over so many starts: round-off may vanish at one of them
+STARTS, SHORT = (9, 1e-5)  # errors at steps up to SHORT, s, are medians over so many starts: round-off may vanish at one of them
 APART = 1e-4  # s between these starts
 
 
@@ -59,10 +56,7 @@ def _grid_of(kind, cells, coarsest, time, rtol):
 @lru_cache(maxsize=4)
 def reference_floor(kind, cells, coarsest, time):
     """{part: how far the reference moves, relative to the largest value, with a tolerance ten times looser}."""
-    exact, loose = (
-        smooth_reference(kind, cells, coarsest, time)[2],
-        _grid_of(kind, cells, coarsest, time, 10 * TIGHT)[1:],
-    )
+    exact, loose = (smooth_reference(kind, cells, coarsest, time)[2], _grid_of(kind, cells, coarsest, time, 10 * TIGHT)[1:])
     return {
         part: float(np.abs(np.array([state[k] for state in loose]) - exact[part]).max() / np.abs(exact[part]).max())
         for k, part in enumerate(PARTS)
@@ -79,10 +73,7 @@ def order_errors(kind, cells, coarsest, halvings, time, **settings):
     if not run.success:
         raise RuntimeError(run.message)
     return {
-        part: float(
-            np.abs(getattr(run, part)[1:] - exact[part][stride - 1 :: stride]).max() / np.abs(exact[part]).max()
-        )
-        for part in PARTS
+        part: float(np.abs(getattr(run, part)[1:] - exact[part][stride - 1 :: stride]).max() / np.abs(exact[part]).max()) for part in PARTS
     }
 
 
