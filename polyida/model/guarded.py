@@ -19,7 +19,6 @@ SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias")
 PASSED = ("rows", "joints", "attachment", "position", "constraint_name")
-SAID = ("flexible", "alike", "carries")  # what a model says of itself
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
 
@@ -124,8 +123,7 @@ class Guarded(Model):
         if not isinstance(model.needs, Needs):
             raise InputError(f"{self.name}: needs = {model.needs!r} must be a polyida.Needs")
         self.n, self.m, self.needs, self._calls, self._constant = int(n), int(m), model.needs, 0, None
-        for name in SAID:
-            setattr(self, name, getattr(model, name))
+        self.flexible, self.alike, self.carries = model.flexible, model.alike, model.carries
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         for name, shape in _shapes(self.n, self.m).items():
             if _written(model, name) and (self.m or name not in OF_CONSTRAINTS):

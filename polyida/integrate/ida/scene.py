@@ -55,30 +55,10 @@ def room(model):
     active = corotated.active_components(model.arrays.links, model.laws)
     place = order_along_joints(active, model.arrays.links)
     wide, size = 2 * model.n_points, len(place)
-    return Room(
-        np.empty(nodes),
-        np.empty(nodes),
-        np.empty(points),
-        np.empty(points),
-        np.empty(points),
-        np.empty(m),
-        np.empty(m),
-        np.empty(m),
-        np.empty(m),
-        np.empty(m),
-        np.empty(nodes),
-        np.empty(nodes),
-        np.zeros(points),
-        np.empty(points),
-        np.empty(len(model.arrays.links.row_columns)),
-        overlap(model.arrays.links, model.n_points, model.n_nodes),
-        np.empty((wide, wide)),
-        np.empty((wide, m)),
-        place,
-        np.empty((size, size)),
-        np.empty(size),
-        np.empty(size, np.int64),
-    )
+    shapes = [nodes] * 2 + [points] * 3 + [m] * 5 + [nodes] * 2
+    rows, shared = len(model.arrays.links.row_columns), overlap(model.arrays.links, model.n_points, model.n_nodes)
+    more = np.empty(rows), shared, np.empty((wide, wide)), np.empty((wide, m)), place, *corotated.small_room(size)
+    return Room(*map(np.empty, shapes), np.zeros(points), np.empty(points), *more)
 
 
 def order_along_joints(active, links):
@@ -226,17 +206,9 @@ class SceneSolve(EchoedSolve):
     def reduced(self, t, y, yp, r, z):
         """z = J^-1 r, joints as the last residual saw them; nan where there is no factor."""
         model, system, step = self.step.model, self.system, self.step
-        if not math.isfinite(self.cj) or not solve(
-            model.arrays,
-            step.corotated,
-            self.massive,
-            step.room,
-            system.room,
-            model.drives(system.clamp(t)),
-            self.cj,
-            system.form.integrated,
-            system.damp,
-            r,
-            z,
-        ):
+        if not math.isfinite(self.cj):
+            z[:] = math.nan
+            return
+        where = model.arrays, step.corotated, self.massive, step.room, system.room, model.drives(system.clamp(t))
+        if not solve(*where, self.cj, system.form.integrated, system.damp, r, z):
             z[:] = math.nan
