@@ -79,11 +79,13 @@ class Matrices:
         matrices = [K + c * slope for c, slope in zip(self.c, self.slopes)]
         try:
             self.factors, self.added = [LU(S) for S in matrices], 0.0
+            if model.m and any(factor.doubtful for factor in self.factors):
+                raise SingularSystem("the step matrix may be singular")
         except SingularSystem:
             self.factors, self.added = self._held(matrices, at[0], at[1])
 
     def _held(self, matrices, t, q):
-        """(factors of S + s B^T B, s), where coordinates have no mass and are held by constraints alone.
+        """(factors of S + s B^T B, s), where S may be singular: coordinates have no mass and are held by constraints alone.
 
         With `B dq = -r3` nothing has changed but dlam, by s r3.
         """
