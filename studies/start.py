@@ -95,7 +95,7 @@ def notes(rows):
     missed = [f"{name}: {found[name]:.3g}, aim at most {aim:g}" for name, aim in AIMS.items() if found.get(name, 0) > aim]
     return [
         "alpha: import, mesh and model of the double plate, one step of generalized-alpha",
-        "main job: the double plate for its whole time, generalized-alpha, IDA and the refined run, nothing drawn or written",
+        "main job: the double plate for its whole time, generalized-alpha, IDA, Radau IIA and the refined run, nothing drawn or written",
         "CPU seconds of new processes on one thread; others that work on the machine meanwhile make them longer",
         *missed,
     ]

@@ -90,7 +90,7 @@ def compare(
     rtol: Rtol = None,
     overwrite: Overwrite = False,
 ):
-    """Run both integrators and a refined run on one scene: a table, and a folder with the report."""
+    """Run the integrators and a refined run on one scene: a table, and a folder with the report."""
     from polyida.show import page, report
     from polyida.study.compare import compare as run_all
     from polyida.study.job import load

@@ -1,4 +1,4 @@
-"""Both integrators on one model, measured against a refined run: the numbers of the comparison as plain data."""
+"""The integrators on one model, measured against a refined run: the numbers of the comparison as plain data."""
 
 import time
 from dataclasses import dataclass, field
@@ -43,7 +43,7 @@ class Comparison:
     @property
     def figures(self):
         """{name: number}, names as `alpha_error_max`; only what is a finite number."""
-        short = {"generalized-alpha": "alpha", "IDA": "ida", REFINED: "refined"}
+        short = {"generalized-alpha": "alpha", "IDA": "ida", "Radau IIA": "radau", REFINED: "refined"}
         numbers = {f"{short.get(row['run'], row['run'])}_{key}": value for row in self.rows for key, value in row.items()}
         numbers["gap_end"] = self.gap
         return {
@@ -69,20 +69,21 @@ def heeded(run):
 
 
 def integrators(job, rtol=None):
-    """{label: integrator}: generalized-alpha with the job's step; IDA, with rtol where it is given."""
+    """{label: integrator}: generalized-alpha with the job's step; IDA and Radau IIA, with rtol where it is given."""
     from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.ida.integrator import IDA
+    from polyida.integrate.radau.radau_iia import RadauIIA
 
-    ida = IDA() if rtol is None else IDA(rtol=rtol)
-    return {"generalized-alpha": GeneralizedAlpha(h=job.step), "IDA": ida}
+    given = {} if rtol is None else {"rtol": rtol}
+    return {"generalized-alpha": GeneralizedAlpha(h=job.step), "IDA": IDA(**given), "Radau IIA": RadauIIA(**given)}
 
 
 def compare(job, rtol=None, progress=None, others=None):
-    """Run generalized-alpha, IDA and the refined run of a Job; returns a Comparison.
+    """Run generalized-alpha, IDA, Radau IIA and the refined run of a Job; returns a Comparison.
 
     others: {label: integrator}, more of them.
     The refined run is generalized-alpha with a step eight times shorter; an error is the distance of the watched point
-    (or of all coordinates, for a model without points) from it. rtol: of IDA. progress: callable(label, fraction done),
+    (or of all coordinates, for a model without points) from it. rtol: of IDA and Radau IIA. progress: callable(label, fraction done),
     fraction None while kernels compile. Failures of a run do not raise: they are in `notes`. InputError is raised
     before the first run.
     """
