@@ -17,6 +17,7 @@ from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.body.force_element import ForceElement
 from polyida.element import kernels
+from polyida.linear.lu import LU
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
 
@@ -141,9 +142,7 @@ class SceneModel(Constraints):
 
     @cached_property
     def _mass_factor(self):
-        from scipy.sparse.linalg import splu
-
-        return splu(self._nodal_mass, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        return LU(self._nodal_mass)
 
     def force_q(self, t, q, v):
         """dg/dq, (n, n) sparse."""

@@ -8,7 +8,7 @@ factor L D L^T are the negative entries of D (Sylvester).
 import numpy as np
 
 from polyida.linear.kkt import assemble, scaling_factors
-from polyida.linear.lu import SingularSystem
+from polyida.linear.lu import SYMMETRIC_MODE, SingularSystem
 
 SYMMETRIC = 1e-6  # largest deviation of K from its transpose, over its largest entry, that derivatives by differences explain
 
@@ -45,7 +45,7 @@ def _negative(matrix):
     from scipy.sparse.linalg import splu
 
     try:
-        lu = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        lu = splu(matrix.tocsc(), **SYMMETRIC_MODE)
     except RuntimeError as error:
         raise SingularSystem("the tangent is singular") from error
     if not np.array_equal(lu.perm_r, lu.perm_c):

@@ -3,7 +3,7 @@
 import numpy as np
 
 LEAST = 4 * np.finfo(float).eps  # pivot over n times the largest entry that may be round-off of zero
-SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+SYMMETRIC_MODE = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 
 
 class SingularSystem(Exception):
@@ -13,8 +13,7 @@ class SingularSystem(Exception):
 class LU:
     """A factor of A (n, n): LAPACK's, dense, or SuperLU's, sparse. Raises SingularSystem where A is singular or not finite.
 
-    doubtful: whether a pivot may be round-off of zero. pivoting: SuperLU's too with partial pivoting; by default it keeps the order of
-    minimum degree on the pattern of A + A^T.
+    pivoting: SuperLU's too with partial pivoting; by default it keeps the order of minimum degree on the pattern of A + A^T.
     """
 
     def __init__(self, matrix, pivoting=False):
@@ -22,12 +21,17 @@ class LU:
         matrix = matrix.tocsc() if sparse else np.asarray(matrix)
         if not np.isfinite(matrix.data if sparse else matrix).all():
             raise SingularSystem("the iteration matrix is not finite")
-        self._solve, pivots = _sparse(matrix, {} if pivoting else SYMMETRIC) if sparse else _dense(matrix)
-        self.doubtful = bool(np.abs(pivots).min(initial=np.inf) <= LEAST * len(pivots) * abs(matrix).max())
+        self._solve, self._pivots = _sparse(matrix, {} if pivoting else SYMMETRIC_MODE) if sparse else _dense(matrix)
+        self._size = abs(matrix).max() if matrix.shape[0] else 0.0
 
     def solve(self, b, transposed=False):
         """A^-1 b, or A^-T b, b (n,) or (n, k)."""
         return self._solve(b, transposed) if np.size(b) else np.array(b)
+
+    def doubtful(self):
+        """Whether a pivot may be round-off of zero."""
+        pivots = np.abs(self._pivots())
+        return bool(pivots.min(initial=np.inf) <= LEAST * len(pivots) * self._size)
 
 
 def _dense(matrix):
@@ -37,7 +41,7 @@ def _dense(matrix):
     lu, pivots, info = getrf(matrix)
     if info:
         raise SingularSystem("the iteration matrix is singular")
-    return (lambda b, transposed: getrs(lu, pivots, b, trans=int(transposed))[0]), lu.diagonal()
+    return (lambda b, transposed: getrs(lu, pivots, b, trans=int(transposed))[0]), lu.diagonal
 
 
 def _sparse(matrix, options):
@@ -47,4 +51,4 @@ def _sparse(matrix, options):
         lu = splu(matrix, **options)
     except RuntimeError as error:  # what SuperLU raises where the matrix is singular
         raise SingularSystem("the iteration matrix is singular") from error
-    return (lambda b, transposed: lu.solve(b, trans="T" if transposed else "N")), lu.U.diagonal()
+    return (lambda b, transposed: lu.solve(b, trans="T" if transposed else "N")), lambda: lu.U.diagonal()

@@ -23,16 +23,15 @@ class StepMatrix:
 
     def __init__(self, model):
         self.model, self.made_at, self.solves = model, np.zeros(0), 0
-        self.lu = self.border = self.whole = None
+        self.lu = self.border = self.whole = self.make_whole = None
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
-        """Factor S at a state. Raises SingularSystem where S is, with its constraints."""
+        """Factor S at a state; what else a solve needs is made when it is first asked for."""
         S = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0)
         self.made_at, self.lu, self.border, self.whole = np.concatenate([[t], q, v, a, lam]), None, None, None
         with suppress(SingularSystem):
             self.lu = LU(S)
-        if self.lu is None or self.model.m and (self.lu.doubtful or self.model.m > MANY):
-            self.whole = KKT(S, self.model.phi_q(t, q), scaling_factors("physical", 1 / abs(c_m), S))
+        self.make_whole = lambda: KKT(S, self.model.phi_q(t, q), scaling_factors("physical", 1 / abs(c_m), S))
 
     def again(self, made_at, c_m, c_v):
         """Factor S as it was factored before."""
@@ -46,12 +45,18 @@ class StepMatrix:
 
     def saddle(self, t, q, lam, r, phi):
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
+        if self.whole is None and self.border is None and self._together():
+            self.whole = self.make_whole()
         if self.whole:
             return self.whole.solve(r, phi)
         B = self.model.phi_q(t, q)
         if self.border is None or self.model.needs.phi_q_varies or self.model.needs.driven:
             self.border = Border(self.solve(q, dense(B).T))
         return self.border.solve(self.solve(q, -r), B, -phi)
+
+    def _together(self):
+        """Whether S is better not eliminated."""
+        return self.lu is None or (self.model.m > 0 and (self.model.m > MANY or self.lu.doubtful()))
 
 
 class WholeMatrix(StepMatrix):

@@ -31,5 +31,5 @@ def test_what_has_no_inverse(kind, value):
 def test_a_pivot_of_round_off_is_doubtful():
     x = np.linspace(1.0, 2.0, 5)
     for kind in KINDS.values():
-        assert not LU(kind(np.eye(5))).doubtful and LU(kind(np.diag([1e3, 1e3, 1.0, 1.0, 0.0]) + 1e-17 * np.eye(5))).doubtful
-    assert LU(np.outer(x, x) + np.diag([1.0, 1.0, 1.0, 0.0, 0.0]) + 1e-17).doubtful
+        assert not LU(kind(np.eye(5))).doubtful() and LU(kind(np.diag([1e3, 1e3, 1.0, 1.0, 0.0]) + 1e-17 * np.eye(5))).doubtful()
+    assert LU(np.outer(x, x) + np.diag([1.0, 1.0, 1.0, 0.0, 0.0]) + 1e-17).doubtful()

@@ -79,7 +79,7 @@ class Matrices:
         matrices = [K + c * slope for c, slope in zip(self.c, self.slopes)]
         try:
             self.factors, self.added = [LU(S) for S in matrices], 0.0
-            if model.m and any(factor.doubtful for factor in self.factors):
+            if model.m and any(factor.doubtful() for factor in self.factors):
                 raise SingularSystem("the step matrix may be singular")
         except SingularSystem:
             self.factors, self.added = self._held(matrices, at[0], at[1])

@@ -8,6 +8,7 @@ from polyida.compiled import pack
 from polyida.linear.cholesky.dissection import NOTHING, Symbolic, symbolic
 from polyida.linear.cholesky.fronts import factorize
 from polyida.linear.cholesky.triangular import fill_band
+from polyida.linear.lu import SYMMETRIC_MODE
 
 BAND, COLUMNS, FRONTS = 0, 1, 2
 
@@ -85,7 +86,7 @@ def _columns(indptr, indices, blocks, n):
 
     matrix = bsr_array((blocks, indices, indptr), shape=(n, n)).tocsc()
     try:
-        lu = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        lu = splu(matrix, **SYMMETRIC_MODE)
     except RuntimeError as error:
         raise NotFactorable("the tangent is singular") from error
     if not np.array_equal(lu.perm_r, lu.perm_c):
