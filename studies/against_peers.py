@@ -4,26 +4,25 @@ from functools import lru_cache
 
 import numpy as np
 
-from against_peers import peers
+from against_peers import gain, peers
+from against_peers.against import against
+from against_peers.own import LABELS, OWN, TIMES, extrapolated, largest, ours, tip_of
 from polyida.cli.study import main
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
-from polyida.integrate.ida.integrator import IDA
 from polyida.study.harness import Study
 from polyida.study.isolation import run_isolated
 from step_cost.measure import model_of
 
-TIMES = np.linspace(0.0, 1.0, 101)  # where the tip is compared, s
-SOLVERS = {
-    "alpha": "generalized-alpha",
-    "ida": "IDA",
-    "radau": "Radau (solve_dae)",
+SOLVERS = LABELS | {
+    "solve_dae": "Radau (solve_dae)",
     "exudyn": "generalized-alpha (exudyn)",
     "exudyn modified": "generalized-alpha (exudyn, modified Newton)",
 }
-PEERS = ("radau", "exudyn", "exudyn modified")
+RADAU, PEERS = ("radau", "radau fixed"), ("solve_dae", "exudyn", "exudyn modified")
 ALPHA, FINE = (4e-3, 2e-3, 1e-3, 1 / 1250, 5e-4, 2.5e-4), 1 / 8000  # steps, s
-IDA_RTOL, RADAU_RTOL, EXUDYN_H = (1e-4, 1e-5, 1e-6, 3e-7), (1e-3, 1e-4, 1e-5), (2e-3, 1e-3, 5e-4)
+IDA_RTOL, DAE_RTOL, EXUDYN_H = (1e-4, 1e-5, 1e-6, 3e-7), (1e-3, 1e-4, 1e-5), (2e-3, 1e-3, 5e-4)
+RADAU_RTOL, RADAU_H, ROUNDS = (1e-4, 1e-5, 3e-6, 1e-6, 3e-7), (1 / 40, 1 / 60, 1 / 80, 1 / 100), 5
 AIMS = {"scene1_800_cpu_s": 0.1, "scene1_3000_cpu_s": 0.5, "ida_over_alpha_at_1e-5": 1.5}
 
 
@@ -33,24 +32,29 @@ def tasks(quick):
     for scene, dof in (("scene 1", 800), ("scene 2", 800)) + (() if quick else (("scene 1", 3000), ("scene 2", 3000))):
         fine = 1 if quick or dof > 1000 else 2
         settings = [("reference", FINE / fine)] + [("alpha", h) for h in ALPHA]
+        settings += [("radau", rtol) for rtol in RADAU_RTOL] + [("radau fixed", h) for h in RADAU_H]
         settings += [("ida", rtol) for rtol in (IDA_RTOL[:-1] if quick and scene == "scene 2" else IDA_RTOL)]
         if dof > 1000:
-            settings += [("radau", 1e-4), ("exudyn modified", 5e-4)]
+            settings += [("solve_dae", 1e-4), ("exudyn modified", 5e-4)]
         else:
-            settings += [("radau", rtol) for rtol in (RADAU_RTOL[:2] if quick else RADAU_RTOL)]
+            settings += [("solve_dae", rtol) for rtol in (DAE_RTOL[:2] if quick else DAE_RTOL)]
             settings += [("exudyn modified", h) for h in (EXUDYN_H[1:2] if quick else EXUDYN_H)]
             settings += [] if quick else [("exudyn", h) for h in EXUDYN_H]
         made += [
             {"scene": scene, "dof": dof, "solver": solver, "setting": setting, "fine": FINE / fine, "repeats": 3}
             for solver, setting in settings
         ]
-    return made
-
-
-def tip_of(model):
-    """Function q (n,) -> position of the tip, (2,), m."""
-    rest = model.attachment("tip").point
-    return lambda q: rest + model.displacement("tip", q)
+    return made + [
+        {
+            "scene": scene,
+            "dof": 300 if quick else gain.DOF,
+            "solver": part,
+            "setting": ROUNDS,
+            "fine": 0.0,
+            "repeats": 1 if quick else ROUNDS,
+        }
+        for scene, part in (("scene 1", "rounds"), ("scene 2", "rounds"), ("scene 1", "stiff"))
+    ]
 
 
 @lru_cache(maxsize=4)
@@ -59,35 +63,22 @@ def reference(scene, dof, fine):
     extrapolated, and how far generalized-alpha, likewise, is from it.
     """
     exact, other = (extrapolated(model_of(scene, dof), method, fine) for method in (EnergyMomentum, GeneralizedAlpha))
-    return exact, float(np.linalg.norm(exact - other, axis=1).max())
-
-
-def extrapolated(model, method, h):
-    """Tip at TIMES by a method of second order with steps h and h / 2, extrapolated."""
-    coarse, half = (ours(model, method(h=step), 0)[1] for step in (h, h / 2))
-    return half + (half - coarse) / 3
-
-
-def ours(model, integrator, repeats):
-    """(row, tip at TIMES) of an integrator of ours; CPU seconds are the median of runs that keep no frames."""
-    from polyida.integrate.solve import solve
-
-    seen = solve(model, TIMES[-1], integrator, output=TIMES)
-    again = [solve(model, TIMES[-1], integrator, every=10**9) for _ in range(repeats)]
-    if not seen.success:
-        raise RuntimeError(seen.message)
-    counts = {key: getattr(seen.counts, key) for key in ("steps", "newton_iterations", "residuals", "tangents", "factorizations")}
-    return counts | {"cpu_s": float(np.median([x.cpu_seconds for x in again])) if again else np.nan}, seen.position("tip")
+    return exact, largest(other, exact)
 
 
 def run(scene, dof, solver, setting, fine, repeats):
-    """One row: CPU seconds of 1 s and the tip's distance from the reference, largest over TIMES and at the end, m."""
+    """One row: CPU seconds of 1 s and the tip's distance from the reference, largest over TIMES and at the end, m.
+
+    Solver "rounds": all points of the gains over generalized-alpha; "stiff": Radau IIA on plates of 200 GPa.
+    """
+    if solver in ("rounds", "stiff"):
+        return gain.in_rounds(scene, dof, repeats) if solver == "rounds" else gain.stiff_row(dof)
     model = model_of(scene, dof)
     exact, doubt = reference(scene, dof, fine)
     if solver == "reference":
         return {"n": model.n, "reference_doubt": doubt}
-    if solver in ("alpha", "ida"):
-        row, tip = ours(model, GeneralizedAlpha(h=setting) if solver == "alpha" else IDA(rtol=setting), repeats)
+    if solver in OWN:
+        row, tip = ours(model, OWN[solver][1](setting), repeats)
     else:
         row = run_isolated(peer, {"scene": scene, "dof": dof, "solver": solver, "setting": setting}, 300.0)
         if row["error"] or row.get("skipped"):
@@ -103,7 +94,7 @@ def peer(scene, dof, solver, setting):
     look, rest = tip_of(model), np.zeros(model.n)
     model.force(0.0, rest, rest), model.force_q(0.0, rest, rest), model.phi(0.0, rest)
     try:
-        if solver == "radau":
+        if solver == "solve_dae":
             peers.radau(model, TIMES[:1] + np.array([0.0, 1e-5]), 1e-3, look)
             row, tip = peers.radau(model, TIMES, setting, look)
         else:
@@ -113,12 +104,17 @@ def peer(scene, dof, solver, setting):
     return row | {"tip": tip.tolist()}
 
 
+def cases_of(rows):
+    """The scenes and sizes on which peers run."""
+    return list(dict.fromkeys((row["scene"], row["dof"]) for row in rows if row["solver"] == "reference"))
+
+
 def curve(rows, scene, dof, solvers, what="cpu_s"):
     """(errors, CPU s, or steps) of the runs that no other of these solvers' runs beats in both, by falling error."""
     good = sorted(
         (row["error_max"], row[what])
         for row in rows
-        if (row["scene"], row["dof"]) == (scene, dof) and row["solver"] in solvers and not row.get("error") and not row.get("skipped")
+        if (row["scene"], row["dof"]) == (scene, dof) and row["solver"] in solvers and row.get("error_max") and row.get(what)
     )
     front, least = [], np.inf
     for error, value in good:
@@ -143,21 +139,25 @@ def cheapest(rows, scene, dof, solvers, error):
 
 
 def figures(rows, target=2e-5):
-    """CPU seconds at a tip error of 2e-5 m, each peer's run against ours at its error, IDA against alpha."""
+    """CPU seconds at a tip error of 2e-5 m, each peer's run against ours at its error, IDA against alpha, peers against Radau IIA."""
     found = {}
-    for scene, dof in dict.fromkeys((row["scene"], row["dof"]) for row in rows):
+    for scene, dof in cases_of(rows):
         name = f"{scene.replace(' ', '')}_{dof}"
-        found[f"{name}_cpu_s"] = cheapest(rows, scene, dof, ("alpha", "ida"), target)
+        found[f"{name}_cpu_s"] = cheapest(rows, scene, dof, tuple(OWN), target)
         ratios = [
-            row["cpu_s"] / at_error(rows, scene, dof, ("alpha", "ida"), row["error_max"])
+            row["cpu_s"] / at_error(rows, scene, dof, tuple(OWN), row["error_max"])
             for row in rows
             if row["scene"] == scene and row["dof"] == dof and row["solver"] in PEERS and row.get("cpu_s")
         ]
         found[f"{name}_peer_ratio"] = min((ratio for ratio in ratios if np.isfinite(ratio)), default=np.nan)
         for solver in PEERS:
             found[f"{name}_{solver.replace(' ', '_')}_cpu_s"] = at_error(rows, scene, dof, (solver,), target)
+        found[f"{name}_radau_cpu_s"] = at_error(rows, scene, dof, RADAU, target)
+        found[f"{name}_radau_peer_ratio"] = at_error(rows, scene, dof, PEERS, target) / found[f"{name}_radau_cpu_s"]
         found[f"{name}_ida_over_alpha_at_1e-5"] = at_error(rows, scene, dof, ("ida",), 1e-5) / at_error(rows, scene, dof, ("alpha",), 1e-5)
     found["ida_over_alpha_at_1e-5"] = found.get("scene1_800_ida_over_alpha_at_1e-5", np.nan)
+    found["radau_stiff_error"] = max((row["stiff_error"] for row in rows if row.get("stiff_error")), default=np.nan)
+    found |= gain.gains(rows)
     return {key: value for key, value in found.items() if np.isfinite(value)}
 
 
@@ -172,8 +172,8 @@ def notes(rows):
                 f"{row['scene']}, {row['n']} coordinates: the reference, by the energy-momentum method, and "
                 f"generalized-alpha, both extrapolated, are {row['reference_doubt']:.2g} m apart"
             )
-    cases = dict.fromkeys((row["scene"], row["dof"]) for row in rows)
-    lines += [line for scene, dof in cases for line in _ida_and_alpha(rows, scene, dof)]
+    lines += [line for scene, dof in cases_of(rows) for line in _ida_and_alpha(rows, scene, dof)]
+    lines += gain.notes(rows)
     return lines + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
 
 
@@ -193,7 +193,7 @@ def draw(rows, folder):
     """Work-precision: CPU time against the tip's largest error, a panel for each scene and size."""
     from polyida.show.style import figure, line, save, settings
 
-    cases = list(dict.fromkeys((row["scene"], row["dof"]) for row in rows))
+    cases = cases_of(rows)
     if not any(row.get("cpu_s") for row in rows):
         raise LookupError("no rows to draw")
     with settings():
@@ -217,9 +217,17 @@ study = Study(
     tasks,
     run,
     figures,
-    draw,
+    (draw, gain.figure),
     notes=notes,
-    headline=("scene1_800_cpu_s", "scene2_800_cpu_s", "scene1_800_peer_ratio", "ida_over_alpha_at_1e-5"),
+    headline=(
+        "scene1_800_cpu_s",
+        "scene2_800_cpu_s",
+        "scene1_800_peer_ratio",
+        "ida_over_alpha_at_1e-5",
+        *gain.TARGETS,
+        "radau_stiff_error",
+    ),
+    options={"against": ("a commit of this clone: only the gains over that one's generalized-alpha", against)},
     columns=("scene", "n", "solver", "setting", "error_max", "error_end", "cpu_s", "steps", "residuals", "tangents", "factorizations"),
 )
 

@@ -8,15 +8,17 @@ from polyida.cli.study import main
 from polyida.study.drawing import drawn, legend, loglog, panels, saved
 from polyida.study.harness import Study
 from polyida.study.kinds.work_precision import cheapest, measure
-from polyida.study.members import FIXED, IDA_FORMS
+from polyida.study.members import FIXED, IDA_FORMS, RADAU
 from polyida.study.rows import column, each, least, pick, stopped
-from work_precision import tip_accuracy
-from work_precision.selection import EVENT, STIFF, not_run, tasks
+from work_precision import radau_accuracy, tip_accuracy
+from work_precision.selection import EVENT, EXPLICIT, STIFF, not_run, tasks
 
-FAMILIES = {  # figure: its members, and one of the other family for comparison
-    "alpha": ((*FIXED, "alpha, adaptive"), "IDA ggl2"),
-    "ida": (tuple(f"IDA {form}" for form in IDA_FORMS), "alpha"),
+FAMILIES = {  # figure: its members, and those of other families for comparison
+    "alpha": ((*FIXED, "alpha, adaptive"), ("IDA ggl2",)),
+    "ida": (tuple(f"IDA {form}" for form in IDA_FORMS), ("alpha",)),
+    "radau": (("radau", *RADAU), ("alpha", "IDA ggl2")),
 }
+GREYS = (("#aaaaaa", "-"), ("#888888", (0, (4, 1.6))))
 UNITS = {  # of q, v and lam; a multiplier of an angle motor is in N m, one of a phi in m^2 in N/m
     "andrews": ("rad", "rad/s", "N"),
     "car-axis": ("m", "m/s", "N/m"),
@@ -128,11 +130,13 @@ def curve(axis, rows, x, y, i, label):
 
 
 def draw_family(axis, rows, problem, family, x, y):
-    """Lines of a family's members, and in grey one of the other family."""
-    members, other = FAMILIES[family]
-    curve(axis, pick(rows, problem=problem, integrator=other), x, y, len(members), f"{other} (for comparison)")
-    for line in axis.get_lines():
-        line.set(color="#aaaaaa", linestyle="-", linewidth=2.5, marker="", zorder=1, alpha=0.7)
+    """Lines of a family's members, and in grey those of other families."""
+    members, others = FAMILIES[family]
+    for other, (grey, dash) in zip(others, GREYS):
+        runs = pick(rows, problem=problem, integrator=other)
+        if runs:
+            curve(axis, runs, x, y, len(members), f"{other} (for comparison)")
+            axis.get_lines()[-1].set(color=grey, linestyle=dash, linewidth=2.5, marker="", zorder=1, alpha=0.7)
     for i, member in enumerate(members):
         runs = pick(rows, problem=problem, integrator=member)
         if runs:
@@ -140,7 +144,7 @@ def draw_family(axis, rows, problem, family, x, y):
 
 
 def problems_of(rows, family):
-    return each([row for row in rows if row["integrator"] in FAMILIES[family][0]], "problem")
+    return [name for name in each([row for row in rows if row["integrator"] in FAMILIES[family][0]], "problem") if name != EXPLICIT]
 
 
 def cpu_figure(family, part, rows, folder):
@@ -194,10 +198,20 @@ STUDY = Study(
     "work against precision; x is the step, s, or the tolerance; errors are the largest absolute ones at the end",
     all_tasks,
     run,
-    (best_errors, stops, ratios, adaptivity, tip_accuracy.newton_share, tip_accuracy.ida_error_slope),
+    (
+        best_errors,
+        stops,
+        ratios,
+        adaptivity,
+        tip_accuracy.newton_share,
+        tip_accuracy.ida_error_slope,
+        radau_accuracy.orders,
+        radau_accuracy.at_tight_tolerance,
+        radau_accuracy.error_over_rtol,
+    ),
     DRAW,
     COLUMNS,
-    notes=(stop_notes, reference_notes, selection_notes, reach_notes, tip_accuracy.notes),
+    notes=(stop_notes, reference_notes, selection_notes, reach_notes, tip_accuracy.notes, radau_accuracy.notes),
     headline=(
         "andrews_alpha_best_error",
         "andrews_ida_best_error",
@@ -205,6 +219,10 @@ STUDY = Study(
         "car_axis_ida_error_lam",
         "newton_share",
         "ida_error_slope",
+        "radau_order_q",
+        "radau_order_v",
+        "radau_order_lam",
+        "radau_error_over_rtol",
     ),
 )
 

@@ -50,9 +50,9 @@ def _piece(model, t, end, y, wanted, rtol):
     return [(known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in wanted], run.y[:, -1]
 
 
-def by_explicit(model, t_end, rtol):
+def by_explicit(model, t_end, rtol, q0=None, v0=None):
     """{"q", "v", "lam"} at t_end by `explicit`."""
-    q, v, _, lam = explicit(model, t_end, rtol)[0]
+    q, v, _, lam = explicit(model, t_end, rtol, 0.0, q0, v0)[0]
     return {"q": q, "v": v, "lam": lam}
 
 

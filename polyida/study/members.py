@@ -4,6 +4,7 @@ from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.radau.radau_iia import RadauIIA
 
 FIXED = {  # name: integrator of a step h and further settings of generalized-alpha
     "alpha": lambda h, settings: GeneralizedAlpha(h=h, **settings),
@@ -15,8 +16,19 @@ FIXED = {  # name: integrator of a step h and further settings of generalized-al
     "Newmark": lambda h, settings: GeneralizedAlpha.newmark(h, **settings),
     "energy-momentum": lambda h, settings: EnergyMomentum(h=h),
 }
+RADAU = {  # name: settings of Radau IIA beside its step h
+    "radau, fixed": {},
+    "radau, 2 stages": {"stages": 2},
+    "radau, index3": {"form": "index3"},
+    "radau, index3, v as it is": {"form": "index3", "project": False},
+}
 IDA_FORMS = ("ggl2", "ggl1", "index2", "index1", "baumgarte", "index3")
 MAX_STEPS = {"index3": 2000}  # raw index 3 takes tens of thousands of tiny steps and fails
+
+
+def by_tolerance(name):
+    """Whether an integrator's x is a tolerance, rather than a step."""
+    return name in ("alpha, adaptive", "radau") or name.startswith("IDA ")
 
 
 def ida(form, rtol, max_num_steps=200_000):
@@ -38,9 +50,13 @@ def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=None):
     settings = {} if newton is None else {"tolerance": newton}
     if name in FIXED:
         return FIXED[name](x, settings)
+    if name in RADAU:
+        return RadauIIA(h=x, **RADAU[name])
+    if name == "radau":
+        return RadauIIA(rtol=x)
     if name == "alpha, adaptive":
         return adaptive(x, largest, sizes, **settings)
     if name.startswith("IDA ") and name[4:] in IDA_FORMS:
         return ida(name[4:], x)
-    known = [*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS)]
+    known = [*FIXED, "alpha, adaptive", "radau", *RADAU, *(f"IDA {form}" for form in IDA_FORMS)]
     raise InputError(f"integrator {name!r} is unknown; there are {'; '.join(known)}")

@@ -18,7 +18,7 @@ from polyida.study.harness import Study
 from polyida.study.rows import pick
 from step_cost.side import cells_for
 
-CLONE = Path(__file__).parents[2]
+CLONE, SIDE = Path(__file__).parents[2], Path(__file__).with_name("side.py")
 PAIRS = {  # figure: coordinates, integrator, times between which a step is measured, s, pairs of measurements
     "step_over_before_1e3": (1_000, "alpha", 0.01, 2.01, 21),
     "step_over_before_1e4": (10_000, "alpha", 0.01, 0.41, 15),
@@ -64,21 +64,21 @@ def exported(commit):
 
 
 class Side:
-    """A process of `side.py` with the package of a folder; calling it gives one measurement. Close it, or use it in a `with`."""
+    """A process of a script with the package of a folder; calling it gives one measurement. Close it, or use it in a `with`."""
 
-    def __init__(self, tree, *arguments):
+    def __init__(self, tree, *arguments, script=SIDE):
         settings = os.environ | ONE_THREAD | {"PYTHONPATH": str(tree)}
         if tree != Path(polyida.__file__).parents[1]:
             settings["NUMBA_CACHE_DIR"] = str(tree / "kernels")
-        command = [sys.executable, str(Path(__file__).with_name("side.py")), *map(str, arguments)]
+        command = [sys.executable, str(script), *map(str, arguments)]
         self.process = subprocess.Popen(command, env=settings, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.about = self._answer()
         if not Path(self.about["package"]).is_relative_to(tree):
             self.process.kill()
             raise ImportError(f"the package of {tree} is to be measured, not {self.about['package']}")
 
-    def __call__(self):
-        print(file=self.process.stdin, flush=True)
+    def __call__(self, asked=""):
+        print(asked, file=self.process.stdin, flush=True)
         return self._answer()
 
     def _answer(self):

@@ -2,22 +2,34 @@
 
 import numpy as np
 
-from polyida.study.members import FIXED, IDA_FORMS
+from polyida.study.members import FIXED, IDA_FORMS, RADAU
+from work_precision import radau_accuracy
 
 CLASSICAL = {"pendulum": 2e-2, "car-axis": 1e-2, "andrews": 6e-5}  # problem: coarsest step, s; halved again and again
-SCENES = {"double-plate": 4e-3, "double-plate-motors": 4e-3, "plate-chain": 4e-3, "rigid-limit": 4e-3, "spin-up-beam": 4e-2}
+SCENES = {
+    "damped-ramp": 1e-3,
+    "double-plate": 4e-3,
+    "double-plate-motors": 4e-3,
+    "plate-chain": 4e-3,
+    "rigid-limit": 4e-3,
+    "spin-up-beam": 4e-2,
+}
 STIFF = ("rigid-limit", "spin-up-beam")
-EVENT = "sudden-blow"
-MEMBERS = (*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS))
+EVENT, RAMP, EXPLICIT = "sudden-blow", "damped-ramp", "andrews-by-explicit"
+COARSER = 8  # times generalized-alpha's are the steps of Radau IIA
+MEMBERS = (*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS), "radau", *RADAU)
 SHORT = {
-    "problems": ("pendulum", "car-axis", "andrews", "double-plate", "double-plate-motors"),
+    "problems": ("pendulum", "car-axis", "andrews", "andrews-by-explicit", "damped-ramp", "double-plate", "double-plate-motors"),
     "steps": (0, 2),
     "members": ("alpha", "alpha, stabilised", "alpha, Richardson", "energy-momentum", "alpha, adaptive")
-    + tuple(f"IDA {form}" for form in IDA_FORMS),
+    + tuple(f"IDA {form}" for form in IDA_FORMS)
+    + ("radau", *RADAU),
 }
-FULL = {"problems": (*CLASSICAL, *SCENES), "steps": range(6), "members": MEMBERS}
+FULL = {"problems": (*CLASSICAL, EXPLICIT, *SCENES), "steps": range(6), "members": MEMBERS}
 ALWAYS = (  # members, problems, why these do not meet
-    (set(MEMBERS) - {"alpha", "alpha, adaptive"}, (EVENT,), "what is compared is error control with fixed steps"),
+    (set(MEMBERS) - {"alpha", "alpha, adaptive", "radau", "radau, fixed"}, (EVENT,), "what is compared is error control with fixed steps"),
+    (set(MEMBERS) - {"alpha", "IDA ggl2", "radau", *RADAU}, (RAMP,), "what is fitted is the order of Radau IIA"),
+    (set(MEMBERS) - {"radau", "radau, fixed"}, (EXPLICIT,), "what is judged is Radau IIA beyond the published digits"),
     ({"energy-momentum"}, CLASSICAL, "it takes scenes of plates only"),
     ({"alpha, rho 0.5", "alpha, rho 0.99"}, CLASSICAL, "they differ in the damping of mesh modes, of which there are none"),
     (
@@ -50,17 +62,27 @@ def tasks(quick):
         if not left_out(problem, member, quick)
         for x in ladder(problem, member, quick)
     ]
-    made += [{"problem": EVENT, "integrator": "alpha", "x": float(f"{8e-3 / 2**k:.3g}"), "quick": quick} for k in range(9)]
-    return made + [{"problem": EVENT, "integrator": "alpha, adaptive", "x": 10.0**-k, "quick": quick} for k in range(3, 9)]
+    tolerances, steps = [10.0**-k for k in range(3, 9)], [8e-3 / 2**k for k in range(9)]
+    blow = {"alpha": steps, "radau, fixed": steps[:6], "alpha, adaptive": tolerances, "radau": tolerances}
+    made += [
+        {"problem": EVENT, "integrator": name, "x": float(f"{x:.3g}"), "quick": quick} for name, ladder in blow.items() for x in ladder
+    ]
+    return made
 
 
 def ladder(problem, member, quick):
     """Steps or tolerances of a member on a problem, coarse to fine."""
+    if member == radau_accuracy.FIXED and problem in radau_accuracy.ASYMPTOTIC:
+        return radau_accuracy.steps(problem)
+    if member in RADAU:
+        return [COARSER * (CLASSICAL | SCENES)[problem] / 2**k for k in ((1, 3) if quick else range(6))]
     if member in FIXED:
         finer = (3,) if quick and (problem, member) == ("andrews", "alpha, Richardson") else ()
         return [(CLASSICAL | SCENES)[problem] / 2**k for k in (*(SHORT if quick else FULL)["steps"], *finer)]
     if member == "alpha, adaptive":
         return _powers(1e-4, 1e-6 if quick else 1e-8, quick)
+    if member == "radau":
+        return _powers(1e-4, 1e-12 if problem in (*CLASSICAL, EXPLICIT) else 1e-8, quick)
     return [1e-3, 1e-5] if member == "IDA index3" else _powers(1e-3, tightest(problem, quick), quick)
 
 
@@ -80,7 +102,7 @@ def not_run(rows):
     met = {(row["problem"], row["integrator"]) for row in rows}
     absent = {}
     for problem, quick in {row["problem"]: row["quick"] for row in rows}.items():
-        for member in MEMBERS if problem in (*CLASSICAL, *SCENES, EVENT) else ():
+        for member in MEMBERS if problem in (*CLASSICAL, *SCENES, EVENT, EXPLICIT) else ():
             if (problem, member) not in met:
                 absent.setdefault((member, left_out(problem, member, quick) or ELSEWHERE), []).append(problem)
     together = {}

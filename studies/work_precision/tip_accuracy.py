@@ -11,12 +11,14 @@ import numpy as np
 from polyida import problems
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.study.drawing import fitted
 from polyida.study.rows import column
 
 SCENES = {"scene 1, 1 s": "double-plate", "scene 2, 1 s": "double-plate-motors"}  # in the table: problem
-ALPHA, IDA_DEFAULT = "alpha, as it comes", "IDA, as it comes"
+ALPHA, IDA_DEFAULT, RADAU_DEFAULT = "alpha, as it comes", "IDA, as it comes", "radau, as it comes"
+BY_TOLERANCE = {IDA_DEFAULT: IDA, RADAU_DEFAULT: RadauIIA}
 STEPS = (2e-3, 1e-3, 5e-4, 2.5e-4)
 TOLERANCES = tuple(float(f"1e-{k}") for k in range(3, 9))
 TIGHT = 1e-10  # Newton's tolerance that does not show
@@ -25,9 +27,10 @@ problem_of = lru_cache(maxsize=2)(problems.get)
 
 
 def tasks(quick):
-    """Newton's share on both scenes, IDA's slope on the undamped one; the same in the short selection."""
+    """Newton's share and Radau's error beside rtol on both scenes, IDA's slope on the undamped one; the same in the short selection."""
     steps = [(scene, ALPHA, h) for scene in SCENES for h in STEPS]
     tolerances = [("scene 1, 1 s", IDA_DEFAULT, rtol) for rtol in TOLERANCES]
+    tolerances += [(scene, RADAU_DEFAULT, rtol) for scene in SCENES for rtol in TOLERANCES]
     return [{"problem": scene, "integrator": name, "x": x, "quick": quick} for scene, name, x in steps + tolerances]
 
 
@@ -51,8 +54,8 @@ def measure(scene, name, x):
 
 def _runs(name, x):
     """The integrator that is judged, and the one beside which its Newton iteration is judged."""
-    if name == IDA_DEFAULT:
-        return (IDA(rtol=x),)
+    if name in BY_TOLERANCE:
+        return (BY_TOLERANCE[name](rtol=x),)
     return GeneralizedAlpha(h=x), GeneralizedAlpha(h=x, tolerance=TIGHT)
 
 
@@ -81,7 +84,7 @@ def ida_error_slope(rows):
 def notes(rows):
     """A line for each point: error, and Newton's part of it."""
     lines = []
-    for row in of_integrator(rows, ALPHA) + of_integrator(rows, IDA_DEFAULT):
+    for row in [row for name in (ALPHA, *BY_TOLERANCE) for row in of_integrator(rows, name)]:
         if "error_tip" in row:
             part = f", Newton's part {row['newton_tip'] / row['error_tip']:.2g}" if "newton_tip" in row else ""
             name, what = row["integrator"], "h =" if "newton_tip" in row else "rtol"

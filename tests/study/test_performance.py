@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import polyida
-from against_peers import peers
+from against_peers import against as against_gains
+from against_peers import gain, peers
 from polyida.errors import InputError
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.scene import SceneSystem
@@ -105,12 +106,12 @@ def test_the_sparse_solver_takes_the_same_steps(model):
     assert not other["error"] and abs(other["steps"] - run.counts.steps) <= 3
 
 
-@pytest.mark.parametrize("solver", ["radau", "exudyn", "exudyn modified"])
+@pytest.mark.parametrize("solver", ["solve_dae", "exudyn", "exudyn modified"])
 def test_peers_find_the_same_motion(model, solver):
     look, times = against_peers.tip_of(model), np.linspace(0.0, 0.02, 3)
     own = solve(model, times[-1], against_peers.GeneralizedAlpha(h=2e-4), output=times).position("tip")
     try:
-        if solver == "radau":
+        if solver == "solve_dae":
             _, seen = peers.radau(model, times, 1e-5, look)
         else:
             _, seen = peers.ExudynScene(model, look).run(times, 1e-3, solver != "exudyn")
@@ -164,13 +165,42 @@ def work_precision(solver, scale):
 
 
 def test_figures_compare_at_equal_error():
-    rows = work_precision("alpha", 1e-4) + work_precision("ida", 3e-4) + work_precision("radau", 2e-3)
+    rows = [{"scene": "scene 1", "dof": 800, "solver": "reference", "n": 800, "reference_doubt": 1e-9}]
+    rows += work_precision("alpha", 1e-4) + work_precision("ida", 3e-4) + work_precision("radau", 5e-5) + work_precision("solve_dae", 2e-3)
     rows += [{"scene": "scene 1", "dof": 800, "solver": "exudyn", "setting": 1, "skipped": "exudyn is not installed"}]
     found = against_peers.figures(rows)
     assert found["ida_over_alpha_at_1e-5"] == pytest.approx(3.0)
-    assert found["scene1_800_peer_ratio"] == pytest.approx(20.0)
-    assert found["scene1_800_cpu_s"] == pytest.approx(0.1) and "scene1_800_exudyn_cpu_s" not in found
+    assert found["scene1_800_peer_ratio"] == found["scene1_800_radau_peer_ratio"] == pytest.approx(40.0)
+    assert found["scene1_800_cpu_s"] == pytest.approx(0.05) and "scene1_800_exudyn_cpu_s" not in found
     assert any("not installed" in line for line in against_peers.notes(rows))
+
+
+def of_solver(solver, scale, loads):
+    """Points whose errors are the squares of their steps, with a round for each load of the machine."""
+    return [{"solver": solver, "setting": h, "error_max": h**2, "cpu_s": [scale * load / h for load in loads]} for h in (1e-2, 1e-3, 1e-4)]
+
+
+def test_a_gain_is_the_median_of_the_rounds_at_equal_errors():
+    """What slows both down in a round leaves its ratio as it is; equal steps and error control are one front."""
+    loads = (1.0, 1.4, 2.0)
+    points = of_solver("alpha", 6e-4, loads) + of_solver("radau", 2e-4, loads) + of_solver("radau fixed", 1e-3, loads)
+    rows = [{"scene": "scene 1", "points": points + of_solver(gain.BEFORE, 4e-4, loads), "n": 12, "reference_doubt": 1e-9}]
+    found = against_gains.figures(rows)
+    assert found["radau_gain_2e-6"] == pytest.approx(3.0) and found["radau_gain_2e-6_before"] == pytest.approx(2.0)
+    assert found["radau_gain_2e-6_s"] == pytest.approx(2e-4 * 1.4 / 2e-6**0.5) and "radau_gain2_1e-5" not in found
+    assert np.isfinite(found["radau_gain_3e-8"]) and any("DOP853" in line for line in gain.notes(rows))
+
+
+def test_the_points_of_a_round_are_measured_against_a_family_of_its_own(monkeypatch):
+    few = [("alpha", 2e-3), ("radau", 1e-4), ("radau fixed", 2.5e-2)]
+    monkeypatch.setattr(gain, "settings", lambda scene: few)
+    monkeypatch.setattr(gain, "TIMES", np.linspace(0.0, 0.05, 6))
+    monkeypatch.setattr("against_peers.own.TIMES", np.linspace(0.0, 0.05, 6))
+    gain.reference.cache_clear()
+    row = gain.in_rounds("scene 1", 60, 2)
+    gain.reference.cache_clear()
+    assert [(point["solver"], point["setting"]) for point in row["points"]] == few
+    assert all(10 * row["reference_doubt"] < point["error_max"] < 1e-4 and len(point["cpu_s"]) == 2 for point in row["points"])
 
 
 def test_growth_and_floor_come_from_their_rows():

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from against_peers import gain
 from polyida.cli import study as cli_study
 from polyida.study import drawing, findings
 from work_precision import tip_accuracy
@@ -23,6 +24,10 @@ REQUIRED = {
         "car_axis_ida_error_lam",
         "newton_share",
         "ida_error_slope",
+        "radau_order_q",
+        "radau_order_v",
+        "radau_order_lam",
+        "radau_error_over_rtol",
     },
     "step_size_sensitivity": {"order_q", "order_v", "order_lam", "lam_error_h1e-9", "acceleration_error_h1e-9"},
     "conditioning": {"slope_unscaled", "scaled_condition_max"},
@@ -50,7 +55,7 @@ def made_up(name, task):
         tip = {"error_tip": size, "known_tip": 1e-12, "newton_tip": 1e-3 * size}
         return work | tip | {"known": {"tip": 1e-12}, "reference": "made up"}
     if name == "work_precision":
-        return errors | work | {"known": {"q": 1e-9}, "reference": "made up"}
+        return errors | work | {"steps": 1 / size, "known": {"q": 1e-9, "v": 1e-9, "lam": 1e-9}, "reference": "made up"}
     if name == "step_size_sensitivity":
         floors = {f"floor_{part}": 1e-20 for part in ("q", "v", "a", "lam")}
         return errors | floors | {"h": size, "outcome": "done", "iterations": 2.0, "stall_q": 1e-18 / size**2}
@@ -78,6 +83,11 @@ def performance(name, task):
         return {f"{cache}_{time}": 2.0 for cache in ("cold", "warm") for time in times}
     if name == "against_peers":
         setting = task["setting"]
+        if task["solver"] == "rounds":
+            points = [{"solver": s, "setting": x, "error_max": x**1.5, "cpu_s": [1e-4 / x]} for s, x in gain.settings(task["scene"])]
+            return {"n": task["dof"], "reference_doubt": 1e-9, "points": points}
+        if task["solver"] == "stiff":
+            return {"n": task["dof"], "reference_doubt": 1e-9, "stiff_error": 1e-7}
         known = {"reference_doubt": 1e-8} if task["solver"] == "reference" else {"cpu_s": 1e-4 / setting, "steps": 1 / setting}
         return {"n": task["dof"], "error_max": 0.5 * setting**1.5, "error_end": setting**2} | known
     parts = {f"{part}_ms": 1.0 for part in ("residual", "tangent", "factor", "solve", "rest")}

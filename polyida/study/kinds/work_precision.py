@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.integrate.solve import solve
 from polyida.study.families import last_state
-from polyida.study.members import integrator
+from polyida.study.members import by_tolerance, integrator
 from polyida.study.references import case
 
 COUNTS = ("steps", "rejected", "newton_iterations", "residuals", "tangents", "factorizations", "solves")
@@ -17,13 +17,7 @@ def warm(name, member, quick):
     """Two steps, so that compiling or loading kernels counts as nobody's time."""
     given = case(name, quick)
     h = 1e-4 * given.t_end
-    solve(
-        given.model,
-        2 * h,
-        integrator(member, 1e-4 if member.startswith("IDA") or "adaptive" in member else h, given.sizes, h),
-        q0=given.q0,
-        v0=given.v0,
-    )
+    solve(given.model, 2 * h, integrator(member, 1e-4 if by_tolerance(member) else h, given.sizes, h), q0=given.q0, v0=given.v0)
 
 
 def measure(name, member, x, quick):

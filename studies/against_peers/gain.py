@@ -1,0 +1,134 @@
+"""Generalized-alpha's CPU time over Radau IIA's at equal errors of the tip: all points of both, and of an earlier commit's
+generalized-alpha, once a round, so that what the machine does meanwhile meets them alike.
+
+The reference is DOP853 on the index-1 equations beside Radau IIA at a tolerance where it costs the most; for plates too stiff for
+the former it is generalized-alpha, extrapolated.
+"""
+
+import json
+from functools import lru_cache
+
+import numpy as np
+
+from against_peers.own import LABELS, OWN, TIMES, extrapolated, largest, seconds, seen, tip_of
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.problems import plates
+from polyida.study.drawing import drawn, legend, loglog, panels, saved
+from polyida.study.families import explicit
+from polyida.study.kinds.work_precision import cheapest
+from step_cost.measure import model_of
+from step_cost.side import cells_for
+
+DOF = 1115  # coordinates asked for: those of the scenes' default meshes, 160 cells a plate
+RTOL, TIGHT = 1e-9, 1e-10  # of DOP853, of Radau IIA beside it
+BEFORE = "alpha before"
+TARGETS = {  # figure: scene, error of the tip, m
+    "radau_gain_2e-5": ("scene 1", 2.5e-5),
+    "radau_gain_2e-6": ("scene 1", 2e-6),
+    "radau_gain_3e-8": ("scene 1", 3.5e-8),
+    "radau_gain2_1e-5": ("scene 2", 1.2e-5),
+    "radau_gain2_1e-6": ("scene 2", 1e-6),
+}
+STEPS = tuple(1 / n for n in (500, 1000, 2000, 4000, 8000, 16_000, 32_000))
+TOLERANCES = (1e-5, 3e-6, 1e-6, 3e-7, 1e-7, 3e-8, 1e-8, 3e-9, 1e-9)
+RADAU_STEPS = tuple(1 / n for n in (40, 60, 80, 100, 140, 200, 280, 400))
+STIFF, STIFF_STEP = 2e11, 1 / 80  # Pa, s
+
+
+def settings(scene):
+    """[(solver, setting)] of a round: scene 2 is not asked for as small errors."""
+    few = 0 if scene == "scene 1" else 2
+    ladders = {"alpha": STEPS, "radau": TOLERANCES, "radau fixed": RADAU_STEPS}
+    return [(solver, x) for solver, ladder in ladders.items() for x in ladder[: len(ladder) - few]]
+
+
+@lru_cache(maxsize=2)
+def reference(scene, dof):
+    """(tip at TIMES (101, 2), how far Radau IIA at a tight tolerance is from it)."""
+    model = model_of(scene, dof)
+    look = tip_of(model)
+    exact = np.array([look(state[0]) for state in explicit(model, TIMES[-1], RTOL, times=TIMES)])
+    return exact, largest(seen(model, RadauIIA(rtol=TIGHT))[1], exact)
+
+
+def in_rounds(scene, dof, rounds, before=None):
+    """The row of a scene: "points", for each solver and setting its error and the CPU seconds of each round.
+
+    before: a process that answers for generalized-alpha of an earlier commit, or None.
+    """
+    model, (exact, doubt) = model_of(scene, dof), reference(scene, dof)
+    points = [{"solver": solver, "setting": x} for solver, x in settings(scene)]
+    points += [{"solver": BEFORE, "setting": h} for _, h in settings(scene)[: len(STEPS)] if before]
+    for point in points:
+        answer = before(json.dumps(point)) if point["solver"] == BEFORE else None
+        tip = np.array(answer["tip"]) if answer else seen(model, integrator(point))[1]
+        point |= {"error_max": largest(tip, exact), "cpu_s": []}
+    for _ in range(rounds):
+        for point in points:
+            point["cpu_s"].append(before(json.dumps(point))["cpu_s"] if point["solver"] == BEFORE else seconds(model, integrator(point)))
+    return {"n": model.n, "reference_doubt": doubt, "points": points}
+
+
+def integrator(point):
+    """The integrator of a point of ours."""
+    return OWN[point["solver"]][1](point["setting"])
+
+
+def at_error(row, solvers, error):
+    """CPU seconds at an error in each round, straight in logarithms on the front of these solvers' points."""
+    points = [point for point in row["points"] if point["solver"] in solvers]
+    rounds = zip(*(point["cpu_s"] for point in points))
+    errors = [point["error_max"] for point in points]
+    return np.array([cheapest([{"cpu_s": s, "e": e} for s, e in zip(found, errors)], "e", error) for found in rounds])
+
+
+def gains(rows, alpha="alpha"):
+    """{figure: median over the rounds of generalized-alpha's seconds over Radau's; "..._s" and "..._alpha_s": both}."""
+    found = {}
+    for name, (scene, error) in TARGETS.items():
+        for row in rows:
+            if row["scene"] == scene and row.get("points"):
+                ours, theirs = (at_error(row, solvers, error) for solvers in (("radau", "radau fixed"), (alpha,)))
+                found |= {name: np.median(theirs / ours), f"{name}_s": np.median(ours), f"{name}_alpha_s": np.median(theirs)}
+    return found
+
+
+def stiff_row(dof):
+    """Error of Radau IIA's tip at 80 steps a second on scene 1 with E = 200 GPa; the reference's own by Radau IIA with an eighth."""
+    rubber = plates.RUBBER
+    model = plates.double_plate(cells_for(dof), material=plates.Material(E=STIFF, nu=rubber.nu, rho=rubber.rho)).build()
+    exact = extrapolated(model, GeneralizedAlpha, 1 / 16_000)
+    counts, tip = seen(model, RadauIIA(h=STIFF_STEP))
+    doubt = largest(seen(model, RadauIIA(h=STIFF_STEP / 8))[1], exact)
+    return {"n": model.n, "reference_doubt": doubt, "stiff_error": largest(tip, exact)} | counts
+
+
+def notes(rows):
+    """The seconds behind each gain, and how sure the references are."""
+    lines, found = [], gains(rows)
+    for name, (scene, error) in TARGETS.items():
+        if np.isfinite(found.get(name, np.nan)):
+            lines.append(
+                f"{name}: {scene} at {error:g} m: generalized-alpha {found[f'{name}_alpha_s']:.3g} s, Radau IIA {found[f'{name}_s']:.3g} s"
+            )
+    for row in rows:
+        if row.get("points") or row.get("stiff_error"):
+            what = "200 GPa, generalized-alpha extrapolated" if row.get("stiff_error") else "DOP853"
+            lines.append(f"{row['scene']}, {row['n']} coordinates, {what}: Radau IIA is {row['reference_doubt']:.2g} m from this reference")
+    return lines
+
+
+@drawn
+def figure(rows, folder):
+    """Work-precision of generalized-alpha and Radau IIA alone."""
+    found, labels = [row for row in rows if row.get("points")], LABELS | {BEFORE: "generalized-alpha, before"}
+    made, axes = panels(len(found))
+    for axis, row in zip(axes, found):
+        for k, (solver, label) in enumerate(labels.items()):
+            points = sorted((point["error_max"], np.median(point["cpu_s"])) for point in row["points"] if point["solver"] == solver)
+            if points:
+                loglog(axis, *np.array(points).T, k, label)
+        axis.set(title=f"{row['scene']}, {row['n']} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
+    legend(made, axes, 3)
+    return saved(made, folder, "radau_gain")

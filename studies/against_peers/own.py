@@ -1,0 +1,55 @@
+"""Our integrators on the scenes: where the tip is at given times, and the CPU seconds of that."""
+
+import numpy as np
+
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.integrate.solve import solve
+
+TIMES = np.linspace(0.0, 1.0, 101)  # where the tip is compared, s
+OWN = {  # solver: (what it is called, integrator of a step, s, or a tolerance)
+    "alpha": ("generalized-alpha", lambda h: GeneralizedAlpha(h=h)),
+    "ida": ("IDA", lambda rtol: IDA(rtol=rtol)),
+    "radau": ("Radau IIA, by its error", lambda rtol: RadauIIA(rtol=rtol)),
+    "radau fixed": ("Radau IIA, equal steps", lambda h: RadauIIA(h=h)),
+}
+LABELS = {solver: label for solver, (label, _) in OWN.items()}
+
+
+def tip_of(model):
+    """Function q (n,) -> position of the tip, (2,), m."""
+    rest = model.attachment("tip").point
+    return lambda q: rest + model.displacement("tip", q)
+
+
+def seen(model, integrator):
+    """(counts, tip at TIMES (101, 2)) of a run. RuntimeError where it does not come to its end."""
+    run = solve(model, TIMES[-1], integrator, output=TIMES)
+    if not run.success:
+        raise RuntimeError(run.message)
+    counts = {key: getattr(run.counts, key) for key in ("steps", "newton_iterations", "residuals", "tangents", "factorizations")}
+    return counts, run.position("tip")
+
+
+def seconds(model, integrator):
+    """CPU seconds of a run that keeps no frames."""
+    return solve(model, TIMES[-1], integrator, every=10**9).cpu_seconds
+
+
+def ours(model, integrator, repeats):
+    """(row, tip at TIMES) of an integrator of ours; CPU seconds are the median of `repeats` runs."""
+    counts, tip = seen(model, integrator)
+    again = [seconds(model, integrator) for _ in range(repeats)]
+    return counts | {"cpu_s": float(np.median(again)) if again else np.nan}, tip
+
+
+def largest(tip, exact):
+    """The largest distance over TIMES, m."""
+    return float(np.linalg.norm(tip - exact, axis=1).max())
+
+
+def extrapolated(model, method, h):
+    """Tip at TIMES by a method of second order with steps h and h / 2, extrapolated."""
+    coarse, half = (seen(model, method(h=step))[1] for step in (h, h / 2))
+    return half + (half - coarse) / 3

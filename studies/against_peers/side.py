@@ -1,0 +1,30 @@
+"""The other side of the gains over an earlier commit: a process that runs its own generalized-alpha whenever it is asked.
+
+`python side.py CELLS SCENE`, with the package to be measured in front on PYTHONPATH. It says where that is and how large the model,
+then the CPU seconds of a run and its tip at the times of `own.py` for every line {"setting": step} that comes. It takes from the
+package only what all states of it have in these places.
+"""
+
+import json
+import sys
+
+import numpy as np
+
+import polyida
+from polyida.problems import plates
+
+
+def main(cells, scene):
+    """Answer until nobody asks any more."""
+    make = {"scene 1": plates.double_plate, "scene 2": plates.double_plate_motors}[scene]
+    model, times = make(int(cells)).build(), np.linspace(0.0, 1.0, 101)
+    print(json.dumps({"package": polyida.__file__, "n": model.n}), flush=True)
+    for line in sys.stdin:
+        method = polyida.GeneralizedAlpha(h=json.loads(line)["setting"])
+        tip = polyida.solve(model, times[-1], method, output=times).position("tip").tolist()
+        seconds = polyida.solve(model, times[-1], method, every=10**9).cpu_seconds
+        print(json.dumps({"cpu_s": seconds, "tip": tip}), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

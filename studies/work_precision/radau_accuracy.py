@@ -1,0 +1,73 @@
+"""What Radau IIA gives: orders fitted over fixed steps, errors at a tight tolerance, the tip's error beside rtol."""
+
+import numpy as np
+
+from polyida.study.drawing import fitted
+from polyida.study.rows import column, farthest, number, pick
+from work_precision import tip_accuracy
+
+FIXED = "radau, fixed"
+ORDER, PARTS = 5, ("q", "v", "lam")
+ASYMPTOTIC = {
+    "pendulum": 6.25e-2,
+    "car-axis": 1.25e-2,
+    "andrews-by-explicit": 1.5e-4,
+    "damped-ramp": 5e-4,
+}  # problem: largest step that is fitted, s
+COARSER, FINER = 4, 7  # steps a factor of sqrt 2 apart, on either side of that
+ABOVE = 10.0  # an error is fitted where it is so many times what is known
+TIGHT = 1e-10  # rtol at which the classical problems are judged
+CLASSICAL = ("pendulum", "car-axis", "andrews", "andrews-by-explicit")
+JUDGED = 1e-5, 1e-8  # rtol between which the tip's error is set beside it
+
+
+def steps(problem):
+    """Steps from four times the largest that is fitted down, s."""
+    return [ASYMPTOTIC[problem] / 2 ** (k / 2) for k in range(-COARSER, FINER + 1)]
+
+
+def fitted_rows(rows, problem, part):
+    """The runs with steps in the asymptotic range whose error is well above what is known of the reference."""
+    runs = [row for row in pick(rows, problem=problem, integrator=FIXED) if row["x"] < 1.01 * ASYMPTOTIC[problem]]
+    return [row for row in runs if row.get(f"error_{part}", 0) > ABOVE * row["known"].get(part, np.inf)]
+
+
+def order(rows, problem, part):
+    """Fitted order of a part at t_end in the steps that were taken, which divide the time evenly."""
+    runs = fitted_rows(rows, problem, part)
+    return -fitted(column(runs, "steps"), column(runs, f"error_{part}"))
+
+
+def orders(rows):
+    """Fitted orders, and of each part the one farthest from 5."""
+    found = {}
+    for part in PARTS:
+        each = {f"radau_order_{part}_{problem.replace('-', '_')}": order(rows, problem, part) for problem in ASYMPTOTIC}
+        found |= each | {f"radau_order_{part}": farthest(list(each.values()), ORDER)}
+    return found
+
+
+def at_tight_tolerance(rows):
+    """Errors of q with error control at TIGHT, in the problems' own units."""
+    return {
+        f"radau_{problem.replace('-', '_')}_error_q": number(rows, "error_q", problem=problem, integrator="radau", x=TIGHT)
+        for problem in CLASSICAL
+    }
+
+
+def error_over_rtol(rows):
+    """The largest tip error over rtol, m, on both scenes; NaN where a run failed."""
+    runs = [row for row in tip_accuracy.of_integrator(rows, tip_accuracy.RADAU_DEFAULT) if JUDGED[1] / 1.01 < row["x"] < 1.01 * JUDGED[0]]
+    shares = column(runs, "error_tip") / column(runs, "x")
+    return {"radau_error_over_rtol": float(shares.max()) if len(shares) else float("nan")}
+
+
+def notes(rows):
+    """What was fitted."""
+    lines = []
+    for problem in ASYMPTOTIC:
+        told = [
+            f"{part} {order(rows, problem, part):.2f} ({len(runs)} steps)" for part in PARTS if (runs := fitted_rows(rows, problem, part))
+        ]
+        lines += [f"{problem}: order of {FIXED}, steps below {ASYMPTOTIC[problem]:g} s: {', '.join(told)}"] if told else []
+    return lines
