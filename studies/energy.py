@@ -4,8 +4,9 @@ import numpy as np
 
 from energy.long_run import balance
 from polyida.cli.study import main
-from polyida.study.drawing import drawn, legend, look, panels, saved, tag
+from polyida.study.drawing import digits, drawn, legend, look, panels, saved, tag
 from polyida.study.harness import Study
+from polyida.study.members import by_tolerance
 from polyida.study.rows import pick, stopped, worst
 
 STEP = 2e-3
@@ -22,18 +23,23 @@ MEMBERS = {
     "IDA ggl1": 1e-5,
     "IDA index1": 1e-5,
 }
-DRAWN = ("alpha", "alpha, rho 0.5", "alpha, Richardson", "Newmark", "energy-momentum", "IDA ggl2", "IDA index1")
+FINE = "swinging, default mesh"  # what each loses in all, J
+LOSING = (("alpha", 1e-3), ("energy-momentum", 1e-3), ("radau, fixed", 5e-3), ("radau, fixed", 2.5e-3), ("radau", 1e-6))
+DRAWN = ("alpha", "alpha, rho 0.5", "alpha, Richardson", "Newmark", "energy-momentum", "IDA ggl2", "radau, fixed")
 LOST = 1.0  # relative change beyond which a run has nothing to do with the motion any more
 
 
 def tasks(quick):
     cells, time, tight = (12, 10.0, 1e-6) if quick else (60, 10.0, 1e-7)
     members = list(MEMBERS.items()) + [("energy-momentum", STEP / 2), ("alpha", STEP / 2), ("IDA ggl2", tight)]
-    return [
+    members += [("radau, fixed", 5e-3), ("radau, fixed", 2.5e-3), ("radau", 1e-5), ("radau", tight)]
+    made = [
         {"scene": scene, "integrator": member, "x": x, "time": time, "cells": cells}
         for scene in ("swinging", "thrown")
         for member, x in members
     ]
+    fine = 20 if quick else 160
+    return made + [{"scene": FINE, "integrator": member, "x": x, "time": time, "cells": fine} for member, x in LOSING]
 
 
 def run(scene, integrator, x, time, cells):
@@ -52,18 +58,32 @@ def drifts(rows):
     return found
 
 
+def losses(rows):
+    """Change of the energy over the whole run on the default mesh, J."""
+    return {f"energy_change_J_{short(row)}": row["energy_change"] for row in pick(rows, scene=FINE)}
+
+
 def short(row):
     name = row["integrator"].replace(",", "").replace(" ", "_").replace("-", "_").replace(".", "")
-    return f"{name}_{row['x']:.0e}"
+    return f"{name}_{digits(row['x'])}"
 
 
 def label(row):
-    return f"{row['integrator']}, {tag('rtol' if row['integrator'].startswith('IDA') else 'h', row['x'])}"
+    return f"{row['integrator']}, {tag('rtol' if by_tolerance(row['integrator']) else 'h', row['x'])}"
 
 
 def stop_notes(rows):
     """Runs that stopped; their drifts are those up to there."""
     return [f"{line}; drifts are up to there" for line in stopped(rows, "scene", "integrator", "x", length=140)]
+
+
+def loss_notes(rows):
+    """What each loses, beside what it costs."""
+    told = [
+        f"{label(row)} {row['energy_change']:+.2g} J, {row['steps']} steps, {row['cpu_s']:.2g} CPU s"
+        for row in pick(rows, scene=FINE, outcome="done")
+    ]
+    return [f"{FINE}, 10 s without damping: {'; '.join(told)}"] if told else []
 
 
 def gain_notes(rows):
@@ -103,7 +123,8 @@ def energy_figure(rows, folder):
 
 
 def figure_notes(rows):
-    ended = [f"{row['scene']} {label(row)}" for row in pick(rows) if row["integrator"] in DRAWN and running(row, "energy")[2]]
+    drawn_rows = [row for row in pick(rows) if row["integrator"] in DRAWN and row["scene"] != FINE]
+    ended = [f"{row['scene']} {label(row)}" for row in drawn_rows if running(row, "energy")[2]]
     crosses = f"; a cross is where a run stopped or had changed by more than {LOST:g}: {'; '.join(ended)}" if ended else ""
     others = sorted({row["integrator"] for row in pick(rows)} - set(DRAWN))
     absent = f"; not drawn, but in the table: {'; '.join(others)}" if others else ""
@@ -129,10 +150,10 @@ STUDY = Study(
     "long-time energy and momentum; x is the step, s, or the tolerance",
     tasks,
     run,
-    (headline, drifts),
+    (headline, drifts, losses),
     energy_figure,
     COLUMNS,
-    notes=(stop_notes, gain_notes, figure_notes),
+    notes=(stop_notes, loss_notes, gain_notes, figure_notes),
     headline=("energy_momentum_relative_drift",),
 )
 

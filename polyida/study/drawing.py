@@ -87,8 +87,14 @@ def legend(made, axes, columns=4):
 
 def tag(kind, value):
     """A step, s, or a tolerance in words of a legend: "h = 2e-3", "rtol 1e-5"."""
-    digits, power = f"{value:.0e}".split("e")
-    return f"{'h =' if kind == 'h' else kind} {digits}e{int(power)}"
+    number, power = digits(value).split("e")
+    return f"{'h =' if kind == 'h' else kind} {number}e{int(power)}"
+
+
+def digits(value):
+    """A number by its first digit, or two where it has them: "2e-03", "2.5e-03"."""
+    number, power = f"{value:.1e}".split("e")
+    return f"{number.removesuffix('.0')}e{power}"
 
 
 def _two_decades(axis):

@@ -8,7 +8,7 @@ from polyida.integrate.solve import solve
 from polyida.joint.revolute import Revolute
 from polyida.problems import plates
 from polyida.scene import Scene
-from polyida.study.members import integrator
+from polyida.study.members import by_tolerance, integrator
 
 WEIGHTS_FALL = 9.81 * (
     2 * plates.RUBBER.rho * plates.LENGTH**2 * plates.HEIGHT * plates.THICKNESS + 2 * plates.LENGTH * plates.TIP_MASS
@@ -50,16 +50,16 @@ def momenta(model, q, v):
 
 def balance(scene, member, x, time, cells, frames=400):
     """One run: how far energy (of its scale) and, thrown, momenta (of their size) go from where they began."""
-    model, v0 = {"swinging": swinging, "thrown": thrown}[scene](cells)
-    steps = 2000 if member.startswith("IDA") else time / x
+    model, v0 = (thrown if scene == "thrown" else swinging)(cells)
+    steps = 2000 if by_tolerance(member) else time / x
     run = solve(model, time, integrator(member, x), v0=v0, every=max(1, int(steps / frames)))
     energy, keep = run.energy, slice(None, None, max(1, len(run.t) // frames))
-    scale = WEIGHTS_FALL if scene == "swinging" else float(energy.kinetic[0])
+    scale = float(energy.kinetic[0]) if scene == "thrown" else WEIGHTS_FALL
     change = (energy.total - energy.total[0]) / scale
     outcome = {"dof": model.n, "outcome": "done" if run.success else run.message, "steps": run.counts.steps, "cpu_s": run.cpu_seconds}
     drift = {"energy_drift": float(np.abs(change).max()), "energy_change": float(change[-1]) * scale}
     row = outcome | drift | {"t": run.t[keep], "energy": change[keep]}
-    return row if scene == "swinging" else row | momentum_drift(momenta(model, run.q, run.v), keep)
+    return row | momentum_drift(momenta(model, run.q, run.v), keep) if scene == "thrown" else row
 
 
 def momentum_drift(found, keep):

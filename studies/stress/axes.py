@@ -10,8 +10,8 @@ from stress.kills import killed_runs, killed_sweeps
 from stress.long import many_steps
 from stress.outcome import INTEGRATORS, outcome_of
 
-CHOOSING = ("adaptive", "ggl2", "ggl1")
-IDA = ("ggl2", "ggl1")
+CHOOSING = ("adaptive", "ggl2", "ggl1", "radau")
+STIFFLY = ("ggl2", "ggl1", "radau")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ AXES = {
     "long step, s": Axis(
         identities.large_steps, (0.003, 0.01, 0.03, 0.1, 0.3, 1.0), (0.01, 0.1, 1.0), cases.FIXED, foreseen=identities.cannot_be_predicted
     ),
-    "short step, s": Axis(cases.small_steps, (1e-6, 1e-7, 1e-8, 1e-9, 1e-10), (1e-6, 1e-8, 1e-10), cases.FIXED + IDA),
+    "short step, s": Axis(cases.small_steps, (1e-6, 1e-7, 1e-8, 1e-9, 1e-10), (1e-6, 1e-8, 1e-10), cases.FIXED + STIFFLY),
     "rho_inf": Axis(cases.spectral_radius, (0.9, 0.8, 0.5, 0.0, 0.95, 0.99), (0.9, 0.0, 0.99), ("alpha", "adaptive", "stabilised")),
     "Newton tolerance": Axis(cases.newton_tolerance, (1e-4, 1e-3, 1e-2, 1e-6, 1e-8, 1e-10, 1e-12), (1e-4, 1e-2, 1e-12), cases.FIXED),
     "error tolerance": Axis(cases.error_tolerance, (1e-5, 1e-4, 1e-3, 1e-2, 1e-6, 1e-7, 1e-8, 1e-10, 1e-12), (1e-5, 1e-2, 1e-8), CHOOSING),
@@ -87,7 +87,7 @@ AXES = {
     "plates of one element": Axis(_refined(scenes.blocks, 0.3), (1, 2, 3, 5, 10, 20), (1, 2, 5)),
     "four-bar from, rad": Axis(cases.through_flat, (1.5, 1.0, 0.5, 0.1, 0.0), (1.0, 0.0)),
     "held twice": Axis(
-        cases.held_twice, cases.REDUNDANT, cases.REDUNDANT, ("alpha", "energy", "ggl2"), foreseen=cases.refused_as_redundant
+        cases.held_twice, cases.REDUNDANT, cases.REDUNDANT, ("alpha", "energy", "ggl2", "radau"), foreseen=cases.refused_as_redundant
     ),
     "pulse, s": Axis(cases.blow, (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8), (1e-2, 1e-4, 1e-8)),
     "driven collapse, Pa": Axis(
@@ -98,8 +98,8 @@ AXES = {
     ),
     "viscosity, s": Axis(_refined(scenes.damped, 0.3), (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1), (1e-6, 1e-3, 1e-1), slow=("ggl1",)),
     "steps": Axis(many_steps, (20_000, 100_000, 1_000_000), (20_000,), ("alpha", "energy")),
-    "steps of IDA": Axis(many_steps, (2_000, 100_000), (2_000,), ("ggl2",)),
-    "kills of a run": Axis(killed_runs, (50,), (5,), ("alpha", "energy", "ggl2")),
+    "steps of those that choose them": Axis(many_steps, (2_000, 100_000), (2_000,), ("ggl2", "radau")),
+    "kills of a run": Axis(killed_runs, (50,), (5,), ("alpha", "energy", "ggl2", "radau")),
     "kills of a sweep": Axis(killed_sweeps, (50,), (5,), ("any",)),
 }
 

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from stress import scenes
 from stress.outcome import COLLAPSED, Check, Stop, balance, extent, held, integrator, off_by, tip
@@ -158,15 +159,15 @@ def small_steps(h, name):
     """40 steps of the motor-driven plates: q and v against Taylor's series at the start, a and lam against the equations of motion.
 
     a, lam: distance from what M a + g + B^T lam = 0, phi'' = 0 give at the same q and v, relative; not for the energy-momentum
-    method, which makes its own of just these equations, nor for IDA, which leaves them out of its error control. IDA is given h as its
-    first and largest step; its q and v are allowed 500 times rtol |q| + atol.
+    method and Radau IIA, which make their own of just these equations, nor for IDA, which leaves them out of its error control. IDA is
+    given h as its first and largest step; its q and v are allowed 500 times rtol |q| + atol. Radau IIA takes equal steps.
     """
     from polyida.integrate.start import consistent_acceleration, consistent_state, jerk
 
     model = scenes.plates.double_plate_motors(scenes.CELLS).build()
     start, t, chooses = consistent_state(model), 40 * h, name in ("ggl2", "ggl1")
     settings = {"max_step": h, "first_step": h} if chooses else {}
-    run = solve(model, t, integrator(name, h, **settings))
+    run = solve(model, t, RadauIIA(h=h) if name == "radau" else integrator(name, h, **settings))
     third = jerk(model, start, 1e-4)
     q, v, pull = start.a * t**2 / 2 + third * t**3 / 6, start.a * t + third * t**2 / 2, np.abs(start.a).max()
     extra = 500 * 1e-7 if chooses else 0.0

@@ -50,7 +50,7 @@ def many_steps(steps, name):
     """`steps` steps of 1 ms of two swinging plates of few cells: drift of phi below 1e-10 m, no energy gained, no step
     slower than twice an early one, no memory beyond 4 MiB and 8 bytes a step gained in the second half."""
     model, meter = plates.double_plate(cells=2).build(), Meter(steps)
-    settings = {"max_step": H, "max_num_steps": 4 * steps} if name in ("ggl2", "ggl1") else {}
+    settings = {"max_step": H, "max_num_steps": 4 * steps} if name in ("ggl2", "ggl1", "radau") else {}
     run = solve(model, steps * H, integrator(name, H, **settings), every=max(1, steps // 2000), progress=meter)
     gained, lost = balance(run, 1e-3, 1.01)
     if name == "energy":

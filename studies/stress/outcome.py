@@ -10,7 +10,7 @@ from polyida.study.energy import unbalanced
 
 OUTCOMES = ("right", "stated_stop", "unforeseen_stop", "wrong", "crash", "hang")
 COLLAPSED = ("turned inside out", "has collapsed")  # words of a stop at the limit of St. Venant-Kirchhoff
-INTEGRATORS = ("alpha", "adaptive", "stabilised", "energy", "ggl2", "ggl1")
+INTEGRATORS = ("alpha", "adaptive", "stabilised", "energy", "ggl2", "ggl1", "radau")
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,10 @@ def integrator(name, h=1e-3, rtol=1e-5, **settings):
     from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
     from polyida.integrate.energy.energy_momentum import EnergyMomentum
     from polyida.integrate.ida.integrator import IDA
+    from polyida.integrate.radau.radau_iia import RadauIIA
 
+    if name == "radau":
+        return RadauIIA(rtol=rtol, **settings)
     if name == "energy":
         return EnergyMomentum(h=h, **settings)
     if name in ("ggl2", "ggl1"):

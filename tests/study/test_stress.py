@@ -112,13 +112,16 @@ def test_a_wrong_integrator_is_found(monkeypatch, change, found, axis):
     assert row["outcome"] == "wrong" and found in row["reason"]
 
 
-@pytest.mark.parametrize("axis", [title for title in AXES if title.split()[0] not in ("steps", "kills")])
-def test_the_benign_end_of_every_axis_is_right(axis):
-    row = run(axis, AXES[axis].values[0], "alpha")
+BENIGN = [(title, name) for title in AXES for name in ("alpha", "radau") if title.split()[0] not in ("steps", "kills")]
+
+
+@pytest.mark.parametrize("axis, name", [(title, name) for title, name in BENIGN if name == "alpha" or name in AXES[title].integrators])
+def test_the_benign_end_of_every_axis_is_right(axis, name):
+    row = run(axis, AXES[axis].values[0], name)
     assert row["outcome"] == ("stated_stop" if axis == "held twice" else "right"), row
 
 
-@pytest.mark.parametrize("name", ["alpha", "energy", "ggl2"])
+@pytest.mark.parametrize("name", ["alpha", "energy", "ggl2", "radau"])
 def test_the_materials_limit_is_found_and_named(name):
     assert outcome_of(cases.pressing, 0.18, name)["outcome"] == "right"
     beyond = run("pressure over modulus", 0.25, name)
@@ -164,7 +167,7 @@ def idle(model, state):
 
 @pytest.mark.parametrize("change, found", [(one_turn_less, "turned angle"), (longer, "length"), (idle, "kinetic energy")])
 def test_turns_that_are_none_are_found(monkeypatch, change, found):
-    monkeypatch.setattr(identities, "integrator", lambda name, rtol: Turning(change))
+    monkeypatch.setattr(identities, "integrator", lambda name, **settings: Turning(change))
     _, checks = identities.many_turns(3, "alpha")
     assert [check for check in checks if found in check.name and check.share > 1]
 
@@ -201,8 +204,9 @@ class Early:
         raise StepFailure("inverted", "St. Venant-Kirchhoff has collapsed", 0.5)
 
 
-def test_five_kills_of_a_run():
-    last, checks = killed_runs(5, "alpha", seed=3)
+@pytest.mark.parametrize("name", ["alpha", "radau"])
+def test_five_kills_of_a_run(name):
+    last, checks = killed_runs(5, name, seed=3)
     assert judged(last, checks)["outcome"] == "right"
 
 

@@ -227,6 +227,6 @@ def test_slopes_of_too_few_points_are_nan():
     assert drawing.fitted([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("kind, value, text", [("h", 2e-3, "h = 2e-3"), ("rtol", 1e-5, "rtol 1e-5")])
+@pytest.mark.parametrize("kind, value, text", [("h", 2e-3, "h = 2e-3"), ("h", 2.5e-3, "h = 2.5e-3"), ("rtol", 1e-5, "rtol 1e-5")])
 def test_steps_and_tolerances_are_told_apart(kind, value, text):
     assert drawing.tag(kind, value) == text
