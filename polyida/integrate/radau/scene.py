@@ -94,32 +94,34 @@ def place(t, h, x, w, k):
         past[SPEED, i] = past[V, i] + x.dv[k, i]
 
 
-@entry
+@part
+def through(W, h, x, rates):
+    """rates = W x / h, (s, n) each."""
+    for k in range(x.shape[0]):
+        row, first, weight = rates[k], x[0], W[k, 0] / h
+        for i in range(row.shape[0]):
+            row[i] = weight * first[i]
+        for j in range(1, x.shape[0]):
+            other, weight = x[j], W[k, j] / h
+            for i in range(row.shape[0]):
+                row[i] += weight * other[i]
+
+
+@part
 def follow(s, t, h, drives, x, w):
     """v and v' of the stages from e and mu."""
-    stages, n = x.e.shape
-    for k in range(stages):
-        for i in range(n):
-            total = 0.0
-            for j in range(stages):
-                total += t.W[k, j] * x.e[j, i]
-            x.dv[k, i] = total / h
+    through(t.W, h, x.e, x.dv)
     if x.mu.shape[1]:
-        for k in range(stages):
+        for k in range(x.e.shape[0]):
             place(t, h, x, w, k)
             joints.point_values(s.links, pairs(w.past[MOVE]), w.dz[k])
             clear(w.forces)
             joints.joint_forces(s.links, drives[k + 1], w.dz[k], x.mu[k], w.rows[0, k], w.forces)
             joints.spread(s.links, w.forces, pairs(x.dv[k]))
-    for k in range(stages):
-        for i in range(n):
-            total = 0.0
-            for j in range(stages):
-                total += t.W[k, j] * x.dv[j, i]
-            x.a[k, i] = total / h
+    through(t.W, h, x.dv, x.a)
 
 
-@entry
+@part
 def carry(s, t, h, drives, gains, x, w, k):
     """phi and phi' of stage k from those at the start and what the step adds."""
     phi, rate = w.rows[0, k], w.rows[1, k]
@@ -128,6 +130,24 @@ def carry(s, t, h, drives, gains, x, w, k):
     joints.point_values(s.links, pairs(x.e[k]), w.points[DX])
     joints.point_values(s.links, pairs(x.dv[k]), w.points[DV])
     joints.joint_change(s.links, drives[0], gains[k], t.c[k] * h, w.points[START], w.points[VX], w.points[DX], w.points[DV], phi, rate)
+
+
+@entry
+def begin(s, q, v, phi, rate, w):
+    """Take up the state that a step begins from."""
+    for i in range(q.shape[0]):
+        w.past[Q, i], w.past[V, i] = q[i], v[i]
+    for k in range(phi.shape[0]):
+        w.closed[0, k], w.closed[1, k] = phi[k], rate[k]
+    joints.point_values(s.links, pairs(w.past[Q]), w.points[START])
+    joints.point_values(s.links, pairs(w.past[V]), w.points[VX])
+
+
+@entry
+def close(s, t, h, drives, gains, x, w):
+    """v and v' of the stages, phi and phi' of the last, which is the step's end."""
+    follow(s, t, h, drives, x, w)
+    carry(s, t, h, drives, gains, x, w, x.e.shape[0] - 1)
 
 
 @part
@@ -314,12 +334,8 @@ class SceneSystem:
 
     def begin(self, state, h, times, closed):
         """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried."""
-        model, w = self.model, self.room
         self.h = h
-        w.past[Q], w.past[V] = state.q, state.v
-        w.closed[0], w.closed[1] = closed
-        joints.point_values(model.arrays.links, state.q.reshape(-1, 2), w.points[START])
-        joints.point_values(model.arrays.links, state.v.reshape(-1, 2), w.points[VX])
+        begin(self.model.arrays, state.q, state.v, *closed, self.room)
         self.drives, self.gains = self._loads(state.t, times)
 
     def _loads(self, t, times):
@@ -348,10 +364,8 @@ class SceneSystem:
 
     def close(self):
         """Bring v and v' up to the last correction: (phi, rate) at the step's end, as they are carried."""
-        given, last = (self.model.arrays, self.way, self.h, self.drives), self.tableau.stages - 1
-        follow(*given, self.trial, self.room)
-        carry(*given, self.gains, self.trial, self.room, last)
-        return self.room.rows[0, last].copy(), self.room.rows[1, last].copy()
+        close(self.model.arrays, self.way, self.h, self.drives, self.gains, self.trial, self.room)
+        return self.room.rows[0, -1].copy(), self.room.rows[1, -1].copy()
 
     def error(self, matrices, a):
         """|q_ - q| of the step's end against a method of order s; a (n,): v' at the last step's end."""

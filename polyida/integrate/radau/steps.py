@@ -1,5 +1,6 @@
 """Steps of Radau IIA on one model: factors by step size, a step tried, its end made a state on the constraints."""
 
+import math
 from functools import cached_property
 
 import numpy as np
@@ -107,20 +108,17 @@ class Steps:
 
     def _state(self, state, h, t, closed, error):
         """The accepted State: q and v on their constraints to round-off."""
-        at, model, x = self.clamp(t), self.model, self.system.trial
-        e, dv, a, lam = x.e.copy(), x.dv.copy(), x.a.copy(), x.lam.copy()
-        q, v = state.q + (h * state.v + e[-1]), state.v + dv[-1]
-        new_q, new_v, closed = self._settled(at, q, v, closed)
-        e[-1], dv[-1] = e[-1] + (new_q - q), dv[-1] + (new_v - v)
-        if not (np.isfinite(new_q).all() and np.isfinite(new_v).all()):
+        at, model, (e, dv, a, lam, _) = self.clamp(t), self.model, map(np.copy, self.system.trial)
+        q, v, closed = self._settled(at, state.q + (h * state.v + e[-1]), state.v + dv[-1], closed, e[-1], dv[-1])
+        if not math.isfinite(q.dot(v)):
             raise StepFailure("not finite", "the motion is not finite", t)
-        if self.system.objects and (objection := model.objection(at, new_q)):
+        if self.system.objects and (objection := model.objection(at, q)):
             raise StepFailure("objection", objection, t)
         memory = {"stages_e": e, "stages_v": dv, "a_end": a[-1], "lam_end": lam[-1], "stages_lam": lam, "step": h, "error": error}
         if closed is not None:
             memory |= dict(zip(("phi", "rate"), closed))
         within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (e, dv, a, lam))
-        return Accepted(model, at, State(t, new_q, new_v, a[-1], lam[-1], memory | self._memory(), within=within))
+        return Accepted(model, at, State(t, q, v, a[-1], lam[-1], memory | self._memory(), within=within))
 
     def _memory(self):
         kept = self.kept.factors
@@ -130,18 +128,19 @@ class Steps:
         memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
         return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
 
-    def _settled(self, t, q, v, closed):
-        """(q, v, (phi, rate) as carried or None): freed of what Newton left of phi, and v of the error of index 3."""
-        model, none = self.model, np.zeros(self.model.n)
+    def _settled(self, t, q, v, closed, e, dv):
+        """(q, v, (phi, rate) as carried or None): freed of what Newton left of phi, and v of the error of index 3; e and dv with them."""
+        model, system, none = self.model, None, np.zeros(self.model.n)
         try:
-            system = None
             if model.m and closed is None:
-                q, system = self._closed(t, q, none)
+                before, (q, system) = q, self._closed(t, q, none)
+                e += q - before
             if self.moves_v:
                 rate = model.phi_rate(t, q, v) if closed is None else closed[1]
                 if rate.any():
-                    v = v + (system or self._mass_system(t, q)).solve(none, rate)[0]
-                    closed = None if closed is None else (closed[0], np.zeros_like(rate))
+                    move = (system or self._mass_system(t, q)).solve(none, rate)[0]
+                    v, dv[:] = v + move, dv + move
+                    closed = closed and (closed[0], np.zeros_like(rate))
             return q, v, closed
         except np.linalg.LinAlgError as error:
             raise StepFailure("singular", str(error), t) from None
