@@ -37,6 +37,15 @@ class Way(NamedTuple):
     pair_column: np.ndarray
 
 
+@pack
+class Solver(NamedTuple):
+    """What kernels take of the factored matrix of a mode; c (1,): its own."""
+
+    c: np.ndarray
+    factored: corotated.Corotated
+    room: corotated.Room
+
+
 def way(tableau):
     """The Way of a Tableau."""
     modes = {mode.paired: mode for mode in tableau.modes}
@@ -231,11 +240,11 @@ def turn_out(t, x, w):
 
 
 @entry
-def iterate(s, t, h, c, real, pair, damp, laws, drives, gains, x, w):
+def iterate(s, t, h, real, pair, damp, laws, drives, gains, x, w):
     """One Newton iteration on the trial stages: (how it ended, |dq|).
 
-    c (2,): of the real mode and the pair; real, pair: their Corotated and Room, real None where there is no real mode. damp: scratch of a
-    damped scene, or None; laws: of force elements, or None. drives (s + 1, profiles, 3) of the step's start and the stages.
+    real, pair: their Solver, real None where there is no real mode. damp: scratch of a damped scene, or None; laws: of force elements, or
+    None. drives (s + 1, profiles, 3): of the step's start and the stages.
     """
     ended = residuals(s, t, h, damp, laws, drives, gains, x, w)
     if ended != DONE:
@@ -244,11 +253,13 @@ def iterate(s, t, h, c, real, pair, damp, laws, drives, gains, x, w):
     k = x.e.shape[0] // 2
     at, rotation, dz, lam = drives[k + 1], w.rotation[k], w.dz[k], x.lam[k]
     if real is not None:
-        square = (c[0] * c[0]).real
-        if not corotated.solve(s.links, real[0], real[1], at, rotation, dz, lam, w.right, w.phi, square, w.dq, w.dlam):
+        square = real.c[0] * real.c[0]
+        if not corotated.solve(s.links, real.factored, real.room, at, rotation, dz, lam, w.right, w.phi, square, w.dq, w.dlam):
             return SINGULAR, 0.0
-    square = c[1] * c[1]
-    if not corotated.solve(s.links, pair[0], pair[1], at, rotation, dz, lam, w.right_pair, w.phi_pair, square, w.dq_pair, w.dlam_pair):
+    square = pair.c[0] * pair.c[0]
+    if not corotated.solve(
+        s.links, pair.factored, pair.room, at, rotation, dz, lam, w.right_pair, w.phi_pair, square, w.dq_pair, w.dlam_pair
+    ):
         return SINGULAR, 0.0
     return DONE, np.sqrt(turn_out(t, x, w))
 
@@ -265,7 +276,7 @@ def momentum(s, b, w, r):
 
 
 @part
-def off(s, t, h, c, damp, x, w, r):
+def off(s, t, h, damp, x, w, r):
     """r = -((c M + C) off_v + M off_a), what the last v' and v_0 are off the stages' polynomial."""
     stages, n = x.e.shape
     for i in range(n):
@@ -282,11 +293,11 @@ def off(s, t, h, c, damp, x, w, r):
 
 
 @entry
-def error(s, t, h, c, real, pair, damp, drives, x, w):
+def error(s, t, h, real, pair, damp, drives, x, w):
     """(whether it could be solved, the local error): |dq| of `S dq + B^T dlam = (c M + C) off_v + M off_a`, `B dq = 0`."""
     k = x.e.shape[0] // 2
     at, rotation, dz, lam = drives[k + 1], w.rotation[k], w.dz[k], x.lam[k]
-    off(s, t, h, c, damp, x, w, w.r[0])
+    off(s, t, h, damp, x, w, w.r[0])
     for e in range(w.phi.shape[0]):
         w.phi[e], w.phi_pair[e] = 0.0, 0.0
     for i in range(w.right.shape[0]):
@@ -294,19 +305,21 @@ def error(s, t, h, c, real, pair, damp, drives, x, w):
     momentum(s, pairs(w.past[MOVE]), w, w.right)
     total = 0.0
     if real is not None:
-        square = (c[0] * c[0]).real
+        square = real.c[0] * real.c[0]
         for i in range(w.right.shape[0]):
             for a in range(2):
-                w.right[i, a] = w.r[0, i, a] + c[0].real * w.right[i, a]
-        good = corotated.solve(s.links, real[0], real[1], at, rotation, dz, lam, w.right, w.phi, square, w.dq, w.dlam)
+                w.right[i, a] = w.r[0, i, a] + real.c[0] * w.right[i, a]
+        good = corotated.solve(s.links, real.factored, real.room, at, rotation, dz, lam, w.right, w.phi, square, w.dq, w.dlam)
         for i in range(w.right.shape[0]):
             total += w.past[SHARES, 2 * i] * (w.dq[i, 0] ** 2 + w.dq[i, 1] ** 2)
     else:
-        square = c[1] * c[1]
+        square = pair.c[0] * pair.c[0]
         for i in range(w.right.shape[0]):
             for a in range(2):
-                w.right_pair[i, a] = w.r[0, i, a] + c[1] * w.right[i, a]
-        good = corotated.solve(s.links, pair[0], pair[1], at, rotation, dz, lam, w.right_pair, w.phi_pair, square, w.dq_pair, w.dlam_pair)
+                w.right_pair[i, a] = w.r[0, i, a] + pair.c[0] * w.right[i, a]
+        good = corotated.solve(
+            s.links, pair.factored, pair.room, at, rotation, dz, lam, w.right_pair, w.phi_pair, square, w.dq_pair, w.dlam_pair
+        )
         for i in range(w.right.shape[0]):
             total += w.past[SHARES, 2 * i] * (w.dq_pair[i, 0].real ** 2 + w.dq_pair[i, 1].real ** 2)
     return good, np.sqrt(total)
@@ -323,6 +336,14 @@ class SceneSystem:
         self.way, self.room = way(tableau), room(model, tableau.stages)
         self.trial = trial(tableau.stages, model.n, model.m, self.tied)
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
+        self.kernels = {}
+
+    def _call(self, kernel, *args):
+        """kernel(scene's arrays, *args), whose types are the same in every call."""
+        bound = self.kernels.get(kernel)
+        if bound is None:
+            bound = self.kernels[kernel] = kernel.bound(self.model.arrays, *args)
+        return bound(self.model.arrays, *args)
 
     def weigh(self, shares):
         """Take the coordinates' shares in the mass."""
@@ -335,7 +356,7 @@ class SceneSystem:
     def begin(self, state, h, times, closed):
         """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried."""
         self.h = h
-        begin(self.model.arrays, state.q, state.v, *closed, self.room)
+        self._call(begin, np.ascontiguousarray(state.q), np.ascontiguousarray(state.v), *closed, self.room)
         self.drives, self.gains = self._loads(state.t, times)
 
     def _loads(self, t, times):
@@ -352,26 +373,26 @@ class SceneSystem:
 
     def iterate(self, matrices):
         """One iteration; returns |dq|, |dv| h with it, root mean square by mass. Raises Failed."""
-        counts, model = self.counts, self.model
+        counts = self.counts
         counts.residuals += self.tableau.stages
         counts.newton_iterations += 1
         counts.solves += len(matrices.modes)
-        given = self.way, self.h, *matrices.compiled, self.damp, model.laws, self.drives, self.gains
-        ended, moved = iterate(model.arrays, *given, self.trial, self.room)
+        given = *matrices.compiled, self.damp, self.model.laws, self.drives, self.gains, self.trial, self.room
+        ended, moved = self._call(iterate, self.way, self.h, *given)
         if ended != DONE:
             raise Failed(*REASONS[ended])
         return moved
 
     def close(self):
         """Bring v and v' up to the last correction: (phi, rate) at the step's end, as they are carried."""
-        close(self.model.arrays, self.way, self.h, self.drives, self.gains, self.trial, self.room)
+        self._call(close, self.way, self.h, self.drives, self.gains, self.trial, self.room)
         return self.room.rows[0, -1].copy(), self.room.rows[1, -1].copy()
 
     def error(self, matrices, a):
         """|q_ - q| of the step's end against a method of order s; a (n,): v' at the last step's end."""
         self.counts.solves += 1
         self.room.past[A] = a
-        good, found = error(self.model.arrays, self.way, self.h, *matrices.compiled, self.damp, self.drives, self.trial, self.room)
+        good, found = self._call(error, self.way, self.h, *matrices.compiled, self.damp, self.drives, self.trial, self.room)
         if not good:
             raise Failed(*REASONS[SINGULAR])
         return found
@@ -396,6 +417,5 @@ class SceneMatrices:
         for mode, c in zip(self.modes, self.c):
             step = self.model.step_matrix()
             step.factor(*at, c * c, c, parts)
-            found[mode.paired], self.backend = (step.corotated, step.room), step.backend
-        values = np.array([next((c for c in self.c if not np.iscomplexobj(c)), 0.0), self.c[-1]], complex)
-        self.compiled = values, found.get(False), found[True]
+            found[mode.paired], self.backend = Solver(np.array([c]), step.corotated, step.room), step.backend
+        self.compiled = found.get(False), found[True]
