@@ -14,6 +14,7 @@ from polyida.assembly.damping import add_damping, symmetric_parts
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table, gains_from
+from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.compiled import entry, pack, part
 from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, SINGULAR
 from polyida.integrate.kinks import inner_side
@@ -39,11 +40,13 @@ class Way(NamedTuple):
 
 @pack
 class Solver(NamedTuple):
-    """What kernels take of the factored matrix of a mode; c (1,): its own."""
+    """What kernels take of the factored matrix of a mode; c (1,): its own; massive, border: of the border with mu, or None."""
 
     c: np.ndarray
     factored: corotated.Corotated
     room: corotated.Room
+    massive: corotated.Corotated | None
+    border: StabilisedRoom | None
 
 
 def way(tableau):
@@ -59,7 +62,8 @@ class Room(NamedTuple):
     """Scratch of a scene and s stages.
 
     past (6, n): q, v, shares, the last v' and scratch; closed (2, m): phi and phi' at the step's start; r, rotation and turn (s, nodes, 2);
-    points (4, points, 2); dz (s, points, 2); rows (2, s, m): phi and phi'. Of the modes: right-hand sides, corrections.
+    points (4, points, 2); vz (points, 2): velocities in the middle stage; dz (s, points, 2); rows (2, s, m): phi and phi'. Of the modes:
+    right-hand sides and corrections; closing (2, m), multipliers (2, m): of phi and phi', lam and mu.
     """
 
     past: np.ndarray
@@ -69,23 +73,25 @@ class Room(NamedTuple):
     turn: np.ndarray
     points: np.ndarray
     forces: np.ndarray
+    vz: np.ndarray
     dz: np.ndarray
     rows: np.ndarray
     right: np.ndarray
     dq: np.ndarray
-    phi: np.ndarray
-    dlam: np.ndarray
+    closing: np.ndarray
+    multipliers: np.ndarray
     right_pair: np.ndarray
     dq_pair: np.ndarray
-    phi_pair: np.ndarray
-    dlam_pair: np.ndarray
+    closing_pair: np.ndarray
+    multipliers_pair: np.ndarray
 
 
 def room(model, stages):
     """The Room of a scene."""
     nodes, points, m = (model.n_nodes, 2), (model.n_points, 2), model.m
-    shapes = ((6, model.n), (2, m), *[(stages, *nodes)] * 3, (4, *points), points, (stages, *points), (2, stages, m), nodes, nodes, m, m)
-    return Room(*map(np.zeros, shapes), *(np.zeros(shape, complex) for shape in (nodes, nodes, m, m)))
+    stage, modal = [(stages, *nodes)] * 3, (nodes, nodes, (2, m), (2, m))
+    shapes = ((6, model.n), (2, m), *stage, (4, *points), points, points, (stages, *points), (2, stages, m), *modal)
+    return Room(*map(np.zeros, shapes), *(np.zeros(shape, complex) for shape in modal))
 
 
 @part
@@ -176,6 +182,8 @@ def residuals(s, t, h, damp, laws, drives, gains, x, w):
         if laws is not None:
             add_own_forces(laws, s.links, drives[k + 1], u, v, r)
         carry(s, t, h, drives, gains, x, w, k)
+        if k == x.e.shape[0] // 2:
+            joints.point_values(s.links, v, w.vz)
     return DONE
 
 
@@ -200,12 +208,13 @@ def turn_in(t, w):
                 w.right[i, 1] += t.real_row[k] * q
             w.right_pair[i, 0] += t.pair_row[k] * p
             w.right_pair[i, 1] += t.pair_row[k] * q
-    for e in range(w.phi.shape[0]):
-        w.phi[e], w.phi_pair[e] = 0.0, 0.0
-        for k in range(stages):
-            if t.real_row.shape[0]:
-                w.phi[e] += t.real_row[k] * w.rows[0, k, e]
-            w.phi_pair[e] += t.pair_row[k] * w.rows[0, k, e]
+    for f in range(2):
+        for e in range(w.closing.shape[1]):
+            w.closing[f, e], w.closing_pair[f, e] = 0.0, 0.0
+            for k in range(stages):
+                if t.real_row.shape[0]:
+                    w.closing[f, e] += t.real_row[k] * w.rows[f, k, e]
+                w.closing_pair[f, e] += t.pair_row[k] * w.rows[f, k, e]
 
 
 @part
@@ -231,12 +240,51 @@ def turn_out(t, x, w):
                 for j in range(stages):
                     speed += t.W[k, j] * dq[j, a]
                 total += share * (dq[k, a] * dq[k, a] + speed * speed)
-    for e in range(w.phi.shape[0]):
-        for k in range(stages):
-            x.lam[k, e] += 2.0 * (t.pair_column[k] * w.dlam_pair[e]).real
-            if t.real_row.shape[0]:
-                x.lam[k, e] += t.real_column[k] * w.dlam[e]
+    add_multipliers(t, w, 0, x.lam)
+    add_multipliers(t, w, 1, x.mu)
     return total / stages
+
+
+@part
+def add_multipliers(t, w, f, lam):
+    """Add the modes' multipliers of one kind to those of the stages."""
+    for k in range(lam.shape[0]):
+        for e in range(lam.shape[1]):
+            lam[k, e] += 2.0 * (t.pair_column[k] * w.multipliers_pair[f, e]).real
+            if t.real_row.shape[0]:
+                lam[k, e] += t.real_column[k] * w.multipliers[f, e]
+
+
+@part
+def solve_mode(s, c, room, massive, border, c_v, drives, x, w, r, closing, dq, multipliers):
+    """dq and multipliers of one mode from its residuals, rows and curvature those of the middle stage. False where it is singular."""
+    k = x.e.shape[0] // 2
+    at, rotation, dz, lam = drives[k + 1], w.rotation[k], w.dz[k], x.lam[k]
+    if massive is None:
+        return corotated.solve(s.links, c, room, at, rotation, dz, lam, r, closing[0], c_v * c_v, dq, multipliers[0])
+    corotated.solve_plates(s.links, c, room, rotation, r, dq)
+    for i in range(dq.shape[0]):
+        dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
+    for f in range(2):
+        for e in range(closing.shape[1]):
+            closing[f, e] = -closing[f, e]
+    return stabilised_border(
+        s.links, c, massive, room, border, at, dz, w.vz, lam, c_v, dq, None, closing[0], closing[1], multipliers[0], multipliers[1]
+    )
+
+
+@part
+def solve_real(s, real, drives, x, w):
+    """The real mode's corrections. False where it is singular."""
+    given = w.right, w.closing, w.dq, w.multipliers
+    return solve_mode(s, real.factored, real.room, real.massive, real.border, real.c[0], drives, x, w, *given)
+
+
+@part
+def solve_pair(s, pair, drives, x, w):
+    """The same of the complex pair."""
+    given = w.right_pair, w.closing_pair, w.dq_pair, w.multipliers_pair
+    return solve_mode(s, pair.factored, pair.room, pair.massive, pair.border, pair.c[0], drives, x, w, *given)
 
 
 @entry
@@ -250,22 +298,15 @@ def iterate(s, t, h, real, pair, damp, laws, drives, gains, x, w):
     if ended != DONE:
         return ended, 0.0
     turn_in(t, w)
-    k = x.e.shape[0] // 2
-    at, rotation, dz, lam = drives[k + 1], w.rotation[k], w.dz[k], x.lam[k]
-    if real is not None:
-        square = real.c[0] * real.c[0]
-        if not corotated.solve(s.links, real.factored, real.room, at, rotation, dz, lam, w.right, w.phi, square, w.dq, w.dlam):
-            return SINGULAR, 0.0
-    square = pair.c[0] * pair.c[0]
-    if not corotated.solve(
-        s.links, pair.factored, pair.room, at, rotation, dz, lam, w.right_pair, w.phi_pair, square, w.dq_pair, w.dlam_pair
-    ):
+    if real is not None and not solve_real(s, real, drives, x, w):
+        return SINGULAR, 0.0
+    if not solve_pair(s, pair, drives, x, w):
         return SINGULAR, 0.0
     return DONE, np.sqrt(turn_out(t, x, w))
 
 
 @part
-def momentum(s, b, w, r):
+def whole_momentum(s, b, w, r):
     """r += M b."""
     kernels.momentum(s.plates, b, r)
     joints.point_values(s.links, b, w.points[DX])
@@ -287,41 +328,35 @@ def off(s, t, h, damp, x, w, r):
         w.past[MOVE, i], w.past[SPEED, i] = -v, -a
     for i in range(r.shape[0]):
         r[i, 0] = r[i, 1] = 0.0
-    momentum(s, pairs(w.past[SPEED]), w, r)
+    whole_momentum(s, pairs(w.past[SPEED]), w, r)
     if damp is not None:
         add_damping(s.plates, pairs(w.past[Q]), pairs(w.past[MOVE]), damp, r)
 
 
 @entry
 def error(s, t, h, real, pair, damp, drives, x, w):
-    """(whether it could be solved, the local error): |dq| of `S dq + B^T dlam = (c M + C) off_v + M off_a`, `B dq = 0`."""
-    k = x.e.shape[0] // 2
-    at, rotation, dz, lam = drives[k + 1], w.rotation[k], w.dz[k], x.lam[k]
+    """(whether it could be solved, the local error): |dq| of a solve with (c M + C) off_v + M off_a on the right, and no residual of rows."""
     off(s, t, h, damp, x, w, w.r[0])
-    for e in range(w.phi.shape[0]):
-        w.phi[e], w.phi_pair[e] = 0.0, 0.0
     for i in range(w.right.shape[0]):
         w.right[i, 0] = w.right[i, 1] = 0.0
-    momentum(s, pairs(w.past[MOVE]), w, w.right)
+    whole_momentum(s, pairs(w.past[MOVE]), w, w.right)
     total = 0.0
     if real is not None:
-        square = real.c[0] * real.c[0]
+        clear(w.closing)
         for i in range(w.right.shape[0]):
             for a in range(2):
                 w.right[i, a] = w.r[0, i, a] + real.c[0] * w.right[i, a]
-        good = corotated.solve(s.links, real.factored, real.room, at, rotation, dz, lam, w.right, w.phi, square, w.dq, w.dlam)
+        good = solve_real(s, real, drives, x, w)
         for i in range(w.right.shape[0]):
             total += w.past[SHARES, 2 * i] * (w.dq[i, 0] ** 2 + w.dq[i, 1] ** 2)
-    else:
-        square = pair.c[0] * pair.c[0]
-        for i in range(w.right.shape[0]):
-            for a in range(2):
-                w.right_pair[i, a] = w.r[0, i, a] + pair.c[0] * w.right[i, a]
-        good = corotated.solve(
-            s.links, pair.factored, pair.room, at, rotation, dz, lam, w.right_pair, w.phi_pair, square, w.dq_pair, w.dlam_pair
-        )
-        for i in range(w.right.shape[0]):
-            total += w.past[SHARES, 2 * i] * (w.dq_pair[i, 0].real ** 2 + w.dq_pair[i, 1].real ** 2)
+        return good, np.sqrt(total)
+    clear(w.closing_pair)
+    for i in range(w.right.shape[0]):
+        for a in range(2):
+            w.right_pair[i, a] = w.r[0, i, a] + pair.c[0] * w.right[i, a]
+    good = solve_pair(s, pair, drives, x, w)
+    for i in range(w.right.shape[0]):
+        total += w.past[SHARES, 2 * i] * (w.dq_pair[i, 0].real ** 2 + w.dq_pair[i, 1].real ** 2)
     return good, np.sqrt(total)
 
 
@@ -351,7 +386,7 @@ class SceneSystem:
 
     def matrices(self, h, made_at):
         """Those of steps of h at made_at, not made yet."""
-        return SceneMatrices(self.model, self.tableau.modes, h, made_at)
+        return SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied)
 
     def begin(self, state, h, times, closed):
         """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried."""
@@ -404,8 +439,8 @@ class SceneMatrices:
     price: iterations that they cost beyond those of good ones.
     """
 
-    def __init__(self, model, modes, h, made_at):
-        self.model, self.modes, self.made_at, self.price = model, modes, made_at, 0.0
+    def __init__(self, model, modes, h, made_at, tied):
+        self.model, self.modes, self.made_at, self.price, self.tied = model, modes, made_at, 0.0, tied
         self.c, self.compiled, self.backend = [mode.value / h for mode in modes], None, ""
 
     def make(self):
@@ -417,5 +452,10 @@ class SceneMatrices:
         for mode, c in zip(self.modes, self.c):
             step = self.model.step_matrix()
             step.factor(*at, c * c, c, parts)
-            found[mode.paired], self.backend = Solver(np.array([c]), step.corotated, step.room), step.backend
+            found[mode.paired], self.backend = Solver(np.array([c]), step.corotated, step.room, *self._border(step, c)), step.backend
         self.compiled = found.get(False), found[True]
+
+    def _border(self, step, c):
+        if not self.tied:
+            return None, None
+        return massive(self.model, step.corotated, step.room.x), stabilised_room(self.model, type(c))
