@@ -14,11 +14,13 @@ from polyida.assembly.damping import add_damping, symmetric_parts
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table, gains_from
+from polyida.assembly.rows.tie import project, tie
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.compiled import entry, pack, part
 from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, SINGULAR
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.newton import Failed, trial
+from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.linear.dense import clear
 
 Q, V, SHARES, A, MOVE, SPEED = range(6)  # rows of Room.past
@@ -159,10 +161,38 @@ def begin(s, q, v, phi, rate, w):
 
 
 @entry
-def close(s, t, h, drives, gains, x, w):
-    """v and v' of the stages, phi and phi' of the last, which is the step's end."""
+def close(s, t, h, drives, gains, enough, moves_v, y, x, w):
+    """v and v' of the stages; phi and phi' of the last, the step's end, which is moved onto phi = 0 and, moves_v, onto phi' = 0.
+
+    enough: |phi| that is round-off. y: the scene's Tie, or None without constraints. False where that is singular.
+    """
     follow(s, t, h, drives, x, w)
-    carry(s, t, h, drives, gains, x, w, x.e.shape[0] - 1)
+    if y is None:
+        return True
+    k = x.e.shape[0] - 1
+    carry(s, t, h, drives, gains, x, w, k)
+    phi, rate, good = w.rows[0, k], w.rows[1, k], True
+    off_q, off_v = largest(phi) > enough, moves_v and largest(rate) > 0.0
+    if off_q or off_v:
+        place(t, h, x, w, k)
+        joints.point_values(s.links, pairs(w.past[MOVE]), w.dz[k])
+        joints.joint_jacobian(s.links, drives[k + 1], w.dz[k], y.slopes)
+    if off_q:
+        good = project(s.links, y, phi, pairs(x.e[k]))
+        carry(s, t, h, drives, gains, x, w, k)
+    if good and off_v:
+        good = project(s.links, y, rate, pairs(x.dv[k]))
+        carry(s, t, h, drives, gains, x, w, k)
+    return good
+
+
+@part
+def largest(x):
+    """max |x|."""
+    found = 0.0
+    for k in range(x.shape[0]):
+        found = max(found, abs(x[k]))
+    return found
 
 
 @part
@@ -365,13 +395,13 @@ class SceneSystem:
 
     objects = False  # its residuals have looked
 
-    def __init__(self, model, tableau, tied, counts):
+    def __init__(self, model, tableau, tied, moves_v, counts):
         needs, self.model, self.tableau, self.counts = model.needs, model, tableau, counts
         self.tied = tied and model.m > 0 and (needs.phi_q_varies or needs.driven)
         self.way, self.room = way(tableau), room(model, tableau.stages)
         self.trial = trial(tableau.stages, model.n, model.m, self.tied)
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
-        self.kernels = {}
+        self.moves_v, self.tie, self.kernels = moves_v, tie(model) if model.m else None, {}
 
     def _call(self, kernel, *args):
         """kernel(scene's arrays, *args), whose types are the same in every call."""
@@ -390,7 +420,7 @@ class SceneSystem:
 
     def begin(self, state, h, times, closed):
         """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried."""
-        self.h = h
+        self.h, self.enough = h, ROUND_OFF * extent(self.model, state.q)
         self._call(begin, np.ascontiguousarray(state.q), np.ascontiguousarray(state.v), *closed, self.room)
         self.drives, self.gains = self._loads(state.t, times)
 
@@ -419,8 +449,10 @@ class SceneSystem:
         return moved
 
     def close(self):
-        """Bring v and v' up to the last correction: (phi, rate) at the step's end, as they are carried."""
-        self._call(close, self.way, self.h, self.drives, self.gains, self.trial, self.room)
+        """Bring v and v' up to the last correction, and the step's end onto its constraints: (phi, rate) there as they are carried."""
+        given = self.drives, self.gains, self.enough, self.moves_v, self.tie, self.trial, self.room
+        if not self._call(close, self.way, self.h, *given):
+            raise Failed(*REASONS[SINGULAR])
         return self.room.rows[0, -1].copy(), self.room.rows[1, -1].copy()
 
     def error(self, matrices, a):

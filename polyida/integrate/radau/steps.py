@@ -11,16 +11,13 @@ from polyida.integrate.radau.dense import Collocation
 from polyida.integrate.radau.newton import Failed, Newton
 from polyida.integrate.radau.plain import PlainSystem
 from polyida.integrate.radau.tableau import radau
-from polyida.integrate.sizes import extent, weights
+from polyida.integrate.sizes import weights
 from polyida.integrate.start import consistent_acceleration, start_values
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
 FEW = 2  # iterations of a step that nothing could spare
 PAIR = 24.0  # iterations that cost as much as new factors: so many beyond FEW a step, and they are made anew
-CLOSED = 64 * 2.0**-52  # of the model's size: |phi| that is round-off
-MOVES = 3  # of q onto phi = 0, at most
-AGAIN = 1e-9  # of that size: |phi| beyond which the constraints' system is made anew where q has moved to
 
 
 class Steps:
@@ -32,16 +29,11 @@ class Steps:
     def __init__(self, settings, model, counts, sizes):
         self.settings, self.model, self.counts, self.sizes = settings, model, counts, sizes
         self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
-        self.system = _system(model)(model, self.tableau, settings.form == "ggl", counts)
-        self.moves_v = self.system.tied or (settings.form == "index3" and settings.project and self._bent)
+        tied = settings.form == "ggl"
+        self.system = _system(model)(model, self.tableau, tied, tied or settings.project, counts)
         self.newton = Newton(self.system, self.tableau, settings.max_iterations)
         self.looks = settings.adaptive or settings.tolerance is None
         self.kept, self.shares, self.stacked = Kept(), None, None
-
-    @property
-    def _bent(self):
-        needs = self.model.needs
-        return self.model.m > 0 and (needs.phi_q_varies or needs.driven)
 
     def begin(self, state):
         """Take up what a state of this method holds: the norm's weights, Newton's contraction, the factors."""
@@ -109,7 +101,7 @@ class Steps:
     def _state(self, state, h, t, closed, error):
         """The accepted State: q and v on their constraints to round-off."""
         at, model, (e, dv, a, lam, _) = self.clamp(t), self.model, map(np.copy, self.system.trial)
-        q, v, closed = self._settled(at, state.q + (h * state.v + e[-1]), state.v + dv[-1], closed, e[-1], dv[-1])
+        q, v = state.q + (h * state.v + e[-1]), state.v + dv[-1]
         if not math.isfinite(q.dot(v)):
             raise StepFailure("not finite", "the motion is not finite", t)
         if self.system.objects and (objection := model.objection(at, q)):
@@ -127,41 +119,6 @@ class Steps:
         prices = np.array([(h, matrices.price) for h, matrices in kept.items()])
         memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
         return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
-
-    def _settled(self, t, q, v, closed, e, dv):
-        """(q, v, (phi, rate) as carried or None): freed of what Newton left of phi, and v of the error of index 3; e and dv with them."""
-        model, system, none = self.model, None, np.zeros(self.model.n)
-        try:
-            if model.m and closed is None:
-                before, (q, system) = q, self._closed(t, q, none)
-                e += q - before
-            if self.moves_v:
-                rate = model.phi_rate(t, q, v) if closed is None else closed[1]
-                if rate.any():
-                    move = (system or self._mass_system(t, q)).solve(none, rate)[0]
-                    v, dv[:] = v + move, dv + move
-                    closed = closed and (closed[0], np.zeros_like(rate))
-            return q, v, closed
-        except np.linalg.LinAlgError as error:
-            raise StepFailure("singular", str(error), t) from None
-
-    def _closed(self, t, q, none):
-        """q moved along M^-1 B^T onto phi = 0, and the system of M and B there, where it was needed."""
-        system, size = None, extent(self.model, q)
-        for _ in range(MOVES):
-            phi = self.model.phi(t, q)
-            if np.abs(phi).max() <= CLOSED * size:
-                break
-            system = system or self._mass_system(t, q)
-            q = q + system.solve(none, phi)[0]
-            system = None if np.abs(phi).max() > AGAIN * size else system
-        return q, system
-
-    def _mass_system(self, t, q):
-        try:
-            return self.model.mass_system(t, q)
-        except InputError as error:
-            raise StepFailure("singular", str(error), t) from None
 
 
 class Accepted(State):
