@@ -8,10 +8,12 @@ from polyida.study.drawing import drawn
 from polyida.study.harness import Study
 from step_cost import measure as cost
 from step_cost.against import against
+from step_cost.pair import BACKENDS, pair_row
 
 DECADES = {"1e3": 1_000, "1e4": 10_000, "1e5": 100_000}
 SPARSE = {"2e3": 2_000, "9e3": 9_000, "2e4": 20_000}
 STEPS = {1_000: 1000, 3_000: 600, 10_000: 300, 30_000: 100, 100_000: 50}
+RADAU_SPANS = {1_000: (0.1, 1.1), 3_000: (0.1, 0.6), 10_000: (0.05, 0.35), 30_000: (0.05, 0.2), 100_000: (0.02, 0.07)}  # s
 SPANS = {1_000: (0.1, 1.0), 3_000: (0.1, 0.5), 10_000: (0.05, 0.25), 30_000: (0.02, 0.08), 100_000: (0.005, 0.02)}  # of IDA, s
 AIMS = {  # figure: aim, at most (True) or at least
     "alpha_step_over_floor_1e3": (0.25, True),
@@ -29,7 +31,14 @@ AIMS = {  # figure: aim, at most (True) or at least
 }
 HEADLINE = tuple(name for name in AIMS if not name.endswith("start_s"))  # the short selection starts no process
 PARTS = ("residual", "tangent", "factor", "solve", "rest")
-RUNS = {"step": cost.step_row, "floor": cost.floor_row, "sparse": cost.sparse_row, "memory": cost.memory_row, "start": cost.start_rows}
+RUNS = {
+    "step": cost.step_row,
+    "floor": cost.floor_row,
+    "pair": pair_row,
+    "sparse": cost.sparse_row,
+    "memory": cost.memory_row,
+    "start": cost.start_rows,
+}
 
 
 def tasks(quick):
@@ -63,6 +72,10 @@ def tasks(quick):
                 "repeats": 1 if large else repeats,
             }
         )
+        short, long = RADAU_SPANS[dof]
+        radau = {"integrator": "radau", "short": short, "long": long, "repeats": repeats}
+        made.append({"part": "step", "scene": "scene 1", "dof": dof} | radau)
+        made += [{"part": "pair", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in BACKENDS]
         names = [name for name in cost.BACKENDS if name != "band" or dof <= peers.WIDEST_BAND]
         made += [{"part": "floor", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
     spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
@@ -85,25 +98,27 @@ def only(rows, part, **values):
     return [row for row in good if all(row.get(key) == value for key, value in values.items())]
 
 
-def floors(rows):
-    """{dof: the row of the back-end with the lowest floor}."""
+def floors(rows, part="floor"):
+    """{dof: the row of the back-end with the lowest floor}; part "pair": of Radau IIA."""
     found = {}
-    for row in only(rows, "floor"):
+    for row in only(rows, part):
         found[row["dof"]] = min(row, found.get(row["dof"], row), key=lambda x: x["floor_ms"])
     return found
 
 
 def figures(rows):
     """The study's findings; parts that did not run are left out."""
-    found, best = {}, floors(rows)
+    found, single, pair = {}, floors(rows), floors(rows, "pair")
     alpha = only(rows, "step", scene="scene 1", integrator="alpha")
     for name, dof in DECADES.items():
         for row in only(rows, "step", scene="scene 1", dof=dof):
-            kind = row["integrator"]
+            kind, best = row["integrator"], pair if row["integrator"] == "radau" else single
             found[f"{kind}_ms_per_step_{name}"] = row["ms_per_step"]
             if dof in best:
                 found[f"{kind}_step_over_floor_{name}"] = row["ms_per_step"] / best[dof]["floor_ms"]
-                found[f"floor_ms_{name}"] = best[dof]["floor_ms"]
+                found[f"{'pair_' * (best is pair)}floor_ms_{name}"] = best[dof]["floor_ms"]
+            if kind == "radau":
+                found[f"radau_ms_per_iteration_{name}"] = row["ms_per_iteration"]
             for floor in only(rows, "floor", dof=dof, backend="pardiso"):
                 found[f"{kind}_step_over_pardiso_{name}"] = row["ms_per_step"] / floor["floor_ms"]
     if len(alpha) > 1:
@@ -143,6 +158,18 @@ def step_notes(rows):
     return lines
 
 
+def radau_notes(rows):
+    """A step of Radau IIA beside its floor."""
+    best = floors(rows, "pair")
+    return [
+        f"{row['n']} coordinates: a step of Radau IIA of {row['ms_per_step']:.3g} ms takes {row['newton_iterations_per_step']:.2f} iterations "
+        f"of {row['ms_per_iteration']:.3g} ms, {row['factorizations_in_all']} factorizations in all; floor {best[row['dof']]['backend']}: "
+        f"{best[row['dof']]['factor_ms']:.3g} + 3 x {best[row['dof']]['solve_ms']:.3g} ms, each of a real and a complex matrix"
+        for row in only(rows, "step", integrator="radau")
+        if row["dof"] in best
+    ]
+
+
 def memory_notes(rows):
     """What the bytes of a coordinate are made of."""
     return [
@@ -170,11 +197,14 @@ def cost_figure(rows, folder):
 
     made, axes = figure(6.4, 4.6)
     alpha = ("generalized-alpha", "alpha")
-    kinds = ((*alpha, "scene 1"), (*alpha, "scene 2"), ("IDA", "ida", "scene 1"))
+    kinds = ((*alpha, "scene 1"), (*alpha, "scene 2"), ("IDA", "ida", "scene 1"), ("Radau IIA", "radau", "scene 1"))
     lines = [
         (f"a step of {name}, {scene}", only(rows, "step", scene=scene, integrator=key), "ms_per_step", "o") for name, key, scene in kinds
     ]
     lines += [(f"1 factorization + 3 solves, {name}", only(rows, "floor", backend=name), "floor_ms", "x") for name in cost.BACKENDS]
+    lines += [
+        (f"real and complex factorization + 6 solves, {name}", only(rows, "pair", backend=name), "floor_ms", "+") for name in BACKENDS
+    ]
     for k, (label, found, key, marker) in enumerate(lines):
         if found:
             axes.loglog(
@@ -223,7 +253,7 @@ study = Study(
     run,
     figures,
     (cost_figure, parts_figure),
-    notes=(aim_notes, step_notes, memory_notes, start_notes),
+    notes=(aim_notes, step_notes, radau_notes, memory_notes, start_notes),
     headline=HEADLINE,
     options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
     columns=("part", "scene", "integrator", "backend", "n", "steps", "ms_per_step", "newton_iterations_per_step", "floor_ms", "speedup"),

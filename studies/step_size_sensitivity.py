@@ -10,7 +10,7 @@ from polyida.study.drawing import drawn, legend, loglog, nested, panels, saved, 
 from polyida.study.harness import Study
 from polyida.study.kinds.sensitivity import decades, order_errors, reference_floor, tiny_steps
 from polyida.study.rows import column, each, farthest, last, number, pick, stopped, value
-from step_size_sensitivity import slopes
+from step_size_sensitivity import radau, slopes
 from step_size_sensitivity.slopes import PARTS, SOLVES, WAYS, runs_of
 
 COARSEST, HALVINGS, TIME = 1e-2, 5, 0.25
@@ -26,16 +26,22 @@ def tasks(quick):
             for form in ("index3", "stabilised", PLAIN)
             for k in range(HALVINGS)
         ]
-    return made + [
-        {"part": "tiny", "scene": scene, "cells": cells, "phi": phi, "solve": solve, "h": h, "largest": largest}
-        for scene in SCENES
-        for phi in WAYS
-        for solve in SOLVES
-        for h in decades(1e-9, largest)
-    ]
+    return (
+        made
+        + [
+            {"part": "tiny", "scene": scene, "cells": cells, "phi": phi, "solve": solve, "h": h, "largest": largest}
+            for scene in SCENES
+            for phi in WAYS
+            for solve in SOLVES
+            for h in decades(1e-9, largest)
+        ]
+        + radau.tasks(cells, largest)
+    )
 
 
 def run(part, scene, cells, **options):
+    if part in (radau.ORDER, radau.TINY):
+        return radau.run(part, scene, cells, **options)
     if part == "tiny":
         compiled = options["solve"] == "compiled"
         how = {"linear": "auto"} if compiled else {"linear": "kkt", "scaling": options["solve"]}
@@ -189,11 +195,11 @@ def newton_figure(rows, folder):
 COLUMNS = ("part", "scene", "form", "phi", "solve", "h", "error_q", "error_v", "error_a", "error_lam", "iterations", "stall_q", "error")
 STUDY = Study(
     "step_size_sensitivity",
-    "generalized-alpha against its step; errors relative to the largest value",
+    "generalized-alpha and Radau IIA against their step; errors relative to the largest value",
     tasks,
     run,
-    (orders, smallest_step, fitted_slopes),
-    (order_figure, tiny_scene_2_figure, tiny_smooth_figure, newton_figure),
+    (orders, smallest_step, fitted_slopes, radau.figures),
+    (order_figure, tiny_scene_2_figure, tiny_smooth_figure, newton_figure, radau.figure),
     COLUMNS,
     notes=(order_notes, slopes.in_words, range_notes, scaling_notes),
     headline=("order_q", "order_v", "order_lam", "lam_error_h1e-9", "acceleration_error_h1e-9"),

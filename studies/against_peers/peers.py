@@ -30,7 +30,7 @@ def superlu(model, blocks):
     """(factor, solve) of SuperLU in symmetric mode, minimum degree on A + A^T; its ordering is made anew each time."""
     from scipy.sparse.linalg import splu
 
-    matrix, kept, b = matrix_of(model, blocks), {}, np.ones(model.n)
+    matrix, kept, b = matrix_of(model, blocks), {}, np.ones(model.n, blocks.dtype)
 
     def factor():
         kept["lu"] = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})

@@ -16,6 +16,7 @@ from polyida.assembly import corotated, equilibrium
 from polyida.compiled import entry
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
@@ -26,7 +27,8 @@ from polyida.problems import plates
 from polyida.study.isolation import run_isolated
 from step_cost.side import NO_FRAMES, between, cells_for, cpu
 
-H = 1e-3  # step of generalized-alpha, s
+H, RADAU_H = 1e-3, 5e-3  # steps of generalized-alpha and Radau IIA, s
+MEMBERS = {"alpha": GeneralizedAlpha(h=H), "ida": IDA(rtol=1e-5), "radau": RadauIIA(h=RADAU_H)}
 SCENES = {"scene 1": plates.double_plate, "scene 2": plates.double_plate_motors}
 
 
@@ -46,7 +48,7 @@ def step_row(scene, dof, integrator, short, long, repeats):
 
     start_ms is what a run costs before, beyond its steps there: consistent start, first factor.
     """
-    model, member = model_of(scene, dof), GeneralizedAlpha(h=H) if integrator == "alpha" else IDA(rtol=1e-5)
+    model, member = model_of(scene, dof), MEMBERS[integrator]
     solve(model, short, member)  # compiles or loads the kernels
     pairs = [between(model, member, short, long) for _ in range(repeats)]
     first, last = pairs[-1][0][1], pairs[-1][1][1]
@@ -56,6 +58,7 @@ def step_row(scene, dof, integrator, short, long, repeats):
         "n": model.n,
         "steps": steps,
         "ms_per_step": ms,
+        "ms_per_iteration": ms * steps / (last.newton_iterations - first.newton_iterations),
         "backend": last.backend,
         "start_ms": 1e3 * float(np.median([a[0] for a, _ in pairs])) - ms * first.steps,
     }

@@ -39,7 +39,7 @@ def cpu(call):
 
 def between(model, member, short, long):
     """(CPU s, Counts) of a run at the times `short` and `long`, s, in two runs or in one."""
-    fixed = isinstance(member, polyida.GeneralizedAlpha)
+    fixed = not isinstance(member, polyida.IDA)
     return (two_runs if fixed and model.n < LARGE else one_run)(model, member, short, long)
 
 

@@ -1,10 +1,10 @@
-"""What the step does to generalized-alpha: order on smooth motion from the first step on, and round-off at tiny steps.
+"""What the step does to an integrator: order on smooth motion from the first step on, and round-off at tiny steps.
 
 The reference is DOP853 on the index-1 equations (families.explicit), which shares no formula of a step with the
 integrator.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -24,6 +24,7 @@ BEGIN = 0.1  # s, where runs on smooth motion start
 FINEST = 32  # steps of the finest grid in one of the coarsest, on smooth motion
 TIGHT = 1e-11  # rtol of the reference on smooth motion; ten times that tells how well it is known
 STARTS, SHORT = (9, 1e-5)  # errors at steps up to SHORT, s, are medians over so many starts: round-off may vanish at one of them
+ALPHA = partial(GeneralizedAlpha, tolerance=1e-9)
 APART = 1e-4  # s between these starts
 
 
@@ -62,13 +63,13 @@ def reference_floor(kind, cells, coarsest, time):
     }
 
 
-def order_errors(kind, cells, coarsest, halvings, time, **settings):
+def order_errors(kind, cells, coarsest, halvings, time, method=ALPHA, **settings):
     """{part: largest error over all steps, relative to the largest value} for h = coarsest / 2^halvings, started on the
-    way.
+    way. method: integrator of h and the settings.
     """
     model, start, exact = smooth_reference(kind, cells, coarsest, time)
     count, stride = round(time / coarsest) * 2**halvings, FINEST // 2**halvings
-    run = solve(model, BEGIN + time, GeneralizedAlpha(h=time / count, tolerance=1e-9, **settings), state=start)
+    run = solve(model, BEGIN + time, method(h=time / count, **settings), state=start)
     if not run.success:
         raise RuntimeError(run.message)
     return {
@@ -101,11 +102,17 @@ def decades(smallest, largest):
 
 
 def tiny_steps(scene, cells, h, smallest, largest, **settings):
-    """Errors after STEPS steps of h from a consistent moving state, relative to the largest value: medians over the
-    starts; Newton's work and where it stalls.
+    """`after_steps` by generalized-alpha, and where its Newton iteration stalls."""
+    integrator = GeneralizedAlpha(h=h, tolerance=1e-9, max_halvings=0, **settings)
+    found, model, states = after_steps(scene, cells, h, smallest, largest, integrator)
+    return found | stall(model, states, integrator) if found["outcome"] == "done" else found
+
+
+def after_steps(scene, cells, h, smallest, largest, integrator):
+    """(row, model, states begun with): errors after STEPS steps of h from a consistent moving state, relative to the
+    largest value: medians over the starts; Newton's work.
     """
     model, starts = moving_reference(scene, cells, smallest, largest)
-    integrator = GeneralizedAlpha(h=h, tolerance=1e-9, max_halvings=0, **settings)
     starts = [(state, ends[h]) for state, ends in starts if h in ends]
     runs = [solve(model, state.t + STEPS * h, integrator, state=state) for state, _ in starts]
     stopped = [run.message for run in runs if not run.success]
@@ -114,11 +121,11 @@ def tiny_steps(scene, cells, h, smallest, largest, **settings):
         "starts": len(runs),
         "iterations": sum(run.counts.newton_iterations for run in runs) / max(1, sum(run.counts.steps for run in runs)),
     }
+    states = [state for state, _ in starts]
     if stopped:
-        return found
+        return found, model, states
     errors = [_relative(run, exact) for run, (_, exact) in zip(runs, starts)]
-    found |= {f"error_{part}": float(value) for part, value in zip(PARTS, np.median(errors, axis=0))}
-    return found | stall(model, [state for state, _ in starts], integrator)
+    return found | {f"error_{part}": float(value) for part, value in zip(PARTS, np.median(errors, axis=0))}, model, states
 
 
 def _relative(run, exact):

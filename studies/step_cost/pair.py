@@ -1,0 +1,57 @@
+"""The floor of a step of Radau IIA with three stages: a real and a complex factorization, three solves with each."""
+
+import numpy as np
+
+from against_peers import peers
+from polyida.assembly import equilibrium
+from polyida.integrate.radau.tableau import radau
+from polyida.linear.cholesky.factor import symbolic_of
+from polyida.linear.cholesky.fronts import factorize, single, solve_fronts
+from polyida.machine import one_blas_thread
+from step_cost.measure import RADAU_H, median_cpu, model_of, moved
+
+SOLVES = 3  # with each factor, one an iteration
+
+
+def fronts(model, blocks, phase):
+    """(factor, solve) of our own multifrontal Cholesky, kept and solved with in single precision; phase: of complex blocks."""
+    known, kept, b = model.once(symbolic_of), {}, np.ones(model.n, single(blocks))
+    x = b.copy()
+
+    def factor():
+        kept["panels"] = factorize(known, blocks, phase)
+
+    def solved():
+        x[:] = b
+        solve_fronts(known, kept["panels"], x)
+        return x[known.order]
+
+    return factor, solved
+
+
+BACKENDS = {"fronts": fronts, "superlu": lambda model, blocks, phase: peers.superlu(model, blocks)}
+
+
+def blocks_of(model):
+    """[(blocks of K + c^2 M, phase)] for the eigenvalues c = l / h of both modes at one moved state."""
+    state, made = moved(model, 2)[0], []
+    for c_m in (0.0, 1.0):
+        made.append(np.empty((len(model.pattern[1]), 2, 2)))
+        equilibrium.tangent_blocks(model.arrays.plates, state.q.reshape(-1, 2).copy(), c_m, 1.0, made[-1])
+    K, M = made[0], made[1] - made[0]
+    rates = [mode.value / RADAU_H for mode in radau(3).modes]
+    return [(K + c * c * M, abs(c) / c if np.iscomplexobj(c) else 1.0) for c in rates]
+
+
+def pair_row(dof, backend, repeats):
+    """Milliseconds of both factorizations, of a solve with both, of the floor; the larger relative residual."""
+    model, row = model_of("scene 1", dof), {"factor_ms": 0.0, "solve_ms": 0.0, "relative_residual": 0.0}
+    for blocks, phase in blocks_of(model):
+        with one_blas_thread():
+            factor, solved = BACKENDS[backend](model, blocks, phase)
+            factor()
+            error = np.abs(peers.matrix_of(model, blocks) @ solved() - 1.0).max()
+            row["factor_ms"] += 1e3 * median_cpu(factor, repeats)
+            row["solve_ms"] += 1e3 * median_cpu(solved, 3 * repeats)
+        row["relative_residual"] = max(row["relative_residual"], float(error))
+    return row | {"n": model.n, "floor_ms": row["factor_ms"] + SOLVES * row["solve_ms"]}

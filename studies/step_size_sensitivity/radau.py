@@ -1,0 +1,75 @@
+"""Radau IIA against its step: order on smooth motion, and round-off at tiny steps, with each form."""
+
+import numpy as np
+
+from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.study.drawing import drawn, fitted, legend, nested, panels, saved, slope_line
+from polyida.study.kinds.sensitivity import after_steps, decades, order_errors, reference_floor
+from polyida.study.rows import column, last, value
+from step_size_sensitivity.slopes import PARTS, above_floor, runs_of
+
+FORMS = {"ggl": {}, "index3": {"form": "index3"}, "index3, v as it is": {"form": "index3", "project": False}}
+ORDER, TINY = "order of radau", "radau at tiny steps"  # parts of the table
+COARSEST, HALVINGS, TIME = 2.5e-2, 5, 0.25
+KINDS, SCENE = ("load", "motors"), "scene 2"
+
+
+def tasks(cells, largest):
+    """Every form on both smooth motions, and from 1e-9 s up."""
+    made = [
+        {"part": ORDER, "scene": kind, "cells": cells, "form": form, "halvings": k}
+        for kind in KINDS
+        for form in FORMS
+        for k in range(HALVINGS)
+    ]
+    return made + [
+        {"part": TINY, "scene": SCENE, "cells": cells, "form": form, "h": h, "largest": largest}
+        for form in FORMS
+        for h in decades(1e-9, largest)
+    ]
+
+
+def run(part, scene, cells, form, halvings=0, h=0.0, largest=0.0):
+    """The row of a task."""
+
+    def method(h, **more):
+        return RadauIIA(h=h, **FORMS[form], **more)
+
+    if part == TINY:
+        return after_steps(scene, cells, h, 1e-9, largest, method(h, max_halvings=0))[0]
+    errors = order_errors(scene, cells, COARSEST, halvings, TIME, method)
+    floor = reference_floor(scene, cells, COARSEST, TIME)
+    found = {f"error_{name}": x for name, x in errors.items()} | {f"floor_{name}": x for name, x in floor.items()}
+    return found | {"h": COARSEST / 2**halvings}
+
+
+def figures(rows):
+    """Fitted orders of each form on smooth motion, the errors of lam and a at the smallest step."""
+    found = {}
+    for form in FORMS:
+        name = form.replace(",", "").replace(" ", "_")
+        for kind in KINDS:
+            for part in PARTS:
+                runs = above_floor(runs_of(rows, part=ORDER, scene=kind, form=form), part)
+                found[f"radau_{name}_order_{part}_{kind}"] = fitted(column(runs, "h"), column(runs, f"error_{part}"))
+        for part in ("lam", "a"):
+            found[f"radau_{name}_{part}_error_h1e-9"] = value(last(rows, part=TINY, form=form, h=1e-9), f"error_{part}")
+    return {name: x for name, x in found.items() if np.isfinite(x)}
+
+
+@drawn
+def figure(rows, folder):
+    """Errors of q, v and lam against the step: on smooth motion driven by motors, and after four tiny steps."""
+    made, axes = panels(6, width=7.4, height=2.6, columns=3)
+    for row, (part, scene, title) in enumerate(((ORDER, "motors", "smooth motors"), (TINY, SCENE, "four steps, scene 2"))):
+        for axis, name in zip(axes[3 * row : 3 * row + 3], ("q", "v", "lam")):
+            for i, form in enumerate(FORMS):
+                runs = runs_of(rows, part=part, scene=scene, form=form)
+                axis.plot(column(runs, "h"), column(runs, f"error_{name}"), label=form, **nested(i, i, len(FORMS)))
+            finest = runs_of(rows, part=part, scene=scene, form="ggl")
+            if part == ORDER and finest:
+                slope_line(axis, 5, [finest[0]["h"], finest[-1]["h"]], value(finest[0], f"error_{name}"), beside=(-3, 2))
+            axis.set(title=f"{name}, {title}", xlabel="step h, s", xscale="log", yscale="log")
+        axes[3 * row].set_ylabel("largest relative error")
+    legend(made, axes, 3)
+    return saved(made, folder, "radau")
