@@ -24,15 +24,10 @@ def rates_q(model, t, q, v):
     return np.stack([(model.phi_rate(t, q + e, v) - model.phi_rate(t, q - e, v)) / 2e-2 for e in step], axis=1)
 
 
-@pytest.fixture(params=[2e3, 2e3 * (0.66 + 0.75j)], ids=["real", "complex"])
-def c(request):
-    return request.param
-
-
-@pytest.mark.parametrize("moved", [True, False], ids=["r1", "no r1"])
+@pytest.mark.parametrize("c, moved", [(2e3, True), (2e3 * (0.66 + 0.75j), False)], ids=["real", "complex, no r1"])
 @pytest.mark.parametrize("damped", [True, False], ids=["damped", "undamped"])
 @pytest.mark.parametrize("kind", ["motor between", "motor to ground", "clamp between", "revolute"], indirect=True)
-def test_the_border_is_that_of_the_whole_matrix(scenes, kind, damped, moved, c):
+def test_the_border_is_that_of_the_whole_matrix(scenes, kind, damped, c, moved):
     """With motors, a mass at a point and damping; the rows hold to round-off although the factor is in single precision."""
     model, random = scenes.jointed(kind, material=DAMPED if damped else {}).build(), np.random.default_rng(2)
     n, m, t, zero, dtype = model.n, model.m, 0.1, np.zeros(model.n), type(c)
