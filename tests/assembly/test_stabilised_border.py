@@ -7,7 +7,6 @@ from polyida.assembly import corotated
 from polyida.assembly.stabilised_border import massive, stabilised_border, stabilised_room
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.compiled import entry
-from polyida.linear.dense import solve_small
 
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}
 
@@ -53,14 +52,3 @@ def test_the_border_is_that_of_the_whole_matrix(scenes, kind, damped, c, moved):
     assert np.abs(B @ dq - r3).max() < 1e-11 * np.abs(dq).max()
     rate = (H + c * B) @ dq + B @ (B.T @ dmu) - r4 - B @ r1
     assert np.abs(rate).max() < 1e-11 * abs(c) * np.abs(dq).max()
-
-
-@pytest.mark.parametrize("turn", [1.0, 0.6 + 0.8j])
-def test_a_small_system_real_or_complex(turn):
-    """With a column that is zero but for its last row, so that rows are exchanged."""
-    random = np.random.default_rng(4)
-    matrix, b = turn * random.standard_normal((6, 6)), turn * random.standard_normal(6)
-    matrix[:-1, 0] = 0.0
-    exact, x = np.linalg.solve(matrix, b), b.copy()
-    assert solve_small(matrix.copy(), x, np.empty(6, np.int64)) and np.allclose(x, exact, rtol=1e-10)
-    assert not solve_small(np.zeros_like(matrix), x, np.empty(6, np.int64))
