@@ -39,7 +39,7 @@ class RadauIIA:
     mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), said in the
     run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
     project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. tolerance: what Newton
-    may leave of q, in place of min(0.05, rtol^0.6) (atol + rtol |q|), and with fixed steps of min(0.05, (e/L)^(3/4)) e, e the local error
+    may leave of q, in place of min(0.05, rtol^0.6) (atol + rtol |q|), and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error
     of the step before and L the model's length: of seventh order in h, for it adds up in v over all steps. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
     the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
 
@@ -101,7 +101,7 @@ class RadauIIA:
         if self.adaptive:
             return min(SHARE, self.rtol**0.6) * self.allowed(state.q, shares, sizes)
         error, length = state.memory.get("error"), float(sizes[0])
-        return EXACT * length if error is None else max(NOTHING * length, min(SHARE, (error / length) ** 0.75) * error)
+        return EXACT * length if error is None else max(NOTHING * length, SHARE * (error / length) ** 0.75 * error)
 
     def told(self, memory: dict) -> str:
         """What a summary says of the absolute tolerance that a run took from its model; memory of one of its states."""
