@@ -17,7 +17,7 @@ from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
 FEW = 2  # iterations of a step that nothing could spare
-PAIR = 24.0  # iterations that cost as much as new factors: so many beyond FEW a step, and they are made anew
+PAIR = 24.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
 
 
 class Steps:
@@ -46,8 +46,8 @@ class Steps:
         self.newton.marks, self.stacked = np.array(memory["newton"], float), np.array(memory["factored"], float)
         for row in self.stacked:
             self.kept.keep(float(row[0]), self.system.matrices(float(row[0]), row[1:]))
-        for h, price in np.reshape(memory["prices"], (-1, 2)):
-            self.kept.factors[float(h)].price = float(price)
+        for h, price, least in np.reshape(memory["prices"], (-1, 3)):
+            self.kept.factors[float(h)].price, self.kept.factors[float(h)].least = float(price), float(least)
 
     def clamp(self, t):
         """t held to `limits`."""
@@ -70,14 +70,20 @@ class Steps:
         matrices = self.kept.take(h)
         if matrices is not None and matrices.price <= PAIR:
             try:
-                matrices.price += max(0, self._iterate(matrices, state, h) - FEW)
+                self._charge(matrices, self._iterate(matrices, state, h))
                 return matrices
             except Failed as failed:
                 if failed.status == "not finite":
                     raise
         matrices = self._factored(state, h)
-        self._iterate(matrices, state, h)
+        self._charge(matrices, self._iterate(matrices, state, h))
         return matrices
+
+    @staticmethod
+    def _charge(matrices, iterations):
+        """Note what a step with the matrices took."""
+        matrices.least = min(matrices.least, max(FEW, iterations))
+        matrices.price += max(0, iterations - matrices.least)
 
     def _iterate(self, matrices, state, h):
         try:
@@ -104,21 +110,30 @@ class Steps:
         q, v = state.q + (h * state.v + e[-1]), state.v + dv[-1]
         if not math.isfinite(q.dot(v)):
             raise StepFailure("not finite", "the motion is not finite", t)
-        if self.system.objects and (objection := model.objection(at, q)):
-            raise StepFailure("objection", objection, t)
         memory = {"stages_e": e, "stages_v": dv, "a_end": a[-1], "lam_end": lam[-1], "stages_lam": lam, "step": h, "error": error}
         if closed is not None:
             memory |= dict(zip(("phi", "rate"), closed))
         within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (e, dv, a, lam))
-        return Accepted(model, at, State(t, q, v, a[-1], lam[-1], memory | self._memory(), within=within))
+        accepted = Accepted(model, at, State(t, q, v, a[-1], lam[-1], memory | self._memory(), within=within))
+        if self.system.asks:
+            _require_good(model, at, accepted)
+        return accepted
 
     def _memory(self):
         kept = self.kept.factors
         if self.stacked is None or [row[0] for row in self.stacked] != list(kept):
             self.stacked = np.array([np.concatenate([[h], matrices.made_at]) for h, matrices in kept.items()])
-        prices = np.array([(h, matrices.price) for h, matrices in kept.items()])
+        prices = np.array([(h, matrices.price, matrices.least) for h, matrices in kept.items()])
         memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
         return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
+
+
+def _require_good(model, at, state):
+    """Raise StepFailure where a or lam is not finite, or the model objects: a shorter step may be taken then."""
+    if not (np.isfinite(state.a).all() and np.isfinite(state.lam).all()):
+        raise StepFailure("not finite", "the motion is not finite", state.t)
+    if objection := model.objection(at, state.q):
+        raise StepFailure("objection", objection, state.t)
 
 
 class Accepted(State):
