@@ -11,7 +11,7 @@ from polyida.study.kinds.work_precision import cheapest, measure
 from polyida.study.members import FIXED, IDA_FORMS, RADAU
 from polyida.study.rows import column, each, least, pick, stopped
 from work_precision import radau_accuracy, tip_accuracy
-from work_precision.selection import EVENT, EXPLICIT, STIFF, not_run, tasks
+from work_precision.selection import EVENT, STIFF, not_run, tasks
 
 FAMILIES = {  # figure: its members, and those of other families for comparison
     "alpha": ((*FIXED, "alpha, adaptive"), ("IDA ggl2",)),
@@ -144,7 +144,7 @@ def draw_family(axis, rows, problem, family, x, y):
 
 
 def problems_of(rows, family):
-    return [name for name in each([row for row in rows if row["integrator"] in FAMILIES[family][0]], "problem") if name != EXPLICIT]
+    return each([row for row in rows if row["integrator"] in FAMILIES[family][0]], "problem")
 
 
 def cpu_figure(family, part, rows, folder):
