@@ -65,11 +65,14 @@ def figure(rows, folder):
         for axis, name in zip(axes[3 * row : 3 * row + 3], ("q", "v", "lam")):
             for i, form in enumerate(FORMS):
                 runs = runs_of(rows, part=part, scene=scene, form=form)
-                axis.plot(column(runs, "h"), column(runs, f"error_{name}"), label=form, **nested(i, i, len(FORMS)))
-            finest = runs_of(rows, part=part, scene=scene, form="ggl")
-            if part == ORDER and finest:
+                good = [row for row in runs if value(row, f"error_{name}") > 0]
+                axis.plot(column(good, "h"), column(good, f"error_{name}"), label=form, **nested(i, i, len(FORMS)))
+            finest = runs_of(rows, part=ORDER, scene=scene, form="ggl")
+            if len(finest) > 1:
                 slope_line(axis, 5, [finest[0]["h"], finest[-1]["h"]], value(finest[0], f"error_{name}"), beside=(-3, 2))
-            axis.set(title=f"{name}, {title}", xlabel="step h, s", xscale="log", yscale="log")
+            axis.set(title=f"{name}, {title}", xlabel="step h, s")
+            if any(len(line.get_xdata()) for line in axis.get_lines()):
+                axis.set(xscale="log", yscale="log")
         axes[3 * row].set_ylabel("largest relative error")
     legend(made, axes, 3)
     return saved(made, folder, "radau")
