@@ -5,6 +5,7 @@ is turned from there to the middle stage's, R(q_k) R(q_i)^T node by node, and th
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from polyida.integrate.radau.newton import Failed, trial
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.linear.dense import clear
 
+fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 Q, V, SHARES, A, MOVE, SPEED = range(6)  # rows of Room.past
 START, VX, DX, DV = range(4)  # rows of Room.points
 
@@ -221,24 +223,18 @@ def residuals(s, t, h, damp, laws, drives, gains, x, w):
 @part
 def turn_in(t, w):
     """The modes' residuals, turned into the frame of the middle stage."""
-    stages, middle = w.r.shape[0], w.r.shape[0] // 2
+    stages = w.r.shape[0]
+    for k in range(stages):
+        turn_to(w.rotation[k], w.rotation[stages // 2], w.turn[k], w.r[k])
     for i in range(w.right.shape[0]):
-        mx, my = w.rotation[middle, i, 0], w.rotation[middle, i, 1]
-        size = 1.0 / np.sqrt(mx * mx + my * my)
-        mx, my = mx * size, my * size
-        w.right[i, 0] = w.right[i, 1] = 0.0
-        w.right_pair[i, 0] = w.right_pair[i, 1] = 0.0
-        for k in range(stages):
-            x, y = w.rotation[k, i, 0], w.rotation[k, i, 1]
-            size = 1.0 / np.sqrt(x * x + y * y)
-            c, n = (mx * x + my * y) * size, (my * x - mx * y) * size
-            w.turn[k, i, 0], w.turn[k, i, 1] = c, n
-            p, q = c * w.r[k, i, 0] - n * w.r[k, i, 1], n * w.r[k, i, 0] + c * w.r[k, i, 1]
-            if t.real_row.shape[0]:
-                w.right[i, 0] += t.real_row[k] * p
-                w.right[i, 1] += t.real_row[k] * q
-            w.right_pair[i, 0] += t.pair_row[k] * p
-            w.right_pair[i, 1] += t.pair_row[k] * q
+        for a in range(2):
+            w.right[i, a], w.right_pair[i, a] = 0.0, 0.0
+    for k in range(stages):
+        row, pair = t.real_row[k] if t.real_row.shape[0] else 0.0, t.pair_row[k]
+        for i in range(w.right.shape[0]):
+            for a in range(2):
+                w.right[i, a] += row * w.r[k, i, a]
+                w.right_pair[i, a] += pair * w.r[k, i, a]
     for f in range(2):
         for e in range(w.closing.shape[1]):
             w.closing[f, e], w.closing_pair[f, e] = 0.0, 0.0
@@ -248,32 +244,54 @@ def turn_in(t, w):
                 w.closing_pair[f, e] += t.pair_row[k] * w.rows[f, k, e]
 
 
+@fast
+def turn_to(own, middle, turn, r):
+    """turn (nodes, 2): cosine and sine of the nodes' way from their rotation in a stage to that in the middle one; r goes it."""
+    for i in range(r.shape[0]):
+        mx, my, x, y = middle[i, 0], middle[i, 1], own[i, 0], own[i, 1]
+        size = 1.0 / np.sqrt((mx * mx + my * my) * (x * x + y * y))
+        c, n = (mx * x + my * y) * size, (my * x - mx * y) * size
+        p, q = r[i, 0], r[i, 1]
+        turn[i, 0], turn[i, 1] = c, n
+        r[i, 0], r[i, 1] = c * p - n * q, n * p + c * q
+
+
 @part
 def turn_out(t, x, w):
     """Add the modes' corrections to the stages, each turned into its frame. Returns the mean square of dq and h dv, by mass."""
-    stages, total = x.e.shape[0], 0.0
-    dq = np.empty((stages, 2))
-    for i in range(w.right.shape[0]):
-        for k in range(stages):
-            p = 2.0 * (t.pair_column[k] * w.dq_pair[i, 0]).real
-            q = 2.0 * (t.pair_column[k] * w.dq_pair[i, 1]).real
-            if t.real_row.shape[0]:
-                p += t.real_column[k] * w.dq[i, 0]
-                q += t.real_column[k] * w.dq[i, 1]
-            c, n = w.turn[k, i, 0], w.turn[k, i, 1]
-            dq[k, 0], dq[k, 1] = c * p + n * q, c * q - n * p
-            x.e[k, 2 * i] += dq[k, 0]
-            x.e[k, 2 * i + 1] += dq[k, 1]
-        for a in range(2):
-            share = w.past[SHARES, 2 * i + a]
-            for k in range(stages):
-                speed = 0.0
-                for j in range(stages):
-                    speed += t.W[k, j] * dq[j, a]
-                total += share * (dq[k, a] * dq[k, a] + speed * speed)
+    stages = x.e.shape[0]
+    for k in range(stages):
+        turn_back(t.real_column[k] if t.real_row.shape[0] else 0.0, 2.0 * t.pair_column[k], w.turn[k], w, w.r[k], pairs(x.e[k]))
+    moved = w.r.reshape(x.e.shape)
+    through(t.W, 1.0, moved, x.dv)
     add_multipliers(t, w, 0, x.lam)
     add_multipliers(t, w, 1, x.mu)
+    total = 0.0
+    for k in range(stages):
+        total += square(w.past[SHARES], moved[k]) + square(w.past[SHARES], x.dv[k])
     return total / stages
+
+
+@fast
+def turn_back(real, pair, turn, w, dq, e):
+    """dq (nodes, 2) of a stage from those of the modes; added to e."""
+    re, im = pair.real, pair.imag
+    for i in range(dq.shape[0]):
+        p = real * w.dq[i, 0] + re * w.dq_pair[i, 0].real - im * w.dq_pair[i, 0].imag
+        q = real * w.dq[i, 1] + re * w.dq_pair[i, 1].real - im * w.dq_pair[i, 1].imag
+        c, n = turn[i, 0], turn[i, 1]
+        dq[i, 0], dq[i, 1] = c * p + n * q, c * q - n * p
+        e[i, 0] += dq[i, 0]
+        e[i, 1] += dq[i, 1]
+
+
+@fast
+def square(shares, x):
+    """The sum of shares x^2."""
+    total = 0.0
+    for i in range(x.shape[0]):
+        total += shares[i] * x[i] * x[i]
+    return total
 
 
 @part
@@ -371,21 +389,18 @@ def error(s, t, h, real, pair, damp, drives, x, w):
     for i in range(w.right.shape[0]):
         w.right[i, 0] = w.right[i, 1] = 0.0
     whole_momentum(s, pairs(w.past[MOVE]), w, w.right)
-    total = 0.0
     if real is not None:
         clear(w.closing)
         for i in range(w.right.shape[0]):
             for a in range(2):
                 w.right[i, a] = w.r[0, i, a] + real.c[0] * w.right[i, a]
         good = solve_real(s, real, drives, x, w)
-        for i in range(w.right.shape[0]):
-            total += w.past[SHARES, 2 * i] * (w.dq[i, 0] ** 2 + w.dq[i, 1] ** 2)
-        return good, np.sqrt(total)
+        return good, np.sqrt(square(w.past[SHARES], w.dq.reshape(w.past.shape[1])))
     clear(w.closing_pair)
     for i in range(w.right.shape[0]):
         for a in range(2):
             w.right_pair[i, a] = w.r[0, i, a] + pair.c[0] * w.right[i, a]
-    good = solve_pair(s, pair, drives, x, w)
+    good, total = solve_pair(s, pair, drives, x, w), 0.0
     for i in range(w.right.shape[0]):
         total += w.past[SHARES, 2 * i] * (w.dq_pair[i, 0].real ** 2 + w.dq_pair[i, 1].real ** 2)
     return good, np.sqrt(total)
