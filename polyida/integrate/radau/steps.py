@@ -91,7 +91,7 @@ class Steps:
         except SingularSystem as error:
             raise Failed("singular", str(error)) from None
         self.counts.backend = matrices.backend
-        left = self.settings.left(state, self.shares, self.sizes)
+        left = self.settings.left(state, self.shares, self.sizes, self.model.flexible)
         return self.newton.solve(matrices, state, h, left, self.shares)
 
     def _factored(self, state, h):
