@@ -15,6 +15,7 @@ from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State
 from polyida.keywords import named_keywords
+from polyida.linear.kkt import SCALINGS
 from polyida.model import Model
 
 FORMS = ("ggl", "index3")
@@ -37,7 +38,8 @@ class RadauIIA:
     rtol, atol: the step follows the local error of q against a method of order s, root mean square with each coordinate weighted by its
     mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), said in the
     run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
-    project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. tolerance: what Newton
+    project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. scaling: "physical",
+    "bottasso" or "none", of the matrices of `pi.condition_number` (integrate/radau/whole.py). tolerance: what Newton
     may leave of q, in place of min(0.05, rtol^(1/2)) (atol + rtol |q|), and with fixed steps of 1e-15 of the model's length, which is
     round-off. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
     the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
@@ -53,6 +55,7 @@ class RadauIIA:
     stages: int = 3
     form: str = "ggl"
     project: bool = True
+    scaling: str = "physical"
     tolerance: float | None = None
     max_iterations: int = 12
     max_step: float = 0.0
@@ -75,6 +78,7 @@ class RadauIIA:
             ("stages", is_whole(self.stages, 2, 3), "2 or 3"),
             ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
             ("project", is_flag(self.project), "True or False"),
+            ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
             ("tolerance", positive(self.tolerance), "a positive number (of q), or None: by rtol and atol"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
             ("max_step", length(self.max_step), "a step in s, or 0"),
