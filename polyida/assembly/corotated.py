@@ -7,6 +7,7 @@
 `S^-1 ~ P S_ref^-1 P^T` with P = R(q) R(q_ref)^T node by node: elastic plates that turn keep their factor. All joints act through the
 few points z = A q, so the border costs `X = S^-1 A^T`, made once a factor, and a dense system of its own size a solve. X is as stale
 as the factor, but `G = A X` is taken from that same X: dq satisfies `Bz A dq = -phi` to round-off however stale it is.
+S, r and phi may be complex, and are symmetric then, not Hermitian; frames and Bz stay real.
 """
 
 from typing import NamedTuple
@@ -59,17 +60,20 @@ class Room(NamedTuple):
     own: np.ndarray
 
 
-def corotated(model, blocks, rotation, backend="auto"):
-    """(Corotated, name of its back-end) for the tangent blocks and raw nodal rotations at hand. Raises NotFactorable."""
-    made, name = factor(model, blocks, backend)
+def corotated(model, blocks, rotation, backend="auto", phase=1.0):
+    """(Corotated, name of its back-end) for the tangent blocks and raw nodal rotations at hand; phase as `factor` has it.
+
+    Raises NotFactorable.
+    """
+    made, name = factor(model, blocks, backend, phase)
     s, body_node = model.arrays.links, model.arrays.plates.body_node
     bodies = np.searchsorted(body_node, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
     point_body = np.stack([body_node[bodies], body_node[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
     frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
-    reach = np.zeros((2 * model.n_points, model.n_nodes, 2), np.float32)
+    reach = np.zeros((2 * model.n_points, model.n_nodes, 2), made.band.dtype)
     active = active_components(s, model.laws)
     result = Corotated(made, frame, point_body, reach, active, order_along_joints(active, s))
-    fill_reach(s, result, np.zeros(model.n + made.band.shape[1], np.float32))
+    fill_reach(s, result, np.zeros(model.n + made.band.shape[1], made.band.dtype))
     return result, name
 
 
@@ -121,25 +125,26 @@ def order_along_joints(active, s):
 def room(model, system):
     """Scratch for solves with `system`."""
     points, m, size = 2 * model.n_points, model.m, len(system.active) + model.m
-    width = system.factor.band.shape[1]
+    band = system.factor.band
+    dtype = np.result_type(band, float)
     return Room(
-        np.zeros(model.n + width, np.float32),
+        np.zeros(model.n + band.shape[1], band.dtype),
         np.empty((model.n_nodes, 2)),
         np.empty((model.n_points, 2)),
-        np.empty((model.n_points, 2)),
-        np.empty((points, points)),
+        np.empty((model.n_points, 2), dtype),
+        np.empty((points, points), dtype),
         np.empty(len(model.arrays.links.row_columns)),
-        np.empty((points, points)),
-        np.empty((points, m)),
-        *small_room(size),
-        np.empty(points),
-        np.zeros((0, 0) if model.laws is None else (points, points)),
+        np.empty((points, points), dtype),
+        np.empty((points, m), dtype),
+        *small_room(size, dtype),
+        np.empty(points, dtype),
+        np.zeros((0, 0) if model.laws is None else (points, points), dtype),
     )
 
 
-def small_room(size):
+def small_room(size, dtype=float):
     """Of the dense system of the border: matrix, right-hand side, last columns."""
-    return np.empty((size, size)), np.empty(size), np.empty(size, np.int64)
+    return np.empty((size, size), dtype), np.empty(size, dtype), np.empty(size, np.int64)
 
 
 @shared
@@ -165,7 +170,7 @@ def solve_plates(s, c, w, rotation, r, x):
         b[k] = np.float32(0.0)
     triangular(c.factor, b)
     for i in range(r.shape[0]):
-        p, q = float(b[order[2 * i]]), float(b[order[2 * i + 1]])
+        p, q = b[order[2 * i]], b[order[2 * i + 1]]
         x[i, 0] = turn[i, 0] * p - turn[i, 1] * q
         x[i, 1] = turn[i, 1] * p + turn[i, 0] * q
 

@@ -11,17 +11,42 @@ from polyida.element import kernels, two_states
 
 
 def symmetric_blocks(model, u, c_m, c_v):
-    """Blocks (nnz, 2, 2) of `c_m M + c_v C + K` of a scene's plates at u (nodes, 2), C and K as if at rest there.
+    """Blocks (nnz, 2, 2) of `c_m M + c_v C + K` of a scene's plates at u (nodes, 2), c_m and c_v both real or both complex.
 
-    What K has of velocities beside is not symmetric, and small; Newton does without.
+    C and K are those at rest there: what K has of velocities beside is not symmetric, and small; Newton does without.
     """
-    plates, blocks, damped = model.arrays.plates, np.empty((len(model.pattern[1]), 2, 2)), model.damped
-    tangent_blocks(plates, u, c_m, 0.0 if damped else 1.0, blocks)
-    if damped:
+    if isinstance(c_v, complex):
+        return combined(c_m, c_v, *symmetric_parts(model, u))
+    plates, blocks = model.arrays.plates, _blocks(model)
+    tangent_blocks(plates, u, c_m, 0.0 if model.damped else 1.0, blocks)
+    if model.damped:
         viscous = np.empty_like(blocks)
         damped_blocks(plates, u, np.zeros_like(u), c_v, 1.0, viscous)
         blocks += viscous
     return blocks
+
+
+def symmetric_parts(model, u):
+    """K (nnz, 2, 2), C alike or None where there is no damping, and m (nnz,), M's blocks being m times the identity."""
+    plates, K, C, M = model.arrays.plates, _blocks(model), None, _blocks(model)
+    tangent_blocks(plates, u, 1.0, 0.0, M)
+    tangent_blocks(plates, u, 0.0, 1.0, K)
+    if model.damped:
+        C = _blocks(model)
+        damped_blocks(plates, u, np.zeros_like(u), 1.0, 0.0, C)
+    return K, C, M[:, 0, 0].copy()
+
+
+def combined(c_m, c_v, K, C, m):
+    """Blocks of `c_m M + c_v C + K` from symmetric_parts."""
+    blocks = K + c_v * (0.0 if C is None else C)
+    for i in range(2):
+        blocks[:, i, i] += c_m * m
+    return blocks
+
+
+def _blocks(model):
+    return np.empty((len(model.pattern[1]), 2, 2))
 
 
 @entry

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.assembly import corotated
-from polyida.assembly.damping import symmetric_blocks
+from polyida.assembly.damping import combined, symmetric_blocks
 from polyida.assembly.own.laws import add_own_curvature
 from polyida.linear.cholesky.factor import NotFactorable
 from polyida.linear.lu import SingularSystem
@@ -13,6 +13,7 @@ from polyida.linear.step_matrix import StepMatrix
 class SceneStepMatrix(StepMatrix):
     """`S = c_m M + c_v C + K` of a scene, C and K as if at rest and so symmetric; made from q alone (assembly/corotated.py).
 
+    c_m and c_v are both real, or both complex: c^2 and c, the real part of c positive.
     corotated, room: the factor and its scratch, for compiled loops. solves: those that its border took.
     """
 
@@ -22,12 +23,16 @@ class SceneStepMatrix(StepMatrix):
         super().__init__(model)
         self.linear, self.solves = linear, 2 * model.n_points
 
-    def factor(self, t, q, v, a, lam, c_m, c_v):
-        """Factor S at q; t and v are for force elements, t and lam for the joints' curvature in `solve`. Raises SingularSystem."""
+    def factor(self, t, q, v, a, lam, c_m, c_v, parts=None):
+        """Factor S at q; t and v are for force elements, t and lam for the joints' curvature in `solve`. Raises SingularSystem.
+
+        parts: `symmetric_parts` at q, for who wants several matrices there.
+        """
         model, self.made_at, self.c_m, self.at = self.model, np.concatenate([[t], q, v, a, lam]), c_m, (t, lam)
-        blocks = symmetric_blocks(model, q.reshape(-1, 2), c_m, c_v)
+        blocks = symmetric_blocks(model, q.reshape(-1, 2), c_m, c_v) if parts is None else combined(c_m, c_v, *parts)
+        phase = abs(c_v) / c_v if np.iscomplexobj(blocks) else 1.0
         try:
-            self.corotated, self.backend = corotated.corotated(model, blocks, model.rotation(q), self.linear)
+            self.corotated, self.backend = corotated.corotated(model, blocks, model.rotation(q), self.linear, phase)
         except NotFactorable as error:
             raise SingularSystem(str(error)) from None
         self.room = corotated.room(model, self.corotated)
@@ -38,7 +43,7 @@ class SceneStepMatrix(StepMatrix):
         """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; all of S but forces of one's own is symmetric. Raises SingularSystem."""
         free = self.corotated._replace(place=np.arange(len(self.corotated.active)))
         own = np.ascontiguousarray(self.room.own.T) if transposed else self.room.own
-        room = self.room._replace(own=own, **dict(zip(("small", "right", "last"), corotated.small_room(len(free.active)))))
+        room = self.room._replace(own=own, **dict(zip(("small", "right", "last"), corotated.small_room(len(free.active), own.dtype))))
         columns = [self._solved(free, room, *self.at, q, -column, np.zeros(0))[0] for column in np.reshape(b, (len(q), -1)).T]
         return np.stack(columns, axis=1).reshape(np.shape(b))
 
@@ -47,9 +52,10 @@ class SceneStepMatrix(StepMatrix):
         return self._solved(self.corotated, self.room, t, lam, q, r, phi)
 
     def _solved(self, factored, room, t, lam, q, r, phi):
-        model, dq, dlam = self.model, np.empty((self.model.n_nodes, 2)), np.empty(len(phi))
+        model, dtype = self.model, room.pull.dtype
+        dq, dlam = np.empty((model.n_nodes, 2), dtype), np.empty(len(phi), dtype)
         at = model.drives(t), model.rotation(q), model.dz(q), np.array(lam, float)
-        r, phi = np.array(r, float).reshape(dq.shape), np.array(phi, float)
+        r, phi = np.array(r, dtype).reshape(dq.shape), np.array(phi, dtype)
         if not corotated.solve(model.arrays.links, factored, room, *at, r, phi, self.c_m, dq, dlam):
             raise SingularSystem("the constraints' system is singular")
         return dq.ravel(), dlam

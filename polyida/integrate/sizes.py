@@ -37,3 +37,18 @@ def _way(model, state, span, v, a):
 
 def _rms(x):
     return float(np.sqrt(x @ x / max(1, x.size)))
+
+
+def weights(model, q):
+    """Shares (n,) of the coordinates in a mean square, `M_ii / sum M_ii`: whatever the unit that each is in.
+
+    So the local errors of unlike coordinates, a length, an angle, another length in other units, add up to one number.
+    """
+    masses = np.abs(model.mass(q).diagonal())
+    total = masses.sum()
+    return masses / total if total > 0 else np.full(model.n, 1.0 / model.n)
+
+
+def extent(model, q):
+    """Size of the numbers that phi is made of, m: displacements, and distances within the model, wherever it lies."""
+    return (model.extent or 1.0) + float(np.abs(q).max(initial=0.0))

@@ -23,19 +23,34 @@ class StepMatrix:
 
     def __init__(self, model):
         self.model, self.made_at, self.solves = model, np.zeros(0), 0
-        self.lu = self.border = self.whole = self.make_whole = None
+        self.S = self.lu = self.border = self.whole = None
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
         """Factor S at a state; what else a solve needs is made when it is first asked for."""
-        S = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0)
-        self.made_at, self.lu, self.border, self.whole = np.concatenate([[t], q, v, a, lam]), None, None, None
+        self.made_at = np.concatenate([[t], q, v, a, lam])
+        self._take(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m, c_v)
+
+    def _take(self, S, c_m, c_v):
+        self.S, self.c_m, self.c_v, self.lu, self.border, self.whole = S, c_m, c_v, None, None, None
         with suppress(SingularSystem):
             self.lu = LU(S)
-        self.make_whole = lambda: KKT(S, self.model.phi_q(t, q), scaling_factors("physical", 1 / abs(c_m), S))
 
     def again(self, made_at, c_m, c_v):
         """Factor S as it was factored before."""
         self.factor(float(made_at[0]), *np.split(made_at[1:], np.cumsum([self.model.n] * 3)), c_m, c_v)
+
+    def beside(self, c_m, c_v):
+        """The same with other c_m and c_v: K is not evaluated anew."""
+        other, (t, q, v) = type(self)(self.model), self._at()
+        S = self.S + (c_m - self.c_m) * self.model.mass(q)
+        other.made_at = self.made_at
+        other._take(S + (c_v - self.c_v) * self.model.force_v(t, q, v) if self.model.needs.velocity_forces else S, c_m, c_v)
+        return other
+
+    def _at(self):
+        """(t, q, v) of where it was factored."""
+        n = self.model.n
+        return float(self.made_at[0]), self.made_at[1 : n + 1], self.made_at[n + 1 : 2 * n + 1]
 
     def solve(self, q, b, transposed=False):
         """S^-1 b, or S^-T b, b (n,) or (n, k), at q near to where S was factored. Raises SingularSystem where S has no inverse."""
@@ -46,7 +61,8 @@ class StepMatrix:
     def saddle(self, t, q, lam, r, phi):
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
         if self.whole is None and self.border is None and self._together():
-            self.whole = self.make_whole()
+            at = self._at()[:2]
+            self.whole = KKT(self.S, self.model.phi_q(*at), scaling_factors("physical", 1 / abs(self.c_m), self.S))
         if self.whole:
             return self.whole.solve(r, phi)
         B = self.model.phi_q(t, q)
@@ -56,7 +72,11 @@ class StepMatrix:
 
     def _together(self):
         """Whether S is better not eliminated."""
-        return self.lu is None or (self.model.m > 0 and (self.model.m > MANY or self.lu.doubtful()))
+        return self.model.m > MANY or not self.stands_alone()
+
+    def stands_alone(self):
+        """Whether S has an inverse, beyond doubt where there are constraints that may be all that holds some coordinates."""
+        return self.lu is not None and not (self.model.m > 0 and self.lu.doubtful())
 
 
 class WholeMatrix(StepMatrix):

@@ -209,7 +209,7 @@ def single_precision(cells, t_end, repeats):
     equilibrium.tangent_blocks(model.arrays.plates, np.zeros((model.n_nodes, 2)), 4.0 / H**2, 1.0, blocks)
 
     def side(dtype):
-        panels, x = factorize(known, blocks, dtype), np.empty(model.n, np.float32)
+        panels, x = factorize(known, blocks, dtype=dtype), np.empty(model.n, np.float32)
 
         def run():
             for _ in range(10):

@@ -1,39 +1,138 @@
 """A scene's step matrix: its solves against those of the tangent, at the state of the factor and turned from there."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+from numba import njit
 
+import polyida as pi
+from polyida.assembly.damping import symmetric_parts
 from polyida.assembly.step_matrix import SceneStepMatrix
 
-C_M, C_V = 4e6, 2e3
+DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}
 
 
-@pytest.fixture
-def bent(scenes, kind):
+@njit
+def pull(t, x, v, data, f):
+    k, d = data
+    f[0] = -k * x[0] - d * (v[0] + 0.5 * x[0, ::-1])
+    f[1] = k * (x[0] - x[1]) - d * v[0, ::-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Pull(pi.ForceElement):
+    """Whose slopes are not symmetric."""
+
+    a: object
+    b: object
+    k: float
+    d: float
+    name: str | None = None
+    law = pull
+
+    def sides(self):
+        return (self.a, self.b)
+
+
+def free(scenes):
+    return scenes.single()[0]
+
+
+def pulled(scenes):
+    scene, upper = scenes.hinged(material=DAMPED)
+    scene.add(Pull(upper.section("right"), upper.section("top"), 3e5, 1e3))
+    scene.add(pi.PointMass(upper.section("right"), 0.5))
+    return scene
+
+
+SCENES = {
+    "free": free,
+    "held": lambda scenes: scenes.cantilever()[0],
+    "damped": lambda scenes: scenes.jointed("motor between", material=DAMPED),
+    "driven": lambda scenes: scenes.jointed("motor to ground"),
+    "two": lambda scenes: scenes.jointed("clamp between"),
+    "laws": pulled,
+}
+
+
+@pytest.fixture(params=SCENES)
+def bent(scenes, request):
     """(model, a state with every joint at work)."""
-    model, random = scenes.jointed(kind).build(), np.random.default_rng(2)
+    model, random = SCENES[request.param](scenes).build(), np.random.default_rng(2)
     return model, (0.1, 1e-3 * random.standard_normal(model.n), np.zeros(model.n), np.zeros(model.n), random.standard_normal(model.m))
 
 
-@pytest.mark.parametrize("backend", ["fronts", "band", "superlu"])
-def test_a_solve_is_that_of_the_tangent(bent, backend):
+@pytest.fixture(params=[2e3, 2e3 * (0.66 + 0.75j)], ids=["real", "complex"])
+def c(request):
+    """The step matrix's c; the real one is for c_m = c^2, c_v = c."""
+    return request.param
+
+
+def numbers(c, *shape):
+    """Random numbers, complex where c is."""
+    random = np.random.default_rng(3)
+    return random.standard_normal(shape) + (1j * random.standard_normal(shape) if np.iscomplexobj(c) else 0.0)
+
+
+def whole(model, state, c):
+    """S = K + c C + c^2 M."""
+    K = model.tangent(*state, 0.0, 0.0, 1.0).toarray()
+    return K + c * (model.force_v(*state[:3]).toarray() if model.needs.velocity_forces else 0.0) + c * c * model.mass(state[1]).toarray()
+
+
+def near(found, exact):
     """To single precision, which the factor is in."""
+    return found.dtype == exact.dtype and np.abs(found - exact).max(initial=0.0) < 1e-4 * np.abs(exact).max(initial=1e-300)
+
+
+@pytest.mark.parametrize("backend, name", [("fronts", "multifrontal"), ("band", "band"), ("superlu", "SuperLU")])
+def test_a_solve_is_that_of_the_tangent(bent, backend, name, c):
     model, state = bent
-    system, b = SceneStepMatrix(model, backend), np.random.default_rng(3).standard_normal((model.n, 2))
-    system.factor(*state, C_M, C_V)
-    exact = np.linalg.solve(model.tangent(*state, C_M, C_V, 1.0).toarray(), b)
-    assert np.abs(system.solve(state[1], b) - exact).max() < 1e-4 * np.abs(exact).max()
-    assert np.array_equal(system.solve(state[1], b[:, 0], transposed=True), system.solve(state[1], b)[:, 0])
+    system, b = SceneStepMatrix(model, backend), numbers(c, model.n, 2)
+    system.factor(*state, c * c, c)
+    S = whole(model, state, c)
+    assert name in system.backend and near(system.solve(state[1], b), np.linalg.solve(S, b))
+    assert near(system.solve(state[1], b[:, 0], transposed=True), np.linalg.solve(S.T, b[:, 0]))
 
 
-def test_the_saddle_is_that_of_the_tangent(bent):
+def test_the_saddle_is_that_of_the_tangent(bent, c):
     model, (t, q, v, a, lam) = bent
-    system, r = SceneStepMatrix(model), np.random.default_rng(3).standard_normal(model.n)
-    phi, B = np.linspace(1.0, 2.0, model.m), model.phi_q(t, q).toarray()
-    system.factor(t, q, v, a, lam, C_M, C_V)
-    S = model.tangent(t, q, v, a, lam, C_M, C_V, 1.0).toarray()
+    system, r, phi, B = SceneStepMatrix(model), numbers(c, model.n), numbers(c, model.m), model.phi_q(t, q).toarray()
+    system.factor(t, q, v, a, lam, c * c, c)
+    S = whole(model, (t, q, v, a, lam), c)
     exact = -np.linalg.solve(np.block([[S, B.T], [B, np.zeros((model.m, model.m))]]), np.concatenate([r, phi]))
     dq, dlam = system.saddle(t, q, lam, r, phi)
-    assert np.abs(dq - exact[: model.n]).max() < 1e-4 * np.abs(exact[: model.n]).max()
-    assert np.abs(dlam - exact[model.n :]).max() < 1e-4 * np.abs(exact[model.n :]).max()
+    assert near(dq, exact[: model.n]) and near(dlam, exact[model.n :])
     assert np.allclose(B @ dq, -phi, rtol=1e-10)
+
+
+def test_a_complex_matrix_turns_with_its_bodies(scenes, c):
+    """The factor of the unturned scene solves the turned one as a fresh factor does, phi to round-off."""
+    model = scenes.jointed("clamp between").build()
+    zero, lam, r, phi = np.zeros(model.n), np.zeros(model.m), numbers(c, model.n), 1e-3 * numbers(c, model.m)
+    q, stale, fresh = scenes.turned(model, zero, 0.7), SceneStepMatrix(model), SceneStepMatrix(model)
+    stale.factor(0.0, zero, zero, zero, lam, c * c, c)
+    fresh.factor(0.0, q, zero, zero, lam, c * c, c)
+    (dq, dlam), exact = stale.saddle(0.0, q, lam, r, phi), fresh.saddle(0.0, q, lam, r, phi)
+    assert near(dq, exact[0]) and near(dlam, exact[1])
+    assert np.allclose(model.phi_q(0.0, q) @ dq, -phi, rtol=1e-10)
+
+
+def test_several_matrices_of_one_state_share_their_parts(bent, c):
+    model, state = bent
+    parts, b = symmetric_parts(model, state[1].reshape(-1, 2)), numbers(c, model.n)
+    one, other = SceneStepMatrix(model), SceneStepMatrix(model)
+    one.factor(*state, c * c, c, parts)
+    other.factor(*state, c * c, c)
+    assert np.allclose(one.solve(state[1], b), other.solve(state[1], b), rtol=0, atol=1e-5 * np.abs(one.solve(state[1], b)).max())
+
+
+@pytest.mark.parametrize("backend", ["fronts", "band", "superlu"])
+def test_an_indefinite_matrix_is_left_to_l_d_lt(scenes, backend, c):
+    """Far compressed: K falls in some directions by more than c^2 M rises."""
+    model = scenes.single()[0].build()
+    zero, q, b = np.zeros(model.n), -0.6 * model.reference.ravel(), numbers(c, model.n)
+    state, system, c = (0.0, q, zero, zero, zero[:0]), SceneStepMatrix(model, backend), 0.1 * c
+    system.factor(*state, c * c, c)
+    assert "SuperLU" in system.backend and near(system.solve(q, b), np.linalg.solve(whole(model, state, c), b))

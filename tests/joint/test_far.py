@@ -56,7 +56,7 @@ def test_weights_of_a_section_are_those_at_the_origin(scenes, uneven):
 
 
 def test_round_off_of_phi_is_that_of_distances_within_the_model(scenes):
-    from polyida.integrate.alpha.start import extent
+    from polyida.integrate.sizes import extent
 
     near, far = (scenes.jointed("motor between", origin=origin).build() for origin in ((0.0, 0.0), FAR))
     q = np.zeros(near.n)

@@ -40,11 +40,11 @@ def spd_blocks(pattern, seed=0):
 
 
 def solved(s, panels, b):
-    x = np.zeros(len(b) + 5, np.float32)
+    x = np.zeros(len(b) + 5, panels.dtype)
     x[s.order] = b
     solve_fronts(s, panels, x)
     assert not x[len(b) :].any()
-    return x[s.order].astype(float)
+    return x[s.order].astype(np.result_type(x, float))
 
 
 CASES = {
@@ -70,6 +70,26 @@ def test_solution_is_that_of_the_matrix(name, placed):
     panels = factorize(s, blocks)
     x = np.random.default_rng(2).standard_normal(matrix.shape[0])
     assert np.linalg.norm(solved(s, panels, matrix @ x) - x) < 3e-6 * np.linalg.norm(x)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_complex_matrix_is_symmetric_and_not_hermitian(name):
+    pattern, points = CASES[name]
+    pattern.sort_indices()
+    (K, stiff), (M, mass) = spd_blocks(pattern), spd_blocks(pattern, 5)
+    c2, random = -2.0 + 16.0j, np.random.default_rng(2)  # K alone is positive definite, c2 M is not
+    s, x = symbolic(pattern.indptr, pattern.indices, points), random.standard_normal((2, pattern.shape[0] * 2)).T @ (1.0, 1.0j)
+    panels = factorize(s, K + c2 * M, abs(c2) ** 0.5 / np.sqrt(c2))
+    assert panels.dtype == np.complex64
+    assert np.linalg.norm(solved(s, panels, (stiff + c2 * mass) @ x) - x) < 3e-6 * np.linalg.norm(x)
+
+
+@pytest.mark.parametrize("phase, taken", [(0.6 - 0.8j, True), (-0.6 + 0.8j, False), (0.6 + 0.8j, False)])
+def test_a_complex_pivot_is_judged_by_its_real_part_in_a_phase(phase, taken):
+    pattern, points = CASES["a plate"]
+    blocks, _ = spd_blocks(pattern)
+    s = symbolic(pattern.indptr, pattern.indices, points)
+    assert (factorize(s, (0.6 + 0.8j) * blocks, phase) is not None) == taken
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -1,7 +1,7 @@
 """Equal steps from the start of a run's piece to its end; one that fails is cut in two, four, ... parts."""
 
-from polyida.integrate.alpha.grid import Grid, goes_on, grid_of
 from polyida.integrate.alpha.start import started
+from polyida.integrate.grid import Grid, goes_on, grid_of
 from polyida.integrate.state import State, StepFailure
 
 

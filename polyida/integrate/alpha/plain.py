@@ -3,6 +3,7 @@
 import numpy as np
 
 from polyida.integrate.alpha import step
+from polyida.integrate.ended import DONE, NOT_FINITE, REFACTOR, SINGULAR, TOO_NEAR
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import StepFailure
 from polyida.linear.lu import SingularSystem
@@ -34,9 +35,9 @@ class PlainLoop:
     def steps(self, p, system, first, last, *frame):
         """Take the step with a factored system: (steps, how it ended, last |dq|). Raises StepFailure where the model objects."""
         ended, moved = self._newton(p, system)
-        if ended == step.DONE:
+        if ended == DONE:
             ended = step.finish(p, self.memory, self.trial, *(part[0] for part in frame))
-        return int(ended in (step.DONE, step.TOO_NEAR)), ended, moved
+        return int(ended in (DONE, TOO_NEAR)), ended, moved
 
     def _newton(self, p, system):
         y, x, model = self.memory, self.trial, self.model
@@ -47,11 +48,11 @@ class PlainLoop:
             r = model.residual(self.inner, q, v, a, lam)
             self.counts.residuals += 1
             if not (np.isfinite(r).all() and np.isfinite(phi).all()):
-                return step.NOT_FINITE, last
+                return NOT_FINITE, last
             try:
                 slip = self._correct(p, system, q, v, lam, r, phi)
             except SingularSystem:
-                return step.SINGULAR, last
+                return SINGULAR, last
             moved, settled, hopeless, allowed = step.correct(p, y, x, iteration == 1, last)
             if self.tied:
                 x.now[step.DD] += slip
@@ -59,9 +60,9 @@ class PlainLoop:
             if settled and np.abs(self._closed(p)).max(initial=0.0) <= allowed:
                 return self._settled(), moved
             if hopeless:
-                return step.REFACTOR, moved
+                return REFACTOR, moved
             last = moved
-        return step.REFACTOR, last
+        return REFACTOR, last
 
     def _closed(self, p):
         """phi at the trial state, carried or from the positions."""
@@ -94,4 +95,4 @@ class PlainLoop:
         if self.tied:
             x.now[step.V] += self.model.mass_system(self.end, q).solve(np.zeros_like(v), self._off(q, v))[0]
             x.rows[step.RATE] = 0.0
-        return step.DONE
+        return DONE

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.integrate.alpha.start import extent
+from polyida.integrate.sizes import extent
 from polyida.integrate.state import State, StepFailure
 
 PARTED = 0.03  # distance of the two runs over the extent of the model, beyond which they tell of different motions

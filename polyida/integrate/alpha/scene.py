@@ -13,6 +13,7 @@ from polyida.assembly.rows.increments import drive_table, gain_table
 from polyida.compiled import entry, pack, part
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
+from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, TOO_FAR
 from polyida.integrate.kinks import inner_side
 
 DZ, FORCES, START, VX, AX, DX, DV = range(7)  # rows of Scratch.points
@@ -80,7 +81,7 @@ def newton(s, c, room, p, tie, damp, laws, before, drives, gains, y, x, w, count
         det, cosine = kernels.equilibrium(s, drives, u, step.pairs(now[step.A]), lam, r, phi, w.rotation, dz, w.points[FORCES])
         counts[0] += 1
         if not det > 0.0:
-            return (step.INVERTED if det <= 0.0 else step.NOT_FINITE), last
+            return (INVERTED if det <= 0.0 else NOT_FINITE), last
         if damp is not None:
             add_damping(s.plates, u, step.pairs(now[step.V]), damp, r)
         if laws is not None:
@@ -95,16 +96,16 @@ def newton(s, c, room, p, tie, damp, laws, before, drives, gains, y, x, w, count
         if tie is not None:
             good = alpha_tie.slip(s.links, p, y, x, tie) and good
         if not good:
-            return step.SINGULAR, last
+            return SINGULAR, last
         if settled and closed(s.links, p, before, drives, gains, y, x, w) <= allowed:
             if tie is not None:
                 joints.point_values(s.links, u, dz)
                 alpha_tie.settle(s.links, drives, dz, step.pairs(now[step.V]), x.rows[step.RATE], tie)
-            return (step.DONE if cosine > 0.0 else step.HALF_TURN), moved
+            return (DONE if cosine > 0.0 else HALF_TURN), moved
         if hopeless:
-            return step.REFACTOR, moved
+            return REFACTOR, moved
         last = moved
-    return step.REFACTOR, last
+    return REFACTOR, last
 
 
 @entry
@@ -118,12 +119,12 @@ def stretch(s, c, room, p, tie, damp, laws, drives, gains, y, x, w, counts, qs, 
     moved = 0.0
     for k in range(lams.shape[0]):
         end, moved = newton(s, c, room, p, tie, damp, laws, drives[k], drives[k + 1], gains[k], y, x, w, counts)
-        if end != step.DONE:
+        if end != DONE:
             return k, end, moved
         end = step.finish(p, y, x, qs[k], vs[k], accelerations[k], lams[k])
-        if end != step.DONE:
-            return (k if end == step.TOO_FAR else k + 1), end, moved
-    return lams.shape[0], step.DONE, moved
+        if end != DONE:
+            return (k if end == TOO_FAR else k + 1), end, moved
+    return lams.shape[0], DONE, moved
 
 
 class SceneLoop:

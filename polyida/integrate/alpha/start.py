@@ -16,11 +16,10 @@ smooth motion they take h^4 omega^4 of q'' and h^2 omega^2 of q''' (with damping
 import numpy as np
 
 from polyida.integrate.kinks import at_kink, beside
-from polyida.integrate.start import consistent_acceleration, far_side, jerk
+from polyida.integrate.start import consistent_acceleration, far_side, jerk, start_values
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
-EPS = np.finfo(float).eps
 FAR_SHORTER = 2.5  # a step control's ladder stays below
 
 
@@ -123,30 +122,3 @@ def resolution(settings, model, state, h):
     except SingularSystem as error:
         raise StepFailure("singular", f"the start's M + gamma h C + beta h^2 K: {error}", t) from None
     return lambda x: system.saddle(t, q, lam, -c_m * (mass @ x), -(border @ x))[0]
-
-
-def start_values(model, state, t=None):
-    """(phi, rate) at the start of a run: as the state carries them, or evaluated, and zero for mere round-off.
-
-    t: the time for rate, to one side of a kink.
-    """
-    if "phi" in state.memory and "rate" in state.memory:
-        return np.array(state.memory["phi"], float), np.array(state.memory["rate"], float)
-    phi = np.array(model.phi(state.t, state.q), float)
-    phi = np.where(np.abs(phi) > 64 * EPS * extent(model, state.q), phi, 0.0)
-    return phi, velocity_rate(model, state.t if t is None else t, state.q, state.v)
-
-
-def velocity_rate(model, t, q, v):
-    """phi_q v + phi_t, zero where it is nothing but round-off."""
-    if not model.m:
-        return np.zeros(0)
-    phi_t, phi_q = model.phi_t(t, q), model.phi_q(t, q)
-    rate = phi_q @ v + phi_t
-    size = abs(phi_q.copy()) @ np.abs(v) + np.abs(phi_t)  # abs sorts a sparse matrix in place
-    return np.where(np.abs(rate) > 64 * EPS * size, rate, 0.0)
-
-
-def extent(model, q):
-    """Size of the numbers that phi is made of, m: displacements, and distances within the model, wherever it lies."""
-    return (model.extent or 1.0) + float(np.abs(q).max(initial=0.0))

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.compiled import entry, pack, part
+from polyida.integrate.ended import DONE, TOO_FAR, TOO_NEAR
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
-DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR = range(8)
 Q, V, A, A_ALG, CHANGE, EARLIER, MASSES, SHARES = range(8)  # rows of Memory.past; the first three are those of Trial.now too
 DD, R, DQ = range(3, 6)  # further rows of Trial.now
 LAM, PHI, RATE, DLAM = range(4)  # rows of Memory.closed, and of Trial.rows

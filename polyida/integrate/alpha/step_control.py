@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polyida.integrate.alpha.grid import Grid
 from polyida.integrate.alpha.start import started
+from polyida.integrate.grid import Grid
 from polyida.integrate.kinks import enough_steps
 from polyida.integrate.state import State, StepFailure
 
@@ -12,7 +12,6 @@ SAFETY = 0.85
 ORDER = 3  # the local error is of that order in h
 CUT = 2 * RUNGS  # rungs down where Newton fails
 LOWEST = 30 * RUNGS
-KEPT = 6  # factors that are kept, of the steps h used last
 
 
 class Ladder:
@@ -39,37 +38,6 @@ class Ladder:
 
     def _rungs(self, error):
         return RUNGS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / ORDER))
-
-
-class Kept:
-    """The factors of the few steps h that were used last: adaptive steps come back to them."""
-
-    def __init__(self):
-        self.factors = {}
-
-    def take(self, h):
-        """What is kept of this h, or None."""
-        found = self.factors.pop(h, None)
-        if found is not None:
-            self.factors[h] = found
-        return found
-
-    def keep(self, h, factor):
-        """Keep a factor, in place of that of the h that has not been used for the longest time."""
-        self.factors.pop(h, None)
-        self.factors[h] = factor
-        while len(self.factors) > KEPT:
-            self.factors.pop(next(iter(self.factors)))
-
-
-def weights(model, q):
-    """Shares (n,) of the coordinates in a mean square, `M_ii / sum M_ii`: whatever the unit that each is in.
-
-    So the local errors of unlike coordinates, a length, an angle, another length in other units, add up to one number.
-    """
-    masses = np.abs(model.mass(q).diagonal())
-    total = masses.sum()
-    return masses / total if total > 0 else np.full(model.n, 1.0 / model.n)
 
 
 def calm_error(h, largest, rungs=2):

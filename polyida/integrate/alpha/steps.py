@@ -3,19 +3,15 @@
 import numpy as np
 
 from polyida.integrate.alpha import step
-from polyida.integrate.alpha.start import extent, start_values
-from polyida.integrate.alpha.step_control import Kept, calm_error, weights
+from polyida.integrate.alpha.step_control import calm_error
+from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
+from polyida.integrate.kept import Kept
+from polyida.integrate.sizes import extent, weights
+from polyida.integrate.start import start_values
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
 ADAPTIVE = 32  # steps of a stretch whose step may change any time
-REASONS = {
-    step.REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
-    step.INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
-    step.NOT_FINITE: ("not finite", "the motion is not finite"),
-    step.HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
-    step.SINGULAR: ("singular", "the constraints' system is singular"),
-}
 
 
 class Steps:
@@ -110,23 +106,23 @@ class Steps:
                 self._factor_here(first)
                 fresh = True
             steps, ended, moved = self._steps(self.method, first, count, frames)
-            if steps == 0 and fresh and ended in (step.REFACTOR, step.INVERTED, step.NOT_FINITE):
+            if steps == 0 and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
                 steps, ended, moved = self._full_newton(first, frames)
             for k in range(first, first + steps):
-                whole = k == count - 1 or (k == first + steps - 1 and ended == step.TOO_NEAR)
+                whole = k == count - 1 or (k == first + steps - 1 and ended == TOO_NEAR)
                 yield self._state(times[k + 1], *(frame[k] for frame in frames), grid.after(done + k + 1) if whole else None)
             first, fresh = first + steps, fresh and not steps
-            if ended in (step.TOO_FAR, step.TOO_NEAR):
-                self.verdict = "far" if ended == step.TOO_FAR else "near"
+            if ended in (TOO_FAR, TOO_NEAR):
+                self.verdict = "far" if ended == TOO_FAR else "near"
                 return
-            if ended != step.DONE:
+            if ended != DONE:
                 self._refactor_or_fail(ended, fresh, times[first + 1], moved)
 
     def _steps(self, method, first, last, frames):
         return self.loop.steps(method, self.system, first, last, *(frame[first:last] for frame in frames))
 
     def _refactor_or_fail(self, ended, fresh, t, moved):
-        if not fresh and ended not in (step.HALF_TURN, step.SINGULAR):
+        if not fresh and ended not in (HALF_TURN, SINGULAR):
             self.system = None
             self.memory.marks[step.AHEAD] = self.memory.marks[step.BEHIND] = 0.0
             return
@@ -142,7 +138,7 @@ class Steps:
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
-            if ended != step.REFACTOR or steps or not np.isfinite(moved):
+            if ended != REFACTOR or steps or not np.isfinite(moved):
                 break
             y.marks[step.MOVED] = moved
         y.marks[step.MOVED] = 0.0

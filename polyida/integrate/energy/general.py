@@ -14,7 +14,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.energy.steps import DONE, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, SLOW, Steps
+from polyida.integrate.ended import DONE, INVERTED, NOT_FINITE, REFACTOR, SINGULAR
+from polyida.integrate.energy.steps import SLOW, Steps
 from polyida.integrate.state import StepFailure
 from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem

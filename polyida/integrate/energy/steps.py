@@ -9,21 +9,13 @@ Where nothing drives there is an energy to keep, and v_1 off its constraint by O
 
 import numpy as np
 
+from polyida.integrate.ended import DONE, HALF_TURN, REASONS
 from polyida.integrate.energy.at_end import AtEnd
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import StepFailure
 
-# constants of compiled code, some of them
 FAR_SHORTER = 10.0  # a step as many times shorter than the next tells nothing of its accelerations
 SLOW = 0.3  # contraction above which the matrix is made anew
-DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR = range(6)
-REASONS = {
-    REFACTOR: ("newton", "Newton does not converge with a fresh matrix"),
-    INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
-    NOT_FINITE: ("not finite", "the motion is not finite"),
-    HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
-    SINGULAR: ("singular", "the constraints' system is singular"),
-}
 
 
 class Steps:

@@ -1,26 +1,11 @@
-"""The local error of a step, and the ladder of steps that follows it, so that factors are kept and come back."""
+"""The ladder of steps that follows the local error, so that factors are kept and come back."""
 
 import numpy as np
-
-from polyida.integrate.radau.frames import conj, turned
 
 SAFETY = 0.75
 RUNGS = 2  # a factor of two
 MOST_UP, MOST_DOWN = 6, 12  # rungs at once
 CUT = 4  # rungs down where a step fails
-
-
-def local_error(matrices, tableau, state, stages, h, shares):
-    """|q_ - q| of the step's end against a method of order s: what the last step's q' and v' at the start are off this polynomial's.
-
-    One solve with the real matrix (or the real part of one with the complex) keeps what no step resolves out of it.
-    """
-    off_v = state.v + tableau.start @ stages.q / h
-    off_a = state.memory.get("a_end", state.a) + tableau.start @ stages.v / h
-    rows, zero = matrices.rows, np.zeros(len(matrices.rows.B))
-    off_v, force = turned(off_v, conj(rows.p)), turned(matrices.M @ off_a, conj(rows.p))
-    dq = matrices.solve(0, -off_v, -force, zero, zero[: len(rows.H)])[0]
-    return float(np.sqrt(shares @ dq.real**2))
 
 
 class Ladder:

@@ -4,12 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.integrate.radau.tableau import from_zero, through
+from polyida.integrate.radau.tableau import through, through_zero
 from polyida.integrate.state import State
 
 
 class Collocation(NamedTuple):
-    """Called with t it gives the State there: q and v by polynomials of degree s (3rd or 4th order), a and lam of degree s - 1."""
+    """Called with t it gives the State there: q and v by polynomials of degree s (3rd or 4th order), a and lam of degree s - 1.
+
+    stages: e, v - v_0, v' and lam of the nodes c, each (s, ...).
+    """
 
     t: float
     h: float
@@ -20,6 +23,7 @@ class Collocation(NamedTuple):
 
     def __call__(self, t):
         s = (t - self.t) / self.h
-        moved, rest = from_zero(self.c, s), through(self.c, s)
-        q, v, a, lam = self.stages
-        return State(float(t), self.q + moved @ q, self.v + moved @ v, rest @ a, rest @ lam, restart=False)
+        moved, rest = through_zero(self.c, s), through(self.c, s)
+        e, dv, a, lam = self.stages
+        q = self.q + ((t - self.t) * self.v + moved @ e)
+        return State(float(t), q, self.v + moved @ dv, rest @ a, rest @ lam, restart=False)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.integrate.alpha.grid import Grid, grid_of
+from polyida.integrate.grid import Grid, grid_of
 from polyida.integrate.kinks import PULSE, enough_steps
 from polyida.integrate.radau.control import CUT, Ladder
 from polyida.integrate.state import State, StepFailure
@@ -23,7 +23,8 @@ def march(engine, settings, model, state, begin, end, most, counts):
             state = _in_parts(engine, settings, state, grid, failure, counts)
         counts.steps += 1
         grid = grid._replace(done=grid.done + 1)
-        yield _with(state, radau_grid=grid.after(grid.done), sizes=engine.sizes)
+        state.memory.update(radau_grid=grid.after(grid.done), sizes=engine.sizes)
+        yield state
 
 
 def _grid(model, state, begin, end, most):
@@ -75,7 +76,8 @@ def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most
             failures.append(StepFailure("step size", "the local error stays above rtol and atol", t))
             continue
         failures, t = [], goes_to
-        state = _with(found, ladder=np.array([ladder.first, ladder.rung]), radau_piece=np.array([end, most]), sizes=engine.sizes)
+        state = found
+        state.memory.update(ladder=np.array([ladder.first, ladder.rung]), radau_piece=np.array([end, most]), sizes=engine.sizes)
         counts.steps += 1
         yield state
 
@@ -83,7 +85,7 @@ def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most
 def _most(model, state, begin, end, most):
     """The largest step of the piece, by which loads are seen behind a kink too; of one that is gone on with as it was."""
     piece = state.memory.get("radau_piece")
-    if piece is not None and piece[0] == end and "stages_q" in state.memory:
+    if piece is not None and piece[0] == end and "stages_e" in state.memory:
         return min(most, float(piece[1]))
     return (end - begin) / enough_steps(model, state, begin, end, min(most, end - begin))
 
@@ -106,10 +108,6 @@ def _require_progress(t, h, settings, counts, most_steps, failures):
         raise StepFailure(first.status, reason, first.t, **last.seen)
     if counts.steps + counts.rejected >= most_steps:
         raise StepFailure("too many steps", f"more than {settings.max_num_steps} steps (max_num_steps)", t, step=h)
-
-
-def _with(state, **memory):
-    return State(state.t, state.q, state.v, state.a, state.lam, state.memory | memory, within=state.within)
 
 
 def ladder_of(state, first):

@@ -97,11 +97,14 @@ class RadauIIA:
         atol = self.rtol * float(sizes[0]) if self.atol is None else self.atol
         return atol + self.rtol * float(np.sqrt(shares @ q**2))
 
-    def left(self, q: np.ndarray, shares: np.ndarray, sizes: np.ndarray) -> float:
-        """What Newton may leave of q."""
+    def left(self, state: State, shares: np.ndarray, sizes: np.ndarray) -> float:
+        """What Newton may leave of q in a step from the state."""
         if self.tolerance is not None:
             return self.tolerance
-        return min(SHARE, self.rtol**0.5) * self.allowed(q, shares, sizes) if self.adaptive else EXACT * float(sizes[0])
+        if self.adaptive:
+            return min(SHARE, self.rtol**0.5) * self.allowed(state.q, shares, sizes)
+        error, length = state.memory.get("error", 0.0), float(sizes[0])
+        return max(EXACT * length, min(SHARE, (error / length) ** 0.5) * error)
 
     def told(self, memory: dict) -> str:
         """What a summary says of the absolute tolerance that a run took from its model; memory of one of its states."""
@@ -116,7 +119,7 @@ class RadauIIA:
         sizes = typical_sizes(model, state, span) if sizes is None else np.array(sizes, float)
         engine, most_steps = Steps(self, model, counts, sizes), counts.steps + counts.rejected + self.max_num_steps
         ladder, longest = ladder_of(state, self._first(sizes, span)), self.h or self.max_step or np.inf
-        state = state if np.shape(state.memory.get("stages_q", ())) == (self.stages, model.n) else _restarted(state)
+        state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else _restarted(state)
         engine.begin(state)
         for begin, end, most in stretches(model, state.t, t_end, *((self.h,) if self.h else cells_of(longest, span))):
             engine.limits = (-np.inf, beside(end, -1) if at_kink(model, end) else np.inf)
@@ -138,6 +141,6 @@ class RadauIIA:
 
 def _restarted(state):
     """The state without the last step's polynomial, which leads nowhere behind a kink, or is of other stages."""
-    gone = ("stages_q", "stages_v", "a_end", "lam_end", "step", "radau_piece")
+    gone = ("stages_e", "stages_v", "a_end", "lam_end", "step", "error", "phi", "rate", "radau_piece")
     memory = {name: value for name, value in state.memory.items() if name not in gone}
     return State(state.t, state.q, state.v, state.a, state.lam, memory)

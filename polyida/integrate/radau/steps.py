@@ -1,21 +1,23 @@
 """Steps of Radau IIA on one model: factors by step size, a step tried, its end made a state on the constraints."""
 
+from functools import cached_property
+
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.alpha.start import EPS, extent
-from polyida.integrate.alpha.step_control import Kept, weights
-from polyida.integrate.radau.control import local_error
+from polyida.integrate.kept import Kept
 from polyida.integrate.radau.dense import Collocation
-from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.newton import Failed, Newton
+from polyida.integrate.radau.plain import PlainSystem
 from polyida.integrate.radau.tableau import radau
+from polyida.integrate.sizes import extent, weights
+from polyida.integrate.start import consistent_acceleration, start_values
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
 FEW = 2  # iterations of a step that nothing could spare
 PAIR = 24.0  # iterations that cost as much as new factors: so many beyond FEW a step, and they are made anew
-CLOSED = 64 * EPS  # of the model's size: |phi| that is round-off
+CLOSED = 64 * 2.0**-52  # of the model's size: |phi| that is round-off
 MOVES = 3  # of q onto phi = 0, at most
 AGAIN = 1e-9  # of that size: |phi| beyond which the constraints' system is made anew where q has moved to
 
@@ -28,23 +30,29 @@ class Steps:
 
     def __init__(self, settings, model, counts, sizes):
         self.settings, self.model, self.counts, self.sizes = settings, model, counts, sizes
-        self.tableau = radau(settings.stages)
-        tied, self.limits = settings.form == "ggl", (-np.inf, np.inf)
-        self.moves_v = tied or settings.project
-        self.newton = Newton(model, self.tableau, tied, settings.max_iterations, counts)
+        self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
+        self.system = _system(model)(model, self.tableau, settings.form == "ggl", counts)
+        self.moves_v = self.system.tied or (settings.form == "index3" and settings.project and self._bent)
+        self.newton = Newton(self.system, self.tableau, settings.max_iterations)
+        self.looks = settings.adaptive or settings.tolerance is None
         self.kept, self.shares, self.stacked = Kept(), None, None
+
+    @property
+    def _bent(self):
+        needs = self.model.needs
+        return self.model.m > 0 and (needs.phi_q_varies or needs.driven)
 
     def begin(self, state):
         """Take up what a state of this method holds: the norm's weights, Newton's contraction, the factors."""
         memory, model = state.memory, self.model
         given = memory.get("radau_shares")
         self.shares = weights(model, state.q) if given is None else np.array(given, float)
-        self.newton.weigh(self.shares)
+        self.system.weigh(self.shares)
         if "newton" not in memory:
             return
         self.newton.marks, self.stacked = np.array(memory["newton"], float), np.array(memory["factored"], float)
         for row in self.stacked:
-            self.kept.keep(float(row[0]), Matrices(model, self.tableau.modes, float(row[0]), row[1:]))
+            self.kept.keep(float(row[0]), self.system.matrices(float(row[0]), row[1:]))
         for h, price in np.reshape(memory["prices"], (-1, 2)):
             self.kept.factors[float(h)].price = float(price)
 
@@ -54,58 +62,69 @@ class Steps:
 
     def step(self, state, h, t, allowed=np.inf):
         """(the State at t = state.t + h, or None where the local error is not `allowed`; local error). Raises StepFailure."""
+        closed = start_values(self.model, state, self.clamp(state.t)) if self.model.carries else None
+        self.system.begin(state, h, [self.clamp(state.t + c * h) for c in self.tableau.c], closed)
         try:
-            matrices, stages = self._solved(state, h)
+            matrices = self._solved(state, h)
+            closed = self.system.close()
+            error = self.system.error(matrices, self._a(state)) if self.looks else 0.0
         except Failed as failed:
             raise StepFailure(failed.status, failed.reason, t, **failed.seen) from None
-        self.counts.solves += 1
-        error = local_error(matrices, self.tableau, state, stages, h, self.shares)
-        return self._state(state, stages, h, t) if error <= allowed else None, error
+        return self._state(state, h, t, closed, error) if error <= allowed else None, error
 
     def _solved(self, state, h):
-        """(Matrices, Stages): with those kept for this h, unless their price has grown beyond that of new ones, or they do not serve."""
+        """The Matrices that the stages were solved with: those kept for this h, unless their price has grown beyond that of new ones."""
         matrices = self.kept.take(h)
         if matrices is not None and matrices.price <= PAIR:
             try:
-                stages = self._stages(matrices, state, h)
-                matrices.price += max(0, stages.iterations - FEW)
-                return matrices, stages
+                matrices.price += max(0, self._iterate(matrices, state, h) - FEW)
+                return matrices
             except Failed as failed:
                 if failed.status == "not finite":
                     raise
         matrices = self._factored(state, h)
-        return matrices, self._stages(matrices, state, h)
+        self._iterate(matrices, state, h)
+        return matrices
 
-    def _stages(self, matrices, state, h):
+    def _iterate(self, matrices, state, h):
         try:
             matrices.make()
         except SingularSystem as error:
             raise Failed("singular", str(error)) from None
-        left = self.settings.left(state.q, self.shares, self.sizes)
-        return self.newton.solve(matrices, state, h, self.clamp, left, self.shares)
+        self.counts.backend = matrices.backend
+        left = self.settings.left(state, self.shares, self.sizes)
+        return self.newton.solve(matrices, state, h, left, self.shares)
 
     def _factored(self, state, h):
         """New Matrices at a state, with what its last stage was rather than a and lam that ring."""
-        a, lam = state.memory.get("a_end", state.a), state.memory.get("lam_end", state.lam)
-        made = Matrices(self.model, self.tableau.modes, h, np.concatenate([[self.clamp(state.t)], state.q, state.v, a, lam]))
+        lam = state.memory["lam_end"] if "lam_end" in state.memory else state.lam
+        made = self.system.matrices(h, np.concatenate([[self.clamp(state.t)], state.q, state.v, self._a(state), lam]))
         self.counts.tangents += 1
         self.counts.factorizations += len(made.modes)
         self.kept.keep(h, made)
         self.stacked, self.newton.marks = None, np.array([1.0, np.inf])
         return made
 
-    def _state(self, state, stages, h, t):
-        """The accepted State: q and v on their constraints to round-off, a and lam of the equations of motion there."""
-        at, model = self.clamp(t), self.model
-        q, v, a, lam = self._settled(at, state.q + stages.q[-1], state.v + stages.v[-1])
-        if not all(np.isfinite(x).all() for x in (q, v, a, lam)):
+    @staticmethod
+    def _a(state):
+        return state.memory["a_end"] if "a_end" in state.memory else state.a
+
+    def _state(self, state, h, t, closed, error):
+        """The accepted State: q and v on their constraints to round-off."""
+        at, model, x = self.clamp(t), self.model, self.system.trial
+        e, dv, a, lam = x.e.copy(), x.dv.copy(), x.a.copy(), x.lam.copy()
+        q, v = state.q + (h * state.v + e[-1]), state.v + dv[-1]
+        new_q, new_v, closed = self._settled(at, q, v, closed)
+        e[-1], dv[-1] = e[-1] + (new_q - q), dv[-1] + (new_v - v)
+        if not (np.isfinite(new_q).all() and np.isfinite(new_v).all()):
             raise StepFailure("not finite", "the motion is not finite", t)
-        if objection := model.objection(at, q):
+        if self.system.objects and (objection := model.objection(at, new_q)):
             raise StepFailure("objection", objection, t)
-        stages.q[-1], stages.v[-1] = q - state.q, v - state.v
-        memory = {"stages_q": stages.q, "stages_v": stages.v, "a_end": stages.a[-1], "lam_end": stages.lam[-1], "step": h}
-        within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (stages.q, stages.v, stages.a, stages.lam))
-        return State(t, q, v, a, lam, memory | self._memory(), within=within)
+        memory = {"stages_e": e, "stages_v": dv, "a_end": a[-1], "lam_end": lam[-1], "stages_lam": lam, "step": h, "error": error}
+        if closed is not None:
+            memory |= dict(zip(("phi", "rate"), closed))
+        within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (e, dv, a, lam))
+        return Accepted(model, at, State(t, new_q, new_v, a[-1], lam[-1], memory | self._memory(), within=within))
 
     def _memory(self):
         kept = self.kept.factors
@@ -115,26 +134,32 @@ class Steps:
         memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
         return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
 
-    def _settled(self, t, q, v):
-        """(q, v, a, lam) from q and v that are off their constraints by what Newton left, and v by the error of index 3."""
+    def _settled(self, t, q, v, closed):
+        """(q, v, (phi, rate) as carried or None): freed of what Newton left of phi, and v of the error of index 3."""
         model, none = self.model, np.zeros(self.model.n)
         try:
-            q, system = self._closed(t, q, none) if model.m else (q, self._mass_system(t, q))
-            if model.m and self.moves_v:
-                v = v + system.solve(none, model.phi_rate(t, q, v))[0]
-            return q, v, *system.solve(model.force(t, q, v), model.phi_bias(t, q, v) if model.m else np.zeros(0))
+            system = None
+            if model.m and closed is None:
+                q, system = self._closed(t, q, none)
+            if self.moves_v:
+                rate = model.phi_rate(t, q, v) if closed is None else closed[1]
+                if rate.any():
+                    v = v + (system or self._mass_system(t, q)).solve(none, rate)[0]
+                    closed = None if closed is None else (closed[0], np.zeros_like(rate))
+            return q, v, closed
         except np.linalg.LinAlgError as error:
             raise StepFailure("singular", str(error), t) from None
 
     def _closed(self, t, q, none):
-        """q moved along M^-1 B^T onto phi = 0, and the system of M and B there."""
-        system, size = self._mass_system(t, q), extent(self.model, q)
+        """q moved along M^-1 B^T onto phi = 0, and the system of M and B there, where it was needed."""
+        system, size = None, extent(self.model, q)
         for _ in range(MOVES):
             phi = self.model.phi(t, q)
             if np.abs(phi).max() <= CLOSED * size:
                 break
+            system = system or self._mass_system(t, q)
             q = q + system.solve(none, phi)[0]
-            system = self._mass_system(t, q) if np.abs(phi).max() > AGAIN * size else system
+            system = None if np.abs(phi).max() > AGAIN * size else system
         return q, system
 
     def _mass_system(self, t, q):
@@ -142,3 +167,42 @@ class Steps:
             return self.model.mass_system(t, q)
         except InputError as error:
             raise StepFailure("singular", str(error), t) from None
+
+
+class Accepted(State):
+    """A State whose a and lam, `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)` at its q and v, are made when they are first asked for.
+
+    They have the order of q and v; those of the last stage, which it is given, have one of s only.
+    """
+
+    def __init__(self, model, at, stage):
+        hidden = {"_model": model, "_at": at, "_stage": stage}
+        vars(self).update({name: value for name, value in vars(stage).items() if name not in ("a", "lam")} | hidden)
+
+    @cached_property
+    def _rest(self):
+        try:
+            return consistent_acceleration(self._model, self._at, self.q, self.v)
+        except (InputError, np.linalg.LinAlgError) as error:
+            raise StepFailure("singular", str(error), self.t) from None
+
+    @property
+    def a(self):
+        """q'', (n,)."""
+        return self._rest[0]
+
+    @property
+    def lam(self):
+        """The multipliers, (m,)."""
+        return self._rest[1]
+
+    def finite(self):
+        """Whether q and v, and what the last stage had, are finite."""
+        return self._stage.finite()
+
+    def __reduce__(self):
+        return State, (self.t, self.q, self.v, self.a, self.lam, self.memory, self.restart, self.within)
+
+
+def _system(model):
+    return PlainSystem

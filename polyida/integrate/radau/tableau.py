@@ -44,6 +44,11 @@ class Tableau(NamedTuple):
         """s."""
         return len(self.c)
 
+    @property
+    def middle(self):
+        """Number of the middle stage, whose constraint rows serve all."""
+        return len(self.c) // 2
+
 
 @cache
 def radau(stages):
@@ -69,11 +74,12 @@ def _modes(W):
     return tuple(found)
 
 
-def from_zero(c, s):
-    """Weights (s,) of values at the nodes in the polynomial that is zero at 0, at s: that of q - q_0 and v - v_0."""
-    return s / c * through(c, s)
+def through_zero(c, s):
+    """Weights (..., s) of values at the nodes in the polynomial that is zero at 0, at s (...): that of q - q_0 and v - v_0."""
+    return np.asarray(s)[..., None] / c * through(c, s)
 
 
 def through(c, s):
-    """Weights (s,) of values at the nodes in the polynomial through them alone, at s: that of a and lam."""
-    return np.array([np.prod((s - np.delete(c, i)) / (c[i] - np.delete(c, i))) for i in range(len(c))])
+    """Weights (..., s) of values at the nodes in the polynomial through them alone, at s (...): that of a and lam."""
+    s, others = np.asarray(s)[..., None], [np.delete(c, i) for i in range(len(c))]
+    return np.stack([np.prod((s - rest) / (c[i] - rest), axis=-1) for i, rest in enumerate(others)], axis=-1)

@@ -1,4 +1,4 @@
-"""Factors of the plates' matrix `S = c_m M + K` in the layout that the compiled solves read."""
+"""Factors of the plates' matrix `S = c_m M + c_v C + K`, real or complex symmetric, in the layout that the compiled solves read."""
 
 from typing import NamedTuple
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from polyida.compiled import pack
 from polyida.linear.cholesky.dissection import NOTHING, Symbolic, symbolic
-from polyida.linear.cholesky.fronts import factorize
-from polyida.linear.cholesky.triangular import fill_band
+from polyida.linear.cholesky.fronts import factorize, single
+from polyida.linear.cholesky.triangular import eliminate_band, fill_band
 from polyida.linear.lu import SYMMETRIC_MODE
 
 BAND, COLUMNS, FRONTS = 0, 1, 2
@@ -17,7 +17,7 @@ BAND, COLUMNS, FRONTS = 0, 1, 2
 class Factor(NamedTuple):
     """A symmetric factor: multifrontal or banded Cholesky, or L D L^T in columns.
 
-    order (n,): the place of each coordinate in the factor. The fields of the other kinds are empty.
+    order (n,): the place of each coordinate in the factor. The fields of the other kinds are empty. All numbers are float32 or complex64.
     """
 
     kind: int
@@ -40,44 +40,53 @@ def symbolic_of(model):
     return symbolic(*model.pattern, model.reference)
 
 
-def factor(model, blocks, backend="auto"):
+def factor(model, blocks, backend="auto", phase=1.0):
     """(Factor, its name) of the plates' matrix, given as blocks (nnz, 2, 2) on the model's nodal pattern.
 
-    backend: "auto" and "fronts" are the multifrontal Cholesky, "band" LAPACK's, "superlu" SuperLU. Where S is not positive definite
-    both Cholesky factors give way to SuperLU's L D L^T. Raises NotFactorable.
+    backend: "auto" and "fronts" are the multifrontal Cholesky, "band" LAPACK's or, where S is complex, ours, "superlu" SuperLU.
+    Where `phase` S, or its real part, is not positive definite both Cholesky factors give way to SuperLU's L D L^T. Raises NotFactorable.
     """
     indptr, indices = model.pattern
     if not np.isfinite(blocks).all():
         raise NotFactorable("the tangent is not finite")
     if backend in ("auto", "fronts"):
         known = model.once(symbolic_of)
-        panels = factorize(known, blocks)
+        panels = factorize(known, blocks, phase)
         if panels is not None:
-            return _empty(FRONTS, known.order)._replace(fronts=known, panels=panels), "multifrontal Cholesky"
+            return _empty(FRONTS, known.order, panels.dtype)._replace(fronts=known, panels=panels), "multifrontal Cholesky"
     if backend == "band":
-        found = _band(indptr, indices, blocks, model.n)
-        if found is not None:
-            return found, "band Cholesky (LAPACK)"
+        band = (_complex_band if np.iscomplexobj(blocks) else _band)(_band_of(indptr, indices, blocks, model.n), phase)
+        if band is not None:
+            order = np.arange(model.n, dtype=np.int32)
+            return _empty(BAND, order, band.dtype)._replace(band=band), "band Cholesky"
     return _columns(indptr, indices, blocks, model.n), "L D L^T (SuperLU, MMD)"
 
 
-def _empty(kind, order):
-    integers, numbers = np.zeros(0, np.int32), np.zeros(0, np.float32)
-    return Factor(kind, np.zeros((0, 1), np.float32), integers, integers, numbers, numbers, order, NOTHING, numbers)
+def _empty(kind, order, dtype):
+    integers, numbers = np.zeros(0, np.int32), np.zeros(0, dtype)
+    return Factor(kind, np.zeros((0, 1), dtype), integers, integers, numbers, numbers, order, NOTHING, numbers)
 
 
-def _band(indptr, indices, blocks, n):
+def _band_of(indptr, indices, blocks, n):
+    width = 2 * int(np.max(np.abs(indices - np.repeat(np.arange(n // 2), np.diff(indptr))))) + 1
+    band = np.empty((n, width + 1), blocks.dtype)
+    fill_band(indptr, indices, blocks, band)
+    return band
+
+
+def _band(band, _):
     from scipy.linalg.lapack import dpbtrf
 
-    width = 2 * int(np.max(np.abs(indices - np.repeat(np.arange(n // 2), np.diff(indptr))))) + 1
-    band = np.empty((n, width + 1))
-    fill_band(indptr, indices, blocks, band)
     done, info = dpbtrf(band.T, lower=1, overwrite_ab=1)
     if info:
         return None
-    single = np.ascontiguousarray(done.T, np.float32)
-    single[:, 0] = 1.0 / done[0]
-    return _empty(BAND, np.arange(n, dtype=np.int32))._replace(band=single)
+    found = np.ascontiguousarray(done.T, np.float32)
+    found[:, 0] = 1.0 / done[0]
+    return found
+
+
+def _complex_band(band, phase):
+    return band.astype(np.complex64) if eliminate_band(band, complex(phase)) else None
 
 
 def _columns(indptr, indices, blocks, n):
@@ -92,9 +101,10 @@ def _columns(indptr, indices, blocks, n):
     if not np.array_equal(lu.perm_r, lu.perm_c):
         raise NotFactorable("the tangent is singular to working precision")
     lower, diagonal = tril(lu.L, -1, format="csc"), lu.U.diagonal()
-    return _empty(COLUMNS, lu.perm_c.astype(np.int32))._replace(
+    dtype = single(blocks)
+    return _empty(COLUMNS, lu.perm_c.astype(np.int32), dtype)._replace(
         start=lower.indptr.astype(np.int32),
         rows=lower.indices.astype(np.int32),
-        values=lower.data.astype(np.float32),
-        reciprocal=(1.0 / diagonal).astype(np.float32),
+        values=lower.data.astype(dtype),
+        reciprocal=(1.0 / diagonal).astype(dtype),
     )

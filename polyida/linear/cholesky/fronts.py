@@ -16,18 +16,27 @@ entry = partial(compiled.entry, fastmath=FAST)
 part = partial(compiled.part, fastmath=FAST)
 
 
-def factorize(symbolic, blocks, dtype=np.float32):
-    """Panels (of dtype) of the factor of blocks (nnz, 2, 2) on symbolic's pattern; None where not positive definite.
+def factorize(symbolic, blocks, phase=1.0, dtype=None):
+    """Panels, float32 or complex64, of the factor of blocks (nnz, 2, 2) on symbolic's pattern; None where not positive definite.
 
-    Of each pair of blocks only the one in the row of the node that is eliminated first is read.
+    Complex blocks are symmetric, not Hermitian, and so is their factor; positive definite is then the real part of `phase` times them,
+    and with it that of every pivot. Of each pair of blocks only the one in the row of the node that is eliminated first is read.
+    dtype: that of the panels, single precision by default.
     """
-    panels, numbers = np.empty(symbolic.panel[-1], dtype), np.empty(symbolic.size**2 + symbolic.depth)
+    blocks = np.ascontiguousarray(blocks, np.result_type(blocks, float))
+    panels = np.empty(symbolic.panel[-1], dtype or single(blocks))
+    numbers = np.empty(symbolic.size**2 + symbolic.depth, blocks.dtype)
     places = np.empty(len(symbolic.nodes) + len(symbolic.children), np.int32)
-    return panels if fill_panels(symbolic, np.ascontiguousarray(blocks, float), panels, numbers, places) else None
+    return panels if fill_panels(symbolic, blocks, blocks.dtype.type(phase), panels, numbers, places) else None
+
+
+def single(values):
+    """The dtype of single precision, float32 or complex64, for values of double."""
+    return np.complex64 if np.iscomplexobj(values) else np.float32
 
 
 @entry
-def fill_panels(s, blocks, panels, numbers, places):
+def fill_panels(s, blocks, phase, panels, numbers, places):
     """Eliminate front after front; numbers, places are scratch. False where a pivot is not positive."""
     room, updates = numbers[: s.size * s.size], numbers[s.size * s.size :]
     local, waiting = places[: s.nodes.shape[0]], places[s.nodes.shape[0] :]
@@ -51,7 +60,7 @@ def fill_panels(s, blocks, panels, numbers, places):
             reach = s.rows[s.start[c] : s.start[c + 1]]
             top -= reach.shape[0] * (2 * reach.shape[0] + 1)
             add_update(updates[top:], reach, local, front)
-        if not eliminate(front, own):
+        if not eliminate(front, own, phase):
             return False
         keep_rows(front, own, panels[s.panel[f] : s.panel[f + 1]])
         top += keep_update(front, own, updates[top:])
@@ -98,7 +107,7 @@ def add_update(update, reach, local, front):
 
 
 @part
-def eliminate(front, own):
+def eliminate(front, own, phase):
     """Rows of U in place of the first `own` rows, the Schur complement in the rest of the upper triangle."""
     for i in range(0, front.shape[0], 2):
         top = min(i, own)
@@ -106,7 +115,7 @@ def eliminate(front, own):
             subtract_four(front, k, i)
         if top % 4:
             subtract_two(front, top - 2, i)
-        if i < own and not finish(front, i):
+        if i < own and not finish(front, i, phase):
             return False
     return True
 
@@ -135,10 +144,10 @@ def subtract_two(front, k, i):
 
 
 @part
-def finish(front, i):
-    """Turn the rows of node i, less all before, into rows of U. False where a pivot is not positive."""
+def finish(front, i, phase):
+    """Turn the rows of node i, less all before, into rows of U. False where a pivot's real part, times phase, is not positive."""
     x, y = front[i, i:], front[i + 1, i:]
-    if not x[0] > 0.0:
+    if not (phase * x[0]).real > 0.0:
         return False
     scale = 1.0 / np.sqrt(x[0])
     for j in range(x.shape[0]):
@@ -146,7 +155,7 @@ def finish(front, i):
     scale = x[1]
     for j in range(x.shape[0]):
         y[j] -= scale * x[j]
-    if not y[1] > 0.0:
+    if not (phase * y[1]).real > 0.0:
         return False
     scale = 1.0 / np.sqrt(y[1])
     for j in range(x.shape[0]):
@@ -182,8 +191,8 @@ def keep_update(front, own, updates):
 
 @entry
 def solve_fronts(s, panels, x):
-    """x <- S^-1 x in float32, x (n,) or longer in the places of s.order. Fronts on which x is zero cost nothing."""
-    work = np.empty(s.size, np.float32)
+    """x <- S^-1 x in float32 or complex64, x (n,) or longer in the places of s.order. Fronts on which x is zero cost nothing."""
+    work = np.empty(s.size, x.dtype)
     for f in range(s.children.shape[0]):
         at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
         n = own + 2 * (high - low)

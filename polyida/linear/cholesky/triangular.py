@@ -29,6 +29,28 @@ def fill_band(indptr, indices, blocks, band):
                     band[2 * j + 1, d - 1] = blocks[p, 0, 1]
 
 
+@entry
+def eliminate_band(band, phase):
+    """L of S = L L^T in place of S, in fill_band's storage, with reciprocal diagonal: for complex S, which LAPACK has not.
+
+    False where the real part of a pivot, times phase, is not positive.
+    """
+    n, width = band.shape[0], band.shape[1] - 1
+    for j in range(n):
+        row, count = band[j], min(width, n - 1 - j)
+        if not (phase * row[0]).real > 0.0:
+            return False
+        row[0] = 1.0 / np.sqrt(row[0])
+        for k in range(1, count + 1):
+            row[k] *= row[0]
+        for k in range(1, count + 1):
+            later, value = band[j + k], row[k]
+            if value != 0.0:
+                for i in range(k, count + 1):
+                    later[i - k] -= value * row[i]
+    return True
+
+
 @fast
 def solve_band(band, x):
     """x <- (L L^T)^-1 x for the Cholesky factor in band storage with reciprocal diagonal; x (n + width,) ends in zeros."""

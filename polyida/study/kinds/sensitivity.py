@@ -11,9 +11,8 @@ import numpy as np
 from polyida import profile
 from polyida.body.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.alpha.start import start_values
 from polyida.integrate.solve import solve
-from polyida.integrate.start import consistent_state
+from polyida.integrate.start import consistent_state, start_values
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.problems import plates
 from polyida.study.families import explicit

@@ -1,0 +1,10 @@
+"""How a step can end, as compiled loops tell it, and what a failure says of it."""
+
+DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR = range(8)
+REASONS = {
+    REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
+    INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
+    NOT_FINITE: ("not finite", "the motion is not finite"),
+    HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
+    SINGULAR: ("singular", "the constraints' system is singular"),
+}
