@@ -7,14 +7,14 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_number, is_one_of
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.alpha.step_control import weights
 from polyida.integrate.ida import whole as of_ida
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau import whole as of_radau
-from polyida.integrate.radau.matrices import Rows
+from polyida.integrate.radau.plain import Rows, lift
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.radau.tableau import radau
+from polyida.integrate.sizes import weights
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
@@ -111,9 +111,9 @@ def _radau(model, integrator, state, mode):
     if integrator.h is None:
         raise InputError("condition_number: h = None must be a positive step in s: RadauIIA has none of its own where it adapts")
     t, q, v, tied = state.t, state.q, state.v, integrator.form == "ggl"
-    rows = Rows(model, t, q, v, of_radau.lift(weights(model, q)) if tied else None)
+    rows = Rows(model, t, q, v, lift(model, weights(model, q)) if tied else None)
     K = model.tangent(t, q, v, state.a, state.lam, 0.0, 0.0, 1.0)
-    C = model.force_v(t, q, v) if model.needs.velocity_forces else None
     c = radau(integrator.stages).modes[-1 if mode == "complex" else 0].value / integrator.h
-    matrix, s = of_radau.whole_matrix(c, K, model.mass(q), C, rows)
+    slope = c * model.mass(q) + model.force_v(t, q, v) if model.needs.velocity_forces else c * model.mass(q)
+    matrix, s = of_radau.whole_matrix(c, K, slope, rows)
     return scaled(matrix, *of_radau.sizes(integrator.scaling, c, s, model.n, model.m, tied))

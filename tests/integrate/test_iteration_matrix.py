@@ -118,11 +118,11 @@ def test_radaus_matrix_is_the_derivative_of_its_equations(scene, integrator, mod
     n, m, tied = model.n, model.m, integrator.form == "ggl"
     values = np.linalg.eigvals(radau(integrator.stages).W)
     c = (values[values.imag > 1e-9] if mode == "complex" else values[np.abs(values.imag) < 1e-9].real)[0] / integrator.h
-    masses = model.mass(state.q).diagonal()
+    lift = np.ones(n) if model.alike else np.mean(model.mass(state.q).diagonal()) / model.mass(state.q).diagonal()
 
     def equations(dq, dv, da, dlam, dmu, rate):
         t, q, v, B = state.t, state.q + dq, state.v + dv, model.phi_q(state.t, state.q + dq)
-        first = rate - dv + (B.T @ dmu) * masses.mean() / masses if tied else rate - dv
+        first = rate - dv + lift * (B.T @ dmu) if tied else rate - dv
         rows = [first, model.residual(t, q, v, state.a + da, state.lam + dlam), model.phi(t, q), model.phi_rate(t, q, v)]
         return np.concatenate(rows if tied else rows[:3])
 
@@ -143,14 +143,14 @@ def damped_state():
     """Plates whose C is not zero, on their way."""
     material = pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=1e-3)
     model = plates.double_plate_motors(cells=4, material=material).build()
-    return model, pi.solve(model, 0.05, pi.RadauIIA(h=0.01)).state
+    return model, pi.solve(model, 0.05, pi.GeneralizedAlpha(h=5e-3)).state
 
 
 FALLS = {  # of the double plate at its start: raw at h = 1e-1, 1e-6, scaled there, and the slope of the raw one in the limit
     ("index3", "real"): (3.6e10, 8.8e18, 1.3e5, 45, -3),
     ("index3", "complex"): (4.8e10, 1.1e19, 1.0e5, 45, -3),
-    ("ggl", "real"): (3.5e10, 4.8e13, 1.3e5, 45, -2),
-    ("ggl", "complex"): (4.7e10, 5.5e13, 1.0e5, 45, -2),
+    ("ggl", "real"): (3.5e10, 8.2e13, 1.3e5, 45, -2),
+    ("ggl", "complex"): (4.7e10, 9.3e13, 1.0e5, 45, -2),
 }
 
 

@@ -19,6 +19,7 @@ from polyida.linear.kkt import SCALINGS
 from polyida.model import Model
 
 FORMS = ("ggl", "index3")
+LINEAR = ("auto", "kkt")
 SHARE = 0.05  # of the allowed local error that Newton may leave; sqrt(rtol) where that is less: a step's true error is far below
 EXACT = 1e-15  # of the model's length, what it may leave where the step is fixed: as good as nothing, for it adds up over all steps in v
 EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
@@ -38,8 +39,9 @@ class RadauIIA:
     rtol, atol: the step follows the local error of q against a method of order s, root mean square with each coordinate weighted by its
     mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), said in the
     run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
-    project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. scaling: "physical",
-    "bottasso" or "none", of the matrices of `pi.condition_number` (integrate/radau/whole.py). tolerance: what Newton
+    project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
+    the model's step matrices with a border of its constraints; "kkt": the whole matrix of both for each eigenvalue of W, in plain code.
+    scaling: of the rows and columns of that, "physical", "bottasso" or "none" (integrate/radau/whole.py); it acts there only. tolerance: what Newton
     may leave of q, in place of min(0.05, rtol^(1/2)) (atol + rtol |q|), and with fixed steps of 1e-15 of the model's length, which is
     round-off. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
     the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
@@ -55,6 +57,7 @@ class RadauIIA:
     stages: int = 3
     form: str = "ggl"
     project: bool = True
+    linear: str = "auto"
     scaling: str = "physical"
     tolerance: float | None = None
     max_iterations: int = 12
@@ -78,6 +81,7 @@ class RadauIIA:
             ("stages", is_whole(self.stages, 2, 3), "2 or 3"),
             ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
             ("project", is_flag(self.project), "True or False"),
+            ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
             ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
             ("tolerance", positive(self.tolerance), "a positive number (of q), or None: by rtol and atol"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),

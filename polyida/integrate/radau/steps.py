@@ -1,6 +1,6 @@
 """Steps of Radau IIA on one model: factors by step size, a step tried, its end made a state on the constraints."""
 
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from polyida.integrate.radau.dense import Collocation
 from polyida.integrate.radau.newton import Failed, Newton
 from polyida.integrate.radau.plain import PlainSystem
 from polyida.integrate.radau.tableau import radau
+from polyida.integrate.radau.whole import WholeModes
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import consistent_acceleration, start_values
 from polyida.integrate.state import State, StepFailure
@@ -31,7 +32,7 @@ class Steps:
     def __init__(self, settings, model, counts, sizes):
         self.settings, self.model, self.counts, self.sizes = settings, model, counts, sizes
         self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
-        self.system = _system(model)(model, self.tableau, settings.form == "ggl", counts)
+        self.system = _system(settings, model)(model, self.tableau, settings.form == "ggl", counts)
         self.moves_v = self.system.tied or (settings.form == "index3" and settings.project and self._bent)
         self.newton = Newton(self.system, self.tableau, settings.max_iterations)
         self.looks = settings.adaptive or settings.tolerance is None
@@ -204,5 +205,7 @@ class Accepted(State):
         return State, (self.t, self.q, self.v, self.a, self.lam, self.memory, self.restart, self.within)
 
 
-def _system(model):
+def _system(settings, model):
+    if settings.linear == "kkt":
+        return partial(PlainSystem, kind=partial(WholeModes, scaling=settings.scaling))
     return PlainSystem
