@@ -29,26 +29,32 @@ def drive_table(model, times, ends):
 
 
 def gain_table(model, times, drives, h):
-    """What every profile gains in each step of size h, (steps, profiles, 3): value, value - h rate, rate.
+    """What every profile gains in each step of size h, (steps, profiles, 3): value, value - h rate, rate."""
+    return _gains(model, times[:-1], times[1:], drives[:-1], drives[1:], np.full(len(times) - 1, h))
 
-    Differences; of a motor, where the integrals of its second derivative are the same to round-off, those, which are
-    sharper.
-    """
-    links, before, after = model.arrays.links, drives[:-1], drives[1:]
+
+def gains_from(model, t, times, drives, h):
+    """The same from t, of drives[0], to each of the times, of drives[1:], h (times,) later."""
+    return _gains(model, np.full(len(times), t), times, np.broadcast_to(drives[0], drives[1:].shape), drives[1:], h)
+
+
+def _gains(model, begin, times, before, after, h):
+    """Differences; of a motor, where the integrals of its second derivative are the same to round-off, those, which are sharper."""
+    links = model.arrays.links
     gains = np.empty(before.shape)
     gains[:, :, 0], gains[:, :, 2] = after[:, :, 0] - before[:, :, 0], after[:, :, 1] - before[:, :, 1]
-    gains[:, :, 1] = gains[:, :, 0] - h * before[:, :, 1]
+    gains[:, :, 1] = gains[:, :, 0] - h[:, None] * before[:, :, 1]
     for k in np.unique(links.product_drive[links.product_drive >= 0]):
-        t, ends = times[1:], after[:, k]
-        size = np.abs(before[:, k, :2]) + np.abs(ends[:, :2]) + np.abs(t[:, None] * ends[:, 1:])
+        ends = after[:, k]
+        size = np.abs(before[:, k, :2]) + np.abs(ends[:, :2]) + np.abs(times[:, None] * ends[:, 1:])
         lost = np.flatnonzero((np.abs(gains[:, k, ::2]) < 1e-5 * size).any(axis=1))
         if lost.size:
-            _sharpen(model.profiles[k], times[:-1][lost], h, before[lost, k, 1], gains[:, k], lost, size[lost])
+            _sharpen(model.profiles[k], begin[lost], h[lost], before[lost, k, 1], gains[:, k], lost, size[lost])
     return gains
 
 
 def _sharpen(profile, begin, h, rate, gains, rows, size):
-    at = begin[:, None] + h * (0.5 + NODES)
+    at = begin[:, None] + h[:, None] * (0.5 + NODES)
     second = profile.d2(at) if profile.formula else np.array([[profile.d2(t) for t in row] for row in at])
     second = np.broadcast_to(second, at.shape)
     change, ahead = h * (second @ WEIGHTS), h * h * (second @ (WEIGHTS * (0.5 - NODES)))

@@ -79,9 +79,9 @@ class Newton:
     def _guess(self, state, h):
         """Stages to begin with: on the last step's polynomial, shifted through the state; at a run's start along v."""
         x, memory = self.system.trial, state.memory
-        x.lam[:], x.mu[:] = (memory["lam_end"] if "lam_end" in memory else state.lam), 0.0
+        x.mu[:] = 0.0
         if "stages_e" not in memory or h > FAR * memory["step"]:
-            x.e[:] = 0.0
+            x.e[:], x.lam[:] = 0.0, memory.get("lam_end", state.lam)
             return
         before, c = float(memory["step"]), self.tableau.c
         ahead = through_zero(c, 1.0 + c * (h / before))

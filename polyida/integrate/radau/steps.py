@@ -68,7 +68,7 @@ class Steps:
         try:
             matrices = self._solved(state, h)
             closed = self.system.close()
-            error = self.system.error(matrices, self._a(state)) if self.looks else 0.0
+            error = self.system.error(matrices, _kept(state, "a_end", "a")) if self.looks else 0.0
         except Failed as failed:
             raise StepFailure(failed.status, failed.reason, t, **failed.seen) from None
         return self._state(state, h, t, closed, error) if error <= allowed else None, error
@@ -98,17 +98,13 @@ class Steps:
 
     def _factored(self, state, h):
         """New Matrices at a state, with what its last stage was rather than a and lam that ring."""
-        lam = state.memory["lam_end"] if "lam_end" in state.memory else state.lam
-        made = self.system.matrices(h, np.concatenate([[self.clamp(state.t)], state.q, state.v, self._a(state), lam]))
+        lam = _kept(state, "lam_end", "lam")
+        made = self.system.matrices(h, np.concatenate([[self.clamp(state.t)], state.q, state.v, _kept(state, "a_end", "a"), lam]))
         self.counts.tangents += 1
         self.counts.factorizations += len(made.modes)
         self.kept.keep(h, made)
         self.stacked, self.newton.marks = None, np.array([1.0, np.inf])
         return made
-
-    @staticmethod
-    def _a(state):
-        return state.memory["a_end"] if "a_end" in state.memory else state.a
 
     def _state(self, state, h, t, closed, error):
         """The accepted State: q and v on their constraints to round-off."""
@@ -205,7 +201,18 @@ class Accepted(State):
         return State, (self.t, self.q, self.v, self.a, self.lam, self.memory, self.restart, self.within)
 
 
+def _kept(state, stage, name):
+    """What the last stage had, or the state's own, which may not be made yet."""
+    found = state.memory.get(stage)
+    return getattr(state, name) if found is None else found
+
+
 def _system(settings, model):
+    """The system of a scene, or of any model, by the settings' linear algebra."""
     if settings.linear == "kkt":
         return partial(PlainSystem, kind=partial(WholeModes, scaling=settings.scaling))
+    if model.compiled:
+        from polyida.integrate.radau.scene import SceneSystem
+
+        return SceneSystem
     return PlainSystem

@@ -1,0 +1,387 @@
+"""The collocation equations of a scene in compiled code: residuals of all stages, one real and one complex solve, corrections.
+
+What `plain.py` does for any model. The factors are made in the frame of the nodes, and each stage has a frame of its own: its residual
+is turned from there to the middle stage's, R(q_k) R(q_i)^T node by node, and the correction that comes back is turned the other way.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.assembly import corotated
+from polyida.assembly import equilibrium as kernels
+from polyida.assembly.damping import add_damping, symmetric_parts
+from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.rows import joints
+from polyida.assembly.rows.increments import drive_table, gains_from
+from polyida.compiled import entry, pack, part
+from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, SINGULAR
+from polyida.integrate.kinks import inner_side
+from polyida.integrate.radau.newton import Failed, trial
+from polyida.linear.dense import clear
+
+Q, V, SHARES, A, MOVE, SPEED = range(6)  # rows of Room.past
+START, VX, DX, DV = range(4)  # rows of Room.points
+
+
+@pack
+class Way(NamedTuple):
+    """A tableau for compiled code: c, W, `start`, rows and columns of the real mode (s,), or none of them, and of the complex pair."""
+
+    c: np.ndarray
+    W: np.ndarray
+    start: np.ndarray
+    real_row: np.ndarray
+    real_column: np.ndarray
+    pair_row: np.ndarray
+    pair_column: np.ndarray
+
+
+def way(tableau):
+    """The Way of a Tableau."""
+    modes = {mode.paired: mode for mode in tableau.modes}
+    real, pair = modes.get(False), modes[True]
+    rows = (np.zeros(0), np.zeros(0)) if real is None else (real.row.copy(), real.column.copy())
+    return Way(tableau.c, tableau.W, tableau.start, *rows, pair.row.copy(), pair.column.copy())
+
+
+@pack
+class Room(NamedTuple):
+    """Scratch of a scene and s stages.
+
+    past (6, n): q, v, shares, the last v' and scratch; closed (2, m): phi and phi' at the step's start; r, rotation and turn (s, nodes, 2);
+    points (4, points, 2); dz (s, points, 2); rows (2, s, m): phi and phi'. Of the modes: right-hand sides, corrections.
+    """
+
+    past: np.ndarray
+    closed: np.ndarray
+    r: np.ndarray
+    rotation: np.ndarray
+    turn: np.ndarray
+    points: np.ndarray
+    forces: np.ndarray
+    dz: np.ndarray
+    rows: np.ndarray
+    right: np.ndarray
+    dq: np.ndarray
+    phi: np.ndarray
+    dlam: np.ndarray
+    right_pair: np.ndarray
+    dq_pair: np.ndarray
+    phi_pair: np.ndarray
+    dlam_pair: np.ndarray
+
+
+def room(model, stages):
+    """The Room of a scene."""
+    nodes, points, m = (model.n_nodes, 2), (model.n_points, 2), model.m
+    shapes = ((6, model.n), (2, m), *[(stages, *nodes)] * 3, (4, *points), points, (stages, *points), (2, stages, m), nodes, nodes, m, m)
+    return Room(*map(np.zeros, shapes), *(np.zeros(shape, complex) for shape in (nodes, nodes, m, m)))
+
+
+@part
+def pairs(row):
+    """A row (n,) as (nodes, 2)."""
+    return row.reshape((row.shape[0] // 2, 2))
+
+
+@part
+def place(t, h, x, w, k):
+    """q and v of stage k, in MOVE and SPEED."""
+    c, past = t.c[k] * h, w.past
+    for i in range(past.shape[1]):
+        past[MOVE, i] = past[Q, i] + (c * past[V, i] + x.e[k, i])
+        past[SPEED, i] = past[V, i] + x.dv[k, i]
+
+
+@entry
+def follow(s, t, h, drives, x, w):
+    """v and v' of the stages from e and mu."""
+    stages, n = x.e.shape
+    for k in range(stages):
+        for i in range(n):
+            total = 0.0
+            for j in range(stages):
+                total += t.W[k, j] * x.e[j, i]
+            x.dv[k, i] = total / h
+    if x.mu.shape[1]:
+        for k in range(stages):
+            place(t, h, x, w, k)
+            joints.point_values(s.links, pairs(w.past[MOVE]), w.dz[k])
+            clear(w.forces)
+            joints.joint_forces(s.links, drives[k + 1], w.dz[k], x.mu[k], w.rows[0, k], w.forces)
+            joints.spread(s.links, w.forces, pairs(x.dv[k]))
+    for k in range(stages):
+        for i in range(n):
+            total = 0.0
+            for j in range(stages):
+                total += t.W[k, j] * x.dv[j, i]
+            x.a[k, i] = total / h
+
+
+@entry
+def carry(s, t, h, drives, gains, x, w, k):
+    """phi and phi' of stage k from those at the start and what the step adds."""
+    phi, rate = w.rows[0, k], w.rows[1, k]
+    for i in range(phi.shape[0]):
+        phi[i], rate[i] = w.closed[0, i], w.closed[1, i]
+    joints.point_values(s.links, pairs(x.e[k]), w.points[DX])
+    joints.point_values(s.links, pairs(x.dv[k]), w.points[DV])
+    joints.joint_change(s.links, drives[0], gains[k], t.c[k] * h, w.points[START], w.points[VX], w.points[DX], w.points[DV], phi, rate)
+
+
+@part
+def residuals(s, t, h, damp, laws, drives, gains, x, w):
+    """r, phi and phi' of all stages. Returns how it ended."""
+    follow(s, t, h, drives, x, w)
+    for k in range(x.e.shape[0]):
+        place(t, h, x, w, k)
+        u, v, r = pairs(w.past[MOVE]), pairs(w.past[SPEED]), w.r[k]
+        det, cosine = kernels.equilibrium(s, drives[k + 1], u, pairs(x.a[k]), x.lam[k], r, w.rows[0, k], w.rotation[k], w.dz[k], w.forces)
+        if not det > 0.0:
+            return INVERTED if det <= 0.0 else NOT_FINITE
+        if not cosine > 0.0:
+            return HALF_TURN
+        if damp is not None:
+            add_damping(s.plates, u, v, damp, r)
+        if laws is not None:
+            add_own_forces(laws, s.links, drives[k + 1], u, v, r)
+        carry(s, t, h, drives, gains, x, w, k)
+    return DONE
+
+
+@part
+def turn_in(t, w):
+    """The modes' residuals, turned into the frame of the middle stage."""
+    stages, middle = w.r.shape[0], w.r.shape[0] // 2
+    for i in range(w.right.shape[0]):
+        mx, my = w.rotation[middle, i, 0], w.rotation[middle, i, 1]
+        size = 1.0 / np.sqrt(mx * mx + my * my)
+        mx, my = mx * size, my * size
+        w.right[i, 0] = w.right[i, 1] = 0.0
+        w.right_pair[i, 0] = w.right_pair[i, 1] = 0.0
+        for k in range(stages):
+            x, y = w.rotation[k, i, 0], w.rotation[k, i, 1]
+            size = 1.0 / np.sqrt(x * x + y * y)
+            c, n = (mx * x + my * y) * size, (my * x - mx * y) * size
+            w.turn[k, i, 0], w.turn[k, i, 1] = c, n
+            p, q = c * w.r[k, i, 0] - n * w.r[k, i, 1], n * w.r[k, i, 0] + c * w.r[k, i, 1]
+            if t.real_row.shape[0]:
+                w.right[i, 0] += t.real_row[k] * p
+                w.right[i, 1] += t.real_row[k] * q
+            w.right_pair[i, 0] += t.pair_row[k] * p
+            w.right_pair[i, 1] += t.pair_row[k] * q
+    for e in range(w.phi.shape[0]):
+        w.phi[e], w.phi_pair[e] = 0.0, 0.0
+        for k in range(stages):
+            if t.real_row.shape[0]:
+                w.phi[e] += t.real_row[k] * w.rows[0, k, e]
+            w.phi_pair[e] += t.pair_row[k] * w.rows[0, k, e]
+
+
+@part
+def turn_out(t, x, w):
+    """Add the modes' corrections to the stages, each turned into its frame. Returns the mean square of dq and h dv, by mass."""
+    stages, total = x.e.shape[0], 0.0
+    dq = np.empty((stages, 2))
+    for i in range(w.right.shape[0]):
+        for k in range(stages):
+            p = 2.0 * (t.pair_column[k] * w.dq_pair[i, 0]).real
+            q = 2.0 * (t.pair_column[k] * w.dq_pair[i, 1]).real
+            if t.real_row.shape[0]:
+                p += t.real_column[k] * w.dq[i, 0]
+                q += t.real_column[k] * w.dq[i, 1]
+            c, n = w.turn[k, i, 0], w.turn[k, i, 1]
+            dq[k, 0], dq[k, 1] = c * p + n * q, c * q - n * p
+            x.e[k, 2 * i] += dq[k, 0]
+            x.e[k, 2 * i + 1] += dq[k, 1]
+        for a in range(2):
+            share = w.past[SHARES, 2 * i + a]
+            for k in range(stages):
+                speed = 0.0
+                for j in range(stages):
+                    speed += t.W[k, j] * dq[j, a]
+                total += share * (dq[k, a] * dq[k, a] + speed * speed)
+    for e in range(w.phi.shape[0]):
+        for k in range(stages):
+            x.lam[k, e] += 2.0 * (t.pair_column[k] * w.dlam_pair[e]).real
+            if t.real_row.shape[0]:
+                x.lam[k, e] += t.real_column[k] * w.dlam[e]
+    return total / stages
+
+
+@entry
+def iterate(s, t, h, c, real, pair, damp, laws, drives, gains, x, w):
+    """One Newton iteration on the trial stages: (how it ended, |dq|).
+
+    c (2,): of the real mode and the pair; real, pair: their Corotated and Room, real None where there is no real mode. damp: scratch of a
+    damped scene, or None; laws: of force elements, or None. drives (s + 1, profiles, 3) of the step's start and the stages.
+    """
+    ended = residuals(s, t, h, damp, laws, drives, gains, x, w)
+    if ended != DONE:
+        return ended, 0.0
+    turn_in(t, w)
+    k = x.e.shape[0] // 2
+    at, rotation, dz, lam = drives[k + 1], w.rotation[k], w.dz[k], x.lam[k]
+    if real is not None:
+        square = (c[0] * c[0]).real
+        if not corotated.solve(s.links, real[0], real[1], at, rotation, dz, lam, w.right, w.phi, square, w.dq, w.dlam):
+            return SINGULAR, 0.0
+    square = c[1] * c[1]
+    if not corotated.solve(s.links, pair[0], pair[1], at, rotation, dz, lam, w.right_pair, w.phi_pair, square, w.dq_pair, w.dlam_pair):
+        return SINGULAR, 0.0
+    return DONE, np.sqrt(turn_out(t, x, w))
+
+
+@part
+def momentum(s, b, w, r):
+    """r += M b."""
+    kernels.momentum(s.plates, b, r)
+    joints.point_values(s.links, b, w.points[DX])
+    for f in range(w.forces.shape[0]):
+        w.forces[f, 0] = s.links.point_mass[f] * w.points[DX, f, 0]
+        w.forces[f, 1] = s.links.point_mass[f] * w.points[DX, f, 1]
+    joints.spread(s.links, w.forces, r)
+
+
+@part
+def off(s, t, h, c, damp, x, w, r):
+    """r = -((c M + C) off_v + M off_a), what the last v' and v_0 are off the stages' polynomial."""
+    stages, n = x.e.shape
+    for i in range(n):
+        v, a = 0.0, w.past[A, i]
+        for k in range(stages):
+            v += t.start[k] * x.e[k, i] / h
+            a += t.start[k] * x.dv[k, i] / h
+        w.past[MOVE, i], w.past[SPEED, i] = -v, -a
+    for i in range(r.shape[0]):
+        r[i, 0] = r[i, 1] = 0.0
+    momentum(s, pairs(w.past[SPEED]), w, r)
+    if damp is not None:
+        add_damping(s.plates, pairs(w.past[Q]), pairs(w.past[MOVE]), damp, r)
+
+
+@entry
+def error(s, t, h, c, real, pair, damp, drives, x, w):
+    """(whether it could be solved, the local error): |dq| of `S dq + B^T dlam = (c M + C) off_v + M off_a`, `B dq = 0`."""
+    k = x.e.shape[0] // 2
+    at, rotation, dz, lam = drives[k + 1], w.rotation[k], w.dz[k], x.lam[k]
+    off(s, t, h, c, damp, x, w, w.r[0])
+    for e in range(w.phi.shape[0]):
+        w.phi[e], w.phi_pair[e] = 0.0, 0.0
+    for i in range(w.right.shape[0]):
+        w.right[i, 0] = w.right[i, 1] = 0.0
+    momentum(s, pairs(w.past[MOVE]), w, w.right)
+    total = 0.0
+    if real is not None:
+        square = (c[0] * c[0]).real
+        for i in range(w.right.shape[0]):
+            for a in range(2):
+                w.right[i, a] = w.r[0, i, a] + c[0].real * w.right[i, a]
+        good = corotated.solve(s.links, real[0], real[1], at, rotation, dz, lam, w.right, w.phi, square, w.dq, w.dlam)
+        for i in range(w.right.shape[0]):
+            total += w.past[SHARES, 2 * i] * (w.dq[i, 0] ** 2 + w.dq[i, 1] ** 2)
+    else:
+        square = c[1] * c[1]
+        for i in range(w.right.shape[0]):
+            for a in range(2):
+                w.right_pair[i, a] = w.r[0, i, a] + c[1] * w.right[i, a]
+        good = corotated.solve(s.links, pair[0], pair[1], at, rotation, dz, lam, w.right_pair, w.phi_pair, square, w.dq_pair, w.dlam_pair)
+        for i in range(w.right.shape[0]):
+            total += w.past[SHARES, 2 * i] * (w.dq_pair[i, 0].real ** 2 + w.dq_pair[i, 1].real ** 2)
+    return good, np.sqrt(total)
+
+
+class SceneSystem:
+    """Of a scene, for the stages of a tableau; the same protocol as PlainSystem's."""
+
+    objects = False  # its residuals have looked
+
+    def __init__(self, model, tableau, tied, counts):
+        needs, self.model, self.tableau, self.counts = model.needs, model, tableau, counts
+        self.tied = tied and model.m > 0 and (needs.phi_q_varies or needs.driven)
+        self.way, self.room = way(tableau), room(model, tableau.stages)
+        self.trial = trial(tableau.stages, model.n, model.m, self.tied)
+        self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
+
+    def weigh(self, shares):
+        """Take the coordinates' shares in the mass."""
+        self.room.past[SHARES] = shares
+
+    def matrices(self, h, made_at):
+        """Those of steps of h at made_at, not made yet."""
+        return SceneMatrices(self.model, self.tableau.modes, h, made_at)
+
+    def begin(self, state, h, times, closed):
+        """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried."""
+        model, w = self.model, self.room
+        self.h = h
+        w.past[Q], w.past[V] = state.q, state.v
+        w.closed[0], w.closed[1] = closed
+        joints.point_values(model.arrays.links, state.q.reshape(-1, 2), w.points[START])
+        joints.point_values(model.arrays.links, state.v.reshape(-1, 2), w.points[VX])
+        self.drives, self.gains = self._loads(state.t, times)
+
+    def _loads(self, t, times):
+        model = self.model
+        if not model.profiles:
+            none = np.empty((len(times) + 1, 0, 3))
+            return none, none[1:]
+        edge = inner_side(model, t, -self.h)
+        drives = drive_table(model, np.array([t, *times]), (edge, times[-1]))
+        return drives, gains_from(model, t, np.array(times), drives, self.tableau.c * self.h)
+
+    def take(self, matrices):
+        """Nothing: the rows of the constraints are made in each iteration."""
+
+    def iterate(self, matrices):
+        """One iteration; returns |dq|, |dv| h with it, root mean square by mass. Raises Failed."""
+        counts, model = self.counts, self.model
+        counts.residuals += self.tableau.stages
+        counts.newton_iterations += 1
+        counts.solves += len(matrices.modes)
+        given = self.way, self.h, *matrices.compiled, self.damp, model.laws, self.drives, self.gains
+        ended, moved = iterate(model.arrays, *given, self.trial, self.room)
+        if ended != DONE:
+            raise Failed(*REASONS[ended])
+        return moved
+
+    def close(self):
+        """Bring v and v' up to the last correction: (phi, rate) at the step's end, as they are carried."""
+        given, last = (self.model.arrays, self.way, self.h, self.drives), self.tableau.stages - 1
+        follow(*given, self.trial, self.room)
+        carry(*given, self.gains, self.trial, self.room, last)
+        return self.room.rows[0, last].copy(), self.room.rows[1, last].copy()
+
+    def error(self, matrices, a):
+        """|q_ - q| of the step's end against a method of order s; a (n,): v' at the last step's end."""
+        self.counts.solves += 1
+        self.room.past[A] = a
+        good, found = error(self.model.arrays, self.way, self.h, *matrices.compiled, self.damp, self.drives, self.trial, self.room)
+        if not good:
+            raise Failed(*REASONS[SINGULAR])
+        return found
+
+
+class SceneMatrices:
+    """The co-rotated factors of both modes for steps of h, made when first used from `made_at`; compiled: what kernels take of them.
+
+    price: iterations that they cost beyond those of good ones.
+    """
+
+    def __init__(self, model, modes, h, made_at):
+        self.model, self.modes, self.made_at, self.price = model, modes, made_at, 0.0
+        self.c, self.compiled, self.backend = [mode.value / h for mode in modes], None, ""
+
+    def make(self):
+        """Factor, where it is not done. Raises SingularSystem."""
+        if self.compiled is not None:
+            return
+        at = (float(self.made_at[0]), *np.split(self.made_at[1:], np.cumsum([self.model.n] * 3)))
+        parts, found = symmetric_parts(self.model, at[1].reshape(-1, 2)), {}
+        for mode, c in zip(self.modes, self.c):
+            step = self.model.step_matrix()
+            step.factor(*at, c * c, c, parts)
+            found[mode.paired], self.backend = (step.corotated, step.room), step.backend
+        values = np.array([next((c for c in self.c if not np.iscomplexobj(c)), 0.0), self.c[-1]], complex)
+        self.compiled = values, found.get(False), found[True]
