@@ -1,5 +1,7 @@
 """Iteration matrices and their condition numbers: slopes in h for each scaling, form and choice of unknowns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,9 @@ from polyida import condition_number
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.iteration_matrix import iteration_matrix
 from polyida.integrate.radau.tableau import radau
+from polyida.integrate.state import StepFailure
 from polyida.linear.condition import condition
-from polyida.linear.kkt import Scaling, assemble, scaling_factors
+from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
 from polyida.problems import plates
 from polyida.study.kinds import conditioning
 
@@ -245,6 +248,37 @@ def test_the_whole_matrix_gives_the_run_of_the_border(scene, form, scaling, give
     assert whole.success and (whole.counts.steps, whole.counts.rejected) == (border.counts.steps, border.counts.rejected)
     assert np.abs(whole.q - border.q).max() < 1e-9 and np.abs(whole.drift).max() < 1e-4
     assert whole.counts.factorizations > 0
+
+
+@pytest.mark.parametrize("settings", [{}, {"form": "index3"}, {"stages": 2}], ids=str)
+@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("given", ["scene", "pendulum"])
+def test_radaus_whole_matrices_give_the_run_of_the_border(scene, settings, scaling, given):
+    model, state = scene if given == "scene" else pendulum_state()
+    integrator = pi.RadauIIA(h=1e-3, tolerance=1e-15, **settings)
+    border, whole = (pi.solve(model, 0.02, x, state=state) for x in (integrator, replace(integrator, linear="kkt", scaling=scaling)))
+    assert whole.success and whole.counts.steps == border.counts.steps == 20 and whole.counts.rejected == 0
+    assert np.abs(whole.q - border.q).max() < 1e-11 and np.abs(whole.lam - border.lam).max() < 1e-6 * np.abs(border.lam).max()
+    assert whole.counts.factorizations == (20 if model.needs.phi_q_varies or model.needs.driven else 1) * len(
+        radau(integrator.stages).modes
+    )
+
+
+def test_a_whole_matrix_that_is_singular_ends_the_run():
+    """A second constraint that depends on no coordinate."""
+
+    class Loose(type(pi.problems.get("pendulum").model)):
+        m = 2
+
+        def phi(self, t, q):
+            return np.array([q @ q - 1.0, 0.0])
+
+        def phi_q(self, t, q):
+            return np.array([2 * q, 0 * q])
+
+    state = pi.State(0.0, np.array([0.6, -0.8]), np.zeros(2), np.zeros(2), np.zeros(2))
+    with pytest.raises(StepFailure, match="singular"):
+        next(pi.RadauIIA(h=1e-3, linear="kkt").steps(Loose(), state, 0.01, pi.Counts()))
 
 
 def test_a_sparse_mass_beside_dense_differences():

@@ -337,7 +337,9 @@ def stopped_and_resumed(path, model, t_end, integrator, after, **start):
     return pi.resume(path, model=model)
 
 
-@pytest.mark.parametrize("settings", [{"h": 0.01}, {"rtol": 1e-5}, {"rtol": 1e-5, "form": "index3", "stages": 2}], ids=str)
+@pytest.mark.parametrize(
+    "settings", [{"h": 0.01}, {"rtol": 1e-5}, {"rtol": 1e-5, "form": "index3", "stages": 2}, {"rtol": 1e-5, "linear": "kkt"}], ids=str
+)
 @pytest.mark.parametrize("name", ["pendulum", "andrews"])
 def test_a_run_that_goes_on_is_the_same_bit_by_bit(name, settings, tmp_path):
     p = problems.get(name)

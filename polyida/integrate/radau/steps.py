@@ -101,7 +101,7 @@ class Steps:
         lam = _kept(state, "lam_end", "lam")
         made = self.system.matrices(h, np.concatenate([[self.clamp(state.t)], state.q, state.v, _kept(state, "a_end", "a"), lam]))
         self.counts.tangents += 1
-        self.counts.factorizations += len(made.modes)
+        self.counts.factorizations += len(made.modes) if self.settings.linear == "auto" else 0  # whole ones are with their rows
         self.kept.keep(h, made)
         self.stacked, self.newton.marks = None, np.array([1.0, np.inf])
         return made

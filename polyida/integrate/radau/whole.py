@@ -52,7 +52,7 @@ class WholeModes(Matrices):
 
     def surround(self, rows, counts):
         """Take the constraints' rows, and with them the factors when they are first used."""
-        counts.factorizations += len(self.modes) if self.borders else 0
+        counts.factorizations += len(self.modes)
         self.rows, self.borders = rows, [None] * len(self.modes)
 
     def smooth(self, off_v, off_a):
