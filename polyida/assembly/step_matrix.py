@@ -39,6 +39,16 @@ class SceneStepMatrix(StepMatrix):
         if model.laws is not None:
             add_own_curvature(model.laws, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
 
+    def beside(self, c_m, c_v):
+        """The same with other c_m and c_v."""
+        other = type(self)(self.model, self.linear)
+        other.again(self.made_at, c_m, c_v)
+        return other
+
+    def stands_alone(self):
+        """True: every node of a plate has mass."""
+        return True
+
     def solve(self, q, b, transposed=False):
         """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; all of S but forces of one's own is symmetric. Raises SingularSystem."""
         free = self.corotated._replace(place=np.arange(len(self.corotated.active)))

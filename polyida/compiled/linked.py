@@ -3,6 +3,8 @@
 numba by itself optimises every function and makes machine code of it, and again of every function that calls it, with all below.
 """
 
+from numba import typeof
+
 from polyida.compiled.internals import Compiler, CPUDispatcher, JITCodeLibrary, PassManager, typed_passes, untyped_passes
 from polyida.compiled.thrift import Options, thrifty
 
@@ -34,6 +36,10 @@ class Entry(CPUDispatcher):
     @property
     def _numba_type_(self):
         return self.part._numba_type_
+
+    def bound(self, *args):
+        """The compiled function for arguments of these very types, which it does not look at again: that costs as much as a small kernel."""
+        return self.compile(tuple(map(typeof, args)))
 
 
 class EntryCompiler(Compiler):

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number
-from polyida.integrate.sizes import extent
+from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.linear.kkt import require_independent
@@ -95,7 +95,7 @@ def start_values(model, state, t=None):
     if "phi" in state.memory and "rate" in state.memory:
         return np.array(state.memory["phi"], float), np.array(state.memory["rate"], float)
     phi = np.array(model.phi(state.t, state.q), float)
-    phi = np.where(np.abs(phi) > 64 * EPS * extent(model, state.q), phi, 0.0)
+    phi = np.where(np.abs(phi) > ROUND_OFF * extent(model, state.q), phi, 0.0)
     return phi, velocity_rate(model, state.t if t is None else t, state.q, state.v)
 
 
@@ -106,7 +106,7 @@ def velocity_rate(model, t, q, v):
     phi_t, phi_q = model.phi_t(t, q), model.phi_q(t, q)
     rate = phi_q @ v + phi_t
     size = abs(phi_q.copy()) @ np.abs(v) + np.abs(phi_t)  # abs sorts a sparse matrix in place
-    return np.where(np.abs(rate) > 64 * EPS * size, rate, 0.0)
+    return np.where(np.abs(rate) > ROUND_OFF * size, rate, 0.0)
 
 
 def given(model, name, value):

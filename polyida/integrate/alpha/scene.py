@@ -10,6 +10,7 @@ from polyida.assembly.damping import add_damping
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table, gain_table
+from polyida.assembly.rows.tie import tie as tie_of
 from polyida.compiled import entry, pack, part
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
@@ -134,7 +135,7 @@ class SceneLoop:
 
     def __init__(self, settings, model, counts, memory, trial):
         self.model, self.counts, self.memory, self.trial = model, counts, memory, trial
-        self.tie = alpha_tie.tie(model) if settings.form == "stabilised" and model.m else None
+        self.tie = tie_of(model) if settings.form == "stabilised" and model.m else None
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.scratch = scratch(model)
 

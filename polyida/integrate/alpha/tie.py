@@ -7,77 +7,9 @@ constraints, so that v, with Newmark's formula in a, need not (Gear, Gupta, Leim
 the points' columns of M^-1.
 """
 
-from typing import NamedTuple
-
-import numpy as np
-
-from polyida.assembly.rows import joints
-from polyida.assembly.rows.mass_system import point_columns
-from polyida.compiled import pack, part
+from polyida.assembly.rows.tie import project, velocity_rate
+from polyida.compiled import part
 from polyida.integrate.alpha.step import DD, Q, V, pairs
-from polyida.linear.dense import solve_small
-
-
-@pack
-class Tie(NamedTuple):
-    """M^-1 A^T (nodes, points) and A M^-1 A^T of one direction, and scratch."""
-
-    reach: np.ndarray
-    g: np.ndarray
-    matrix: np.ndarray
-    eta: np.ndarray
-    last: np.ndarray
-    rate: np.ndarray
-    bias: np.ndarray
-    slopes: np.ndarray
-    vz: np.ndarray
-    pull: np.ndarray
-
-
-def tie(model):
-    """The Tie of a scene."""
-    points, m = model.n_points, model.m
-    shapes = ((m, m), m, m, m, len(model.arrays.links.row_columns), (points, 2), (points, 2))
-    matrix, eta, rate, bias, slopes, vz, pull = map(np.empty, shapes)
-    return Tie(*model.once(point_columns), matrix, eta, np.empty(m, np.int64), rate, bias, slopes, vz, pull)
-
-
-@part
-def velocity_rate(s, drives, dz, v, t):
-    """t.rate = phi_q v + phi_t; t.slopes with it."""
-    joints.point_values(s, v, t.vz)
-    joints.joint_rates(s, drives, dz, t.vz, t.eta, t.rate, t.bias)
-    joints.joint_jacobian(s, drives, dz, t.slopes)
-
-
-@part
-def project(s, t, wanted, x):
-    """x -= M^-1 phi_q^T eta with `phi_q M^-1 phi_q^T eta = wanted`. False where that is singular."""
-    m = wanted.shape[0]
-    for i in range(m):
-        t.eta[i] = wanted[i]
-        for j in range(m):
-            t.matrix[i, j] = 0.0
-            for e in range(s.row_start[i], s.row_start[i + 1]):
-                p = s.row_columns[e]
-                for o in range(s.row_start[j], s.row_start[j + 1]):
-                    q = s.row_columns[o]
-                    if p % 2 == q % 2:
-                        t.matrix[i, j] += t.slopes[e] * t.g[p // 2, q // 2] * t.slopes[o]
-    if not solve_small(t.matrix, t.eta, t.last):
-        return False
-    t.pull[:] = 0.0
-    for i in range(m):
-        for e in range(s.row_start[i], s.row_start[i + 1]):
-            p = s.row_columns[e]
-            t.pull[p // 2, p % 2] += t.slopes[e] * t.eta[i]
-    for f in range(t.pull.shape[0]):
-        px, py = t.pull[f, 0], t.pull[f, 1]
-        if px != 0.0 or py != 0.0:
-            for i in range(x.shape[0]):
-                x[i, 0] -= t.reach[i, f] * px
-                x[i, 1] -= t.reach[i, f] * py
-    return True
 
 
 @part

@@ -1,6 +1,6 @@
 """IDA's callbacks for a scene: the residual of the stabilised forms in one compiled pass, and one co-rotated solve an iteration.
 
-The iteration matrix is that of `linear.py`; its border on the points z = A q is in `border.py`.
+The iteration matrix is that of `linear.py`; its border on the points z = A q is in `assembly/stabilised_border.py`.
 """
 
 import math
@@ -13,8 +13,8 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.damping import add_damping
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
+from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.compiled import entry, pack
-from polyida.integrate.ida.border import stabilised_border
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.linear import EchoedSolve
 from polyida.linear.dense import clear
@@ -37,47 +37,15 @@ class Room(NamedTuple):
     bias: np.ndarray
     right: np.ndarray
     dq: np.ndarray
-    swing: np.ndarray
     moved: np.ndarray
-    rate_slopes: np.ndarray
-    own: np.ndarray
-    cross: np.ndarray
-    hb: np.ndarray
-    place: np.ndarray
-    small: np.ndarray
-    unknown: np.ndarray
-    last: np.ndarray
+    border: StabilisedRoom
 
 
 def room(model):
     """Room for a model."""
     nodes, points, m = (model.n_nodes, 2), (model.n_points, 2), model.m
-    active = corotated.active_components(model.arrays.links, model.laws)
-    place = order_along_joints(active, model.arrays.links)
-    wide, size = 2 * model.n_points, len(place)
-    shapes = [nodes] * 2 + [points] * 3 + [m] * 5 + [nodes] * 2
-    rows, shared = len(model.arrays.links.row_columns), overlap(model.arrays.links, model.n_points, model.n_nodes)
-    more = np.empty(rows), shared, np.empty((wide, wide)), np.empty((wide, m)), place, *corotated.small_room(size)
-    return Room(*map(np.empty, shapes), np.zeros(points), np.empty(points), *more)
-
-
-def order_along_joints(active, links):
-    """Place of the unknowns (active components, lam, mu): mu beside lam."""
-    m, single = len(links.row_constant), corotated.order_along_joints(active, links)
-    before = np.argsort(np.argsort(single * 2.0))
-    multipliers = single[len(active) :]
-    shift = np.array([(multipliers < at).sum() for at in before], np.int64)
-    place = before + shift
-    return np.concatenate([place, place[len(active) :] + 1]) if m else place
-
-
-def overlap(links, points, nodes):
-    """A A^T of one direction, (points, points)."""
-    dense = np.zeros((points, nodes))
-    for f in range(points):
-        part = slice(links.point_ptr[f], links.point_ptr[f + 1])
-        dense[f, links.point_nodes[part]] = links.point_weights[part]
-    return dense @ dense.T
+    shapes = [nodes] * 2 + [points] * 3 + [m] * 5 + [nodes] * 2 + [points]
+    return Room(*map(np.empty, shapes), stabilised_room(model))
 
 
 @entry
@@ -123,34 +91,34 @@ def solve(s, c, cm, cr, w, drives, cj, integrated, damp, r, z):
     Of the damping C, linear in v, it lacks C B^T dmu, as good as zero, and what S lacks (`SceneSolve`).
     """
     n, m = 2 * w.u.shape[0], w.phi.shape[0]
+    r1, dlam, dmu = r[:n].reshape((n // 2, 2)), z[2 * n : 2 * n + m], z[2 * n + m :]
     for i in range(n // 2):
-        w.dq[i, 0], w.dq[i, 1] = cj * r[2 * i], cj * r[2 * i + 1]
+        w.dq[i, 0], w.dq[i, 1] = cj * r1[i, 0], cj * r1[i, 1]
         w.right[i, 0], w.right[i, 1] = r[n + 2 * i], r[n + 2 * i + 1]
     kernels.momentum(s.plates, w.dq, w.right)
     joints.point_values(s.links, w.dq, w.moved)
     if damp is not None:
-        for i in range(n // 2):
-            w.dq[i, 0], w.dq[i, 1] = r[2 * i], r[2 * i + 1]
-        add_damping(s.plates, w.u, w.dq, damp, w.right)
+        add_damping(s.plates, w.u, r1, damp, w.right)
     for f in range(w.moved.shape[0]):
         w.moved[f, 0] *= s.links.point_mass[f]
         w.moved[f, 1] *= s.links.point_mass[f]
     joints.spread(s.links, w.moved, w.right)
     corotated.solve_plates(s.links, c, cr, w.rotation, w.right, w.dq)
-    if m + c.active.shape[0] and not stabilised_border(s, c, cm, cr, w, drives, cj, r, n, m):
+    if m + c.active.shape[0] and not stabilised_border(
+        s.links, c, cm, cr, w.border, drives, w.dz, w.vz, w.lam, cj, w.dq, r1, r[2 * n : 2 * n + m], r[2 * n + m :], dlam, dmu
+    ):
         return False
     for i in range(n // 2):
         for k in range(2):
             z[2 * i + k] = w.dq[i, k]
-            w.right[i, k] = cj * w.dq[i, k] - r[2 * i + k]
+            w.right[i, k] = cj * w.dq[i, k] - r1[i, k]
     if m:
-        joints.spread(s.links, w.swing, w.right)
+        joints.spread(s.links, w.border.swing, w.right)
     for i in range(n // 2):
         z[n + 2 * i], z[n + 2 * i + 1] = w.right[i, 0], w.right[i, 1]
-    count = c.active.shape[0]
-    scale = 1.0 / cj if integrated else 1.0
-    for k in range(2 * m):
-        z[2 * n + k] = w.unknown[w.place[count + k]] * scale
+    if integrated:
+        for k in range(2 * n, z.shape[0]):
+            z[k] *= 1.0 / cj
     return True
 
 
@@ -193,15 +161,8 @@ class SceneSolve(EchoedSolve):
             self.cj = math.nan
             return
         self.cj, self.counts.backend = cj, step.backend
-        self.massive = step.corotated._replace(reach=np.zeros_like(step.corotated.reach))
-        corotated.fill_reach(step.model.arrays.links, self.massive, step.room.x, self._momentum)
+        self.massive = massive(step.model, step.corotated, step.room.x)
         self.counts.solves += 2 * step.solves
-
-    def _momentum(self, a):
-        """M a, M of the plates."""
-        product = np.zeros_like(a)
-        kernels.momentum(self.step.model.arrays.plates, a, product)
-        return product
 
     def reduced(self, t, y, yp, r, z):
         """z = J^-1 r, joints as the last residual saw them; nan where there is no factor."""

@@ -9,12 +9,13 @@ D, the diagonal of M over its mean, makes it the same in all units. Where phi is
 forms are one: v = q' is on its constraint with q.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from polyida.compiled import pack
-from polyida.integrate.radau.tableau import through, through_zero
+from polyida.integrate.radau.tableau import radau, through, through_zero
 
 SLOW = 0.5  # contraction beyond which a correction of ROUND of the size is round-off
 ROUND = 1e-11
@@ -83,12 +84,23 @@ class Newton:
         if "stages_e" not in memory or h > FAR * memory["step"]:
             x.e[:], x.lam[:] = 0.0, memory.get("lam_end", state.lam)
             return
-        before, c = float(memory["step"]), self.tableau.c
-        ahead = through_zero(c, 1.0 + c * (h / before))
-        ahead[:, -1] -= 1.0
-        x.e[:] = h * (self.tableau.A @ (ahead @ memory["stages_v"]))
-        x.lam[:] = through(c, 1.0 + c * (h / before)) @ memory["stages_lam"]
+        to_e, to_lam = _ahead(self.tableau.stages, h / float(memory["step"]))
+        np.matmul(h * to_e, memory["stages_v"], out=x.e)
+        np.matmul(to_lam, memory["stages_lam"], out=x.lam)
 
     def _first(self):
         contraction, age = self.marks
         return min(2.0 * contraction, 1.0) if age < CARRIED else 1.0
+
+
+@lru_cache(maxsize=64)
+def _ahead(stages, longer):
+    """Weights (s, s) of the last step's v - v_0 in the next e over h, and of its lam in the next: its polynomials, a step `longer` on.
+
+    That of v, integrated, is nearer than that of q.
+    """
+    tableau = radau(stages)
+    at = 1.0 + tableau.c * longer
+    ahead = through_zero(tableau.c, at)
+    ahead[:, -1] -= 1.0
+    return tableau.A @ ahead, through(tableau.c, at)

@@ -11,14 +11,18 @@ v follows q and mu, dv = c dq + G^T dmu; B, H and G are those of the middle stag
 
 import numpy as np
 
+from polyida.errors import InputError
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.newton import Failed, trial
+from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.model.differences import along
 
 NOTHING = 1e-12  # of the largest mass: none
+MOVES = 3  # of q onto phi = 0, at most
+AGAIN = 1e-9  # of the model's size: |phi| beyond which the constraints' system is made anew where q has moved to
 
 
 class PlainSystem:
@@ -29,9 +33,10 @@ class PlainSystem:
 
     objects = True
 
-    def __init__(self, model, tableau, tied, counts, kind=Matrices):
+    def __init__(self, model, tableau, tied, moves_v, counts, kind=Matrices):
         needs, self.model, self.tableau, self.counts, self.kind = model.needs, model, tableau, counts, kind
-        self.tied = tied and model.m > 0 and (needs.phi_q_varies or needs.driven)
+        bent = model.m > 0 and (needs.phi_q_varies or needs.driven)
+        self.tied, self.moves_v = tied and bent, moves_v and bent
         self.lift = self.shares = None
         self.trial = trial(tableau.stages, model.n, model.m, self.tied)
 
@@ -74,9 +79,38 @@ class PlainSystem:
         return float(np.sqrt(np.mean((dq**2 + (self.tableau.W @ dq) ** 2) @ self.shares)))
 
     def close(self):
-        """Bring v and v' up to the last correction: (phi, rate) at the step's end, as they are carried, or None."""
+        """Bring v and v' up to the last correction, and the step's end onto its constraints: (phi, rate) there as they are carried, or None.
+
+        Moves are along M^-1 B^T. Raises Failed where they are singular.
+        """
         self._move()
+        if not self.model.m:
+            return None
+        try:
+            system = self._close_q(self.times[-1])
+            if self.moves_v:
+                self._close_v(self.times[-1], system)
+        except (InputError, np.linalg.LinAlgError) as error:
+            raise Failed("singular", str(error)) from None
         return None if self.increments is None else self._rows(len(self.times) - 1)
+
+    def _close_q(self, t):
+        """Move the end onto phi = 0; the system of M and B there, where it was needed."""
+        system, size, none = None, extent(self.model, self.state.q), np.zeros(self.model.n)
+        for _ in range(MOVES):
+            phi = self._rows(len(self.times) - 1)[0]
+            if np.abs(phi).max() <= ROUND_OFF * size:
+                break
+            system = system or self.model.mass_system(t, self._at(-1)[0])
+            self.trial.e[-1] += system.solve(none, phi)[0]
+            system = None if np.abs(phi).max() > AGAIN * size else system
+        return system
+
+    def _close_v(self, t, system):
+        q, v = self._at(-1)
+        rate = self.model.phi_rate(t, q, v) if self.increments is None else self._rows(len(self.times) - 1)[1]
+        if rate.any():
+            self.trial.dv[-1] += (system or self.model.mass_system(t, q)).solve(np.zeros(self.model.n), rate)[0]
 
     def error(self, matrices, a):
         """|q_ - q| of the step's end against a method of order s; a (n,): v' at the last step's end.

@@ -1,5 +1,6 @@
 """Steps of Radau IIA on one model: factors by step size, a step tried, its end made a state on the constraints."""
 
+import math
 from functools import cached_property, partial
 
 import numpy as np
@@ -11,16 +12,13 @@ from polyida.integrate.radau.newton import Failed, Newton
 from polyida.integrate.radau.plain import PlainSystem
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.whole import WholeModes
-from polyida.integrate.sizes import extent, weights
+from polyida.integrate.sizes import weights
 from polyida.integrate.start import consistent_acceleration, start_values
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
 FEW = 2  # iterations of a step that nothing could spare
 PAIR = 24.0  # iterations that cost as much as new factors: so many beyond FEW a step, and they are made anew
-CLOSED = 64 * 2.0**-52  # of the model's size: |phi| that is round-off
-MOVES = 3  # of q onto phi = 0, at most
-AGAIN = 1e-9  # of that size: |phi| beyond which the constraints' system is made anew where q has moved to
 
 
 class Steps:
@@ -32,16 +30,11 @@ class Steps:
     def __init__(self, settings, model, counts, sizes):
         self.settings, self.model, self.counts, self.sizes = settings, model, counts, sizes
         self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
-        self.system = _system(settings, model)(model, self.tableau, settings.form == "ggl", counts)
-        self.moves_v = self.system.tied or (settings.form == "index3" and settings.project and self._bent)
+        tied = settings.form == "ggl"
+        self.system = _system(settings, model)(model, self.tableau, tied, tied or settings.project, counts)
         self.newton = Newton(self.system, self.tableau, settings.max_iterations)
         self.looks = settings.adaptive or settings.tolerance is None
         self.kept, self.shares, self.stacked = Kept(), None, None
-
-    @property
-    def _bent(self):
-        needs = self.model.needs
-        return self.model.m > 0 and (needs.phi_q_varies or needs.driven)
 
     def begin(self, state):
         """Take up what a state of this method holds: the norm's weights, Newton's contraction, the factors."""
@@ -108,20 +101,17 @@ class Steps:
 
     def _state(self, state, h, t, closed, error):
         """The accepted State: q and v on their constraints to round-off."""
-        at, model, x = self.clamp(t), self.model, self.system.trial
-        e, dv, a, lam = x.e.copy(), x.dv.copy(), x.a.copy(), x.lam.copy()
+        at, model, (e, dv, a, lam, _) = self.clamp(t), self.model, map(np.copy, self.system.trial)
         q, v = state.q + (h * state.v + e[-1]), state.v + dv[-1]
-        new_q, new_v, closed = self._settled(at, q, v, closed)
-        e[-1], dv[-1] = e[-1] + (new_q - q), dv[-1] + (new_v - v)
-        if not (np.isfinite(new_q).all() and np.isfinite(new_v).all()):
+        if not math.isfinite(q.dot(v)):
             raise StepFailure("not finite", "the motion is not finite", t)
-        if self.system.objects and (objection := model.objection(at, new_q)):
+        if self.system.objects and (objection := model.objection(at, q)):
             raise StepFailure("objection", objection, t)
         memory = {"stages_e": e, "stages_v": dv, "a_end": a[-1], "lam_end": lam[-1], "stages_lam": lam, "step": h, "error": error}
         if closed is not None:
             memory |= dict(zip(("phi", "rate"), closed))
         within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (e, dv, a, lam))
-        return Accepted(model, at, State(t, new_q, new_v, a[-1], lam[-1], memory | self._memory(), within=within))
+        return Accepted(model, at, State(t, q, v, a[-1], lam[-1], memory | self._memory(), within=within))
 
     def _memory(self):
         kept = self.kept.factors
@@ -130,40 +120,6 @@ class Steps:
         prices = np.array([(h, matrices.price) for h, matrices in kept.items()])
         memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
         return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
-
-    def _settled(self, t, q, v, closed):
-        """(q, v, (phi, rate) as carried or None): freed of what Newton left of phi, and v of the error of index 3."""
-        model, none = self.model, np.zeros(self.model.n)
-        try:
-            system = None
-            if model.m and closed is None:
-                q, system = self._closed(t, q, none)
-            if self.moves_v:
-                rate = model.phi_rate(t, q, v) if closed is None else closed[1]
-                if rate.any():
-                    v = v + (system or self._mass_system(t, q)).solve(none, rate)[0]
-                    closed = None if closed is None else (closed[0], np.zeros_like(rate))
-            return q, v, closed
-        except np.linalg.LinAlgError as error:
-            raise StepFailure("singular", str(error), t) from None
-
-    def _closed(self, t, q, none):
-        """q moved along M^-1 B^T onto phi = 0, and the system of M and B there, where it was needed."""
-        system, size = None, extent(self.model, q)
-        for _ in range(MOVES):
-            phi = self.model.phi(t, q)
-            if np.abs(phi).max() <= CLOSED * size:
-                break
-            system = system or self._mass_system(t, q)
-            q = q + system.solve(none, phi)[0]
-            system = None if np.abs(phi).max() > AGAIN * size else system
-        return q, system
-
-    def _mass_system(self, t, q):
-        try:
-            return self.model.mass_system(t, q)
-        except InputError as error:
-            raise StepFailure("singular", str(error), t) from None
 
 
 class Accepted(State):

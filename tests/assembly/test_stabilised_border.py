@@ -1,0 +1,71 @@
+"""The border by constraints and their rates: against the whole matrix with lam and mu, for real and complex step matrices."""
+
+import numpy as np
+import pytest
+
+from polyida.assembly import corotated
+from polyida.assembly.stabilised_border import massive, stabilised_border, stabilised_room
+from polyida.assembly.step_matrix import SceneStepMatrix
+from polyida.compiled import entry
+from polyida.linear.dense import solve_small
+
+DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}
+
+
+@entry
+def bordered(s, c, cm, cr, w, drives, rotation, dz, vz, lam, c_v, r1, r2, r3, r4, dq, dlam, dmu):
+    corotated.solve_plates(s, c, cr, rotation, r2, dq)
+    return stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, dq, r1, r3, r4, dlam, dmu)
+
+
+def rates_q(model, t, q, v):
+    """H = d(B v + phi_t)/dq, (m, n): the rate is of second degree in q, its central differences are exact."""
+    step = 1e-2 * np.eye(model.n)
+    return np.stack([(model.phi_rate(t, q + e, v) - model.phi_rate(t, q - e, v)) / 2e-2 for e in step], axis=1)
+
+
+@pytest.fixture(params=[2e3, 2e3 * (0.66 + 0.75j)], ids=["real", "complex"])
+def c(request):
+    return request.param
+
+
+@pytest.mark.parametrize("moved", [True, False], ids=["r1", "no r1"])
+@pytest.mark.parametrize("damped", [True, False], ids=["damped", "undamped"])
+@pytest.mark.parametrize("kind", ["motor between", "motor to ground", "clamp between", "revolute"], indirect=True)
+def test_the_border_is_that_of_the_whole_matrix(scenes, kind, damped, moved, c):
+    """With motors, a mass at a point and damping; the rows hold to round-off although the factor is in single precision."""
+    model, random = scenes.jointed(kind, material=DAMPED if damped else {}).build(), np.random.default_rng(2)
+    n, m, t, zero, dtype = model.n, model.m, 0.1, np.zeros(model.n), type(c)
+    q, v, lam = 1e-3 * random.standard_normal(n), random.standard_normal(n), random.standard_normal(m)
+    r1, r2, r3, r4 = (x * random.standard_normal(k) * dtype(c / abs(c)) for k, x in ((n, 1e-3), (n, 1.0), (m, 1e-6), (m, 1e-3)))
+    r1 *= moved
+    M, B, H = model.mass(q).toarray(), model.phi_q(t, q).toarray(), rates_q(model, t, q, v)
+    C = model.force_v(t, q, zero).toarray() if damped else np.zeros((n, n))
+    S, none = model.tangent(t, q, zero, zero, lam, 0.0, 0.0, 1.0).toarray() + c * C + c * c * M, np.zeros((m, m))
+    matrix = np.block([[S, B.T, (c * M + C) @ B.T], [B, none, none], [H + c * B, none, B @ B.T]])
+    exact = np.split(np.linalg.solve(matrix, np.concatenate([r2, r3, r4 + B @ r1])), [n, n + m])
+
+    step = SceneStepMatrix(model)
+    step.factor(t, q, zero, zero, lam, c * c, c)
+    more = massive(model, step.corotated, step.room.x, C / c if damped else None)
+    found = np.empty((n // 2, 2), dtype), np.empty(m, dtype), np.empty(m, dtype)
+    where = model.arrays.links, step.corotated, more, step.room, stabilised_room(model, dtype), model.drives(t), model.rotation(q)
+    sides = r1.reshape(-1, 2) if moved else None, r2.reshape(-1, 2), r3, r4
+    assert bordered(*where, model.dz(q), model.dz(v), lam, c, *sides, *found)
+    dq, dlam, dmu = found[0].ravel(), *found[1:]
+    for one, other in zip((dq, dlam, dmu), exact):
+        assert np.abs(one - other).max() < 2e-4 * np.abs(other).max()
+    assert np.abs(B @ dq - r3).max() < 1e-11 * np.abs(dq).max()
+    rate = (H + c * B) @ dq + B @ (B.T @ dmu) - r4 - B @ r1
+    assert np.abs(rate).max() < 1e-11 * abs(c) * np.abs(dq).max()
+
+
+@pytest.mark.parametrize("turn", [1.0, 0.6 + 0.8j])
+def test_a_small_system_real_or_complex(turn):
+    """With a column that is zero but for its last row, so that rows are exchanged."""
+    random = np.random.default_rng(4)
+    matrix, b = turn * random.standard_normal((6, 6)), turn * random.standard_normal(6)
+    matrix[:-1, 0] = 0.0
+    exact, x = np.linalg.solve(matrix, b), b.copy()
+    assert solve_small(matrix.copy(), x, np.empty(6, np.int64)) and np.allclose(x, exact, rtol=1e-10)
+    assert not solve_small(np.zeros_like(matrix), x, np.empty(6, np.int64))
