@@ -1,5 +1,6 @@
 """The factored step matrices of a step of any model, one for each mode of the tableau, and what its systems need around them."""
 
+import math
 from functools import partial
 
 import numpy as np
@@ -11,11 +12,11 @@ from polyida.linear.lu import LU
 class Matrices:
     """S of every mode for steps of h, made when first used from `made_at`: t, q, v, a and lam in one array.
 
-    M and the modes' slopes, c M + C, are those of there. price: iterations that it cost beyond those of a good one.
+    M and the modes' slopes, c M + C, are those of there. price: iterations that it cost beyond its best ones, `least` a step.
     """
 
     def __init__(self, model, modes, h, made_at):
-        self.model, self.modes, self.made_at, self.price = model, modes, made_at, 0.0
+        self.model, self.modes, self.made_at, self.price, self.least = model, modes, made_at, 0.0, math.inf
         self.c = [mode.value / h for mode in modes]
         self.factors = self.borders = None
         self.backend = ""

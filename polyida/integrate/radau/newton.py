@@ -60,17 +60,19 @@ class Newton:
         """Iterations until they leave `allowed` of q; the stages are in the system's trial. shares (n,): the norm's weights. Raises Failed."""
         self._guess(state, h)
         size = np.sqrt(shares @ state.q**2) + h * np.sqrt(shares @ state.v**2)
-        contraction, last, round_off = self._first(), np.inf, ROUND * size
+        contraction, last, worst, round_off = self._first(), np.inf, 0.0, ROUND * size
         self.system.take(matrices)
         for iteration in range(1, self.max_iterations + 1):
             moved = self.system.iterate(matrices)
             if not np.isfinite(moved):
                 raise Failed("not finite", "the motion is not finite")
-            contraction = moved / last if iteration > 1 else contraction
+            if iteration > 1:
+                contraction = moved / last
+                worst = max(worst, contraction)
             left = contraction / (1.0 - contraction) * moved if contraction < 1.0 else np.inf
             spent, stalled = iteration == self.max_iterations, iteration > 1 and contraction > SLOW
             if left <= allowed or moved == 0.0 or (moved <= round_off and (stalled or spent)):
-                self.marks = np.array([contraction, 0.0]) if iteration > 1 else self.marks + (0.0, 1.0)
+                self.marks = np.array([worst, 0.0]) if iteration > 1 else self.marks + (0.0, 1.0)
                 return iteration
             if iteration > 1 and contraction ** (self.max_iterations - iteration) * left > max(allowed, round_off):
                 break

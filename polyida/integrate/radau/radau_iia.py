@@ -21,7 +21,8 @@ from polyida.model import Model
 FORMS = ("ggl", "index3")
 LINEAR = ("auto", "kkt")
 SHARE = 0.05  # of the allowed local error that Newton may leave; sqrt(rtol) where that is less: a step's true error is far below
-EXACT = 1e-15  # of the model's length, what it may leave where the step is fixed: as good as nothing, for it adds up over all steps in v
+EXACT = 1e-15  # of the model's length: what it may leave in a fixed step that none went before, as good as nothing
+NOTHING = 1e-20  # the same behind a step without any error
 EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
 
 
@@ -41,9 +42,10 @@ class RadauIIA:
     run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
     project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
     the model's step matrices with a border of its constraints; "kkt": the whole matrix of both for each eigenvalue of W, in plain code.
-    scaling: of the rows and columns of that, "physical", "bottasso" or "none" (integrate/radau/whole.py); it acts there only. tolerance: what Newton
-    may leave of q, in place of min(0.05, rtol^(1/2)) (atol + rtol |q|), and with fixed steps of 1e-15 of the model's length, which is
-    round-off. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
+    scaling: of the rows and columns of that, "physical", "bottasso" or "none" (integrate/radau/whole.py); it acts there only.
+    tolerance: what Newton may leave of q, in place of min(0.05, rtol^(1/2)) (atol + rtol |q|), and with fixed steps of
+    min(0.05, (e/L)^(3/4)) e, e the local error of the step before and L the model's length: of seventh order in h, for it adds up in v
+    over all steps. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
     the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
 
     The global error of q is commonly 1 to 100 times rtol with three stages, and up to 500 times with two.
@@ -107,8 +109,8 @@ class RadauIIA:
             return self.tolerance
         if self.adaptive:
             return min(SHARE, self.rtol**0.5) * self.allowed(state.q, shares, sizes)
-        error, length = state.memory.get("error", 0.0), float(sizes[0])
-        return max(EXACT * length, min(SHARE, (error / length) ** 0.5) * error)
+        error, length = state.memory.get("error"), float(sizes[0])
+        return EXACT * length if error is None else max(NOTHING * length, min(SHARE, (error / length) ** 0.75) * error)
 
     def told(self, memory: dict) -> str:
         """What a summary says of the absolute tolerance that a run took from its model; memory of one of its states."""

@@ -4,6 +4,7 @@ What `plain.py` does for any model. The factors are made in the frame of the nod
 is turned from there to the middle stage's, R(q_k) R(q_i)^T node by node, and the correction that comes back is turned the other way.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -468,11 +469,11 @@ class SceneSystem:
 class SceneMatrices:
     """The co-rotated factors of both modes for steps of h, made when first used from `made_at`; compiled: what kernels take of them.
 
-    price: iterations that they cost beyond those of good ones.
+    price: iterations that they cost beyond their best ones, `least` a step.
     """
 
     def __init__(self, model, modes, h, made_at, tied):
-        self.model, self.modes, self.made_at, self.price, self.tied = model, modes, made_at, 0.0, tied
+        self.model, self.modes, self.made_at, self.price, self.least, self.tied = model, modes, made_at, 0.0, math.inf, tied
         self.c, self.compiled, self.backend = [mode.value / h for mode in modes], None, ""
 
     def make(self):

@@ -18,7 +18,7 @@ from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
 FEW = 2  # iterations of a step that nothing could spare
-PAIR = 24.0  # iterations that cost as much as new factors: so many beyond FEW a step, and they are made anew
+PAIR = 24.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
 
 
 class Steps:
@@ -47,8 +47,8 @@ class Steps:
         self.newton.marks, self.stacked = np.array(memory["newton"], float), np.array(memory["factored"], float)
         for row in self.stacked:
             self.kept.keep(float(row[0]), self.system.matrices(float(row[0]), row[1:]))
-        for h, price in np.reshape(memory["prices"], (-1, 2)):
-            self.kept.factors[float(h)].price = float(price)
+        for h, price, least in np.reshape(memory["prices"], (-1, 3)):
+            self.kept.factors[float(h)].price, self.kept.factors[float(h)].least = float(price), float(least)
 
     def clamp(self, t):
         """t held to `limits`."""
@@ -71,14 +71,20 @@ class Steps:
         matrices = self.kept.take(h)
         if matrices is not None and matrices.price <= PAIR:
             try:
-                matrices.price += max(0, self._iterate(matrices, state, h) - FEW)
+                self._charge(matrices, self._iterate(matrices, state, h))
                 return matrices
             except Failed as failed:
                 if failed.status == "not finite":
                     raise
         matrices = self._factored(state, h)
-        self._iterate(matrices, state, h)
+        self._charge(matrices, self._iterate(matrices, state, h))
         return matrices
+
+    @staticmethod
+    def _charge(matrices, iterations):
+        """Note what a step with the matrices took."""
+        matrices.least = min(matrices.least, max(FEW, iterations))
+        matrices.price += max(0, iterations - matrices.least)
 
     def _iterate(self, matrices, state, h):
         try:
@@ -117,7 +123,7 @@ class Steps:
         kept = self.kept.factors
         if self.stacked is None or [row[0] for row in self.stacked] != list(kept):
             self.stacked = np.array([np.concatenate([[h], matrices.made_at]) for h, matrices in kept.items()])
-        prices = np.array([(h, matrices.price) for h, matrices in kept.items()])
+        prices = np.array([(h, matrices.price, matrices.least) for h, matrices in kept.items()])
         memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
         return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
 
