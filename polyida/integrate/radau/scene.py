@@ -485,10 +485,12 @@ class SceneMatrices:
         for mode, c in zip(self.modes, self.c):
             step = self.model.step_matrix()
             step.factor(*at, c * c, c, parts)
-            found[mode.paired], self.backend = Solver(np.array([c]), step.corotated, step.room, *self._border(step, c)), step.backend
+            found[mode.paired], self.backend = Solver(np.array([c]), step.corotated, step.room, *self._border(step, c, at)), step.backend
         self.compiled = found.get(False), found[True]
 
-    def _border(self, step, c):
+    def _border(self, step, c, at):
         if not self.tied:
             return None, None
-        return massive(self.model, step.corotated, step.room.x), stabilised_room(self.model, type(c))
+        t, q, v = at[:3]
+        damping = self.model.force_v(t, q, np.zeros_like(v)) / c if self.model.damped else None
+        return massive(self.model, step.corotated, step.room.x, damping), stabilised_room(self.model, type(c))
