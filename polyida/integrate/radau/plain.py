@@ -28,10 +28,10 @@ AGAIN = 1e-9  # of the model's size: |phi| beyond which the constraints' system 
 class PlainSystem:
     """Of a model, for the stages of a tableau; tied: with mu, where the model has any.
 
-    `begin` a step, fill `trial`, `take` matrices, `iterate`, `close`. objects: whether the model is to be asked for its objection.
+    `begin` a step, fill `trial`, `take` matrices, `iterate`, `close`. asks: whether a step's end is to be asked for a and lam, and for an objection.
     """
 
-    objects = True
+    asks = True
 
     def __init__(self, model, tableau, tied, moves_v, counts, kind=Matrices):
         needs, self.model, self.tableau, self.counts, self.kind = model.needs, model, tableau, counts, kind

@@ -43,8 +43,8 @@ class RadauIIA:
     project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
     the model's step matrices with a border of its constraints; "kkt": the whole matrix of both for each eigenvalue of W, in plain code.
     scaling: of the rows and columns of that, "physical", "bottasso" or "none" (integrate/radau/whole.py); it acts there only.
-    tolerance: what Newton may leave of q, in place of min(0.05, rtol^(1/2)) (atol + rtol |q|), and with fixed steps of
-    min(0.05, (e/L)^(3/4)) e, e the local error of the step before and L the model's length: of seventh order in h, for it adds up in v
+    tolerance: what Newton may leave of q, in place of min(0.05, rtol^0.6) (atol + rtol |q|), and with fixed steps of
+    0.05 (e/L)^(3/4) e, e the local error of the step before and L the model's length: of seventh order in h, for it adds up in v
     over all steps. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
     the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
 
@@ -108,9 +108,9 @@ class RadauIIA:
         if self.tolerance is not None:
             return self.tolerance
         if self.adaptive:
-            return min(SHARE, self.rtol**0.5) * self.allowed(state.q, shares, sizes)
+            return min(SHARE, self.rtol**0.6) * self.allowed(state.q, shares, sizes)
         error, length = state.memory.get("error"), float(sizes[0])
-        return EXACT * length if error is None else max(NOTHING * length, min(SHARE, (error / length) ** 0.75) * error)
+        return EXACT * length if error is None else max(NOTHING * length, SHARE * (error / length) ** 0.75 * error)
 
     def told(self, memory: dict) -> str:
         """What a summary says of the absolute tolerance that a run took from its model; memory of one of its states."""

@@ -394,7 +394,7 @@ def error(s, t, h, real, pair, damp, drives, x, w):
 class SceneSystem:
     """Of a scene, for the stages of a tableau; the same protocol as PlainSystem's."""
 
-    objects = False  # its residuals have looked
+    asks = False  # its residuals have looked
 
     def __init__(self, model, tableau, tied, moves_v, counts):
         needs, self.model, self.tableau, self.counts = model.needs, model, tableau, counts

@@ -111,13 +111,14 @@ class Steps:
         q, v = state.q + (h * state.v + e[-1]), state.v + dv[-1]
         if not math.isfinite(q.dot(v)):
             raise StepFailure("not finite", "the motion is not finite", t)
-        if self.system.objects and (objection := model.objection(at, q)):
-            raise StepFailure("objection", objection, t)
         memory = {"stages_e": e, "stages_v": dv, "a_end": a[-1], "lam_end": lam[-1], "stages_lam": lam, "step": h, "error": error}
         if closed is not None:
             memory |= dict(zip(("phi", "rate"), closed))
         within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (e, dv, a, lam))
-        return Accepted(model, at, State(t, q, v, a[-1], lam[-1], memory | self._memory(), within=within))
+        accepted = Accepted(model, at, State(t, q, v, a[-1], lam[-1], memory | self._memory(), within=within))
+        if self.system.asks:
+            _require_good(model, at, accepted)
+        return accepted
 
     def _memory(self):
         kept = self.kept.factors
@@ -126,6 +127,14 @@ class Steps:
         prices = np.array([(h, matrices.price, matrices.least) for h, matrices in kept.items()])
         memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
         return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
+
+
+def _require_good(model, at, state):
+    """Raise StepFailure where a or lam is not finite, or the model objects: a shorter step may be taken then."""
+    if not (np.isfinite(state.a).all() and np.isfinite(state.lam).all()):
+        raise StepFailure("not finite", "the motion is not finite", state.t)
+    if objection := model.objection(at, state.q):
+        raise StepFailure("objection", objection, state.t)
 
 
 class Accepted(State):
