@@ -51,3 +51,12 @@ def test_the_same_stages(scenes, kind, settings, damping):
     assert np.abs(compiled.v - plain.v).max() < 1e-9
     assert np.abs(compiled.lam - plain.lam).max() < 1e-9 * np.abs(compiled.lam).max()
     assert np.abs(compiled.drift).max() < 1e-14 or not compiled.model.m
+
+
+def test_the_same_stages_with_every_factor(scenes):
+    model, found = scenes.jointed("motor between", cells=12).build(), []
+    for linear in ("auto", "fronts", "band", "superlu", "kkt"):
+        run = pi.solve(model, 0.05, pi.RadauIIA(h=2.5e-3, tolerance=1e-16, linear=linear))
+        found.append((run.counts.backend, run.q[-1]))
+    assert [name for name, _ in found[:4]] == ["multifrontal Cholesky"] * 2 + ["band Cholesky", "L D L^T (SuperLU, MMD)"]
+    assert max(np.abs(q - found[0][1]).max() for _, q in found) < 1e-12
