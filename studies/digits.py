@@ -1,49 +1,62 @@
-"""The digits of problems/plate_digits.py, made anew and printed: `python studies/digits.py [problem ...]`.
+"""The digits of the problems that are computed, made anew and printed: `python studies/digits.py [problem ...]`.
 
-Two families a problem, DOP853 and generalized-alpha extrapolated; the digits are the former's, `known_to` their
-distance. Some minutes each; `--cells 8 --time 0.1 --rtol 1e-8 --step 5e-6` takes seconds.
+Two families a problem, DOP853 and Radau IIA; the digits are the former's, `known_to` their distance. They stand in
+problems/plate_digits.py and problems/andrews_digits.py; of the pendulum and the car axis the published digits stand, and
+it is printed how far the former is from them. Seconds each, the plates some minutes; `--cells 8 --time 0.1` takes seconds.
 """
 
 import argparse
+from typing import NamedTuple
 
 from polyida import problems
+from polyida.integrate.start import consistent_acceleration
 from polyida.problems.plate_digits import DIGITS
-from polyida.study.families import by_alpha, by_explicit, distance
-
-RTOL, STEP = 1e-9, 2.5e-6
+from polyida.study.families import by_explicit, by_radau, distance
 
 
-def of_tip(model, end):
-    """{"tip", "tip_velocity", "lam"} of a state {"q", "v", "lam"}."""
-    return {
-        "tip": model.attachment("tip").point + model.displacement("tip", end["q"]),
-        "tip_velocity": model.displacement("tip", end["v"]),
-        "lam": end["lam"],
-    }
+class Tolerances(NamedTuple):
+    """rtol of both methods: as tight as round-off, which adds up over the steps, lets them serve."""
+
+    explicit: float
+    radau: float
 
 
-def digits(name, t_end=None, rtol=RTOL, step=STEP, **options):
-    """(digits, known_to) of a problem at its t_end or another: by DOP853, and how far generalized-alpha is from it."""
-    problem = problems.get(name, **options)
-    model, t_end = problem.model, t_end or problem.t_end
-    exact, other = (of_tip(model, end) for end in (by_explicit(model, t_end, rtol), by_alpha(model, t_end, step)))
-    return exact, distance(exact, other)
+CLASSICAL = {"pendulum": Tolerances(2.3e-14, 1e-12), "car-axis": Tolerances(2.3e-14, 1e-12), "andrews": Tolerances(2.3e-14, 1e-13)}
+PLATES = Tolerances(1e-11, 1e-13)
+
+
+def parts_of(problem, t_end, end):
+    """What the problem compares, of a state {"q", "v", "lam"}."""
+    if problem.name in CLASSICAL:
+        return end | {"a": consistent_acceleration(problem.model, t_end, end["q"], end["v"])[0]}
+    tip, move = problem.model.attachment("tip").point, lambda x: problem.model.displacement("tip", x)
+    return {"tip": tip + move(end["q"]), "tip_velocity": move(end["v"]), "lam": end["lam"]}
+
+
+def digits(problem, t_end, tolerances):
+    """(digits, known_to) at t_end: by DOP853, and how far Radau IIA is from it."""
+    ends = [
+        parts_of(problem, t_end, family(problem.model, t_end, rtol, problem.q0, problem.v0))
+        for family, rtol in zip((by_explicit, by_radau), tolerances)
+    ]
+    return ends[0], distance(*ends)
 
 
 def main(arguments=None):
     """Print the digits of the problems that are named, or of all, with how well each is known."""
     made = argparse.ArgumentParser(prog="python studies/digits.py", description=__doc__.split("\n")[0])
-    made.add_argument("problem", nargs="*", default=list(DIGITS), help=", ".join(DIGITS))
+    made.add_argument("problem", nargs="*", default=[*CLASSICAL, *DIGITS], help=", ".join([*CLASSICAL, *DIGITS]))
     made.add_argument("--cells", type=int, help="of a plate, where it is not the default mesh")
     made.add_argument("--time", type=float, help="s, where it is not the problem's")
-    made.add_argument("--rtol", type=float, default=RTOL, help="of DOP853")
-    made.add_argument("--step", type=float, default=STEP, help="of generalized-alpha, s; and half of it")
     given = made.parse_args(arguments)
     options = {"cells": given.cells} if given.cells else {}
     for name in given.problem:
-        exact, known_to = digits(name, given.time, given.rtol, given.step, **options)
-        for part, value in exact.items():
-            print(f"{name} {part} {[float(f'{x:.14g}') for x in value]} known to {known_to[part]:.1e}", flush=True)
+        problem = problems.get(name, **({} if name in CLASSICAL else options))
+        found, known_to = digits(problem, given.time or problem.t_end, CLASSICAL.get(name, PLATES))
+        stored = {} if given.time else problem.reference
+        for part, value in found.items():
+            away = f", {problem.errors(**{part: value})[part]:.1e} from those that are stored" if part in stored else ""
+            print(f"{name} {part} {[float(f'{x:.16g}') for x in value]} known to {known_to[part]:.1e}{away}", flush=True)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import numpy as np
 from polyida.model import Model, Needs
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
+from polyida.problems.andrews_digits import DIGITS, KNOWN_TO
 
 BETA, THETA, GAMMA, PHI, DELTA, OMEGA, EPSILON = range(7)
 m1, m2, m3, m4, m5, m6, m7 = 0.04325, 0.00365, 0.02373, 0.00706, 0.0705, 0.00706, 0.05498
@@ -148,45 +149,7 @@ def problem():
                 1.2305474445498212,
             ]
         ),
-        reference={
-            "q": np.array(
-                [
-                    15.81077119629904,
-                    -15.75637105984298,
-                    0.04082224013073101,
-                    -0.5347301163226948,
-                    0.5244099658805303,
-                    0.5347301163226948,
-                    1.048080741042263,
-                ]
-            ),
-            "v": np.array(
-                [
-                    1139.920302151208,
-                    -1424.379294994111,
-                    11.03291221937134,
-                    19.29337464421385,
-                    0.5735699284790808,
-                    -19.29337464421385,
-                    0.3231791658026955,
-                ]
-            ),
-            "a": np.array(
-                [
-                    -24631.76316946196,
-                    51850.37701610329,
-                    324102.5686413781,
-                    566749.3645176213,
-                    16743.62929479361,
-                    -566749.3645176222,
-                    9826.520791458423,
-                ]
-            ),
-            "lam": np.array(
-                [199.175333373191, -29.75531228015052, 23.06654119098399, 31.45271365475927, 22.64249232082739, 11.61740700019673]
-            ),
-        },
-        # DOP853 at relative tolerances of 1e-12 and 2.3e-14 agrees with itself to 1e-11 rad, with these to:
-        known_to={"q": 1.5e-9, "v": 5.5e-7, "a": 0.06, "lam": 1.5e-5},
+        reference={part: np.array(value) for part, value in DIGITS.items()},
+        known_to=dict(KNOWN_TO),
         **ABOUT["andrews"],
     )
