@@ -5,8 +5,9 @@ import numpy as np
 from conditioning import solve_error
 from polyida.cli.study import main
 from polyida.integrate.ida.whole import SCALINGS as IDA_SCALINGS
+from polyida.integrate.iteration_matrix import MODES
 from polyida.linear.kkt import SCALINGS
-from polyida.study.drawing import drawn, fitted, legend, loglog, panels, saved, slope_line
+from polyida.study.drawing import drawn, fitted, legend, loglog, nested, panels, saved, slope_line
 from polyida.study.harness import Study
 from polyida.study.kinds import conditioning
 from polyida.study.rows import every, farthest, number, pick, worst
@@ -26,6 +27,12 @@ def tasks(quick):
             {"plates": plates, "of": "IDA", "form": form, "scaling": scaling} | given
             for form in conditioning.IDA_SLOPES
             for scaling in IDA_SCALINGS
+        ]
+        made += [
+            {"plates": plates, "of": "Radau", "form": f"{form}, {mode}", "scaling": scaling} | given
+            for form in conditioning.RADAU_SLOPES
+            for mode in MODES
+            for scaling in SCALINGS
         ]
         made.append({"plates": plates, "of": "alpha", "form": "S on free motions", "scaling": "-"} | given)
     for plates in ("soft", "steel"):
@@ -70,6 +77,8 @@ def measured(model, state, of, form, scaling):
         return lambda h: conditioning.inherent_condition(model, state, h)
     if of == "alpha":
         return lambda h: conditioning.alpha_condition(model, state, h, form[1], scaling)
+    if of == "Radau":
+        return lambda h: conditioning.radau_condition(model, state, h, *form.split(", "), scaling)
     return lambda h: conditioning.ida_condition(model, state, h, form, scaling)
 
 
@@ -85,6 +94,8 @@ def theory(of, form, scaling):
         return 0
     if of == "IDA":
         return conditioning.IDA_SLOPES[form]
+    if of == "Radau":
+        return conditioning.RADAU_SLOPES[form.split(", ")[0]] if scaling == "none" else 0
     return conditioning.ALPHA_SCALINGS[scaling] if form == "(q, lam)" else conditioning.ALPHA_UNKNOWNS[form[1]]
 
 
@@ -103,7 +114,21 @@ def figures(rows):
     found["ida_scaled_slope_limit_max"] = abs(farthest(every(rows, "slope_limit", of="IDA", scaling="characteristic"), 0))
     for row in pick(rows, of="IDA", scaling="none", plates="soft"):
         found[f"slope_limit_{row['form']}"] = row["slope_limit"]
-    return found
+    return found | radau_figures(rows)
+
+
+def radau_figures(rows):
+    """Over both modes, all plates and, where they are scaled, both forms."""
+    raw, physical = {"of": "Radau", "scaling": "none"}, {"of": "Radau", "scaling": "physical"}
+    found = {}
+    for form, slope in conditioning.RADAU_SLOPES.items():
+        slopes = [every(rows, "slope_limit", form=f"{form}, {mode}", **raw) for mode in MODES]
+        found[f"radau_{form}_raw_slope"] = farthest(np.concatenate(slopes), slope)
+    return found | {
+        "radau_scaled_slope_max": abs(farthest(every(rows, "slope_limit", **physical), 0)),
+        "radau_scaled_condition_max": worst(rows, "worst", **physical),
+        "radau_scaled_condition_at_1e-9_max": worst(rows, "at_1e-9", **physical),
+    }
 
 
 def over_free(rows, physical):
@@ -167,6 +192,23 @@ def ida_figure(rows, folder):
     return saved(made, folder, "condition-ida")
 
 
+@drawn
+def radau_figure(rows, folder):
+    made, axes = panels(2, height=3.4, sharey=True)
+    forms = [f"{form}, {mode}" for form in conditioning.RADAU_SLOPES for mode in MODES]
+    for axis, scaling, title in zip(axes, ("none", "physical"), ("raw", "scaled by physical sizes")):
+        for row in pick(rows, of="Radau", plates="soft", scaling=scaling):
+            ring = forms.index(row["form"])
+            axis.loglog(row["h"], row["values"], label=row["form"], **nested(ring, ring, len(forms)))
+        axis.set(xlabel="step h, s", title=f"Radau IIA, soft plates, {title}")
+    for row in pick(rows, of="Radau", plates="soft", scaling="none"):
+        if row["form"].endswith("real"):
+            slope_line(axes[0], row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
+    axes[0].set_ylabel("condition number")
+    legend(made, axes, 4)
+    return saved(made, folder, "condition-radau")
+
+
 def solve_figure(rows, folder, name, step, shown):
     """Errors on steel plates, a panel for each (of, scaling)."""
     made, axes = panels(len(shown), width=7.4, height=3.3, columns=len(shown), sharey=True)
@@ -199,7 +241,7 @@ STUDY = Study(
     tasks,
     run,
     figures,
-    (alpha_figure, ida_figure, solve_alpha_figure, solve_ida_figure),
+    (alpha_figure, ida_figure, radau_figure, solve_alpha_figure, solve_ida_figure),
     COLUMNS,
     notes=(size_notes, border_notes, solve_notes),
     headline=("slope_unscaled", "scaled_condition_max"),

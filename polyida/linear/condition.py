@@ -6,7 +6,7 @@ EXACT = 2000  # unknowns up to which the dense inverse is computed
 
 
 def condition(matrix, exact=None):
-    """|A| |A^-1| of A, (N, N), dense or sparse: in the 2-norm (exact; by default up to 2000 unknowns), otherwise an estimate
+    """|A| |A^-1| of A, (N, N), real or complex, dense or sparse: in the 2-norm (exact; by default up to 2000 unknowns), otherwise an estimate
     of that in the 1-norm (Higham, Tisseur 2000). inf where A is singular.
     """
     if exact is None:
@@ -47,12 +47,6 @@ def _estimate(matrix):
         lu = splu(matrix)
     except RuntimeError:
         return np.inf
-    inverse = LinearOperator(
-        matrix.shape,
-        lu.solve,
-        rmatvec=lambda b: lu.solve(b, trans="T"),
-        matmat=lu.solve,
-        rmatmat=lambda b: lu.solve(b, trans="T"),
-        dtype=float,
-    )
+    back = lambda b: lu.solve(b, trans="H")  # noqa: E731
+    inverse = LinearOperator(matrix.shape, lu.solve, back, lu.solve, matrix.dtype, back)
     return float(abs(matrix).sum(axis=0).max() * onenormest(inverse))

@@ -1,4 +1,4 @@
-"""One scene through both loops of generalized-alpha: the compiled one, and the plain one on the scene's own step matrix."""
+"""One scene through both loops of an integrator: the compiled one, and the plain one on the scene's own step matrix."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from polyida.problems import plates
 def models(scene):
     """The scene's model for the compiled loop, and for the plain one."""
     compiled, plain = scene.build(), scene.build()
-    plain.compiled, plain.step_matrix = False, lambda linear: SceneStepMatrix(plain, linear)
+    plain.compiled, plain.step_matrix = False, lambda linear="auto": SceneStepMatrix(plain, linear)
     return compiled, plain
 
 
@@ -38,3 +38,25 @@ def test_the_same_states(scenes, kind, settings):
     assert compiled.counts.steps == plain.counts.steps and np.array_equal(compiled.t, plain.t)
     assert np.abs(compiled.q - plain.q).max() < 1e-12
     assert np.abs(compiled.lam - plain.lam).max() < 1e-9 * np.abs(compiled.lam).max()
+
+
+@pytest.mark.parametrize("damping", [{}, {"material": {"viscosity": 1e-3, "mass_damping": 2.0}}], ids=["undamped", "damped"])
+@pytest.mark.parametrize("settings", [{}, {"stages": 2}, {"form": "index3"}, {"form": "index3", "project": False}], ids=str)
+def test_the_same_stages(scenes, kind, settings, damping):
+    """Radau IIA: the plain path has no frame for each stage, so that Newton takes another way to the same end."""
+    integrator = pi.RadauIIA(h=2.5e-3, tolerance=1e-16, **settings)
+    compiled, plain = (pi.solve(model, 0.05, integrator) for model in models(scenes.jointed(kind, cells=12, **damping)))
+    assert compiled.success and compiled.counts.steps == plain.counts.steps == 20
+    assert np.abs(compiled.q - plain.q).max() < 1e-12
+    assert np.abs(compiled.v - plain.v).max() < 1e-9
+    assert np.abs(compiled.lam - plain.lam).max() < 1e-9 * np.abs(compiled.lam).max()
+    assert np.abs(compiled.drift).max() < 1e-14 or not compiled.model.m
+
+
+def test_the_same_stages_with_every_factor(scenes):
+    model, found = scenes.jointed("motor between", cells=12).build(), []
+    for linear in ("auto", "fronts", "band", "superlu", "kkt"):
+        run = pi.solve(model, 0.05, pi.RadauIIA(h=2.5e-3, tolerance=1e-16, linear=linear))
+        found.append((run.counts.backend, run.q[-1]))
+    assert [name for name, _ in found[:4]] == ["multifrontal Cholesky"] * 2 + ["band Cholesky", "L D L^T (SuperLU, MMD)"]
+    assert max(np.abs(q - found[0][1]).max() for _, q in found) < 1e-12

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import polyida as pi
 from polyida import problems
 from polyida.errors import InputError
 from polyida.integrate.ida.forms import FORMS, System
@@ -324,3 +325,15 @@ def test_phi_is_held_by_any_callbacks(scenes, form):
 def test_phi_is_held_on_any_model(name):
     p, states, _, _ = run_problem(name, IDA())
     assert max(np.abs(p.model.phi(s.t, s.q)).max() for s in states) < 1e-13
+
+
+def test_strong_damping_beside_a_motor_stands_in_the_border():
+    """Columns of mu that leave C out let Newton fail in every fourth step; the general callbacks have it in."""
+    scene = pi.Scene(gravity=(0.0, 0.0))
+    material = pi.Material(E=2e6, nu=0.3, rho=1100.0, viscosity=0.1)
+    plate = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=4, seed=1), material, thickness=0.01))
+    scene.add(pi.Revolute(pi.ground, plate.section("left")))
+    scene.add(pi.AngleMotor(pi.ground, plate.section("left"), angle=pi.profile.ramp(0.0, 6.0, 0.8)))
+    compiled, general = (pi.solve(scene.build(), 0.4, pi.IDA(linear=linear)) for linear in ("auto", "kkt"))
+    assert compiled.success and compiled.counts.rejected <= 10 and compiled.counts.steps < 1.3 * general.counts.steps
+    assert np.abs(compiled.q[-1] - general.q[-1]).max() < 1e-2

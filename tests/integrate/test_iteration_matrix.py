@@ -1,5 +1,7 @@
 """Iteration matrices and their condition numbers: slopes in h for each scaling, form and choice of unknowns."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,10 @@ import polyida as pi
 from polyida import condition_number
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.iteration_matrix import iteration_matrix
+from polyida.integrate.radau.tableau import radau
+from polyida.integrate.state import StepFailure
+from polyida.linear.condition import condition
+from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
 from polyida.problems import plates
 from polyida.study.kinds import conditioning
 
@@ -56,10 +62,11 @@ def test_exact_is_the_ratio_of_singular_values(scene):
     assert condition_number(model, pi.GeneralizedAlpha(h=1e-3), state) == pytest.approx(values[0] / values[-1], rel=1e-6)
 
 
-def test_the_estimate_is_that_of_the_1_norm(scene):
+@pytest.mark.parametrize("integrator, more", [(pi.GeneralizedAlpha(h=1e-3), {}), (pi.RadauIIA(h=1e-3), {"mode": "complex"})])
+def test_the_estimate_is_that_of_the_1_norm(scene, integrator, more):
     model, state = scene
-    matrix = iteration_matrix(model, pi.GeneralizedAlpha(h=1e-3), state, "physical").toarray()
-    estimate = condition_number(model, pi.GeneralizedAlpha(h=1e-3), state, exact=False)
+    matrix = iteration_matrix(model, integrator, state, "physical", **more).toarray()
+    estimate = condition_number(model, integrator, state, exact=False, **more)
     assert 0.1 * np.linalg.cond(matrix, 1) < estimate < 1.001 * np.linalg.cond(matrix, 1)
 
 
@@ -99,6 +106,114 @@ def test_idas_matrix_is_the_derivative_of_its_residual(form, given):
             assert np.abs(product[part] - difference[part]).max() < 1e-5 * np.abs(product[part]).max()
 
 
+RADAU = [
+    (pi.RadauIIA(h=0.02, stages=stages, form=form), mode)
+    for stages, mode in ((3, "real"), (3, "complex"), (2, "complex"))
+    for form in ("ggl", "index3")
+]
+
+
+@pytest.mark.parametrize("integrator, mode", RADAU, ids=lambda x: x if isinstance(x, str) else f"{x.form}-{x.stages}")
+@pytest.mark.parametrize("given", ["scene", "pendulum", "damped"])
+def test_radaus_matrix_is_the_derivative_of_its_equations(scene, integrator, mode, given):
+    """With q' and v' that grow with q and v by c = l/h, a complex direction's parts one after the other."""
+    model, state = {"scene": lambda: scene, "pendulum": pendulum_state, "damped": damped_state}[given]()
+    n, m, tied = model.n, model.m, integrator.form == "ggl"
+    values = np.linalg.eigvals(radau(integrator.stages).W)
+    c = (values[values.imag > 1e-9] if mode == "complex" else values[np.abs(values.imag) < 1e-9].real)[0] / integrator.h
+    lift = np.ones(n) if model.alike else np.mean(model.mass(state.q).diagonal()) / model.mass(state.q).diagonal()
+
+    def equations(dq, dv, da, dlam, dmu, rate):
+        t, q, v, B = state.t, state.q + dq, state.v + dv, model.phi_q(state.t, state.q + dq)
+        first = rate - dv + lift * (B.T @ dmu) if tied else rate - dv
+        rows = [first, model.residual(t, q, v, state.a + da, state.lam + dlam), model.phi(t, q), model.phi_rate(t, q, v)]
+        return np.concatenate(rows if tied else rows[:3])
+
+    def along(*direction):
+        return (equations(*(1e-6 * x for x in direction)) - equations(*(-1e-6 * x for x in direction))) / 2e-6
+
+    J, random = iteration_matrix(model, integrator, state, "none", mode=mode), np.random.default_rng(0)
+    for _ in range(3):
+        dq, dv, dlam, dmu = (random.standard_normal(size) for size in (n, n, m, m))
+        full = (dq, dv, c * dv, dlam, dmu, c * dq)
+        difference = along(*map(np.real, full)) + 1j * along(*map(np.imag, full))
+        product = J @ np.concatenate([dq, dv, dlam, dmu] if tied else [dq, dv, dlam])
+        for part in np.split(np.arange(len(product)), [n, 2 * n, 2 * n + m]):
+            assert np.abs(product[part] - difference[part]).max(initial=0) < 1e-5 * np.abs(product[part]).max(initial=1e-9)
+
+
+def damped_state():
+    """Plates whose C is not zero, on their way."""
+    material = pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=1e-3)
+    model = plates.double_plate_motors(cells=4, material=material).build()
+    return model, pi.solve(model, 0.05, pi.GeneralizedAlpha(h=5e-3)).state
+
+
+FALLS = {  # of the double plate at its start: raw at h = 1e-1, 1e-6, scaled there, and the slope of the raw one in the limit
+    ("index3", "real"): (3.6e10, 8.8e18, 1.3e5, 45, -3),
+    ("index3", "complex"): (4.8e10, 1.1e19, 1.0e5, 45, -3),
+    ("ggl", "real"): (3.5e10, 8.2e13, 1.3e5, 45, -2),
+    ("ggl", "complex"): (4.7e10, 9.3e13, 1.0e5, 45, -2),
+}
+
+
+@pytest.mark.parametrize("form, mode", FALLS)
+def test_radaus_matrices_fall_with_h_once_they_are_scaled(scenes, form, mode):
+    model = plates.double_plate(cells=8).build()
+    state, integrator, far = pi.consistent_state(model), pi.RadauIIA(form=form), 10.0 ** -np.arange(7.0, 10.0)
+
+    def found(steps, scaling):
+        return np.array([condition_number(model, integrator, state, scaling, h=h, mode=mode, exact=True) for h in steps])
+
+    *published, slope = FALLS[form, mode]
+    assert [*found((1e-1, 1e-6), "none"), *found((1e-1, 1e-6), "physical")] == pytest.approx(published, rel=0.03)
+    assert scenes.slope(far, found(far, "none")) == pytest.approx(slope, abs=0.02)
+    for scaling in ("physical", "bottasso"):
+        assert scenes.slope(far, found(far, scaling)) == pytest.approx(0, abs=1e-3) and found(far, scaling).max() < 500
+
+
+@pytest.mark.parametrize("mode, scaled", [("real", (9.0e4, 31)), ("complex", (7.2e4, 31))])
+def test_radaus_index_3_without_dv_is_alphas_matrix(mode, scaled):
+    """`S = K + c^2 M` bordered by B: its condition number grows by h^-4, and so did the real one from 3.6e10 at h = 1e-1."""
+    model = plates.double_plate(cells=8).build()
+    state, n, found = pi.consistent_state(model), model.n, []
+    for h in (1e-1, 1e-6):
+        J = iteration_matrix(model, pi.RadauIIA(h=h, form="index3"), state, "none", mode=mode).toarray()
+        S, B = J[n : 2 * n, :n] + J[0, 0] * J[n : 2 * n, n : 2 * n], J[2 * n :, :n]
+        kinds = Scaling(), scaling_factors("physical", 1 / abs(J[0, 0]) ** 2, S)
+        found.append([condition(assemble(S, B, kind), exact=True) for kind in kinds])
+    assert [x for _, x in found] == pytest.approx(scaled, rel=0.03)
+    assert found[0][0] == pytest.approx({"real": 3.6e10, "complex": 4.7e10}[mode], rel=0.03) and 5e13 < found[1][0] / found[0][0] < 2e14
+
+
+def test_radaus_matrices_of_a_pendulum_stay_small_at_any_step():
+    model, state = pendulum_state()
+    for integrator, mode in RADAU:
+        steps = 10.0 ** -np.arange(1.0, 10.0)
+        flat = [condition_number(model, integrator, state, h=h, mode=mode) for h in steps]
+        assert max(flat) < 100 and flat[-1] == pytest.approx(flat[-2], rel=1e-3)
+        assert condition_number(model, integrator, state, "none", h=1e-6, mode=mode) > 1e12
+
+
+def test_which_of_radaus_matrices():
+    """The real one by default, where there is one; the integrator's own step and scaling."""
+    model, state = pendulum_state()
+    three, two = pi.RadauIIA(h=0.01, scaling="none"), pi.RadauIIA(h=0.01, stages=2, scaling="none")
+    real, pair = (condition_number(model, three, state, mode=mode) for mode in ("real", "complex"))
+    assert condition_number(model, three, state) == real != pair
+    assert condition_number(model, two, state) == condition_number(model, two, state, mode="complex")
+    assert condition_number(model, pi.RadauIIA(), state, "none", h=0.01) == real
+
+
+def test_a_radau_matrix_without_constraints():
+    free = type("Free", (pi.Model,), {"n": 2, "m": 0, "mass": lambda self, q: np.eye(2), "force": lambda self, t, q, v: 4.0 * q})()
+    state = pi.consistent_state(free, 0.0, [1.0, 0.0])
+    for form in ("ggl", "index3"):
+        c = radau(3).modes[0].value / 0.1
+        expected = np.linalg.cond(np.kron([[c, -1.0], [4.0, c]], np.eye(2)))
+        assert condition_number(free, pi.RadauIIA(h=0.1, form=form), state, "none") == pytest.approx(expected, rel=1e-6)
+
+
 def pendulum_state():
     model = pi.problems.get("pendulum").model
     return model, pi.consistent_state(model, 0.0, [0.6, -0.8], [0.8, 0.6])
@@ -135,6 +250,37 @@ def test_the_whole_matrix_gives_the_run_of_the_border(scene, form, scaling, give
     assert whole.counts.factorizations > 0
 
 
+@pytest.mark.parametrize("settings", [{}, {"form": "index3"}, {"stages": 2}], ids=str)
+@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("given", ["scene", "pendulum"])
+def test_radaus_whole_matrices_give_the_run_of_the_border(scene, settings, scaling, given):
+    model, state = scene if given == "scene" else pendulum_state()
+    integrator = pi.RadauIIA(h=1e-3, tolerance=1e-15, **settings)
+    border, whole = (pi.solve(model, 0.02, x, state=state) for x in (integrator, replace(integrator, linear="kkt", scaling=scaling)))
+    assert whole.success and whole.counts.steps == border.counts.steps == 20 and whole.counts.rejected == 0
+    assert np.abs(whole.q - border.q).max() < 1e-11 and np.abs(whole.lam - border.lam).max() < 1e-6 * np.abs(border.lam).max()
+    assert whole.counts.factorizations == (20 if model.needs.phi_q_varies or model.needs.driven else 1) * len(
+        radau(integrator.stages).modes
+    )
+
+
+def test_a_whole_matrix_that_is_singular_ends_the_run():
+    """A second constraint that depends on no coordinate."""
+
+    class Loose(type(pi.problems.get("pendulum").model)):
+        m = 2
+
+        def phi(self, t, q):
+            return np.array([q @ q - 1.0, 0.0])
+
+        def phi_q(self, t, q):
+            return np.array([2 * q, 0 * q])
+
+    state = pi.State(0.0, np.array([0.6, -0.8]), np.zeros(2), np.zeros(2), np.zeros(2))
+    with pytest.raises(StepFailure, match="singular"):
+        next(pi.RadauIIA(h=1e-3, linear="kkt").steps(Loose(), state, 0.01, pi.Counts()))
+
+
 def test_a_sparse_mass_beside_dense_differences():
     """A model of one's own may mix them."""
     from scipy.sparse import csc_array
@@ -146,19 +292,31 @@ def test_a_sparse_mass_beside_dense_differences():
 
 
 def test_what_there_is_not(scene):
-    alpha, ida = pi.GeneralizedAlpha(h=1e-3), pi.IDA()
+    alpha, ida, radau_iia = pi.GeneralizedAlpha(h=1e-3), pi.IDA(), pi.RadauIIA()
     for integrator, choice, more in (
         (alpha, ("best",), {}),
         (alpha, ("none", "p"), {}),
         (ida, ("bottasso",), {"h": 1e-3}),
         (ida, ("none", "v"), {"h": 1e-3}),
         (ida, ("none",), {"h": -1}),
+        (radau_iia, ("best",), {"h": 1e-3}),
+        (radau_iia, ("none", "v"), {"h": 1e-3}),
+        (radau_iia, ("none",), {"h": -1}),
     ):
         with pytest.raises(pi.InputError, match=str(more.get("h") if choice == ("none",) else choice[-1])):
             condition_number(scene[0], integrator, scene[1], *choice, **more)
-    with pytest.raises(pi.InputError, match="h = None must be a positive step"):
-        condition_number(scene[0], ida, scene[1])
-    with pytest.raises(pi.InputError, match="must be GeneralizedAlpha or IDA"):
+    for integrator in (ida, radau_iia):
+        with pytest.raises(pi.InputError, match="h = None must be a positive step"):
+            condition_number(scene[0], integrator, scene[1])
+    for integrator, mode, wanted in (
+        (alpha, "real", "must be None for GeneralizedAlpha"),
+        (ida, "real", "must be None for IDA"),
+        (radau_iia, "both", "mode = 'both' must be one of real, complex"),
+        (pi.RadauIIA(stages=2), "real", "must be 'complex' for RadauIIA of two stages"),
+    ):
+        with pytest.raises(pi.InputError, match=wanted):
+            condition_number(scene[0], integrator, scene[1], h=1e-3, mode=mode)
+    with pytest.raises(pi.InputError, match="must be GeneralizedAlpha, IDA or RadauIIA"):
         condition_number(scene[0], pi.EnergyMomentum(h=1e-3), scene[1])
     for setting in ({"scaling": "physical"}, {"linear": "sparse"}):
         with pytest.raises(pi.InputError, match=f"{next(iter(setting))}.*must be one of"):

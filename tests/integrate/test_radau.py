@@ -1,6 +1,6 @@
 """Radau IIA: its tableau, orders and published digits, models of every kind, scenes, kinks, going on bit for bit, failures."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -10,6 +10,8 @@ from polyida import problems
 from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.plain import Rows
 from polyida.integrate.radau.tableau import radau, through, through_zero
+from polyida.integrate.radau.whole import WholeModes
+from polyida.linear.kkt import SCALINGS
 from polyida.model import differences
 from polyida.problems.plates import double_plate, double_plate_motors
 
@@ -28,6 +30,8 @@ FIELDS = ("t", "q", "v", "a", "lam")
         ({"stages": 2.5}, "stages = 2.5"),
         ({"form": "index2"}, "form = 'index2' must be one of ggl, index3"),
         ({"project": 1}, "project = 1"),
+        ({"linear": "whole"}, "linear = 'whole' must be one of auto, fronts, band, superlu, kkt"),
+        ({"scaling": "best"}, "scaling = 'best' must be one of none, bottasso, physical"),
         ({"tolerance": 0}, "tolerance = 0"),
         ({"max_iterations": 0}, "max_iterations = 0"),
         ({"max_step": -1.0}, "max_step = -1.0"),
@@ -235,16 +239,17 @@ class Bent(Linear):
         return np.array([[2 * (q[0] - 0.1 * t), 2 * q[1]]])
 
 
+@pytest.mark.parametrize("kind", [Matrices, *(partial(WholeModes, scaling=scaling) for scaling in SCALINGS)])
 @pytest.mark.parametrize("tied", [True, False], ids=["ggl", "index3"])
 @pytest.mark.parametrize("stages", [2, 3])
-def test_corrections_solve_the_whole_system_of_all_stages(stages, tied):
+def test_corrections_solve_the_whole_system_of_all_stages(stages, tied, kind):
     """Rows and columns (q, v, lam, mu) of each stage, coupled by W/h, from random right-hand sides; those of q' are met as they are."""
     model, tableau, h, random = Bent(), radau(stages), 0.07, np.random.default_rng(1)
     t, q, v, a, lam = 0.3, *random.normal(size=(3, 2)), random.normal(size=1)
-    system = Matrices(model, tableau.modes, h, np.concatenate([[t], q, v, a, lam]))
+    system = kind(model, tableau.modes, h, np.concatenate([[t], q, v, a, lam]))
     system.make()
     lift = np.array([0.4, 1.6])
-    system.surround(Rows(model, t, q, v, lift if tied else None))
+    system.surround(Rows(model, t, q, v, lift if tied else None), pi.Counts())
     residuals = [random.normal(size=(stages, size)) for size in (2, 1, int(tied))]
     found = system.stages(*residuals)
     B, H, one, D = system.rows.B, system.rows.H, np.eye(stages), tableau.W / h
@@ -332,7 +337,9 @@ def stopped_and_resumed(path, model, t_end, integrator, after, **start):
     return pi.resume(path, model=model)
 
 
-@pytest.mark.parametrize("settings", [{"h": 0.01}, {"rtol": 1e-5}, {"rtol": 1e-5, "form": "index3", "stages": 2}], ids=str)
+@pytest.mark.parametrize(
+    "settings", [{"h": 0.01}, {"rtol": 1e-5}, {"rtol": 1e-5, "form": "index3", "stages": 2}, {"rtol": 1e-5, "linear": "kkt"}], ids=str
+)
 @pytest.mark.parametrize("name", ["pendulum", "andrews"])
 def test_a_run_that_goes_on_is_the_same_bit_by_bit(name, settings, tmp_path):
     p = problems.get(name)

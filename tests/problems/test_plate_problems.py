@@ -26,7 +26,7 @@ def test_the_digits_are_of_one_state(name):
     assert set(p.reference) == set(p.known_to) == set(p.measures) | {"lam"}
     shapes = {part: value.shape for part, value in p.reference.items()}
     assert shapes == {"tip": (2,), "tip_velocity": (2,), "lam": (p.model.m,)}
-    assert p.known_to["tip"] < 1e-8 and p.known_to["tip_velocity"] < 1e-5 and p.known_to["lam"] < 0.05
+    assert p.known_to["tip"] < 1e-11 and p.known_to["tip_velocity"] < 1e-9 and p.known_to["lam"] < 1e-3
 
 
 @pytest.mark.parametrize("name", PLATES)

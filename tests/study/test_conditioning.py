@@ -36,6 +36,14 @@ def test_slopes_of_the_unknowns(soft, unknown, slope):
     assert fitted(STEPS, values) == pytest.approx(slope, abs=1e-2)
 
 
+@pytest.mark.parametrize("mode", ["real", "complex"])
+@pytest.mark.parametrize("form, slope", conditioning.RADAU_SLOPES.items())
+def test_slopes_of_radaus_forms(soft, form, slope, mode):
+    far = 1e-3 / conditioning.fastest(*soft) ** 2 * 10.0 ** -np.arange(3)
+    raw, flat = ([conditioning.radau_condition(*soft, h, form, mode, scaling) for h in far] for scaling in ("none", "physical"))
+    assert fitted(far, raw) == pytest.approx(slope, abs=0.02) and fitted(far, flat) == pytest.approx(0, abs=1e-3)
+
+
 def test_the_border_adds_little_once_it_is_scaled(soft):
     model, state = soft
     for h in (1e-1, 1e-3, 1e-6):

@@ -38,6 +38,12 @@ def test_explicit_runs_give_every_time_that_is_asked_for_and_stop_at_kinks():
     assert model.kinks(0.018, 0.02) == (pytest.approx(0.019),)
 
 
+def test_explicit_runs_are_put_back_on_the_constraints_that_they_drift_off():
+    p = problems.get("pendulum")
+    off = [families.explicit(p.model, p.t_end, 1e-10, q0=p.q0, v0=p.v0, legs=legs)[0][0] - p.reference["q"] for legs in (1, families.LEGS)]
+    assert np.abs(off[1]).max() < 0.1 * np.abs(off[0]).max()
+
+
 def test_explicit_and_fine_runs_of_the_integrators_agree():
     given = references.with_explicit("pair", plates.double_plate_motors(cells=4).build(), 0.02, (1e-2, 10.0))
     run = solve(given.model, 0.02, GeneralizedAlpha(h=5e-6, extrapolate=True, tolerance=1e-9), every=10**9)

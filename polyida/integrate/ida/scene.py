@@ -155,13 +155,15 @@ class SceneSolve(EchoedSolve):
         step = self.step
         self.counts.tangents += 1
         self.counts.factorizations += 1
+        at = self.system.at(t, y, yp)
         try:
-            step.factor(*self.system.at(t, y, yp), cj * cj, cj)
+            step.factor(*at, cj * cj, cj)
         except SingularSystem:
             self.cj = math.nan
             return
         self.cj, self.counts.backend = cj, step.backend
-        self.massive = massive(step.model, step.corotated, step.room.x)
+        damping = step.model.force_v(*at[:2], np.zeros_like(at[2])) / cj if step.model.damped else None
+        self.massive = massive(step.model, step.corotated, step.room.x, damping)
         self.counts.solves += 2 * step.solves
 
     def reduced(self, t, y, yp, r, z):

@@ -19,9 +19,8 @@ from contextlib import suppress
 import numpy as np
 
 from polyida.integrate.ida.linear import EchoedSolve
-from polyida.linear.condition import scaled
-from polyida.linear.lu import LU, SingularSystem
-from polyida.linear.matrix import dense
+from polyida.linear import whole
+from polyida.linear.lu import SingularSystem
 
 SCALINGS = ("characteristic", "none")
 
@@ -29,49 +28,23 @@ SCALINGS = ("characteristic", "none")
 def sizes(scaling, form, n, m, cj, s):
     """Factors (of rows, of columns), (N,) each, of a scaling; n coordinates, m constraints, s the typical size of S."""
     if scaling == "none":
-        raw = np.ones(2 * n + m * (2 if form.stabilised else 1))
-        return raw, raw
-    unit = 1 / cj if form.integrated else 1.0
+        return whole.raw(n, m, form.stabilised)
     kinds = (max(form.rows),) if form.combined else form.rows
-    rows = [np.full(n, 1 / cj), np.full(n, 1 / s)] + [np.full(m, cj**-k) for k in kinds]
-    columns = [np.ones(n), np.full(n, cj), np.full(m, s * unit)] + [np.full(m, cj * unit)] * form.stabilised
-    return np.concatenate(rows), np.concatenate(columns)
+    return whole.sizes(cj, s, n, m, kinds, form.stabilised, 1 / cj if form.integrated else 1.0)
 
 
 def whole_matrix(system, t, y, yp, cj):
     """(J, typical size s of S) at (t, y, y'): CSC where the model's matrices are sparse, dense otherwise."""
     blocks = system.blocks(t, y, yp)
     K = system.model.tangent(*system.at(t, y, yp), 0.0, 0.0, 1.0)
-    damping = cj * blocks.M if blocks.C is None else cj * blocks.M + blocks.C
-    s = float(np.mean(np.abs(K.diagonal() + cj * damping.diagonal())))
-    unit = cj if blocks.integrated else 1.0
-    return _joined(blocks, K, damping, cj, unit * blocks.B.T), s if s > 0 else 1.0
-
-
-def _joined(blocks, K, damping, cj, B_T):
-    n, m = blocks.n, blocks.m
-    Q = blocks.Q0 + cj * blocks.Q1
-    if hasattr(K, "tocsc"):
-        from scipy.sparse import block_array, csr_array, eye_array
-
-        lam, mu, below = csr_array(B_T), csr_array(B_T), (csr_array(blocks.P), csr_array(Q))
-        first, second = [cj * eye_array(n), -eye_array(n)], [K, csr_array(damping)]
-        if not m:
-            return block_array([first, second], format="csc")
-        if not blocks.stabilised:
-            return block_array([[*first, None], [*second, lam], [*below, None]], format="csc")
-        return block_array([[*first, None, mu], [*second, lam, None], [*below, None, None]], format="csc")
-    columns = (2 if blocks.stabilised else 1) * m
-    J = np.zeros((2 * n + columns, 2 * n + columns))
-    J[:n, :n], J[:n, n : 2 * n] = cj * np.eye(n), -np.eye(n)
-    J[n : 2 * n, :n], J[n : 2 * n, n : 2 * n], J[n : 2 * n, 2 * n : 2 * n + m] = K, dense(damping), B_T
-    J[:n, 2 * n + m :] = B_T[:, : columns - m]
-    J[2 * n :, :n], J[2 * n :, n : 2 * n] = blocks.P, Q
-    return J
+    slope = cj * blocks.M if blocks.C is None else cj * blocks.M + blocks.C
+    columns = (cj if blocks.integrated else 1.0) * blocks.B.T
+    mu = columns if blocks.stabilised else None
+    return whole.joined(cj, K, slope, columns, mu, blocks.P, blocks.Q0 + cj * blocks.Q1), whole.typical(cj, K, slope)
 
 
 class WholeSolve(EchoedSolve):
-    """IDA's linear callbacks by one LU of the scaled whole matrix, with partial pivoting: LAPACK's or, sparse, SuperLU's."""
+    """IDA's linear callbacks by one LU of the scaled whole matrix."""
 
     def __init__(self, system, counts, scaling):
         super().__init__(system, counts)
@@ -81,13 +54,12 @@ class WholeSolve(EchoedSolve):
         """Evaluate, scale and factor J at (t, y, y')."""
         self.cj, model = cj, self.system.model
         J, s = whole_matrix(self.system, t, y, yp, cj)
-        self.rows, self.columns = sizes(self.scaling, self.system.form, model.n, model.m, cj, s)
         self.counts.tangents += 1
         self.counts.factorizations += 1
         self.lu = None
         with suppress(SingularSystem):
-            self.lu = LU(scaled(J, self.rows, self.columns), pivoting=True)
+            self.lu = whole.ScaledLU(J, *sizes(self.scaling, self.system.form, model.n, model.m, cj, s))
 
     def reduced(self, t, y, yp, r, z):
         """z = J^-1 r; nan, for which IDA tries a smaller step, where J is singular."""
-        z[:] = self.columns * self.lu.solve(self.rows * r) if self.lu else np.nan
+        z[:] = self.lu.solve(r) if self.lu else np.nan

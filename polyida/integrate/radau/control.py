@@ -2,7 +2,7 @@
 
 import numpy as np
 
-SAFETY = 0.75
+SAFETY = 0.65
 RUNGS = 2  # a factor of two
 MOST_UP, MOST_DOWN = 6, 12  # rungs at once
 CUT = 4  # rungs down where a step fails

@@ -15,7 +15,8 @@ class Matrices:
     M and the modes' slopes, c M + C, are those of there. price: iterations that it cost beyond its best ones, `least` a step.
     """
 
-    def __init__(self, model, modes, h, made_at):
+    def __init__(self, model, modes, h, made_at, linear="auto"):
+        self.linear = linear
         self.model, self.modes, self.made_at, self.price, self.least = model, modes, made_at, 0.0, math.inf
         self.c = [mode.value / h for mode in modes]
         self.factors = self.borders = None
@@ -25,17 +26,21 @@ class Matrices:
         """Factor, where it is not done. Raises SingularSystem."""
         if self.factors is not None:
             return
-        model, at = self.model, (float(self.made_at[0]), *np.split(self.made_at[1:], np.cumsum([self.model.n] * 3)))
-        self.M, damped = model.mass(at[1]), model.needs.velocity_forces
-        C = model.force_v(*at[:3]) if damped else None
-        self.slopes = [c * self.M + C if damped else c * self.M for c in self.c]
-        first = model.step_matrix()
+        at, first = self._evaluated(), self.model.step_matrix(self.linear)
         first.factor(*at, self.c[0] ** 2, self.c[0])
         steps = [first, *(first.beside(c**2, c) for c in self.c[1:])]
         self.backend, self.added = first.backend, 0.0
         self.factors = [partial(step.solve, at[1]) for step in steps]
         if not all(step.stands_alone() for step in steps):
             self.factors = self._held(steps, at[0], at[1])
+
+    def _evaluated(self):
+        """(t, q, v, a, lam) of where they are made, with M and the slopes of there."""
+        model, at = self.model, (float(self.made_at[0]), *np.split(self.made_at[1:], np.cumsum([self.model.n] * 3)))
+        self.M, damped = model.mass(at[1]), model.needs.velocity_forces
+        C = model.force_v(*at[:3]) if damped else None
+        self.slopes = [c * self.M + C if damped else c * self.M for c in self.c]
+        return at
 
     def _held(self, steps, t, q):
         """Solves with S + s B^T B, where S may be singular: coordinates have no mass and are held by constraints alone.
@@ -47,8 +52,9 @@ class Matrices:
         self.added = size / max(float(abs(B).max()), 1e-300) ** 2 if self.model.m else 0.0
         return [LU(step.S + self.added * (B.T @ B)).solve for step in steps]
 
-    def surround(self, rows):
+    def surround(self, rows, counts):
         """Take the constraints' rows, and make the columns that belong to them."""
+        counts.solves += len(self.modes) * len(rows.both)
         self.rows, self.corner, self.borders = rows, rows.corner(), []
         for k, slope in enumerate(self.slopes):
             columns = np.hstack([rows.B.T, slope @ rows.G.T]) if rows.tied else rows.B.T

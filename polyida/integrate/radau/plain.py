@@ -13,7 +13,6 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.kinks import inner_side
-from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.newton import Failed, trial
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.linear.lu import SingularSystem
@@ -33,23 +32,20 @@ class PlainSystem:
 
     asks = True
 
-    def __init__(self, model, tableau, tied, moves_v, counts):
-        needs, self.model, self.tableau, self.counts = model.needs, model, tableau, counts
+    def __init__(self, model, tableau, tied, moves_v, counts, kind):
+        needs, self.model, self.tableau, self.counts, self.kind = model.needs, model, tableau, counts, kind
         bent = model.m > 0 and (needs.phi_q_varies or needs.driven)
         self.tied, self.moves_v = tied and bent, moves_v and bent
         self.lift = self.shares = None
         self.trial = trial(tableau.stages, model.n, model.m, self.tied)
 
     def weigh(self, shares):
-        """Take the coordinates' shares in the mass, of which D is made; those without mass count as any, and as all where all are alike."""
-        self.shares = shares
-        heavy = shares > NOTHING * shares.max()
-        masses = np.where(heavy, 1.0 / (len(shares) * np.where(heavy, shares, 1.0)), 1.0)
-        self.lift = np.ones_like(shares) if self.model.alike else masses
+        """Take the coordinates' shares in the mass, of which the norm and D are made."""
+        self.shares, self.lift = shares, lift(self.model, shares)
 
     def matrices(self, h, made_at):
         """Those of steps of h at made_at, not made yet."""
-        return Matrices(self.model, self.tableau.modes, h, made_at)
+        return self.kind(self.model, self.tableau.modes, h, made_at)
 
     def begin(self, state, h, times, closed):
         """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried, or None."""
@@ -66,8 +62,7 @@ class PlainSystem:
         if matrices.borders is None or needs.phi_q_varies or needs.driven:
             self._move()
             q, v = self._at(k)
-            matrices.surround(Rows(self.model, self.times[k], q, v, self.lift if self.tied else None))
-            self.counts.solves += len(matrices.modes) * len(matrices.rows.both)
+            matrices.surround(Rows(self.model, self.times[k], q, v, self.lift if self.tied else None), self.counts)
 
     def iterate(self, matrices):
         """One iteration; returns |dq|, |dv| h with it, root mean square by mass. Raises Failed."""
@@ -159,6 +154,13 @@ class PlainSystem:
         if not all(np.isfinite(part).all() for part in residuals):
             raise Failed("not finite", "the motion is not finite")
         return residuals
+
+
+def lift(model, shares):
+    """D^-1 (n,) from the coordinates' shares in the mass; those without mass count as any, and as all where all are alike."""
+    heavy = shares > NOTHING * shares.max()
+    masses = np.where(heavy, 1.0 / (len(shares) * np.where(heavy, shares, 1.0)), 1.0)
+    return np.ones_like(shares) if model.alike else masses
 
 
 class Rows:

@@ -15,10 +15,13 @@ from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State
 from polyida.keywords import named_keywords
+from polyida.linear.kkt import SCALINGS
 from polyida.model import Model
 
 FORMS = ("ggl", "index3")
-SHARE = 0.05  # of the allowed local error that Newton may leave; sqrt(rtol) where that is less: a step's true error is far below
+LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
+SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
+FLEXIBLE = 0.02  # the same where bodies deform: what no step resolves of their ringing keeps the true error near the local one
 EXACT = 1e-15  # of the model's length: what it may leave in a fixed step that none went before, as good as nothing
 NOTHING = 1e-20  # the same behind a step without any error
 EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
@@ -38,9 +41,12 @@ class RadauIIA:
     rtol, atol: the step follows the local error of q against a method of order s, root mean square with each coordinate weighted by its
     mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), said in the
     run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
-    project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. tolerance: what Newton
-    may leave of q, in place of min(0.05, rtol^0.6) (atol + rtol |q|), and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error
-    of the step before and L the model's length: of seventh order in h, for it adds up in v over all steps. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
+    project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
+    the model's step matrices with a border of its constraints, of a scene by one of its factors ("fronts", "band", "superlu"); "kkt": the
+    whole matrix of both for each eigenvalue of W, in plain code. scaling: of the rows and columns of that, "physical", "bottasso" or "none"
+    (integrate/radau/whole.py); it acts there only. tolerance: what Newton may leave of q, in place of the share min(0.05, rtol^0.6), or 0.02
+    where bodies deform, of atol + rtol |q|, and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error of the step before and L the
+    model's length: of seventh order in h, for it adds up in v over all steps. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
     the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
 
     The global error of q is commonly 1 to 100 times rtol with three stages, and up to 500 times with two.
@@ -54,6 +60,8 @@ class RadauIIA:
     stages: int = 3
     form: str = "ggl"
     project: bool = True
+    linear: str = "auto"
+    scaling: str = "physical"
     tolerance: float | None = None
     max_iterations: int = 12
     max_step: float = 0.0
@@ -76,6 +84,8 @@ class RadauIIA:
             ("stages", is_whole(self.stages, 2, 3), "2 or 3"),
             ("form", is_one_of(self.form, FORMS), f"one of {', '.join(FORMS)}"),
             ("project", is_flag(self.project), "True or False"),
+            ("linear", is_one_of(self.linear, LINEAR), f"one of {', '.join(LINEAR)}"),
+            ("scaling", is_one_of(self.scaling, SCALINGS), f"one of {', '.join(SCALINGS)}"),
             ("tolerance", positive(self.tolerance), "a positive number (of q), or None: by rtol and atol"),
             ("max_iterations", is_whole(self.max_iterations), "a positive whole number"),
             ("max_step", length(self.max_step), "a step in s, or 0"),
@@ -94,12 +104,12 @@ class RadauIIA:
         atol = self.rtol * float(sizes[0]) if self.atol is None else self.atol
         return atol + self.rtol * float(np.sqrt(shares @ q**2))
 
-    def left(self, state: State, shares: np.ndarray, sizes: np.ndarray) -> float:
-        """What Newton may leave of q in a step from the state."""
+    def left(self, state: State, shares: np.ndarray, sizes: np.ndarray, flexible: bool) -> float:
+        """What Newton may leave of q in a step from the state; flexible: whether bodies deform."""
         if self.tolerance is not None:
             return self.tolerance
         if self.adaptive:
-            return min(SHARE, self.rtol**0.6) * self.allowed(state.q, shares, sizes)
+            return (FLEXIBLE if flexible else min(SHARE, self.rtol**0.6)) * self.allowed(state.q, shares, sizes)
         error, length = state.memory.get("error"), float(sizes[0])
         return EXACT * length if error is None else max(NOTHING * length, SHARE * (error / length) ** 0.75 * error)
 

@@ -1,16 +1,18 @@
 """Steps of Radau IIA on one model: factors by step size, a step tried, its end made a state on the constraints."""
 
 import math
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.kept import Kept
 from polyida.integrate.radau.dense import Collocation
+from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.newton import Failed, Newton
 from polyida.integrate.radau.plain import PlainSystem
 from polyida.integrate.radau.tableau import radau
+from polyida.integrate.radau.whole import WholeModes
 from polyida.integrate.sizes import weights
 from polyida.integrate.start import consistent_acceleration, start_values
 from polyida.integrate.state import State, StepFailure
@@ -30,7 +32,7 @@ class Steps:
         self.settings, self.model, self.counts, self.sizes = settings, model, counts, sizes
         self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
         tied = settings.form == "ggl"
-        self.system = _system(model)(model, self.tableau, tied, tied or settings.project, counts)
+        self.system = _system(settings, model)(model, self.tableau, tied, tied or settings.project, counts)
         self.newton = Newton(self.system, self.tableau, settings.max_iterations)
         self.looks = settings.adaptive or settings.tolerance is None
         self.kept, self.shares, self.stacked = Kept(), None, None
@@ -91,7 +93,7 @@ class Steps:
         except SingularSystem as error:
             raise Failed("singular", str(error)) from None
         self.counts.backend = matrices.backend
-        left = self.settings.left(state, self.shares, self.sizes)
+        left = self.settings.left(state, self.shares, self.sizes, self.model.flexible)
         return self.newton.solve(matrices, state, h, left, self.shares)
 
     def _factored(self, state, h):
@@ -99,7 +101,7 @@ class Steps:
         lam = _kept(state, "lam_end", "lam")
         made = self.system.matrices(h, np.concatenate([[self.clamp(state.t)], state.q, state.v, _kept(state, "a_end", "a"), lam]))
         self.counts.tangents += 1
-        self.counts.factorizations += len(made.modes)
+        self.counts.factorizations += len(made.modes) if self.settings.linear != "kkt" else 0  # whole ones are with their rows
         self.kept.keep(h, made)
         self.stacked, self.newton.marks = None, np.array([1.0, np.inf])
         return made
@@ -177,10 +179,12 @@ def _kept(state, stage, name):
     return getattr(state, name) if found is None else found
 
 
-def _system(model):
-    """The system of a scene, or of any model."""
+def _system(settings, model):
+    """The system of a scene, or of any model, by the settings' linear algebra."""
+    if settings.linear == "kkt":
+        return partial(PlainSystem, kind=partial(WholeModes, scaling=settings.scaling))
     if model.compiled:
         from polyida.integrate.radau.scene import SceneSystem
 
-        return SceneSystem
-    return PlainSystem
+        return partial(SceneSystem, linear=settings.linear)
+    return partial(PlainSystem, kind=partial(Matrices, linear=settings.linear))

@@ -1,4 +1,4 @@
-"""Condition numbers of the iteration matrices of generalized-alpha and IDA on soft and stiff plates, and their theory."""
+"""Condition numbers of the iteration matrices of generalized-alpha, IDA and Radau IIA on soft and stiff plates, and their theory."""
 
 from functools import lru_cache
 
@@ -7,6 +7,7 @@ import numpy as np
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.iteration_matrix import condition_number
+from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.linear.condition import condition
@@ -18,7 +19,7 @@ from polyida.problems import plates
 ALPHA_UNKNOWNS = {"q": -4, "v": -3, "a": -2}  # beside lam: slope of the raw condition number in h
 ALPHA_SCALINGS = {"none": -4, "rows only": -2, "multipliers only": -2, "bottasso": 0, "physical": 0}
 IDA_SLOPES = {"index3": -3, "ggl2": -2, "index2": -2, "ggl1": -1, "index1": -1, "baumgarte": -1}
-
+RADAU_SLOPES = {"index3": -3, "ggl": -2}
 
 MODULI = {"soft": 5e7, "steel": 2e11, "stiffest": 1e12}  # Pa; 10 mm thick: up to 1e10 N/m
 
@@ -118,6 +119,11 @@ def alpha_scaling(scaling, step_square, tangent):
 def ida_condition(model, state, h, form, scaling="none"):
     """Condition number of IDA's whole matrix of a form, with cj = 1/h (BDF of order 1)."""
     return condition_number(model, IDA(form=form), state, scaling, h=h, exact=True)
+
+
+def radau_condition(model, state, h, form, mode, scaling="none"):
+    """Condition number of the whole matrix of Radau IIA of order 5, of a form and a mode, "real" or "complex"."""
+    return condition_number(model, RadauIIA(h=h, form=form), state, scaling, mode=mode, exact=True)
 
 
 def inherent_condition(model, state, h):

@@ -1,0 +1,75 @@
+"""The matrix of a Newton iteration on q' - v and r at once, in one piece, its rows and columns divided by typical sizes.
+
+    |  c I    -I                mu  |  |dq  |     q'
+    |  K    c M + C    lam          |  |dv  |     r
+    |  on q    on v                 |  |dlam|     derivatives of phi, in their order
+                                       |dmu |
+
+c, 1/s, is what a method's rate of q and v grows by with them, real or complex; columns lam and mu (n, m), the latter not in every form.
+"""
+
+import numpy as np
+
+from polyida.linear.condition import scaled
+from polyida.linear.lu import LU
+
+
+def joined(c, K, slope, lam, mu, on_q, on_v):
+    """The matrix, (N, N), of slope = c M + C, columns lam and mu (or None) and constraint rows on dq and dv: CSC where K is sparse."""
+    if hasattr(K, "tocsc"):
+        return _sparse(c, K, slope, lam, mu, on_q, on_v)
+    (n, m), columns = lam.shape, lam.shape[1] * (1 if mu is None else 2)
+    J = np.zeros((2 * n + columns, 2 * n + columns), np.result_type(c, float))
+    J[:n, :n], J[:n, n : 2 * n] = c * np.eye(n), -np.eye(n)
+    J[n : 2 * n, :n], J[n : 2 * n, n : 2 * n] = K, slope.toarray() if hasattr(slope, "toarray") else slope
+    J[n : 2 * n, 2 * n : 2 * n + m] = lam
+    if mu is not None:
+        J[:n, 2 * n + m :] = mu
+    J[2 * n :, :n], J[2 * n :, n : 2 * n] = on_q, on_v
+    return J
+
+
+def _sparse(c, K, slope, lam, mu, on_q, on_v):
+    from scipy.sparse import block_array, csr_array, eye_array
+
+    n, m = lam.shape
+    first, second = [c * eye_array(n), -eye_array(n)], [K, csr_array(slope)]
+    if not m:
+        return block_array([first, second], format="csc")
+    lam, below = csr_array(lam), [csr_array(on_q), csr_array(on_v), None]
+    if mu is None:
+        return block_array([[*first, None], [*second, lam], below], format="csc")
+    return block_array([[*first, None, csr_array(mu)], [*second, lam, None], [*below, None]], format="csc")
+
+
+def typical(c, K, slope):
+    """s, the mean size of the diagonal of `S = K + c (c M + C)`; 1 where that is 0."""
+    s = float(np.mean(np.abs(K.diagonal() + c * slope.diagonal())))
+    return s if s > 0 else 1.0
+
+
+def sizes(c, s, n, m, orders, mu, unit=1.0):
+    """Factors (of rows, of columns), (N,) each: r divided by s, q' by c, the k-th derivative of phi, k in `orders`, by c^k; dv and mu,
+    where there is any, measured in c, lam in s, both multipliers in `unit` more.
+    """
+    rows = [np.full(n, 1 / c), np.full(n, 1 / s)] + [np.full(m, c**-k) for k in orders]
+    columns = [np.ones(n), np.full(n, c), np.full(m, s * unit)] + [np.full(m, c * unit)] * mu
+    return np.concatenate(rows), np.concatenate(columns)
+
+
+def raw(n, m, mu):
+    """The same of a matrix as it is."""
+    ones = np.ones(2 * n + m * (2 if mu else 1))
+    return ones, ones
+
+
+class ScaledLU:
+    """A factor of diag(rows) A diag(columns) with partial pivoting: LAPACK's or, sparse, SuperLU's. Raises SingularSystem."""
+
+    def __init__(self, matrix, rows, columns):
+        self.rows, self.columns = rows, columns
+        self.lu = LU(scaled(matrix, rows, columns), pivoting=True)
+
+    def solve(self, b):
+        """A^-1 b, (N,)."""
+        return self.columns * self.lu.solve(self.rows * b)
