@@ -19,7 +19,7 @@ SOLVERS = LABELS | {
     "exudyn": "generalized-alpha (exudyn)",
     "exudyn modified": "generalized-alpha (exudyn, modified Newton)",
 }
-RADAU, PEERS = ("radau", "radau fixed"), ("solve_dae", "exudyn", "exudyn modified")
+PEERS = ("solve_dae", "exudyn", "exudyn modified")
 ALPHA, FINE = (4e-3, 2e-3, 1e-3, 1 / 1250, 5e-4, 2.5e-4), 1 / 8000  # steps, s
 IDA_RTOL, DAE_RTOL, EXUDYN_H = (1e-4, 1e-5, 1e-6, 3e-7), (1e-3, 1e-4, 1e-5), (2e-3, 1e-3, 5e-4)
 RADAU_RTOL, RADAU_H, ROUNDS = (1e-4, 1e-5, 3e-6, 1e-6, 3e-7), (1 / 40, 1 / 60, 1 / 80, 1 / 100), 5
@@ -32,7 +32,7 @@ def tasks(quick):
     for scene, dof in (("scene 1", 800), ("scene 2", 800)) + (() if quick else (("scene 1", 3000), ("scene 2", 3000))):
         fine = 1 if quick or dof > 1000 else 2
         settings = [("reference", FINE / fine)] + [("alpha", h) for h in ALPHA]
-        settings += [("radau", rtol) for rtol in RADAU_RTOL] + [("radau fixed", h) for h in RADAU_H]
+        settings += [("radau", rtol) for rtol in RADAU_RTOL] + [(solver, h) for solver in gain.RADAU[1:] for h in RADAU_H]
         settings += [("ida", rtol) for rtol in (IDA_RTOL[:-1] if quick and scene == "scene 2" else IDA_RTOL)]
         if dof > 1000:
             settings += [("solve_dae", 1e-4), ("exudyn modified", 5e-4)]
@@ -152,7 +152,7 @@ def figures(rows, target=2e-5):
         found[f"{name}_peer_ratio"] = min((ratio for ratio in ratios if np.isfinite(ratio)), default=np.nan)
         for solver in PEERS:
             found[f"{name}_{solver.replace(' ', '_')}_cpu_s"] = at_error(rows, scene, dof, (solver,), target)
-        found[f"{name}_radau_cpu_s"] = at_error(rows, scene, dof, RADAU, target)
+        found[f"{name}_radau_cpu_s"] = at_error(rows, scene, dof, gain.RADAU, target)
         found[f"{name}_radau_peer_ratio"] = at_error(rows, scene, dof, PEERS, target) / found[f"{name}_radau_cpu_s"]
         found[f"{name}_ida_over_alpha_at_1e-5"] = at_error(rows, scene, dof, ("ida",), 1e-5) / at_error(rows, scene, dof, ("alpha",), 1e-5)
     found["ida_over_alpha_at_1e-5"] = found.get("scene1_800_ida_over_alpha_at_1e-5", np.nan)

@@ -1,5 +1,6 @@
 """How a step can end, as compiled loops tell it, and what a failure says of it."""
 
+# constants of compiled code
 DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR = range(8)
 REASONS = {
     REFACTOR: ("newton", "Newton does not converge with fresh matrices"),

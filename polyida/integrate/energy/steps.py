@@ -14,6 +14,7 @@ from polyida.integrate.energy.at_end import AtEnd
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import StepFailure
 
+# constants of compiled code, some of them
 FAR_SHORTER = 10.0  # a step as many times shorter than the next tells nothing of its accelerations
 SLOW = 0.3  # contraction above which the matrix is made anew
 

@@ -21,7 +21,6 @@ from polyida.model import Model
 FORMS = ("ggl", "index3")
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
 SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
-FLEXIBLE = 0.02  # the same where bodies deform: what no step resolves of their ringing keeps the true error near the local one
 EXACT = 1e-15  # of the model's length: what it may leave in a fixed step that none went before, as good as nothing
 NOTHING = 1e-20  # the same behind a step without any error
 EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
@@ -44,10 +43,11 @@ class RadauIIA:
     project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
     the model's step matrices with a border of its constraints, of a scene by one of its factors ("fronts", "band", "superlu"); "kkt": the
     whole matrix of both for each eigenvalue of W, in plain code. scaling: of the rows and columns of that, "physical", "bottasso" or "none"
-    (integrate/radau/whole.py); it acts there only. tolerance: what Newton may leave of q, in place of the share min(0.05, rtol^0.6), or 0.02
-    where bodies deform, of atol + rtol |q|, and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error of the step before and L the
-    model's length: of seventh order in h, for it adds up in v over all steps. max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt
-    the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
+    (integrate/radau/whole.py); it acts there only. tolerance: what Newton may leave of q, in place of the share min(0.05, rtol^0.6) of
+    atol + rtol |q|, and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error of the step before and L the model's length: of seventh
+    order in h, for it adds up in v over all steps; flexible scenes bear far more, and take one iteration a step with 3e-3 h^2.
+    max_iterations: of one Newton solve. max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt the run fails
+    beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
 
     The global error of q is commonly 1 to 100 times rtol with three stages, and up to 500 times with two.
     Not for energy over long runs without damping: it takes out what a step does not resolve of ringing mesh modes.
@@ -104,12 +104,12 @@ class RadauIIA:
         atol = self.rtol * float(sizes[0]) if self.atol is None else self.atol
         return atol + self.rtol * float(np.sqrt(shares @ q**2))
 
-    def left(self, state: State, shares: np.ndarray, sizes: np.ndarray, flexible: bool) -> float:
-        """What Newton may leave of q in a step from the state; flexible: whether bodies deform."""
+    def left(self, state: State, shares: np.ndarray, sizes: np.ndarray) -> float:
+        """What Newton may leave of q in a step from the state."""
         if self.tolerance is not None:
             return self.tolerance
         if self.adaptive:
-            return (FLEXIBLE if flexible else min(SHARE, self.rtol**0.6)) * self.allowed(state.q, shares, sizes)
+            return min(SHARE, self.rtol**0.6) * self.allowed(state.q, shares, sizes)
         error, length = state.memory.get("error"), float(sizes[0])
         return EXACT * length if error is None else max(NOTHING * length, SHARE * (error / length) ** 0.75 * error)
 

@@ -93,7 +93,7 @@ class Steps:
         except SingularSystem as error:
             raise Failed("singular", str(error)) from None
         self.counts.backend = matrices.backend
-        left = self.settings.left(state, self.shares, self.sizes, self.model.flexible)
+        left = self.settings.left(state, self.shares, self.sizes)
         return self.newton.solve(matrices, state, h, left, self.shares)
 
     def _factored(self, state, h):
