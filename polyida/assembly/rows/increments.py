@@ -33,9 +33,17 @@ def gain_table(model, times, drives, h):
     return _gains(model, times[:-1], times[1:], drives[:-1], drives[1:], np.full(len(times) - 1, h))
 
 
-def gains_from(model, t, times, drives, h):
-    """The same from t, of drives[0], to each of the times, of drives[1:], h (times,) later."""
-    return _gains(model, np.full(len(times), t), times, np.broadcast_to(drives[0], drives[1:].shape), drives[1:], h)
+def stage_tables(model, starts, times, edge, h):
+    """(drives (k, s + 1, profiles, 3) at the starts (k,) of steps and the times (k, s) of their stages, gains (k, s, profiles, 3) between).
+
+    h (s,): how much later the stages are; edge: the first of the starts, or beside it within the steps where there is a kink.
+    """
+    at = np.column_stack([starts, times])
+    drives = drive_table(model, at.ravel(), (edge, at[-1, -1])).reshape(*at.shape, -1, 3)
+    before, after = np.broadcast_to(drives[:, :1], drives[:, 1:].shape), drives[:, 1:]
+    flat = (-1, *drives.shape[2:])
+    gains = _gains(model, np.repeat(starts, len(h)), times.ravel(), before.reshape(flat), after.reshape(flat), np.tile(h, len(starts)))
+    return drives, gains.reshape(after.shape)
 
 
 def _gains(model, begin, times, before, after, h):

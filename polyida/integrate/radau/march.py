@@ -14,6 +14,7 @@ SHORT = 16  # times that a step is apart, at least
 def march(engine, settings, model, state, begin, end, most, counts):
     """Yield the states at the ends of equal steps; one that fails is taken in 2, 4, ... parts. Raises StepFailure."""
     grid = _grid(model, state, begin, end, most)
+    engine.expect(grid)
     while grid.done < grid.count:
         t = grid.time(grid.done + 1)
         try:

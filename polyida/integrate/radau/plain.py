@@ -47,6 +47,9 @@ class PlainSystem:
         """Those of steps of h at made_at, not made yet."""
         return self.kind(self.model, self.tableau.modes, h, made_at)
 
+    def expect(self, starts, h, clamp):
+        """Nothing: a model of one's own is asked at the time of each step."""
+
     def begin(self, state, h, times, closed):
         """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried, or None."""
         self.state, self.h, self.times, self.closed, model = state, h, times, closed, self.model

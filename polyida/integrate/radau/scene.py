@@ -5,12 +5,11 @@ import math
 import numpy as np
 
 from polyida.assembly.damping import symmetric_parts
-from polyida.assembly.rows.increments import drive_table, gains_from
 from polyida.assembly.rows.tie import tie
 from polyida.assembly.stabilised_border import massive, stabilised_room
 from polyida.integrate.ended import DONE, REASONS, SINGULAR
-from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.corrections import Solver, error, iterate
+from polyida.integrate.radau.loads import Loads
 from polyida.integrate.radau.newton import Failed, trial
 from polyida.integrate.radau.stages import SHARES, A, begin, close, room, way
 from polyida.integrate.sizes import ROUND_OFF, extent
@@ -24,7 +23,8 @@ class SceneSystem:
     def __init__(self, model, tableau, tied, moves_v, counts, linear):
         needs, self.model, self.tableau, self.counts, self.linear = model.needs, model, tableau, counts, linear
         self.tied = tied and model.m > 0 and (needs.phi_q_varies or needs.driven)
-        self.way, self.room = way(tableau), room(model, tableau.stages)
+        self.way, self.room, self.loads = way(tableau), room(model, tableau.stages), Loads(model, tableau.c)
+        self.expect = self.loads.expect
         self.trial = trial(tableau.stages, model.n, model.m, self.tied)
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.moves_v, self.tie, self.kernels = moves_v, tie(model) if model.m else None, {}
@@ -48,16 +48,7 @@ class SceneSystem:
         """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried."""
         self.h, self.enough = h, ROUND_OFF * extent(self.model, state.q)
         self._call(begin, np.ascontiguousarray(state.q), np.ascontiguousarray(state.v), *closed, self.room)
-        self.drives, self.gains = self._loads(state.t, times)
-
-    def _loads(self, t, times):
-        model = self.model
-        if not model.profiles:
-            none = np.empty((len(times) + 1, 0, 3))
-            return none, none[1:]
-        edge = inner_side(model, t, -self.h)
-        drives = drive_table(model, np.array([t, *times]), (edge, times[-1]))
-        return drives, gains_from(model, t, np.array(times), drives, self.tableau.c * self.h)
+        self.drives, self.gains = self.loads.of(state.t, h, times)
 
     def take(self, matrices):
         """Nothing: the rows of the constraints are made in each iteration."""

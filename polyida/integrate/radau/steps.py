@@ -18,8 +18,7 @@ from polyida.integrate.start import consistent_acceleration, start_values
 from polyida.integrate.state import State, StepFailure
 from polyida.linear.lu import SingularSystem
 
-FEW = 2  # iterations of a step that nothing could spare
-PAIR = 24.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
+PAIR = 20.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
 
 
 class Steps:
@@ -55,6 +54,11 @@ class Steps:
         """t held to `limits`."""
         return float(min(max(t, self.limits[0]), self.limits[1]))
 
+    def expect(self, grid):
+        """Be told that the rest of a grid's steps comes next."""
+        starts = np.array([grid.time(k) for k in range(grid.done, grid.count)])
+        self.system.expect(starts, grid.h, lambda times: np.clip(times, *self.limits))
+
     def step(self, state, h, t, allowed=np.inf):
         """(the State at t = state.t + h, or None where the local error is not `allowed`; local error). Raises StepFailure."""
         closed = start_values(self.model, state, self.clamp(state.t)) if self.model.carries else None
@@ -84,7 +88,7 @@ class Steps:
     @staticmethod
     def _charge(matrices, iterations):
         """Note what a step with the matrices took."""
-        matrices.least = min(matrices.least, max(FEW, iterations))
+        matrices.least = min(matrices.least, iterations)
         matrices.price += max(0, iterations - matrices.least)
 
     def _iterate(self, matrices, state, h):
