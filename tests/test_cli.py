@@ -109,7 +109,7 @@ def test_report_stands_alone_and_figures_are_numbers(folder):
     assert set(data) == {"figures", "rows", "machine", "command"}
     assert all(isinstance(value, int | float) for value in data["figures"].values())
     assert data["figures"]["alpha_error_end"] < 1e-5 and data["figures"]["alpha_steps"] == 20
-    assert data["figures"]["refined_steps"] == 160 and data["machine"]["numpy"]
+    assert data["figures"]["refined_steps"] > 2 * data["figures"]["radau_steps"] and data["machine"]["numpy"]
     assert data["command"] == "polyida compare double-plate-motors --cells 8 --time 0.02 --out r"
 
 

@@ -8,12 +8,13 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.running.accepted import accepted
+from polyida.integrate.running.sampling import between
 from polyida.integrate.state import Counts, StepFailure
 from polyida.machine import one_blas_thread
 from polyida.model.guarded import guard
 from polyida.study.energy import motor_work, unbalanced
 
-REFINEMENT = 8  # the reference run's step is this much shorter
+FINE, FINER = 1e-9, 1e-3  # rtol of the refined run: the one, or the other times that of the runs where that is less
 REFINED = "refined run"
 LONGEST = 60  # characters of a label: four bytes each are below the 255 of a file's name
 
@@ -82,7 +83,7 @@ def compare(job, rtol=None, progress=None, others=None):
     """Run generalized-alpha, IDA, Radau IIA and the refined run of a Job; returns a Comparison.
 
     others: {label: integrator}, more of them.
-    The refined run is generalized-alpha with a step eight times shorter; an error is the distance of the watched point
+    The refined run is Radau IIA with rtol 1e-9, or a thousandth of the runs'; an error is the distance of the watched point
     (or of all coordinates, for a model without points) from it. rtol: of IDA and Radau IIA. progress: callable(label, fraction done),
     fraction None while kernels compile. Failures of a run do not raise: they are in `notes`. InputError is raised
     before the first run.
@@ -98,7 +99,7 @@ def compare(job, rtol=None, progress=None, others=None):
     for member in members.values():
         warm_up(job, member)
     runs = {label: _run(job, member, label, tell) for label, member in members.items()}
-    refined = refine(job, members["generalized-alpha"], tell)
+    refined = refine(job, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), tell)
     distances = {label: (run.t, refined.distance(run)) for label, run in runs.items()}
     rows = [_row(label, run, distances[label][1]) | published(job, run.q[-1], run.success) for label, run in runs.items()]
     rows.append(refined.row() | published(job, refined.watched[-1], not refined.message))
@@ -146,7 +147,7 @@ def _run(job, member, label, tell):
 
 @dataclass
 class Refined:
-    """The refined run: what was watched at each step, and nothing else kept."""
+    """The refined run: what was watched at the times asked for, and nothing else kept."""
 
     integrator: object
     t: np.ndarray
@@ -158,13 +159,10 @@ class Refined:
 
     def distance(self, run):
         """Distance of a run from this one at the run's times, NaN beyond the end of this one."""
-        from scipy.interpolate import CubicSpline
-
-        seen = np.array([self.look(q) for q in run.q])
-        if len(self.t) < 2:
-            return np.full(len(run.t), np.nan)
-        exact = CubicSpline(self.t, self.watched)(run.t)
-        return np.where(run.t <= self.t[-1] * (1 + 1e-12), _size(seen - exact), np.nan)
+        found, known = np.full(len(run.t), np.nan), run.t <= self.t[-1]
+        seen = np.array([self.look(q) for q in run.q[known]])
+        found[known] = _size(seen - self.watched[np.searchsorted(self.t, run.t[known])])
+        return found
 
     def row(self):
         """What is known of it, in the form of the other rows."""
@@ -177,25 +175,25 @@ class Refined:
         } | self.counts.as_dict()
 
 
-def refine(job, integrator, tell):
-    """Run the integrator with a shorter step, keeping only what is watched."""
-    from dataclasses import replace
-
+def refine(job, rtol, times, tell):
+    """The refined run, keeping only what is watched at the times, the first of which is its start."""
+    from polyida.integrate.radau.radau_iia import RadauIIA
     from polyida.integrate.start import consistent_state
 
-    fine, counts, look = replace(integrator, h=integrator.h / REFINEMENT), Counts(), watch(job)
+    fine, counts, look = RadauIIA(rtol=FINE if rtol is None else min(FINE, FINER * rtol)), Counts(), watch(job)
     begin, message = time.process_time(), ""
     with job.code(), one_blas_thread():
-        start = consistent_state(job.model, 0.0, job.q0, job.v0)
-        times, watched = [start.t], [look(start.q)]
+        before = consistent_state(job.model, 0.0, job.q0, job.v0)
+        watched = [look(before.q)]
         try:
-            for state in accepted(fine, guard(job.model), start, job.time, counts):
-                times.append(state.t)
-                watched.append(look(state.q))
+            for state in accepted(fine, guard(job.model), before, job.time, counts):
+                while len(watched) < len(times) and times[len(watched)] <= state.t:
+                    watched.append(look(between(before, state, times[len(watched)]).q))
+                before = state
                 tell(REFINED, state.t / job.time)
         except StepFailure as failure:
             message = str(failure)
-    return Refined(fine, np.array(times), np.array(watched), look, counts, time.process_time() - begin, message)
+    return Refined(fine, times[: len(watched)], np.array(watched), look, counts, time.process_time() - begin, message)
 
 
 def _row(label, run, distance):
