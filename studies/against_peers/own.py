@@ -15,6 +15,7 @@ OWN = {  # solver: (what it is called, integrator of a step, s, or a tolerance)
     "radau": ("Radau IIA, by its error", lambda rtol: RadauIIA(rtol=rtol)),
     "radau fixed": ("Radau IIA, equal steps", lambda h: RadauIIA(h=h)),
     "radau lean": ("Radau IIA, equal steps, Newton to 3e-3 h²", lambda h: RadauIIA(h=h, tolerance=LEAN * h * h)),
+    "radau lean, index 3": ("the same on index 3", lambda h: RadauIIA(h=h, tolerance=LEAN * h * h, form="index3")),
 }
 LABELS = {solver: label for solver, (label, _) in OWN.items()}
 
