@@ -1,8 +1,8 @@
 """Equal steps from the start of a run's piece to its end; one that fails is cut in two, four, ... parts."""
 
 from polyida.integrate.alpha.start import started
-from polyida.integrate.grid import Grid, goes_on, grid_of
 from polyida.integrate.state import State, StepFailure
+from polyida.integrate.stepping.grid import Grid, goes_on, grid_of
 
 
 def march(engine, settings, model, state, begin, end, count, counts):

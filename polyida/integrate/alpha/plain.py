@@ -3,9 +3,9 @@
 import numpy as np
 
 from polyida.integrate.alpha import step
-from polyida.integrate.ended import DONE, NOT_FINITE, REFACTOR, SINGULAR, TOO_NEAR
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import StepFailure
+from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REFACTOR, SINGULAR, TOO_NEAR
 from polyida.linear.lu import SingularSystem
 
 

@@ -14,8 +14,8 @@ from polyida.assembly.rows.tie import tie as tie_of
 from polyida.compiled import entry, pack, part
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
-from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, TOO_FAR
 from polyida.integrate.kinks import inner_side
+from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, TOO_FAR
 
 DZ, FORCES, START, VX, AX, DX, DV = range(7)  # rows of Scratch.points
 

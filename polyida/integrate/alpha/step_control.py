@@ -3,9 +3,9 @@
 import numpy as np
 
 from polyida.integrate.alpha.start import started
-from polyida.integrate.grid import Grid
 from polyida.integrate.kinks import enough_steps
 from polyida.integrate.state import State, StepFailure
+from polyida.integrate.stepping.grid import Grid
 
 RUNGS = 4  # a factor of two
 SAFETY = 0.85

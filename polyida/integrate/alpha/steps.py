@@ -4,11 +4,11 @@ import numpy as np
 
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.step_control import calm_error
-from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
-from polyida.integrate.kept import Kept
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, StepFailure
+from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
+from polyida.integrate.stepping.kept import Kept
 from polyida.linear.lu import SingularSystem
 
 ADAPTIVE = 32  # steps of a stretch whose step may change any time

@@ -14,9 +14,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.ended import DONE, INVERTED, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.integrate.energy.steps import SLOW, Steps
 from polyida.integrate.state import StepFailure
+from polyida.integrate.stepping.ended import DONE, INVERTED, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
 from polyida.model.differences import FIRST_ORDER_STEP, along

@@ -15,9 +15,9 @@ from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack, part
 from polyida.element import kernels as elements
 from polyida.element import stabilisation, two_states
-from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.integrate.energy.steps import SLOW, Steps
 from polyida.integrate.state import StepFailure
+from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.linear.cholesky.factor import NotFactorable
 
 

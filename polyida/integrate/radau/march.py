@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from polyida.integrate.grid import Grid, grid_of
 from polyida.integrate.kinks import PULSE, enough_steps
 from polyida.integrate.radau.control import CUT, Ladder
 from polyida.integrate.state import State, StepFailure
+from polyida.integrate.stepping.grid import Grid, grid_of
 
 FAILURES = 20  # in a row
 SHORT = 16  # times that a step is apart, at least

@@ -10,7 +10,7 @@ from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.tie import project
 from polyida.compiled import entry, pack, part
-from polyida.integrate.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE
+from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE
 from polyida.linear.dense import clear
 
 Q, V, SHARES, A, MOVE, SPEED = range(6)  # rows of Room.past

@@ -6,7 +6,6 @@ from functools import cached_property, partial
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.kept import Kept
 from polyida.integrate.radau.dense import Collocation
 from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.newton import Failed, Newton
@@ -16,6 +15,7 @@ from polyida.integrate.radau.whole import WholeModes
 from polyida.integrate.sizes import weights
 from polyida.integrate.start import consistent_acceleration, start_values
 from polyida.integrate.state import State, StepFailure
+from polyida.integrate.stepping.kept import Kept
 from polyida.linear.lu import SingularSystem
 
 PAIR = 20.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
