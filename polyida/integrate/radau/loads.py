@@ -3,6 +3,7 @@
 import numpy as np
 
 from polyida.assembly.rows.increments import stage_tables
+from polyida.integrate.grid import Grid
 from polyida.integrate.kinks import inner_side
 
 CHUNK = 64  # steps that are looked at together
@@ -14,22 +15,23 @@ class Loads:
     def __init__(self, model, c):
         self.model, self.c, none = model, c, np.empty((len(c) + 1, 0, 3))
         self.nothing = None if model.profiles else (none, none[1:])
-        self.expect(np.zeros(0), 0.0, None)
+        self.expect(Grid(0.0, 0.0, 1), None)
 
-    def expect(self, starts, h, clamp):
-        """Be told of steps of h that begin at `starts` (k,); clamp(times): these held beside the kinks that the run goes between."""
-        self.starts, self.h, self.clamp, self.first, self.drives = starts, h, clamp, 0, ()
+    def expect(self, grid, clamp):
+        """Be told of the steps of a Grid; clamp(times): these held beside the kinks that the run goes between."""
+        self.grid, self.h, self.clamp, self.first, self.drives = grid, grid.h, clamp, 0, ()
 
     def of(self, t, h, times):
         """drives (s + 1, profiles, 3) of a step's start and stages, gains (s, profiles, 3) from there to these."""
         if self.nothing:
             return self.nothing
-        k = int(np.searchsorted(self.starts, t))
-        if h != self.h or k == len(self.starts) or self.starts[k] != t:
+        grid = self.grid
+        k = round((t - grid.begin) / h)
+        if h != self.h or not 0 <= k < grid.count or grid.time(k) != t:
             drives, gains = self._tables(np.array([t]), h, np.array([times]))
             return drives[0], gains[0]
         if not self.first <= k < self.first + len(self.drives):
-            some = self.starts[k : k + CHUNK]
+            some = np.array([grid.time(i) for i in range(k, min(k + CHUNK, grid.count))])
             self.first, (self.drives, self.gains) = k, self._tables(some, h, self.clamp(some[:, None] + self.c * h))
         return self.drives[k - self.first], self.gains[k - self.first]
 

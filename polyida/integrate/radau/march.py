@@ -58,7 +58,7 @@ def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most
     most, t, failures = _most(model, state, begin, end, most), begin, []
     while t < end:
         ladder.below(most)
-        h, goes_to = _next(t, end, ladder.h, state.memory.get("step", ladder.h))
+        h, goes_to = _next(t, end, ladder.h, float(state.memory.get("step", ladder.h)))
         _require_progress(t, h, settings, counts, most_steps, failures)
         allowed = settings.allowed(state.q, engine.shares, engine.sizes)
         try:

@@ -20,6 +20,7 @@ from polyida.integrate.radau.tableau import radau, through, through_zero
 SLOW = 0.5  # contraction beyond which a correction of ROUND of the size is round-off
 ROUND = 1e-11
 CARRIED = 10  # steps in which the contraction of an earlier one is taken for that of the first iteration
+UNKNOWN = np.array([1.0, CARRIED])  # the marks of a Newton that has none
 FAR = 4.0  # steps longer than the last by more begin from q_0 + c h v_0: its polynomial leads nowhere there
 
 
@@ -54,7 +55,7 @@ class Newton:
 
     def __init__(self, system, tableau, max_iterations):
         self.system, self.tableau, self.max_iterations = system, tableau, max_iterations
-        self.marks = np.array([1.0, CARRIED])
+        self.marks = UNKNOWN.copy()
 
     def solve(self, matrices, state, h, allowed, shares):
         """Iterations until they leave `allowed` of q; the stages are in the system's trial. shares (n,): the norm's weights. Raises Failed."""

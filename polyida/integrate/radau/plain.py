@@ -47,7 +47,7 @@ class PlainSystem:
         """Those of steps of h at made_at, not made yet."""
         return self.kind(self.model, self.tableau.modes, h, made_at)
 
-    def expect(self, starts, h, clamp):
+    def expect(self, grid, clamp):
         """Nothing: a model of one's own is asked at the time of each step."""
 
     def begin(self, state, h, times, closed):

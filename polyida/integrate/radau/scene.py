@@ -12,7 +12,7 @@ from polyida.integrate.radau.loads import Loads
 from polyida.integrate.radau.newton import Failed, trial
 from polyida.integrate.radau.stages import SHARES, A, begin, close, room, way
 from polyida.integrate.sizes import ROUND_OFF, extent
-from polyida.integrate.stepping.ended import DONE, REASONS, SINGULAR
+from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, REASONS, SINGULAR
 
 
 class SceneSystem:
@@ -46,7 +46,7 @@ class SceneSystem:
 
     def begin(self, state, h, times, closed):
         """Go on from a state: h, the times of the stages, and (phi, rate) there as they are carried."""
-        self.h, self.enough = h, ROUND_OFF * extent(self.model, state.q)
+        self.state, self.h, self.times, self.enough = state, h, times, ROUND_OFF * extent(self.model, state.q)
         self._call(begin, np.ascontiguousarray(state.q), np.ascontiguousarray(state.v), *closed, self.room)
         self.drives, self.gains = self.loads.of(state.t, h, times)
 
@@ -62,8 +62,15 @@ class SceneSystem:
         given = *matrices.compiled, self.damp, self.model.laws, self.drives, self.gains, self.trial, self.room
         ended, moved = self._call(iterate, self.way, self.h, *given)
         if ended != DONE:
-            raise Failed(*REASONS[ended])
+            status, reason = REASONS[ended]
+            raise Failed(status, (self._objection() if ended in (INVERTED, HALF_TURN) else None) or reason)
         return moved
+
+    def _objection(self):
+        """What the model objects to at the first stage that it objects to, with the names of what is there."""
+        state, steps = self.state, self.tableau.c * self.h
+        stages = ((t, state.q + (step * state.v + e)) for t, step, e in zip(self.times, steps, self.trial.e))
+        return next(filter(None, (self.model.objection(t, q) for t, q in stages)), None)
 
     def close(self):
         """Bring v and v' up to the last correction, and the step's end onto its constraints: (phi, rate) there as they are carried."""

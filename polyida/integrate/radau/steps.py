@@ -8,7 +8,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.integrate.radau.dense import Collocation
 from polyida.integrate.radau.matrices import Matrices
-from polyida.integrate.radau.newton import Failed, Newton
+from polyida.integrate.radau.newton import UNKNOWN, Failed, Newton
 from polyida.integrate.radau.plain import PlainSystem
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.whole import WholeModes
@@ -19,6 +19,7 @@ from polyida.integrate.stepping.kept import Kept
 from polyida.linear.lu import SingularSystem
 
 PAIR = 20.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
+NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only
 
 
 class Steps:
@@ -56,8 +57,7 @@ class Steps:
 
     def expect(self, grid):
         """Be told that the rest of a grid's steps comes next."""
-        starts = np.array([grid.time(k) for k in range(grid.done, grid.count)])
-        self.system.expect(starts, grid.h, lambda times: np.clip(times, *self.limits))
+        self.system.expect(grid, lambda times: np.clip(times, *self.limits))
 
     def step(self, state, h, t, allowed=np.inf):
         """(the State at t = state.t + h, or None where the local error is not `allowed`; local error). Raises StepFailure."""
@@ -107,7 +107,7 @@ class Steps:
         self.counts.tangents += 1
         self.counts.factorizations += len(made.modes) if self.settings.linear != "kkt" else 0  # whole ones are with their rows
         self.kept.keep(h, made)
-        self.stacked, self.newton.marks = None, np.array([1.0, np.inf])
+        self.stacked, self.newton.marks = None, UNKNOWN.copy()
         return made
 
     def _state(self, state, h, t, closed, error):
@@ -129,7 +129,7 @@ class Steps:
         kept = self.kept.factors
         if self.stacked is None or [row[0] for row in self.stacked] != list(kept):
             self.stacked = np.array([np.concatenate([[h], matrices.made_at]) for h, matrices in kept.items()])
-        prices = np.array([(h, matrices.price, matrices.least) for h, matrices in kept.items()])
+        prices = np.array([(h, matrices.price, min(matrices.least, NEVER)) for h, matrices in kept.items()])
         memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
         return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
 

@@ -1,0 +1,70 @@
+"""Radau IIA in files and at kinks: what its memory holds can be written and gone on from; long runs; what a failure names."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import polyida as pi
+
+
+class Stop(Exception):
+    pass
+
+
+def pulled(profile):
+    """A bar on a pin at rest, without weight, pulled sideways at its end."""
+    scene = pi.Scene(gravity=(0.0, 0.0))
+    bar = pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=10, seed=1), pi.Material(E=5e6, nu=0.3, rho=1100.0), thickness=0.01, name="bar")
+    scene.add(bar)
+    scene.add(pi.Revolute(pi.ground, bar.section("left"), name="pin"))
+    scene.add(pi.PointLoad(bar.section("right"), (0.0, 5.0), profile, name="pull"))
+    return scene.build()
+
+
+@pytest.mark.parametrize("after", [0.01, 0.04, 0.06])
+def test_an_adaptive_run_between_kinks_goes_on_from_a_file_bit_by_bit(after, tmp_path):
+    def progress(t):
+        if t > after:
+            raise Stop
+
+    model, integrator, path = pulled(pi.profile.linear(0.0, 1.0, 0.05, begin=0.03)), pi.RadauIIA(rtol=1e-5), tmp_path / "run.h5"
+    whole = pi.solve(model, 0.12, integrator)
+    with pytest.raises(Stop):
+        pi.solve(model, 0.12, integrator, out=path, progress=progress, flush_every=1)
+    rest = pi.resume(path)
+    assert whole.success and whole.counts == rest.counts
+    assert all(np.array_equal(getattr(whole, name), getattr(rest, name)) for name in ("t", "q", "v", "a", "lam"))
+
+
+@pytest.mark.parametrize("settings", [{"h": 1e-3}, {"rtol": 1e-6}, {"h": 1e-3, "linear": "kkt"}], ids=str)
+def test_a_run_at_rest_goes_into_a_file(settings, tmp_path):
+    run = pi.solve(pulled(0.0), 4e-3, pi.RadauIIA(**settings), out=tmp_path / "run.h5", flush_every=1)
+    assert run.success and not run.q.any() and np.array_equal(pi.load(tmp_path / "run.h5").t, run.t)
+
+
+def pressed():
+    """A soft bar on a pin, pressed along itself until it collapses."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=10, seed=1), pi.Material(E=2e4, nu=0.3, rho=1100.0), thickness=0.01, name="bar")
+    scene.add(bar)
+    scene.add(pi.Revolute(pi.ground, bar.section("left"), name="pin"))
+    scene.add(pi.PointLoad(bar.section("right"), (-60.0, 0.0), name="press"))
+    return scene.build()
+
+
+@pytest.mark.parametrize("settings", [{"h": 2e-3}, {"rtol": 1e-4}, {"h": 2e-3, "linear": "kkt"}], ids=str)
+def test_a_collapse_is_placed_and_the_run_up_to_it_is_in_the_file(settings, tmp_path):
+    run = pi.solve(pressed(), 0.5, pi.RadauIIA(**settings), out=tmp_path / "run.h5", flush_every=1)
+    assert run.message.startswith("cell 8 of 'bar' at (0.898508, -0.025) is turned inside out") and len(run) > 5
+    assert np.array_equal(pi.load(tmp_path / "run.h5").q, run.q)
+
+
+def test_a_run_of_very_many_steps_begins_at_once():
+    model = pulled(pi.profile.sine(1.0, 2.0))
+    tracemalloc.start()
+    try:
+        run = pi.solve(model, 1.0, pi.RadauIIA(h=2e-7), until=lambda t, q, v: t - 5e-7)
+        assert run.status == "stopped" and tracemalloc.get_traced_memory()[1] < 30e6
+    finally:
+        tracemalloc.stop()
