@@ -80,7 +80,10 @@ def tasks(quick):
         made += [{"part": "floor", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
     spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
     made += [{"part": "sparse", "dof": dof, "t_end": span, "repeats": 1 if quick else 3} for dof, span in spans.items()]
-    made.append({"part": "memory", "dof": 100_000, "steps": 30 if quick else 1000})
+    made += [
+        {"part": "memory", "dof": 100_000, "integrator": name, "steps": 30 if quick else steps}
+        for name, steps in (("alpha", 1000), ("radau", 100))
+    ]
     return made if quick else made + [{"part": "start", "dof": 1_000, "warm": 3}]
 
 
@@ -125,7 +128,7 @@ def figures(rows):
         found["growth_exponent"] = np.polyfit(np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1)[0]
     found |= {f"ida_speedup_over_sparse_{name}": row["speedup"] for name, dof in SPARSE.items() for row in only(rows, "sparse", dof=dof)}
     for row in only(rows, "memory"):
-        found["bytes_per_dof_1e5"] = row["bytes_per_dof"]
+        found[f"{'' if row['integrator'] == 'alpha' else row['integrator'] + '_'}bytes_per_dof_1e5"] = row["bytes_per_dof"]
     found |= {
         key: row[key]
         for row in only(rows, "step", integrator="alpha", scene="scene 1", dof=10_000)
@@ -173,7 +176,7 @@ def radau_notes(rows):
 def memory_notes(rows):
     """What the bytes of a coordinate are made of."""
     return [
-        f"bytes_per_dof_1e5: peak resident memory of a process of {row['steps']} steps, Python and libraries "
+        f"memory, {row['integrator']}, {row['n']} coordinates: peak resident memory of a process of {row['steps']} steps, Python and libraries "
         f"({row['imported_bytes'] / 2**20:.0f} MiB) and model ({row['built_bytes'] / 2**20:.0f} MiB so far) "
         f"included, over coordinates: {row['peak_bytes'] / 2**20:.0f} MiB; {row['frame_bytes'] / 2**20:.0f} MiB of "
         "frames, in a file beyond 512 MiB"

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from polyida.cli.study import main
+from polyida.show.style import INK
 from polyida.study.drawing import drawn, legend, loglog, panels, saved
 from polyida.study.harness import Study
 from polyida.study.kinds.work_precision import cheapest, measure
@@ -143,6 +144,13 @@ def draw_family(axis, rows, problem, family, x, y):
             curve(axis, runs, x, y, i, member)
 
 
+def mark_known(axis, rows, problem, part):
+    """A line at what is known of the reference, where runs come so far: errors beyond it say no more than that."""
+    known = max((row["known"].get(part, 0.0) for row in pick(rows, problem=problem)), default=0.0)
+    if known > axis.get_xlim()[0]:
+        axis.axvline(known, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="what is known of the reference")
+
+
 def problems_of(rows, family):
     return each([row for row in rows if row["integrator"] in FAMILIES[family][0]], "problem")
 
@@ -152,6 +160,7 @@ def cpu_figure(family, part, rows, folder):
     made, axes = panels(len(problems), width=7.2, height=2.3, columns=3)
     for k, (axis, problem) in enumerate(zip(axes, problems)):
         draw_family(axis, rows, problem, family, f"error_{part}", "cpu_s")
+        mark_known(axis, rows, problem, part)
         axis.set(title=problem, xlabel=f"error in {part}, {unit(problem, part)}", ylabel="" if k % 3 else "CPU seconds")
     legend(made, axes, 3)
     return saved(made, folder, f"work-precision-{family}-{part}")
@@ -163,6 +172,7 @@ def counts_figure(family, rows, folder):
     for k, problem in enumerate(problems):
         for axis, work in zip(axes[2 * k : 2 * k + 2], ("residuals", "factorizations")):
             draw_family(axis, rows, problem, family, "error_q", work)
+            mark_known(axis, rows, problem, "q")
             axis.set(title=problem, xlabel=f"error in q, {unit(problem, 'q')}", ylabel=work)
     legend(made, axes, 4)
     return saved(made, folder, f"work-counts-{family}")

@@ -212,16 +212,17 @@ def sparse_alone(dof, t_end):
     return peers.sparse_ida(model, t_end)
 
 
-def memory_row(dof, steps):
-    """Peak memory of a process that imports, meshes, builds and runs steps of 1 ms on scene 1, every frame kept."""
-    return run_isolated(memory_alone, {"dof": dof, "steps": steps}, 900.0)
+def memory_row(dof, integrator, steps):
+    """Peak memory of a process that imports, meshes, builds and runs equal steps on scene 1, every frame kept."""
+    return run_isolated(memory_alone, {"dof": dof, "integrator": integrator, "steps": steps}, 900.0)
 
 
-def memory_alone(dof, steps):
+def memory_alone(dof, integrator, steps):
     """`memory_row` in its own process; frames beyond the limit of `solve` go to a file, as by default."""
     imported = peak_bytes()
     model = model_of("scene 1", dof)
-    built, (seconds, run) = peak_bytes(), cpu(lambda: solve(model, steps * H, GeneralizedAlpha(h=H)))
+    member = MEMBERS[integrator]
+    built, (seconds, run) = peak_bytes(), cpu(lambda: solve(model, steps * member.h, member))
     peak = peak_bytes()
     return {
         "n": model.n,

@@ -3,8 +3,8 @@
 import numpy as np
 
 from polyida.assembly.rows.increments import stage_tables
-from polyida.integrate.grid import Grid
 from polyida.integrate.kinks import inner_side
+from polyida.integrate.stepping.grid import Grid
 
 CHUNK = 64  # steps that are looked at together
 
