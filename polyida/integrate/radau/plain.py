@@ -1,4 +1,4 @@
-"""The collocation equations of any model and their Newton corrections: what `scene.py` does in compiled code for a scene's.
+"""The collocation equations of any model and their Newton corrections: what `scene/` does in compiled code for a scene's.
 
 For each mode of the tableau, with c = l/h, l its eigenvalue, the transformed stages solve
 

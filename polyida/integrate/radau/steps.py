@@ -188,7 +188,7 @@ def _system(settings, model):
     if settings.linear == "kkt":
         return partial(PlainSystem, kind=partial(WholeModes, scaling=settings.scaling))
     if model.compiled:
-        from polyida.integrate.radau.scene import SceneSystem
+        from polyida.integrate.radau.scene.system import SceneSystem
 
         return partial(SceneSystem, linear=settings.linear)
     return partial(PlainSystem, kind=partial(Matrices, linear=settings.linear))

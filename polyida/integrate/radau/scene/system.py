@@ -7,10 +7,10 @@ import numpy as np
 from polyida.assembly.damping import symmetric_parts
 from polyida.assembly.rows.tie import tie
 from polyida.assembly.stabilised_border import massive, stabilised_room
-from polyida.integrate.radau.corrections import Solver, error, iterate
-from polyida.integrate.radau.loads import Loads
 from polyida.integrate.radau.newton import Failed, trial
-from polyida.integrate.radau.stages import SHARES, A, begin, close, room, way
+from polyida.integrate.radau.scene.corrections import Solver, error, iterate
+from polyida.integrate.radau.scene.loads import Loads
+from polyida.integrate.radau.scene.stages import SHARES, A, begin, close, room, way
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, REASONS, SINGULAR
 

@@ -15,7 +15,7 @@ from polyida.assembly.damping import add_damping
 from polyida.assembly.rows import joints
 from polyida.assembly.stabilised_border import StabilisedRoom, stabilised_border
 from polyida.compiled import entry, pack, part
-from polyida.integrate.radau.stages import DX, MOVE, SHARES, SPEED, A, Q, pairs, residuals, through
+from polyida.integrate.radau.scene.stages import DX, MOVE, SHARES, SPEED, A, Q, pairs, residuals, through
 from polyida.integrate.stepping.ended import DONE, SINGULAR
 from polyida.linear.dense import clear
 
