@@ -159,9 +159,11 @@ class SceneModel(Constraints):
         return csc_array((self.n, self.n))
 
     def tangent(self, t, q, v, a, lam, c_m, c_v, c_q):
-        """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n) sparse."""
-        c_m, c_v, c_q = map(float, (c_m, c_v, c_q))
+        """`c_m M + c_v dr/dv + c_q dr/dq`, (n, n) sparse; c_m and c_v are real or complex."""
+        c_v, turned, c_q = map(float, (np.real(c_v), np.imag(c_v), c_q))
         result = self._forces_q(t, q, v, c_v, c_q) + c_m * self._mass
+        if turned and self.needs.velocity_forces:
+            result = result + 1j * turned * self.force_v(t, q, v)
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
 
     def mass_system(self, t, q):

@@ -19,7 +19,7 @@ class ForceElement(OwnPart):
     or is not there. A scene with such forces goes through the integrators' plain paths, which its summaries say.
     Instead of `forces` it may have `law`, a function decorated with `numba.njit`: `law(t, x, v, data, f)` fills f (sides, 2), N, where
     data are the element's `numbers()`. Kernels call it by its address, and take its slopes by differences; where all force elements of
-    a scene have one, generalized-alpha and IDA keep their compiled loops.
+    a scene have one, generalized-alpha, Radau IIA and IDA keep their compiled loops.
     """
 
     law = None

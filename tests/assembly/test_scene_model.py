@@ -26,6 +26,16 @@ def test_tangent_is_the_sum_of_its_parts(state):
     assert abs(model.tangent(t, q, v, a, lam, 7e5, 3.0, 2.0) - parts).max() < 1e-12 * abs(parts).max()
 
 
+def test_a_tangent_of_complex_coefficients_is_the_sum_of_its_parts():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    damped = pi.Material(E=5e6, nu=0.3, rho=1100.0, viscosity=1e4)
+    scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=20, seed=1), damped, thickness=0.01))
+    model = scene.build()
+    t, q, v, a, lam = 0.2, *(0.01 * np.random.default_rng(5).standard_normal((3, model.n))), np.zeros(model.m)
+    parts = (7e5 + 4e5j) * model.mass(q) + (3.0 + 2.0j) * model.force_v(t, q, v) + model.force_q(t, q, v)
+    assert abs(model.tangent(t, q, v, a, lam, 7e5 + 4e5j, 3.0 + 2.0j, 1.0) - parts).max() < 1e-12 * abs(parts).max()
+
+
 def test_one_pass_gives_residual_and_constraints(state):
     model, t, q, v, a, lam = state
     rotation = np.empty((model.n_nodes, 2))

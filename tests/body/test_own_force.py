@@ -220,6 +220,15 @@ class Wind(pi.ForceElement):
         return (self.at,)
 
 
+@pytest.mark.parametrize("settings", [{"stages": 2}, {"stages": 2, "form": "index3"}, {"stages": 3}], ids=str)
+def test_radau_takes_a_force_in_python(scenes, settings):
+    scene, upper = scenes.cantilever()
+    scene.add(Push(upper.section("right"), lambda t, x, v: np.array([[0.0, 5.0]]) - 2.0 * v, name="push"))
+    run, whole = (pi.solve(scene.build(), 0.02, pi.RadauIIA(h=2e-3, linear=linear, **settings)) for linear in ("auto", "kkt"))
+    assert run.success and np.abs(run.q[-1]).max() > 1e-5
+    assert np.abs(run.q - whole.q).max() < 1e-7 * np.abs(run.q).max()
+
+
 def by_law(law, functions=()):
     """A Wind of another law, with further functions."""
     return dataclass(frozen=True, eq=False)(type("Other", (Wind,), {"law": law, **dict(functions)}))

@@ -284,6 +284,32 @@ def test_an_unsymmetric_linear_model_to_order_5_and_in_one_iteration_a_step():
     assert np.log2(found[0] / found[1]) == pytest.approx(5.0, abs=0.2)
 
 
+class Product(pi.Model):
+    """Two masses and a third coordinate without mass, which a constraint makes their product."""
+
+    n, m = 3, 1
+
+    def mass(self, q):
+        return np.diag([1.0, 2.0, 0.0])
+
+    def force(self, t, q, v):
+        return np.array([30.0 * q[0], 20.0, 0.0])
+
+    def phi(self, t, q):
+        return np.array([q[2] - q[0] * q[1]])
+
+    def phi_q(self, t, q):
+        return np.array([[-q[1], -q[0], 1.0]])
+
+
+@pytest.mark.parametrize("form", ["ggl", "index3"])
+def test_a_coordinate_without_mass_is_held_by_rows_that_turn(form):
+    """q_0 = cos(sqrt(30) t)/2, q_1 = -5 t^2: the constraint holds the third alone."""
+    run = pi.solve(Product(), 1.0, pi.RadauIIA(h=0.01, form=form), q0=[0.5, 0.0, 0.0])
+    assert run.success and run.counts.rejected == 0
+    assert run.q[-1, :2] == pytest.approx([0.5 * np.cos(np.sqrt(30.0)), -5.0], abs=2e-8)
+
+
 @pytest.mark.parametrize("form", ["ggl", "index3"])
 def test_a_coordinate_without_mass(form):
     """q = -2/8 (1 - cos) and so on: the pull of 1 N goes through the constraint to both springs; lam is -1 N."""

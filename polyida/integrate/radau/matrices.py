@@ -31,8 +31,7 @@ class Matrices:
         steps = [first, *(first.beside(c**2, c) for c in self.c[1:])]
         self.backend, self.added = first.backend, 0.0
         self.factors = [partial(step.solve, at[1]) for step in steps]
-        if not all(step.stands_alone() for step in steps):
-            self.factors = self._held(steps, at[0], at[1])
+        self.bare = [] if all(step.stands_alone() for step in steps) else [step.S for step in steps]
 
     def _evaluated(self):
         """(t, q, v, a, lam) of where they are made, with M and the slopes of there."""
@@ -42,18 +41,21 @@ class Matrices:
         self.slopes = [c * self.M + C if damped else c * self.M for c in self.c]
         return at
 
-    def _held(self, steps, t, q):
-        """Solves with S + s B^T B, where S may be singular: coordinates have no mass and are held by constraints alone.
+    def _hold(self, B):
+        """Solve with S + s B^T B, where S may be singular: coordinates have no mass and are held by constraints alone.
 
-        With `B dq = -r3` nothing has changed but dlam, by s r3.
+        With `B dq = -r3` nothing has changed but dlam, by s r3; so B is that of the rows themselves.
         """
-        B = self.model.phi_q(t, q)
-        size = float(np.abs(steps[0].S.diagonal()).max(initial=0.0))
-        self.added = size / max(float(abs(B).max()), 1e-300) ** 2 if self.model.m else 0.0
-        return [LU(step.S + self.added * (B.T @ B)).solve for step in steps]
+        size = float(np.abs(self.bare[0].diagonal()).max(initial=0.0))
+        self.added = size / max(float(np.abs(B).max(initial=0.0)), 1e-300) ** 2 if self.model.m else 0.0
+        BB = self.added * (B.T @ B)
+        self.factors = [LU(S + (type(S)(BB) if hasattr(S, "tocsc") else BB)).solve for S in self.bare]
 
     def surround(self, rows, counts):
         """Take the constraints' rows, and make the columns that belong to them."""
+        if self.bare:
+            counts.factorizations += len(self.bare)
+            self._hold(rows.B)
         counts.solves += len(self.modes) * len(rows.both)
         self.rows, self.corner, self.borders = rows, rows.corner(), []
         for k, slope in enumerate(self.slopes):

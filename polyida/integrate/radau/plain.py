@@ -65,7 +65,11 @@ class PlainSystem:
         if matrices.borders is None or needs.phi_q_varies or needs.driven:
             self._move()
             q, v = self._at(k)
-            matrices.surround(Rows(self.model, self.times[k], q, v, self.lift if self.tied else None), self.counts)
+            rows = Rows(self.model, self.times[k], q, v, self.lift if self.tied else None)
+            try:
+                matrices.surround(rows, self.counts)
+            except SingularSystem as error:
+                raise Failed("singular", str(error)) from None
 
     def iterate(self, matrices):
         """One iteration; returns |dq|, |dv| h with it, root mean square by mass. Raises Failed."""
