@@ -10,6 +10,7 @@ from against_peers.own import LABELS, OWN, TIMES, extrapolated, largest, ours, t
 from polyida.cli.study import main
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
+from polyida.study.drawing import drawn, legend, loglog, panels, saved
 from polyida.study.harness import Study
 from polyida.study.isolation import run_isolated
 from step_cost.measure import model_of
@@ -107,7 +108,7 @@ def peer(scene, dof, solver, setting):
 
 def cases_of(rows):
     """The scenes and sizes on which peers run."""
-    return list(dict.fromkeys((row["scene"], row["dof"]) for row in rows if row["solver"] == "reference"))
+    return list(dict.fromkeys((row["scene"], row["dof"]) for row in rows if row["solver"] in SOLVERS))
 
 
 def curve(rows, scene, dof, solvers, what="cpu_s"):
@@ -190,26 +191,20 @@ def _ida_and_alpha(rows, scene, dof, error=1e-5):
     ]
 
 
+@drawn
 def draw(rows, folder):
     """Work-precision: CPU time against the tip's largest error, a panel for each scene and size."""
-    from polyida.show.style import figure, line, save, settings
-
     cases = cases_of(rows)
-    if not any(row.get("cpu_s") for row in rows):
-        raise LookupError("no rows to draw")
-    with settings():
-        made, axes = figure(6.4, 2.2 + 2.4 * ((len(cases) - 1) // 2), ncols=2, nrows=(len(cases) + 1) // 2, squeeze=False, sharex=True)
-        for panel, (scene, dof) in zip(axes.flat, cases):
-            for k, (solver, label) in enumerate(SOLVERS.items()):
-                points = sorted(
-                    (row["error_max"], row["cpu_s"])
-                    for row in rows
-                    if (row["scene"], row["dof"], row["solver"]) == (scene, dof, solver) and row.get("cpu_s")
-                )
-                panel.loglog(*np.array(points).reshape(-1, 2).T, marker="o", markersize=3, label=label, **line(k))
-            panel.set(title=f"{scene}, {dof} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
-        made.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=7)
-        return [save(made, folder / f"against_peers.{kind}") for kind in ("png", "pdf")]
+    made, axes = panels(len(cases))
+    for axis, (scene, dof) in zip(axes, cases):
+        for k, (solver, label) in enumerate(SOLVERS.items()):
+            runs = [row for row in rows if (row["scene"], row["dof"], row["solver"]) == (scene, dof, solver) and row.get("cpu_s")]
+            points = sorted((row["error_max"], row["cpu_s"]) for row in runs)
+            if points:
+                loglog(axis, *np.array(points).T, k, label)
+        axis.set(title=f"{scene}, {dof} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
+    legend(made, axes, 2)
+    return saved(made, folder, "against_peers")
 
 
 study = Study(

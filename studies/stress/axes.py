@@ -58,7 +58,11 @@ AXES = {
         (1.0, 10.0, 100.0),
     ),
     "long step, s": Axis(
-        identities.large_steps, (0.003, 0.01, 0.03, 0.1, 0.3, 1.0), (0.01, 0.1, 1.0), cases.FIXED, foreseen=identities.cannot_be_predicted
+        identities.large_steps,
+        (0.003, 0.01, 0.03, 0.1, 0.3, 1.0),
+        (0.01, 0.1, 1.0),
+        (*cases.FIXED, "radau_fixed"),
+        foreseen=identities.cannot_be_predicted,
     ),
     "short step, s": Axis(cases.small_steps, (1e-6, 1e-7, 1e-8, 1e-9, 1e-10), (1e-6, 1e-8, 1e-10), cases.FIXED + STIFFLY),
     "rho_inf": Axis(cases.spectral_radius, (0.9, 0.8, 0.5, 0.0, 0.95, 0.99), (0.9, 0.0, 0.99), ("alpha", "adaptive", "stabilised")),

@@ -62,8 +62,8 @@ def _inertia(model):
 
 def large_steps(h, name):
     """The swinging plates with steps too long to be accurate: phi holds; no more energy comes in than 2 % of what is turned over
-    (none by the energy-momentum method), no more goes than the fall to rest sets free; at every frame of generalized-alpha the
-    forces and moments of everything together balance to 1e-3 of the weight."""
+    (none by the energy-momentum method), no more goes than the fall to rest sets free; at every frame but the
+    energy-momentum method's the forces and moments of everything together balance to 1e-3 of the weight."""
     model = scenes.swing()
     run = solve(model, max(0.5, 20 * h), integrator(name, h))
     if name == "energy":

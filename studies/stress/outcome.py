@@ -56,6 +56,8 @@ def integrator(name, h=1e-3, rtol=1e-5, **settings):
 
     if name == "radau":
         return RadauIIA(rtol=rtol, **settings)
+    if name == "radau_fixed":
+        return RadauIIA(h=h, **settings)
     if name == "energy":
         return EnergyMomentum(h=h, **settings)
     if name in ("ggl2", "ggl1"):
