@@ -15,7 +15,7 @@ class State:
     """One accepted instant: t in s, q, v, a (n,), lam (m,).
 
     `memory` is what the integrator that yielded the state needs besides to go on from it as if it had not stopped
-    (generalized-alpha: the algorithmic acceleration `a_alg` and its step; IDA: nothing). Another integrator ignores it.
+    (generalized-alpha: the algorithmic acceleration `a_alg` and its step; Radau IIA: the last step's polynomial; IDA: nothing).
     restart: False where nothing tells that memory: in the middle of a compiled stretch, between two accepted instants.
     within: a function t -> State in the step that ended here, of an integrator that knows more of it than its two ends.
     """

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.integrate.radau import steps
+from polyida.problems import plates
 
 
 class Stop(Exception):
@@ -68,3 +70,14 @@ def test_a_run_of_very_many_steps_begins_at_once():
         assert run.status == "stopped" and tracemalloc.get_traced_memory()[1] < 30e6
     finally:
         tracemalloc.stop()
+
+
+def test_a_run_that_becomes_singular_ends_with_what_its_last_stage_had(monkeypatch):
+    """a and lam are made when they are asked for: by then nothing may stop the run any more."""
+
+    def singular(*at):
+        raise pi.InputError("singular")
+
+    monkeypatch.setattr(steps, "consistent_acceleration", singular)
+    run = pi.solve(plates.double_plate(cells=6).build(), 0.01, pi.RadauIIA(h=1e-3), every=100)
+    assert run.success and np.array_equal(run.a[-1], run.restart.state.memory["a_end"])

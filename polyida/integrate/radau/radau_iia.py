@@ -50,7 +50,8 @@ class RadauIIA:
     beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
 
     The global error of q is commonly 1 to 100 times rtol with three stages, and up to 500 times with two.
-    Not for energy over long runs without damping: it takes out what a step does not resolve of ringing mesh modes.
+    Not for energy over long runs without damping: it takes out what a step does not resolve of ringing mesh modes, of the double plate 0.41 J in
+    10 s at 5 ms, where generalized-alpha loses 0.005 J at 1 ms (studies/energy.py).
     Raises InputError for a setting out of range.
     """
 

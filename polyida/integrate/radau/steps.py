@@ -145,7 +145,7 @@ def _require_good(model, at, state):
 class Accepted(State):
     """A State whose a and lam, `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)` at its q and v, are made when they are first asked for.
 
-    They have the order of q and v; those of the last stage, which it is given, have one of s only.
+    They have the order of q and v; those of the last stage, which it is given and which stand where that is singular, have one of s only.
     """
 
     def __init__(self, model, at, stage):
@@ -156,8 +156,8 @@ class Accepted(State):
     def _rest(self):
         try:
             return consistent_acceleration(self._model, self._at, self.q, self.v)
-        except (InputError, np.linalg.LinAlgError) as error:
-            raise StepFailure("singular", str(error), self.t) from None
+        except (InputError, np.linalg.LinAlgError):  # constraints that have become dependent, where the run is about to end
+            return self._stage.a, self._stage.lam
 
     @property
     def a(self):
