@@ -39,8 +39,8 @@ class SceneStepMatrix(StepMatrix):
         if model.laws is not None:
             add_own_curvature(model.laws, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
 
-    def beside(self, c_m, c_v):
-        """The same with other c_m and c_v."""
+    def beside(self, c_m, c_v, change):
+        """The same with other c_m and c_v, of C and M as if at rest: not those of change."""
         other = type(self)(self.model, self.linear)
         other.again(self.made_at, c_m, c_v)
         return other

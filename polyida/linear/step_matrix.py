@@ -28,10 +28,10 @@ class StepMatrix:
     def factor(self, t, q, v, a, lam, c_m, c_v):
         """Factor S at a state; what else a solve needs is made when it is first asked for."""
         self.made_at = np.concatenate([[t], q, v, a, lam])
-        self._take(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m, c_v)
+        self._take(self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0), c_m)
 
-    def _take(self, S, c_m, c_v):
-        self.S, self.c_m, self.c_v, self.lu, self.border, self.whole = S, c_m, c_v, None, None, None
+    def _take(self, S, c_m):
+        self.S, self.c_m, self.lu, self.border, self.whole = S, c_m, None, None, None
         with suppress(SingularSystem):
             self.lu = LU(S)
 
@@ -39,18 +39,12 @@ class StepMatrix:
         """Factor S as it was factored before."""
         self.factor(float(made_at[0]), *np.split(made_at[1:], np.cumsum([self.model.n] * 3)), c_m, c_v)
 
-    def beside(self, c_m, c_v):
-        """The same with other c_m and c_v: K is not evaluated anew."""
-        other, (t, q, v) = type(self)(self.model), self._at()
-        S = self.S + (c_m - self.c_m) * self.model.mass(q)
+    def beside(self, c_m, c_v, change):
+        """The same with other c_m and c_v, from what that changes of S, M and C where it was factored: nothing is evaluated anew."""
+        other = type(self)(self.model)
         other.made_at = self.made_at
-        other._take(S + (c_v - self.c_v) * self.model.force_v(t, q, v) if self.model.needs.velocity_forces else S, c_m, c_v)
+        other._take(self.S + change, c_m)
         return other
-
-    def _at(self):
-        """(t, q, v) of where it was factored."""
-        n = self.model.n
-        return float(self.made_at[0]), self.made_at[1 : n + 1], self.made_at[n + 1 : 2 * n + 1]
 
     def solve(self, q, b, transposed=False):
         """S^-1 b, or S^-T b, b (n,) or (n, k), at q near to where S was factored. Raises SingularSystem where S has no inverse."""
@@ -61,7 +55,7 @@ class StepMatrix:
     def saddle(self, t, q, lam, r, phi):
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
         if self.whole is None and self.border is None and self._together():
-            at = self._at()[:2]
+            at = float(self.made_at[0]), self.made_at[1 : self.model.n + 1]
             self.whole = KKT(self.S, self.model.phi_q(*at), scaling_factors("physical", 1 / abs(self.c_m), self.S))
         if self.whole:
             return self.whole.solve(r, phi)

@@ -21,7 +21,9 @@ def stages(model, state, integrator, h=1e-9):
     found = []
     for s in integrator.steps(model, state, state.t + 20 * h, pi.Counts()):
         a, lam = consistent_acceleration(model, s.t, s.q, s.v)
-        found.append([np.abs(s.memory["a_end"] - a).max() / np.abs(a).max(), np.abs(s.memory["lam_end"] - lam).max() / np.abs(lam).max()])
+        found.append(
+            [np.abs(s.memory["a_end"] - a).max() / np.abs(a).max(), np.abs(s.memory["stages_lam"][-1] - lam).max() / np.abs(lam).max()]
+        )
     return np.max(found, axis=0)
 
 

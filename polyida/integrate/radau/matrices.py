@@ -28,7 +28,8 @@ class Matrices:
             return
         at, first = self._evaluated(), self.model.step_matrix(self.linear)
         first.factor(*at, self.c[0] ** 2, self.c[0])
-        steps = [first, *(first.beside(c**2, c) for c in self.c[1:])]
+        more = ((c, c * slope - self.c[0] * self.slopes[0]) for c, slope in zip(self.c[1:], self.slopes[1:]))
+        steps = [first, *(first.beside(c**2, c, change) for c, change in more)]
         self.backend, self.added = first.backend, 0.0
         self.factors = [partial(step.solve, at[1]) for step in steps]
         self.bare = [] if all(step.stands_alone() for step in steps) else [step.S for step in steps]

@@ -85,7 +85,7 @@ class Newton:
         x, memory = self.system.trial, state.memory
         x.mu[:] = 0.0
         if "stages_e" not in memory or h > FAR * memory["step"]:
-            x.e[:], x.lam[:] = 0.0, memory.get("lam_end", state.lam)
+            x.e[:], x.lam[:] = 0.0, memory["stages_lam"][-1] if "stages_lam" in memory else state.lam
             return
         to_e, to_lam = _ahead(self.tableau.stages, h / float(memory["step"]))
         np.matmul(h * to_e, memory["stages_v"], out=x.e)

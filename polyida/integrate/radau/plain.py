@@ -63,7 +63,7 @@ class PlainSystem:
         """Give the matrices the constraints' rows of the middle stage."""
         needs, k = self.model.needs, self.tableau.middle
         if matrices.borders is None or needs.phi_q_varies or needs.driven:
-            self._move()
+            self.trial.dv[:] = self.tableau.W @ self.trial.e / self.h  # mu is zero here
             q, v = self._at(k)
             rows = Rows(self.model, self.times[k], q, v, self.lift if self.tied else None)
             try:

@@ -66,7 +66,7 @@ class Steps:
         try:
             matrices = self._solved(state, h)
             closed = self.system.close()
-            error = self.system.error(matrices, _kept(state, "a_end", "a")) if self.looks else 0.0
+            error = self.system.error(matrices, _last_a(state)) if self.looks else 0.0
         except Failed as failed:
             raise StepFailure(failed.status, failed.reason, t, **failed.seen) from None
         return self._state(state, h, t, closed, error) if error <= allowed else None, error
@@ -102,8 +102,8 @@ class Steps:
 
     def _factored(self, state, h):
         """New Matrices at a state, with what its last stage was rather than a and lam that ring."""
-        lam = _kept(state, "lam_end", "lam")
-        made = self.system.matrices(h, np.concatenate([[self.clamp(state.t)], state.q, state.v, _kept(state, "a_end", "a"), lam]))
+        lam = state.memory["stages_lam"][-1] if "stages_lam" in state.memory else state.lam
+        made = self.system.matrices(h, np.concatenate([[self.clamp(state.t)], state.q, state.v, _last_a(state), lam]))
         self.counts.tangents += 1
         self.counts.factorizations += len(made.modes) if self.settings.linear != "kkt" else 0  # whole ones are with their rows
         self.kept.keep(h, made)
@@ -116,7 +116,7 @@ class Steps:
         q, v = state.q + (h * state.v + e[-1]), state.v + dv[-1]
         if not math.isfinite(q.dot(v)):
             raise StepFailure("not finite", "the motion is not finite", t)
-        memory = {"stages_e": e, "stages_v": dv, "a_end": a[-1], "lam_end": lam[-1], "stages_lam": lam, "step": h, "error": error}
+        memory = {"stages_e": e, "stages_v": dv, "a_end": a[-1], "stages_lam": lam, "step": h, "error": error}
         if closed is not None:
             memory |= dict(zip(("phi", "rate"), closed))
         within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (e, dv, a, lam))
@@ -177,10 +177,10 @@ class Accepted(State):
         return State, (self.t, self.q, self.v, self.a, self.lam, self.memory, self.restart, self.within)
 
 
-def _kept(state, stage, name):
-    """What the last stage had, or the state's own, which may not be made yet."""
-    found = state.memory.get(stage)
-    return getattr(state, name) if found is None else found
+def _last_a(state):
+    """v' of the last stage, or the state's own, which may not be made yet."""
+    found = state.memory.get("a_end")
+    return state.a if found is None else found
 
 
 def _system(settings, model):
