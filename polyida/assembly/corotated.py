@@ -16,7 +16,7 @@ import numpy as np
 
 from polyida.assembly.arrays import bilinear
 from polyida.assembly.rows import joints
-from polyida.compiled import pack, part, shared
+from polyida.compiled import entry, pack, part, shared
 from polyida.linear.cholesky.factor import BAND, FRONTS, Factor, factor
 from polyida.linear.cholesky.fronts import solve_fronts
 from polyida.linear.cholesky.triangular import solve_band, solve_columns
@@ -73,29 +73,28 @@ def corotated(model, blocks, rotation, backend="auto", phase=1.0):
     reach = np.zeros((2 * model.n_points, model.n_nodes, 2), made.band.dtype)
     active = active_components(s, model.laws)
     result = Corotated(made, frame, point_body, reach, active, order_along_joints(active, s))
-    fill_reach(s, result, np.zeros(model.n + made.band.shape[1], made.band.dtype))
+    fill_reach(s, result)
     return result, name
 
 
-def fill_reach(s, c, x, product=None):
-    """X = S_ref^-1 A^T in the factor's own frame, one column a component of a point; S_ref^-1 M A^T with M's `product`.
-
-    x (n + width of the band,): scratch, zero behind n.
-    """
-    order = c.factor.order
-    for column, values in enumerate(c.reach):
+def fill_reach(s, c, product=None):
+    """X = S_ref^-1 A^T in the factor's own frame, one column a component of a point; S_ref^-1 M A^T with M's `product`."""
+    order, behind = c.factor.order, c.factor.band.shape[1]
+    x = np.zeros((len(c.reach), len(order) + behind), c.reach.dtype)
+    for column, values in enumerate(x):
         f, axis = divmod(column, 2)
-        part, body = slice(s.point_ptr[f], s.point_ptr[f + 1]), slice(*c.point_body[f])
+        part = slice(s.point_ptr[f], s.point_ptr[f + 1])
         nodes, weights = s.point_nodes[part], s.point_weights[part]
-        x[:] = 0.0
         if product is None:
-            x[order[2 * nodes + axis]] = weights
+            values[order[2 * nodes + axis]] = weights
         else:
-            load = np.zeros(values.shape)
+            load = np.zeros(c.reach.shape[1:])
             load[nodes, axis] = weights
-            x[order] = product(load).ravel()
-        triangular(c.factor, x)
-        values[body] = x[order.reshape(-1, 2)[body]]
+            values[order] = product(load).ravel()
+    all_triangular(c.factor, x)
+    for column, (values, found) in enumerate(zip(c.reach, x)):
+        body = slice(*c.point_body[column // 2])
+        values[body] = found[order.reshape(-1, 2)[body]]
 
 
 def active_components(s, laws):
@@ -156,6 +155,13 @@ def triangular(f, x):
         solve_band(f.band, x)
     else:
         solve_columns(f.start, f.rows, f.values, f.reciprocal, x)
+
+
+@entry
+def all_triangular(f, x):
+    """Each row of x <- S_ref^-1 x in the factor's order; behind a row's n numbers it holds as many zeros as the band is wide."""
+    for column in x:
+        triangular(f, column)
 
 
 @part

@@ -69,8 +69,8 @@ def overlap(links, points, nodes):
     return dense @ dense.T
 
 
-def massive(model, system, x, damping=None):
-    """The Corotated `system` with columns `S^-1 (M + damping) A^T`, M of the plates; x: of its Room.
+def massive(model, system, damping=None):
+    """The Corotated `system` with columns `S^-1 (M + damping) A^T`, M of the plates.
 
     damping (n, n): C/c, so that c times the columns is that of c M + C; without it C B^T dmu, as good as zero, is left out.
     """
@@ -81,7 +81,7 @@ def massive(model, system, x, damping=None):
         return result if damping is None else result + (damping @ a.ravel()).reshape(a.shape)
 
     result = system._replace(reach=np.zeros_like(system.reach))
-    corotated.fill_reach(model.arrays.links, result, x, product)
+    corotated.fill_reach(model.arrays.links, result, product)
     return result
 
 

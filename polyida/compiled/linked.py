@@ -37,9 +37,21 @@ class Entry(CPUDispatcher):
     def _numba_type_(self):
         return self.part._numba_type_
 
-    def bound(self, *args):
-        """The compiled function for arguments of these very types, which it does not look at again: that costs as much as a small kernel."""
-        return self.compile(tuple(map(typeof, args)))
+    def held(self):
+        """The same for arguments whose types are those of its first call, and not looked at again: that costs as much as a small kernel."""
+        return Held(self)
+
+
+class Held:
+    """An entry that was compiled for the types of its first call."""
+
+    def __init__(self, entry):
+        self.entry, self.compiled = entry, None
+
+    def __call__(self, *args):
+        if self.compiled is None:
+            self.compiled = self.entry.compile(tuple(map(typeof, args)))
+        return self.compiled(*args)
 
 
 class EntryCompiler(Compiler):

@@ -41,7 +41,7 @@ def test_the_border_is_that_of_the_whole_matrix(scenes, kind, damped, c, moved):
 
     step = SceneStepMatrix(model)
     step.factor(t, q, zero, zero, lam, c * c, c)
-    more = massive(model, step.corotated, step.room.x, C / c if damped else None)
+    more = massive(model, step.corotated, C / c if damped else None)
     found = np.empty((n // 2, 2), dtype), np.empty(m, dtype), np.empty(m, dtype)
     where = model.arrays.links, step.corotated, more, step.room, stabilised_room(model, dtype), model.drives(t), model.rotation(q)
     sides = r1.reshape(-1, 2) if moved else None, r2.reshape(-1, 2), r3, r4

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import BarycentricInterpolator
 
 import polyida as pi
 from polyida import problems
@@ -9,6 +10,8 @@ from polyida.errors import InputError
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.linear import ReducedSolve
+from polyida.integrate.ida.predicted import Predicted
+from polyida.integrate.ida.whole import WholeSolve, whole_matrix
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts, State, StepFailure
 from polyida.model import Model, Needs
@@ -120,10 +123,10 @@ def test_reduced_solve_is_the_inverse_of_the_whole_matrix(name, form):
     system = System(p.model, form, rate=5.0)
     n, m = p.model.n, p.model.m
     y, yp = system.pack(State(0.3, p.q0 + 0.1, *(random.standard_normal(k) for k in (n, n, m))))
-    linear = ReducedSolve(system, Counts())
-    linear.setup(0.3, y, yp, None, cj)
+    linear = ReducedSolve(system, Counts(), 5)
+    linear.begin(0.3 - 1 / cj, y)
     d, r = np.empty(system.size), random.standard_normal(system.size)
-    linear.solve(0.3, y, yp, None, 1e-9 * r, d, cj, 0.0)  # so small that phi does not bend
+    linear.correct(0.3, y, yp, 1e-9 * r, d)  # so small that phi does not bend
     d *= 1e9
     step = 1e-4 / max(1.0, np.abs(d).max())
     residuals = [np.empty(system.size) for _ in range(4)]
@@ -133,15 +136,49 @@ def test_reduced_solve_is_the_inverse_of_the_whole_matrix(name, form):
     assert np.allclose(slope, r, rtol=0, atol=2e-5)
 
 
-def test_a_solve_at_another_cj_factors_anew():
+def test_another_step_factors_anew_and_so_does_the_third_iteration_of_one():
     p, counts = problems.get("car-axis"), Counts()
     system = System(p.model, "ggl2", 0.0)
     y, yp = system.pack(consistent_state(p.model, 0.0, p.q0, p.v0))
-    linear, d = ReducedSolve(system, counts), np.empty(system.size)
-    linear.setup(0.0, y, yp, None, 10.0)
-    for cj in (10.0, 10.0, 15.0, 15.0):
-        linear.solve(0.0, y, yp, None, np.ones(system.size), d, cj, 0.0)
-    assert (counts.factorizations, counts.solves) == (2, 4)
+    linear, d = ReducedSolve(system, counts, 5), np.empty(system.size)
+    linear.begin(0.0, y)
+    made = []
+    for t in (0.1, 0.1, 0.05, 0.05, 0.05, 0.05):
+        linear.correct(t, y, yp, np.ones(system.size), d)
+        made.append(counts.factorizations)
+    assert made == [1, 1, 2, 2, 3, 3] and counts.solves == 6
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_product_is_the_matrix_of_ida_over_that_of_the_expected_cj(form):
+    p, random, expected, cj = problems.get("pendulum"), np.random.default_rng(5), 40.0, 60.0
+    system = System(p.model, form, rate=5.0)
+    n, m = p.model.n, p.model.m
+    y, yp = system.pack(State(0.3, p.q0 + 0.1, *(random.standard_normal(k) for k in (n, n, m))))
+    linear, x, product, there = WholeSolve(system, Counts(), 5, "none"), *(random.standard_normal(system.size) for _ in range(3))
+    linear.begin(0.3 - 1 / expected, y)
+    linear.correct(0.3, y, yp, np.ones(system.size), there)
+    linear.product(0.3, y, yp, there, x, product, cj)
+    J, J_expected = (whole_matrix(system, 0.3, y, yp, c)[0] for c in (cj, expected))
+    assert np.allclose(J_expected @ product, J @ x, rtol=1e-9, atol=1e-9 * np.abs(J @ x).max())
+    linear.correct(0.3, y, yp, np.ones(system.size), there)  # with the cj that the product told
+    linear.product(0.3, y, yp, there, x, product, cj)
+    assert (product == x).all()
+
+
+def test_the_order_is_that_of_the_polynomial_that_predicts():
+    random = np.random.default_rng(7)
+    times, last = np.cumsum(random.uniform(0.5, 2.0, 9)), 9.7
+    values = random.standard_normal((9, 3))
+    predicted = Predicted(3, 5)
+    predicted.begin(times[0], values[0])
+    assert predicted.order(times[1], random.standard_normal(3)) == 1
+    for t, value in zip(times[1:], values[1:]):
+        predicted.accept(t, value)
+    for k in range(1, 6):
+        q = BarycentricInterpolator(times[-k - 1 :], values[-k - 1 :])(times[-1] + last)
+        assert predicted.order(times[-1] + last, q) == k
+        assert predicted.cj(times[-1] + last, q) == pytest.approx(sum(1 / i for i in range(1, k + 1)) / last)
 
 
 # bounds: some three times the error measured; its last digits follow the platform's round-off through step control

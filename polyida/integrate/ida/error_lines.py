@@ -3,7 +3,6 @@
 import re
 import sys
 import threading
-from contextlib import contextmanager
 
 _ERROR = re.compile(r"\[IDA\w*, Error: -?\d+\] (.*)", re.DOTALL)
 _lock = threading.Lock()
@@ -38,18 +37,19 @@ class _Filter:
         return getattr(self.stream, name)
 
 
-@contextmanager
-def error_lines_kept():
+class error_lines_kept:  # noqa: N801, used as a function; a generator would cost as much as the step that it is for
     """Within it, SUNDIALS' error lines go to the `message` of the object it gives. Threads may share it."""
-    with _lock:
-        if not _open:
-            _open.append(_Filter(sys.stdout))
-            sys.stdout = _open[0]
-        _open.append(_open[0])
-        _open[0].message = ""
-    try:
-        yield _open[0]
-    finally:
+
+    def __enter__(self):
+        with _lock:
+            if not _open:
+                _open.append(_Filter(sys.stdout))
+                sys.stdout = _open[0]
+            _open.append(_open[0])
+            _open[0].message = ""
+            return _open[0]
+
+    def __exit__(self, *error):
         with _lock:
             _open.pop()
             if len(_open) == 1 and sys.stdout is _open.pop():

@@ -142,6 +142,19 @@ class System:
             if mu is not None:
                 res[:n] += B.T @ mu
 
+    def along_rates(self, t, y, yp, x):
+        """dF/dy' x at (t, y, y'), x (size,)."""
+        n, m, model, t = self.model.n, self.model.m, self.model, self.clamp(t)
+        q, product = y[:n].copy(), np.zeros(self.size)
+        product[:n], product[n : 2 * n] = x[:n], model.mass(q) @ x[n : 2 * n]
+        B = self.phi_q(t, q) if m and (self.form.integrated or 2 in self.form.rows) else None
+        if B is not None and self.form.integrated:
+            product[n : 2 * n] += B.T @ x[2 * n : 2 * n + m]
+            product[:n] += B.T @ x[2 * n + m :]
+        if B is not None and 2 in self.form.rows:
+            product[2 * n :] = B @ x[n : 2 * n]
+        return product
+
     def phi_q(self, t, q):
         """The model's; made once for a residual and the solve that follows it."""
         at, where, B = self._seen

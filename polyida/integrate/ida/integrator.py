@@ -157,14 +157,15 @@ def _check(name, value, right, wanted):
 
 def _callbacks(settings, model, counts):
     """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form."""
+    order = settings.order(model)
     if model.compiled and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
         from polyida.integrate.ida.scene import SceneSolve, SceneSystem
 
         system = SceneSystem(model, settings.form, settings.rate)
-        return system, SceneSolve(system, counts)
+        return system, SceneSolve(system, counts, order)
     system = System(model, settings.form, settings.rate)
     whole = settings.linear == "whole"
-    return system, WholeSolve(system, counts, settings.scaling) if whole else ReducedSolve(system, counts)
+    return system, WholeSolve(system, counts, order, settings.scaling) if whole else ReducedSolve(system, counts, order)
 
 
 def _top_heavy(model):
@@ -178,10 +179,11 @@ class _Run:
 
     def __init__(self, settings, model, sizes, counts):
         from sksundae.ida import IDA as Solver
-        from sksundae.ida import IDAJacTimes, IDAPrecond
+        from sksundae.ida import IDAJacTimes
 
         self.settings, self.model, self.sizes, self.counts = settings, model, sizes, counts
-        self.system, linear = _callbacks(settings, model, counts)
+        self.system, self.linear = _callbacks(settings, model, counts)
+        self.right = np.empty(self.system.size)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
         self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
@@ -194,17 +196,20 @@ class _Run:
             first_step=float(settings.first_step),
             linsolver="gmres",
             krylov_dim=5,
-            precond=IDAPrecond(linear.setup, linear.solve),
-            jactimes=IDAJacTimes(None, linear.product),
+            jactimes=IDAJacTimes(None, self.linear.product),
         )
 
     def _residual(self, t, y, yp, res):
         self.counts.residuals += 1
         if t != self.tried:
             self.attempts, self.tried = self.attempts + 1, t
-        self.system.residual(t, y, yp, res)
-        if not (math.isfinite(res.dot(res)) or np.isfinite(res).all()):
-            self.refused, self.blamed = (t, np.array(y[: self.model.n])), self.model.not_finite
+        r = self.right
+        self.system.residual(t, y, yp, r)
+        if math.isfinite(r.dot(r)) or np.isfinite(r).all():
+            self.linear.correct(t, y, yp, r, res)
+            return
+        res[:] = math.nan
+        self.refused, self.blamed = (t, np.array(y[: self.model.n])), self.model.not_finite
 
     def piece(self, state, begin, times, limits):
         """Accepted States on the smooth piece from begin to the last of `times`, all of which it hits.
@@ -212,7 +217,9 @@ class _Run:
         The model's time is held to `limits`.
         """
         self.system.limits = limits
-        self.solver.init_step(begin, *self.system.pack(state))
+        y, yp = self.system.pack(state)
+        self.linear.begin(begin, y)
+        self.solver.init_step(begin, y, yp)
         t = begin
         for end in times:
             for state in self._up_to(end, t, state):
@@ -233,6 +240,7 @@ class _Run:
                 raise self._failure(STATUS.get(result.status, "ida"), reason, state)
             self._count_step(t, float(result.t))
             t = float(result.t)
+            self.linear.accept(t, result.y)
             before, state = state, self.system.state(t, result.y, result.yp)
             state.memory["sizes"] = self.sizes
             if objection := self.system.objection(t, state.q):

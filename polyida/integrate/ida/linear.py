@@ -1,6 +1,6 @@
-"""The linear systems of IDA: one n x n factor and a small border solve its whole iteration matrix exactly.
+"""IDA's Newton correction: one n x n factor and a small border solve its whole iteration matrix exactly.
 
-IDA asks for `J d = r`, J = dF/dy + cj dF/dy'. With y = (q, v, lam, mu) and mu only where the form has it:
+IDA asks for `J d = -F`, J = dF/dy + cj dF/dy'. With y = (q, v, lam, mu) and mu only where the form has it:
 
     |  cj I     -I               B^T |  |dq  |   |r1|     q' - v + B^T mu
     |  K      cj M + C   B^T         |  |dv  | = |r2|     M v' + g + B^T lam
@@ -8,8 +8,11 @@ IDA asks for `J d = r`, J = dF/dy + cj dF/dy'. With y = (q, v, lam, mu) and mu o
                                         |dmu |            P = c_q,  Q = c_v + cj c_a
 
 The first row gives dv; what remains is `S = K + cj C + cj^2 M` bordered by as many rows as there are multipliers.
-IDA runs its GMRES on it with this solve as preconditioner. Its product with the matrix is replaced by handing the
-vector through, and the solve that follows it by an echo: one real solve a Newton iteration, none to confirm it.
+
+What IDA is given as its residual is `J^-1 F`, which has the same zeros and the same Newton corrections: its own linear system is then
+that of the identity, and its GMRES, without a preconditioner, is done after one product that hands the vector through. IDA tells cj
+only with that product, after the residual; it is known before from what IDA predicts (`predicted.py`). Should it be another, the product
+is the true one, `J(expected)^-1 J(cj) = 1 + (cj - expected) J(expected)^-1 dF/dy'`.
 """
 
 import math
@@ -17,40 +20,55 @@ from contextlib import suppress
 
 import numpy as np
 
+from polyida.integrate.ida.predicted import Predicted
 from polyida.linear.border import MANY, Border
 from polyida.linear.lu import SingularSystem
 from polyida.linear.step_matrix import StepMatrix
 
 SAME_CJ = 1e-3  # relative change of cj below which the factor serves on
+LATE = 2  # iterations of one step after which the factor is made anew where it is
 
 
-class EchoedSolve:
-    """IDA's linear callbacks around a solve with the whole iteration matrix: `setup` factors at a cj, `reduced` solves.
+class Correction:
+    """IDA's callbacks around a solve with the whole iteration matrix: `setup` factors at a cj, `reduced` solves.
 
-    IDA itself keeps a factor while cj moves by up to 5/3. Here S is factored whenever cj has moved: with a stale cj
+    IDA itself would keep a factor while cj moves by up to 5/3. Here S is factored whenever cj has moved: with a stale cj
     Newton contracts at up to 0.5, needs up to 1.7 times the residuals, and on flexible bodies stops further from the
     solution; the factors saved are few.
     """
 
-    def __init__(self, system, counts):
-        self.system, self.counts = system, counts
+    def __init__(self, system, counts, order):
+        self.system, self.counts, self.predicted = system, counts, Predicted(system.model.n, order)
         self.cj = math.nan
-        self.echo = False
+
+    def begin(self, t, y):
+        """IDA starts anew from y at t."""
+        self.predicted.begin(t, y[: self.system.model.n])
+        self.tried = math.nan
+
+    def accept(self, t, y):
+        """IDA has taken a step, to y at t."""
+        self.predicted.accept(t, y[: self.system.model.n])
+
+    def correct(self, t, y, yp, r, z):
+        """z = J^-1 r at the cj that is expected; nan where there is no inverse."""
+        if t != self.tried:
+            self.tried, self.iterations, self.expected = t, 0, self.predicted.cj(t, y[: self.system.model.n])
+        if not abs(self.expected - self.cj) <= SAME_CJ * self.expected or self.iterations == LATE:
+            self.setup(t, y, yp, self.expected)
+        self.iterations += 1
+        self.counts.newton_iterations += 1
+        self._solve(t, y, yp, r, z)
 
     def product(self, t, y, yp, res, vector, result, cj):
-        """IDA's matrix times vector: hand it through, and have the next `solve` echo it."""
-        self.echo = True
+        """J(expected)^-1 J(cj) vector: the vector itself where the expected cj is that."""
         result[:] = vector
+        if abs(cj - self.cj) > SAME_CJ * cj:
+            self.expected, change = cj, np.empty(len(vector))
+            self._solve(t, y, yp, self.system.along_rates(t, y, yp, vector), change)
+            result += (cj - self.cj) * change
 
-    def solve(self, t, y, yp, res, r, z, cj, delta):
-        """z = J^-1 r, or the echo of r where `product` came before."""
-        if self.echo:
-            self.echo = False
-            z[:] = r
-            return
-        if not abs(cj - self.cj) <= SAME_CJ * cj:
-            self.setup(t, y, yp, res, cj)
-        self.counts.newton_iterations += 1
+    def _solve(self, t, y, yp, r, z):
         self.counts.solves += 1
         try:
             self.reduced(t, y, yp, r, z)
@@ -58,14 +76,14 @@ class EchoedSolve:
             z[:] = math.nan
 
 
-class ReducedSolve(EchoedSolve):
-    """The preconditioner of `system` (integrate/ida/forms.py) for any model: its step matrix with a border."""
+class ReducedSolve(Correction):
+    """The correction of `system` (integrate/ida/forms.py) for any model: its step matrix with a border."""
 
-    def __init__(self, system, counts):
-        super().__init__(system, counts)
+    def __init__(self, system, counts, order):
+        super().__init__(system, counts, order)
         self.step = StepMatrix(system.model)
 
-    def setup(self, t, y, yp, res, cj):
+    def setup(self, t, y, yp, cj):
         """Evaluate the blocks at (t, y, y'), factor S."""
         self.cj, self.blocks, self.border = cj, self.system.blocks(t, y, yp), None
         self.counts.tangents += 1
@@ -76,7 +94,7 @@ class ReducedSolve(EchoedSolve):
     def reduced(self, t, y, yp, r, z):
         """z = J^-1 r, constraint rows and columns those of (t, y, y'): with those of the factor's state phi falls only as Newton contracts.
 
-        Where phi is a row and not linear, what it bends by over dq is taken out too: one iteration closes it.
+        Where phi is a row and not linear, what it bends by on the way to q - dq is taken out too: one iteration closes it.
         """
         vary = self.system.rows_vary
         if self.border is None or (vary and self.system.model.m <= MANY):
@@ -87,7 +105,7 @@ class ReducedSolve(EchoedSolve):
         dq, w = self.border.solve(free, self.rows, below, self.corner)
         if vary and self.system.holds_phi:
             phi, at = self.system.model.phi, self.system.clamp(t)
-            below[:m] -= phi(at, q + dq) - phi(at, q) - r[2 * n : 2 * n + m]
+            below[:m] += phi(at, q - dq) - phi(at, q) + r[2 * n : 2 * n + m]
             dq, w = self.border.solve(free, self.rows, below, self.corner)
         z[:n], z[n : 2 * n], z[2 * n :] = dq, self.cj * dq - r1, w / self.cj if blocks.integrated else w
         if blocks.stabilised:

@@ -16,7 +16,7 @@ from polyida.assembly.rows import joints
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.compiled import entry, pack
 from polyida.integrate.ida.forms import System
-from polyida.integrate.ida.linear import EchoedSolve
+from polyida.integrate.ida.linear import Correction
 from polyida.linear.dense import clear
 from polyida.linear.lu import SingularSystem
 
@@ -127,12 +127,12 @@ class SceneSystem(System):
 
     def __init__(self, model, form, rate):
         super().__init__(model, form, rate)
-        self.room = room(model)
+        self.room, self.kernel = room(model), residual.held()
         self.damp = np.empty((model.n_nodes, 2)) if model.damped else None
 
     def residual(self, t, y, yp, res):
         """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where an element is inside out or a motor flipped."""
-        det = residual(
+        det = self.kernel(
             self.model.arrays, self.room, self.model.drives(self.clamp(t)), y, yp, self.form.integrated, self.damp, self.model.laws, res
         )
         if not det > 0:
@@ -143,14 +143,14 @@ class SceneSystem(System):
         return None
 
 
-class SceneSolve(EchoedSolve):
-    """IDA's linear callbacks for a SceneSystem: a co-rotated factor of the plates and the border."""
+class SceneSolve(Correction):
+    """IDA's correction for a SceneSystem: a co-rotated factor of the plates and the border."""
 
-    def __init__(self, system, counts):
-        super().__init__(system, counts)
-        self.step = system.model.step_matrix()
+    def __init__(self, system, counts, order):
+        super().__init__(system, counts, order)
+        self.step, self.kernel = system.model.step_matrix(), solve.held()
 
-    def setup(self, t, y, yp, res, cj):
+    def setup(self, t, y, yp, cj):
         """Factor S at y."""
         step = self.step
         self.counts.tangents += 1
@@ -163,7 +163,7 @@ class SceneSolve(EchoedSolve):
             return
         self.cj, self.counts.backend = cj, step.backend
         damping = step.model.force_v(*at[:2], np.zeros_like(at[2])) / cj if step.model.damped else None
-        self.massive = massive(step.model, step.corotated, step.room.x, damping)
+        self.massive = massive(step.model, step.corotated, damping)
         self.counts.solves += 2 * step.solves
 
     def reduced(self, t, y, yp, r, z):
@@ -173,5 +173,5 @@ class SceneSolve(EchoedSolve):
             z[:] = math.nan
             return
         where = model.arrays, step.corotated, self.massive, step.room, system.room, model.drives(system.clamp(t))
-        if not solve(*where, self.cj, system.form.integrated, system.damp, r, z):
+        if not self.kernel(*where, self.cj, system.form.integrated, system.damp, r, z):
             z[:] = math.nan

@@ -18,7 +18,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from polyida.integrate.ida.linear import EchoedSolve
+from polyida.integrate.ida.linear import Correction
 from polyida.linear import whole
 from polyida.linear.lu import SingularSystem
 
@@ -43,14 +43,14 @@ def whole_matrix(system, t, y, yp, cj):
     return whole.joined(cj, K, slope, columns, mu, blocks.P, blocks.Q0 + cj * blocks.Q1), whole.typical(cj, K, slope)
 
 
-class WholeSolve(EchoedSolve):
-    """IDA's linear callbacks by one LU of the scaled whole matrix."""
+class WholeSolve(Correction):
+    """IDA's correction by one LU of the scaled whole matrix."""
 
-    def __init__(self, system, counts, scaling):
-        super().__init__(system, counts)
+    def __init__(self, system, counts, order, scaling):
+        super().__init__(system, counts, order)
         self.scaling = scaling
 
-    def setup(self, t, y, yp, res, cj):
+    def setup(self, t, y, yp, cj):
         """Evaluate, scale and factor J at (t, y, y')."""
         self.cj, model = cj, self.system.model
         J, s = whole_matrix(self.system, t, y, yp, cj)

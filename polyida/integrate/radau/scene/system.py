@@ -27,14 +27,12 @@ class SceneSystem:
         self.expect = self.loads.expect
         self.trial = trial(tableau.stages, model.n, model.m, self.tied)
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
-        self.moves_v, self.tie, self.kernels = moves_v, tie(model) if model.m else None, {}
+        self.moves_v, self.tie = moves_v, tie(model) if model.m else None
+        self.kernels = {kernel: kernel.held() for kernel in (begin, iterate, close, error)}
 
     def _call(self, kernel, *args):
         """kernel(scene's arrays, *args), whose types are the same in every call."""
-        bound = self.kernels.get(kernel)
-        if bound is None:
-            bound = self.kernels[kernel] = kernel.bound(self.model.arrays, *args)
-        return bound(self.model.arrays, *args)
+        return self.kernels[kernel](self.model.arrays, *args)
 
     def weigh(self, shares):
         """Take the coordinates' shares in the mass."""
@@ -117,4 +115,4 @@ class SceneMatrices:
             return None, None
         t, q, v = at[:3]
         damping = self.model.force_v(t, q, np.zeros_like(v)) / c if self.model.damped else None
-        return massive(self.model, step.corotated, step.room.x, damping), stabilised_room(self.model, type(c))
+        return massive(self.model, step.corotated, damping), stabilised_room(self.model, type(c))
