@@ -28,7 +28,7 @@ class Method(NamedTuple):
     least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over
     to_a. extent: of the coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control:
     |C| h^2 of the local error (0: fixed steps), of which atol + rtol |q| is allowed; grow: the error below which the
-    step is too short.
+    step is too short; before: the weight of the change of q'' in the step before, beside 1 of that in this one, in the error.
     """
 
     h: float
@@ -48,6 +48,7 @@ class Method(NamedTuple):
     rtol: float
     atol: float
     grow: float
+    before: float
 
 
 @pack
@@ -183,9 +184,9 @@ def local_error(p, y, w):
     """Local error of q over what is allowed, both root mean squares weighted with the masses."""
     change = size = 0.0
     for i in range(w.now.shape[1]):
-        change += y.past[MASSES, i] * (w.now[A, i] - y.past[A, i]) ** 2
+        change += y.past[MASSES, i] * (w.now[A, i] - y.past[A, i] + p.before * y.past[CHANGE, i]) ** 2
         size += y.past[MASSES, i] * w.now[Q, i] * w.now[Q, i]
-    return p.control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
+    return p.control / (1.0 + p.before) * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
 
 
 @part
