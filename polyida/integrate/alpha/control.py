@@ -8,6 +8,7 @@ from polyida.integrate.moves import PARTS
 from polyida.integrate.sizes import sizes_of_run
 
 ORDER = 3  # the local error is of that order in h
+CAREFUL = 0.3  # of the first step that the motion's size and speed suggest
 AIM = 5e-5  # rtol of a run where nothing was given: for an error of twice that
 
 
@@ -55,12 +56,12 @@ def over_run(settings, model, state, t_end):
     """The Control of a run from the state to t_end whose local errors add up to no more than atol + rtol |q|.
 
     The largest error of a run is 0.7 to 3 times their sum, on all problems but one, however long the run; on the spin-up beam, which is
-    driven all the time, a hundredth. It takes the first step that a motion bears that goes the model's length L within T: `|C| (h/T)^3 L = h/span (atol + rtol L)`.
+    driven all the time, a hundredth. It begins below the step that a motion bears that goes the model's length L within T: `|C| (h/T)^3 L = h/span (atol + rtol L)`.
     """
     length, _, span, ways = sizes = tuple(map(float, sizes_of_run(model, state, t_end)))
     rtol, atol = tolerances(settings.rtol, settings.atol, length)
     time = span / ways
-    first = time * np.sqrt((atol / length + rtol) * time / (abs(settings.coefficients.error) * span))
+    first = CAREFUL * time * np.sqrt((atol / length + rtol) * time / (abs(settings.coefficients.error) * span))
     return Control(span / PARTS, rtol, atol, min(first, span / PARTS), span, sizes)
 
 

@@ -181,12 +181,15 @@ def finish(p, y, w, q, v, a, lam):
 
 @part
 def local_error(p, y, w):
-    """Local error of q over what is allowed, both root mean squares weighted with the masses."""
-    change = size = 0.0
+    """Local error of q over what is allowed, both root mean squares weighted with the masses; where no step went before, from this one."""
+    change = earlier = size = 0.0
     for i in range(w.now.shape[1]):
-        change += y.past[MASSES, i] * (w.now[A, i] - y.past[A, i] + p.before * y.past[CHANGE, i]) ** 2
+        before = p.before * y.past[CHANGE, i]
+        change += y.past[MASSES, i] * (w.now[A, i] - y.past[A, i] + before) ** 2
+        earlier += before * before
         size += y.past[MASSES, i] * w.now[Q, i] * w.now[Q, i]
-    return p.control / (1.0 + p.before) * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
+    control = p.control / (1.0 + p.before) if earlier > 0.0 else p.control
+    return control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
 
 
 @part

@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.step_control import calm_error
+from polyida.integrate.kinks import at_kink
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, StepFailure
@@ -57,6 +58,7 @@ class Steps:
             *(self._held_to(h) if self.control else (0.0, 0.0, 0.0, 0.0, 0.0)),
         )
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
+        y.past[step.CHANGE] = self._change_before(state)
         y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
         self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
@@ -68,6 +70,11 @@ class Steps:
         control = self.control
         calm = calm_error(h, control.largest, order=control.order)
         return abs(self.settings.coefficients.error) * h * h, *control.allowed(h), calm, control.before
+
+    def _change_before(self, state):
+        """The change of q'' in the step before, at another h, where the error of the first one asks for it; 0 behind a kink."""
+        asked = self.control and self.control.before and not at_kink(self.model, state.t)
+        return state.memory.get("change", 0.0) if asked else 0.0
 
     def _weigh(self, masses):
         self.memory.past[step.MASSES], self.memory.past[step.SHARES] = masses, 1.0 / len(masses) if self.model.alike else masses
