@@ -56,7 +56,7 @@ def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None
     form, cj = 1/h, (2n + m or 2n + 2m)^2. RadauIIA: that of its form for one mode of the stages, of the same shape (radau/whole.py);
     mode: "real" or "complex", by default the real one, which two stages do not have.
     scaling: the integrator's own, or any other that it knows. h: the step, s, in place of GeneralizedAlpha's and RadauIIA's own; IDA, and
-    RadauIIA where it adapts, have none. Raises InputError for an integrator, a scaling, an unknown, a mode or a step that there is not.
+    the others where none was given, have none. Raises InputError for an integrator, a scaling, an unknown, a mode or a step that there is not.
     """
     model = guard(model, "condition_number")
     if not isinstance(integrator, (GeneralizedAlpha, IDA, RadauIIA)):
@@ -86,7 +86,13 @@ def _require_choice(integrator, unknown, mode):
         raise InputError("condition_number: mode = 'real' must be 'complex' for RadauIIA of two stages, which has no other")
 
 
+def _require_step(integrator):
+    if integrator.h is None:
+        raise InputError(f"condition_number: h = None must be a positive step in s: {type(integrator).__name__} has none of its own")
+
+
 def _alpha(model, integrator, state, unknown):
+    _require_step(integrator)
     c, h = integrator.coefficients, integrator.h
     to_a, to_v = c.rates(h)
     tangent = model.tangent(state.t, state.q, state.v, state.a, state.lam, to_a, to_v, 1.0)
@@ -108,8 +114,7 @@ def _ida(model, integrator, state, h):
 
 def _radau(model, integrator, state, mode):
     """Form "ggl" with its mu even where a run leaves it out, because phi is linear in q and mu is zero."""
-    if integrator.h is None:
-        raise InputError("condition_number: h = None must be a positive step in s: RadauIIA has none of its own where it adapts")
+    _require_step(integrator)
     t, q, v, tied = state.t, state.q, state.v, integrator.form == "ggl"
     rows = Rows(model, t, q, v, lift(model, weights(model, q)) if tied else None)
     K = model.tangent(t, q, v, state.a, state.lam, 0.0, 0.0, 1.0)

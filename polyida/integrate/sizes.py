@@ -1,10 +1,11 @@
-"""How large and how fast a motion is, told from its first state: what absolute tolerances are a share of."""
+"""How large, how fast and how long a motion is, told from its first state: what tolerances are chosen by."""
 
 import numpy as np
 
 AT = (np.arange(32) + 0.5) / 32  # of the run's time: where motors are looked at
 MOVES = 1e-6  # of its length: a model whose first state takes it less far in the whole run stands still
 ROUND_OFF = 64 * 2.0**-52  # of the numbers that phi is made of: |phi| that is mere round-off
+LEAST = 1e-10  # relative tolerance that is chosen by itself
 NOTHING = 1e-12  # m: a |q| of less is what is left of a start at zero that was moved onto its constraints
 
 
@@ -19,6 +20,38 @@ def typical_sizes(model, state, span):
     length = model.extent or (q if q > NOTHING else _way(model, state, span, v, a))
     speed = max(v, np.sqrt(max(a, model.free_fall) * length), length * _fastest_turn(model, state.t, span))
     return np.array([length, speed if model.free_fall or speed > MOVES * length / span else length / span])
+
+
+def sizes_of_run(model, state, t_end):
+    """(length, speed, time, ways) of the run that a state is of, as that took them, or of one that begins with it; m, m/s, s.
+
+    ways: how often the motion goes its own length in that time, the same in whatever units the coordinates are.
+    """
+    kept = state.memory.get("sizes", ())
+    if len(kept) == 4:
+        return np.array(kept, float)
+    span = t_end - state.t
+    length, speed = kept if len(kept) else typical_sizes(model, state, span)
+    return np.array([length, speed, span, span * _pace(model, state, speed / length)], float)
+
+
+def _pace(model, state, pace):
+    """How often a second the motion goes its own length: of a model of one's own by norms that weigh coordinates by their mass."""
+    shares = weights(model, state.q)
+    q, v, a = (float(np.sqrt(shares @ x**2)) for x in (state.q, state.v, state.a))
+    own = max(v / q, np.sqrt(a / q)) if q > 0.0 else 0.0
+    return pace if model.extent or not own else own
+
+
+def relative_tolerance(aim, most, ways):
+    """`aim`, or less where the motion goes its length more than `most` times: what is left of each step adds up over the run."""
+    return max(LEAST, aim * min(1.0, most / ways))
+
+
+def chosen(rtol, ways):
+    """In words, a relative tolerance that a run took from its length."""
+    enough = "" if rtol > LEAST else ", the least that is chosen by itself: the error may be larger"
+    return f"rtol {rtol:.1e} for a way of {ways:.2g} times the model's length{enough}"
 
 
 def _fastest_turn(model, t, span):

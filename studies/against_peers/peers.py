@@ -15,7 +15,7 @@ from polyida.errors import InputError
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.scene import SceneSystem
-from polyida.integrate.sizes import typical_sizes
+from polyida.integrate.sizes import sizes_of_run, typical_sizes
 from polyida.integrate.start import consistent_state
 from polyida.linear.cholesky.triangular import fill_band
 
@@ -163,11 +163,11 @@ def sparse_ida(model, t_end, settings=None):
 
     settings = settings or IDA()
     system, jacobian = SceneSystem(model, "ggl2", settings.rate), WholeJacobian(model)
-    sizes = typical_sizes(model, consistent_state(model, 0.0, None, None), t_end)
+    sizes = sizes_of_run(model, consistent_state(model, 0.0, None, None), t_end)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own
         solver = Solver(
             system.residual,
-            rtol=settings.rtol,
+            rtol=settings.relative(sizes),
             atol=system.tolerances(*settings.tolerances(model.n, sizes)),
             jacfn=jacobian,
             max_order=settings.order(model),

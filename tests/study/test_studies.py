@@ -33,6 +33,7 @@ REQUIRED = {
     "conditioning": {"slope_unscaled", "scaled_condition_max"},
     "bdf_order": {"steps_order5_over_order2"},
     "energy": {"energy_momentum_relative_drift"},
+    "defaults": {"default_error_max", "default_error_min", "alpha_cpu_over_best_max"},
     "start": {"cold_alpha_cpu_s", "cold_main_job_cpu_s"},
     "mesh_convergence": {"elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"},
 }
@@ -40,7 +41,7 @@ REQUIRED = {
 
 def made_up(name, task):
     """A row's results of the right form, without a run."""
-    h = task.get("x", task.get("h", 1e-3 / 2 ** task.get("halvings", 0)))
+    h = task.get("x", task.get("h", 1e-3 / 2 ** task.get("halvings", 0))) or 1e-3
     size = 1e-6 if isinstance(h, list) else float(h)
     errors = {f"error_{part}": size**2 for part in ("q", "v", "a", "lam")}
     work = {
@@ -64,6 +65,9 @@ def made_up(name, task):
         return {"values": values, "theory": 0, "slope": -4.0, "slope_limit": -4.0, "worst": 1e5, "at_1e-2": 1e-2, "at_1e-9": 1e-2}
     if name == "bdf_order":
         return work | {"steps_per_s": 40.0, "t_reached": 0.25, "tip_error": 1e-5, "t": T, "h": [1e-4] * 4, "rejected": 0}
+    if name == "defaults":
+        error = 1e-4 if task["x"] is None else 0.1 * task["x"]
+        return work | {"cpu_s": 1e-5 / error, "error_max": error, "error_end": error, "size": 1.0, "known": {"q": 1e-9}, "summary": "done"}
     if name == "energy":
         momentum = {"linear_drift": 1e-9, "angular_drift": 1e-9, "angular": [0.0, 1e-9, 1e-9, 1e-9]}
         return work | momentum | {"energy_drift": 1e-9, "energy_change": 1e-9, "t": T, "energy": [0.0, 1e-9, -1e-9, 2.0]}

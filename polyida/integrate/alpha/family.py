@@ -37,6 +37,11 @@ class Coefficients:
         return 1 / 6 - (self.alpha_m - self.alpha_f) / 2 - self.beta
 
     @property
+    def tells(self):
+        """Whether that is all of the leading error: the member is of second order, and C is not zero."""
+        return abs(self.gamma - 0.5 + self.offset) < 1e-6 and abs(self.error) > 1e-3
+
+    @property
     def offset(self):
         """Steps by which the algorithmic acceleration is ahead of q'': alpha_m - alpha_f."""
         return self.alpha_m - self.alpha_f

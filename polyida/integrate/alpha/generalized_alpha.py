@@ -6,6 +6,7 @@ from typing import Any, Self
 
 from polyida.errors import InputError
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
+from polyida.integrate.alpha.control import Control, over_run, tolerances
 from polyida.integrate.alpha.family import Coefficients, require_damping
 from polyida.integrate.alpha.march import march
 from polyida.integrate.alpha.step_control import adapt
@@ -31,7 +32,7 @@ class GeneralizedAlpha:
     """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
-    h: step, s; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly,
+    h: step, s, or None: the error of the run decides, see rtol; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly,
     four at least behind a kink where loads and motors are no straight lines, and as many as it needs where a load or
     motor moves too fast for h (integrate/moves.py).
     rho_inf: spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f,
@@ -40,7 +41,10 @@ class GeneralizedAlpha:
     have both. rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
     `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, each
     coordinate weighted with its mass; m; atol is 1e-3 rtol where only rtol is given); lam is not in it. h is then the
-    largest step, and the run fails beyond max_num_steps steps, with those rejected. extrapolate: give
+    largest step, and the run fails beyond max_num_steps steps, with those rejected. Without h the local errors of all steps together
+    stay below that: a step has h over the run's time of it, rtol is 5e-5 where neither is given, and atol rtol times the model's length
+    (integrate/sizes.py), so that the error at the end is about 1e-4 of the model's size, or 1 to 3 times rtol; the summary says these
+    (integrate/alpha/control.py). Motions that part from a neighbour by more than in proportion to time end further off. extrapolate: give
     (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
 
     tolerance: Newton's, of beta h^2 times the size of q''; None: 1e-3 of the step's local error, but at least 1e-7 and at
@@ -53,7 +57,7 @@ class GeneralizedAlpha:
     only. Raises InputError for a setting out of range.
     """
 
-    h: float
+    h: float | None = None
     rho_inf: float = 0.9
     tolerance: float | None = None
     scaling: str = "physical"
@@ -70,14 +74,14 @@ class GeneralizedAlpha:
     max_num_steps: int = 1_000_000
 
     @classmethod
-    def hht(cls, h: float, alpha: float = -0.05, **settings) -> Self:
+    def hht(cls, h: float | None = None, alpha: float = -0.05, **settings) -> Self:
         """Hilber, Hughes, Taylor 1977: alpha_m = 0, alpha_f = -alpha, alpha in [-1/3, 0); second order."""
         if not (is_number(alpha) and -1 / 3 <= alpha < 0):
             raise InputError(f"GeneralizedAlpha.hht: alpha = {alpha!r} must be in [-1/3, 0); index 3 is unstable at 0")
         return cls(h, member=_tuple(Coefficients.second_order(0.0, -alpha)), **settings)
 
     @classmethod
-    def wbz(cls, h: float, alpha: float = -0.05, **settings) -> Self:
+    def wbz(cls, h: float | None = None, alpha: float = -0.05, **settings) -> Self:
         """Wood, Bossak, Zienkiewicz 1980: alpha_m = alpha, alpha_f = 0, alpha in (-1, 0); second order."""
         if not (is_number(alpha) and -1 < alpha < 0):
             raise InputError(f"GeneralizedAlpha.wbz: alpha = {alpha!r} must be in (-1, 0); index 3 is unstable at 0")
@@ -96,14 +100,18 @@ class GeneralizedAlpha:
         if self.member is not None:
             object.__setattr__(self, "member", tuple(map(float, self.member)))
             require_damping("GeneralizedAlpha", self.coefficients)
-        if self.adaptive:
+            if self.h is None and not self.coefficients.tells:
+                raise InputError(
+                    f"GeneralizedAlpha: h = None must be a step in s for the member {self.member}, whose local error is not told"
+                )
+        if self.adaptive and self.h is not None:
             object.__setattr__(self, "rtol", float(self.rtol or 0.0))
             object.__setattr__(self, "atol", ABSOLUTE * self.rtol if self.atol is None else float(self.atol))
 
     def _checks(self):
         allowed = lambda x: x is None or (is_number(x) and 0 <= x < 1)  # noqa: E731
         return (
-            ("h", is_number(self.h) and self.h > 0, "a positive step in s"),
+            ("h", self.h is None or (is_number(self.h) and self.h > 0), "a positive step in s, or None: by the error of the run"),
             ("rho_inf", is_number(self.rho_inf) and 0 <= self.rho_inf < 1, "in [0, 1); index 3 is unstable at 1"),
             (
                 "tolerance",
@@ -119,7 +127,7 @@ class GeneralizedAlpha:
             ("rtol", allowed(self.rtol), "a number in [0, 1) or None"),
             (
                 "atol",
-                allowed(self.atol) and (not self.adaptive or self.rtol or self.atol),
+                allowed(self.atol) and (self.rtol is self.atol is None or self.rtol or self.atol),
                 "a length below 1 m or None, and not zero beside rtol = 0",
             ),
             (
@@ -149,7 +157,15 @@ class GeneralizedAlpha:
     @property
     def adaptive(self) -> bool:
         """Whether the step follows the local error."""
-        return self.rtol is not None or self.atol is not None
+        return self.h is None or self.rtol is not None or self.atol is not None
+
+    def told(self, memory: dict) -> str:
+        """What a summary says of the steps that a run without h took; memory of one of its states."""
+        if self.h is not None or "sizes" not in memory:
+            return ""
+        length, _, time, _ = memory["sizes"]
+        rtol, atol = tolerances(self.rtol, self.atol, length)
+        return f"steps by local errors of q that add up to {atol:.1e} + {rtol:.1e} |q| in {time:.4g} s"
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
@@ -161,19 +177,24 @@ class GeneralizedAlpha:
 
     def in_pieces(self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1) -> Iterator[State]:
         """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
-        engine, most_steps = self._engine(model, counts), counts.steps + counts.rejected + self.max_num_steps
-        look = cells_of(self.h, t_end - state.t) if self.adaptive else (self.h,)
+        engine = Steps(self, model, counts, self._control(model, state, t_end))
+        most_steps = counts.steps + counts.rejected + self.max_num_steps
+        control = engine.control
+        look = cells_of(control.largest, t_end - state.t) if control else (self.h,)
         for begin, end, most in stretches(model, state.t, t_end, *look):
-            if self.adaptive:
-                piece = adapt(engine, self, model, state, begin, end, min(self.h, most), counts, most_steps)
+            if control:
+                piece = adapt(engine, self, model, state, begin, end, min(control.largest, most), counts, most_steps)
             else:
                 count = split * enough_steps(model, state, begin, end, min(self.h, most))
                 piece = march(engine, self, model, state, begin, end, count, counts)
             for state in piece:
                 yield state
 
-    def _engine(self, model, counts):
-        return Steps(self, model, counts)
+    def _control(self, model, state, t_end):
+        """What its steps are held to; None where they are equal."""
+        if self.h is None:
+            return over_run(self, model, state, t_end)
+        return Control(self.h, self.rtol, self.atol) if self.adaptive else None
 
     def step_matrix(self, model: Model) -> Any:
         """The model's step matrix, by `linear` and, where that is "kkt", `scaling`."""

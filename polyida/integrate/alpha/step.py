@@ -28,7 +28,7 @@ class Method(NamedTuple):
     least, most, share: Newton may leave `share` of the change of q'' in the step, within least and most of q'', over
     to_a. extent: of the coordinates, m, whose round-off is that of phi. incremental: carry phi by increments. control:
     |C| h^2 of the local error (0: fixed steps), of which atol + rtol |q| is allowed; grow: the error below which the
-    step is too short.
+    step is too short; before: the weight of the change of q'' in the step before, beside 1 of that in this one, in the error.
     """
 
     h: float
@@ -48,6 +48,7 @@ class Method(NamedTuple):
     rtol: float
     atol: float
     grow: float
+    before: float
 
 
 @pack
@@ -180,12 +181,15 @@ def finish(p, y, w, q, v, a, lam):
 
 @part
 def local_error(p, y, w):
-    """Local error of q over what is allowed, both root mean squares weighted with the masses."""
-    change = size = 0.0
+    """Local error of q over what is allowed, both root mean squares weighted with the masses; where no step went before, from this one."""
+    change = earlier = size = 0.0
     for i in range(w.now.shape[1]):
-        change += y.past[MASSES, i] * (w.now[A, i] - y.past[A, i]) ** 2
+        before = p.before * y.past[CHANGE, i]
+        change += y.past[MASSES, i] * (w.now[A, i] - y.past[A, i] + before) ** 2
+        earlier += before * before
         size += y.past[MASSES, i] * w.now[Q, i] * w.now[Q, i]
-    return p.control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
+    control = p.control / (1.0 + p.before) if earlier > 0.0 else p.control
+    return control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
 
 
 @part

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from polyida.integrate.alpha.control import ORDER
 from polyida.integrate.alpha.start import started
 from polyida.integrate.kinks import enough_steps
 from polyida.integrate.state import State, StepFailure
@@ -9,16 +10,18 @@ from polyida.integrate.stepping.grid import Grid
 
 RUNGS = 4  # a factor of two
 SAFETY = 0.85
-ORDER = 3  # the local error is of that order in h
 CUT = 2 * RUNGS  # rungs down where Newton fails
 LOWEST = 30 * RUNGS
 
 
 class Ladder:
-    """The rung of the step: 0 is the largest, each one down a factor 2^(1/4). It begins at h, or near `most` below it."""
+    """The rung of the step: 0 is the largest, each one down a factor 2^(1/4). It begins at h, or near `most` below it.
 
-    def __init__(self, largest, h=None, most=np.inf):
-        self.largest, first = largest, min(h or np.inf, most, largest)
+    order: of the error in h.
+    """
+
+    def __init__(self, largest, h=None, most=np.inf, order=ORDER):
+        self.largest, self.order, first = largest, order, min(h or np.inf, most, largest)
         self.rung = int(np.clip(round(RUNGS * np.log2(largest / first)), 0, LOWEST))
 
     @property
@@ -37,12 +40,12 @@ class Ladder:
         return self.rung < before
 
     def _rungs(self, error):
-        return RUNGS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / ORDER))
+        return RUNGS * np.log2(SAFETY * max(error, 1e-12) ** (-1 / self.order))
 
 
-def calm_error(h, largest, rungs=2):
+def calm_error(h, largest, rungs=2, order=ORDER):
     """The error below which the step h may grow by so many rungs; 0 where it is the largest."""
-    return (SAFETY / 2.0 ** (rungs / RUNGS)) ** ORDER if h < 0.99 * largest else 0.0
+    return (SAFETY / 2.0 ** (rungs / RUNGS)) ** order if h < 0.99 * largest else 0.0
 
 
 def adapt(engine, settings, model, state, begin, end, largest, counts, most_steps):
@@ -52,8 +55,9 @@ def adapt(engine, settings, model, state, begin, end, largest, counts, most_step
     rejected, would be more than most_steps.
     """
     most = (end - begin) / enough_steps(model, state, begin, end, largest)
-    ladder, t, failures = Ladder(settings.h, float(state.memory.get("h", 0.0)), most), begin, []
-    lowest = 0 if largest == settings.h else int(np.ceil(RUNGS * np.log2(settings.h / largest) - 1e-9))
+    control, t, failures = engine.control, begin, []
+    ladder = Ladder(control.largest, float(state.memory.get("h", control.first)), most, control.order)
+    lowest = 0 if largest == control.largest else int(np.ceil(RUNGS * np.log2(control.largest / largest) - 1e-9))
     while t < end:
         grid, moved = _piece(t, end, ladder.h), False
         _require_progress(t, grid.h, settings, counts, most_steps)

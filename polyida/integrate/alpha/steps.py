@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.step_control import calm_error
+from polyida.integrate.kinks import at_kink
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, StepFailure
@@ -17,13 +18,14 @@ ADAPTIVE = 32  # steps of a stretch whose step may change any time
 class Steps:
     """Steps on one model: `begin` sets state and h, `run` goes on from there.
 
+    control: what adaptive steps are held to (a Control), None where they are equal.
     verdict: "far" or "near" where adaptive steps should be shorter or longer.
     """
 
     chunk_bytes = 4_000_000  # of frames that one compiled stretch fills
 
-    def __init__(self, settings, model, counts):
-        self.settings, self.model, self.counts = settings, model, counts
+    def __init__(self, settings, model, counts, control=None):
+        self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
         self.loop = _loop(settings, model)(settings, model, counts, self.memory, self.trial)
         self.caution = settings.step_matrix(model).caution
@@ -53,17 +55,26 @@ class Steps:
             extent(model, state.q),
             s.incremental_phi and model.carries,
             s.max_iterations,
-            abs(c.error) * h * h if s.adaptive else 0.0,
-            s.rtol or 0.0,
-            s.atol or 0.0,
-            calm_error(h, s.h),
+            *(self._held_to(h) if self.control else (0.0, 0.0, 0.0, 0.0, 0.0)),
         )
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
+        y.past[step.CHANGE] = self._change_before(state)
         y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
         self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
         self.verdict = None
         self._take(self.kept.take(h))
+
+    def _held_to(self, h):
+        """(|C| h^2, rtol, atol, the error below which h may grow, the weight of the step before) of steps of h."""
+        control = self.control
+        calm = calm_error(h, control.largest, order=control.order)
+        return abs(self.settings.coefficients.error) * h * h, *control.allowed(h), calm, control.before
+
+    def _change_before(self, state):
+        """The change of q'' in the step before, at another h, where the error of the first one asks for it; 0 behind a kink."""
+        asked = self.control and self.control.before and not at_kink(self.model, state.t)
+        return state.memory.get("change", 0.0) if asked else 0.0
 
     def _weigh(self, masses):
         self.memory.past[step.MASSES], self.memory.past[step.SHARES] = masses, 1.0 / len(masses) if self.model.alike else masses
@@ -84,7 +95,7 @@ class Steps:
     def run(self, grid):
         """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
         done, self.verdict = grid.done, None
-        most = min(self.loop.longest, ADAPTIVE if self.settings.adaptive else np.inf)
+        most = min(self.loop.longest, ADAPTIVE if self.control else np.inf)
         longest = int(max(1, min(most, self.chunk_bytes // (48 * max(1, self.model.n)))))
         while done < grid.count and self.verdict is None:
             left = self.pause - self.counts.steps
@@ -162,6 +173,7 @@ class Steps:
         y, p = self.memory, self.method
         made = np.zeros(0) if self.system is None else self.system.made_at
         memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1 : step.MASSES].copy()))
+        memory |= self.control.memory if self.control else {}
         memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made, "extent": p.extent}
         if self.model.needs.mass_varies:
             memory["weights"] = y.past[step.MASSES].copy()
@@ -184,7 +196,7 @@ class Steps:
         self.counts.backend = system.backend
         self.counts.solves += system.solves
         self._take(system)
-        if self.settings.adaptive:
+        if self.control:
             self.kept.keep(self.method.h, system)
 
 

@@ -15,13 +15,14 @@ from polyida.integrate.ida.linear import ReducedSolve
 from polyida.integrate.ida.whole import SCALINGS, WholeSolve
 from polyida.integrate.kinks import at_kink, beside, segments, stops
 from polyida.integrate.moves import cells_of
-from polyida.integrate.sizes import typical_sizes
+from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run, typical_sizes
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State, StepFailure
 from polyida.keywords import named_keywords
 from polyida.model import Model
 
 LINEAR = ("auto", "kkt", "whole")
+AIM, WAYS = 1e-5, 3.0  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a number is given
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
 OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
@@ -44,8 +45,9 @@ STATUS = {
 class IDA:
     """Backward differentiation formulas of order 1 to 5 with error control, by SUNDIALS' IDA.
 
-    rtol: relative tolerance. atol: absolute tolerances; by default rtol times a length and a speed of the model, told from
-    its first state (integrate/sizes.py) and said in the run's summary. A number is that of q (m), with 1e3 1/s times it
+    rtol: relative tolerance; by default 1e-5, or less where the motion goes the model's length more than three times, for an error about
+    1e-4 of that. atol: absolute tolerances; by default rtol times a length and a speed of the model, told from its first state
+    (integrate/sizes.py). The run's summary says what was chosen. A number is that of q (m), with 1e3 1/s times it
     for v (m/s); a pair is (of q, of v); 2n numbers are those of every entry of (q, v).
     Multipliers are not in the error estimate.
     max_order: 1 to 5; by default 2 where the model has flexible bodies (BDF of order 3 to 5 is unstable beside the
@@ -61,7 +63,7 @@ class IDA:
     Source: Hindmarsh et al. 2005, SUNDIALS; Gear, Gupta, Leimkuhler 1985.
     """
 
-    rtol: float = 1e-5
+    rtol: float | None = None
     atol: float | tuple | None = None
     max_order: int | None = None
     form: str = "ggl2"
@@ -81,24 +83,28 @@ class IDA:
             object.__setattr__(self, "atol", tuple(given.tolist()))
         _check("linear", self.linear, is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}")
         _check("scaling", self.scaling, is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}")
-        _check("rtol", self.rtol, is_number(self.rtol) and 0 < self.rtol < 1, "must lie between 0 and 1")
+        _check("rtol", self.rtol, self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "must lie between 0 and 1")
         in_range = self.max_order is None or is_whole(self.max_order, 1, 5)
         _check("max_order", self.max_order, in_range, "must be 1, 2, 3, 4 or 5")
         _check("max_num_steps", self.max_num_steps, is_whole(self.max_num_steps), "must be a positive whole number")
         for name in ("max_step", "first_step", "rate"):
             value = getattr(self, name)
             _check(name, value, is_number(value) and value >= 0, "must be a finite number, not negative")
-        entries = self.atol if isinstance(self.atol, tuple) else (self.rtol if self.atol is None else self.atol,)
+        entries = self.atol if isinstance(self.atol, tuple) else (1.0 if self.atol is None else self.atol,)
         positive = len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries)
         _check("atol", self.atol, positive, "must be positive")
 
-    def tolerances(self, n: int, sizes: tuple[float, float]) -> tuple[float | NDArray, float | NDArray]:
+    def relative(self, sizes: NDArray) -> float:
+        """rtol, or that of a run of these sizes, (length, speed, time, ways)."""
+        return relative_tolerance(AIM, WAYS, float(sizes[3])) if self.rtol is None else float(self.rtol)
+
+    def tolerances(self, n: int, sizes: NDArray) -> tuple[float | NDArray, float | NDArray]:
         """Absolute tolerances (of q, of v) for n coordinates and a model's `sizes`, (length, speed).
 
         InputError where their number does not fit.
         """
         if self.atol is None:
-            return self.rtol * sizes[0], self.rtol * sizes[1]
+            return self.relative(sizes) * sizes[0], self.relative(sizes) * sizes[1]
         if not isinstance(self.atol, tuple):
             return self.atol, VELOCITY_ATOL * self.atol
         if len(self.atol) == 2:
@@ -112,10 +118,12 @@ class IDA:
         return np.array(self.atol[:n]), np.array(self.atol[n:])
 
     def told(self, memory: dict) -> str:
-        """What a summary says of the absolute tolerances that a run took from its model; memory of one of its states."""
-        if self.atol is not None or "sizes" not in memory:
+        """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
+        if "sizes" not in memory:
             return ""
-        return "atol {:.1e} of q, {:.1e} of v".format(*self.tolerances(1, memory["sizes"]))
+        sizes = memory["sizes"]
+        words = [] if self.rtol else [chosen(self.relative(sizes), sizes[3])]
+        return ", ".join(words + (["atol {:.1e} of q, {:.1e} of v".format(*self.tolerances(1, sizes))] if self.atol is None else []))
 
     def order(self, model: Model) -> int:
         """The largest BDF order used on this model."""
@@ -136,8 +144,7 @@ class IDA:
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
         State.memory: "mu" of the stabilised forms, and "sizes", from which the tolerances came; a run that goes on keeps them.
         """
-        sizes = state.memory.get("sizes")
-        sizes = typical_sizes(model, state, t_end - state.t) if sizes is None else sizes
+        sizes = sizes_of_run(model, state, t_end)
         run, look = _Run(self, model, sizes, counts), cells_of(math.inf, t_end - state.t)
         for begin, end in segments(model, state.t, t_end):
             limits = (-math.inf, math.inf)
@@ -189,7 +196,7 @@ class _Run:
         self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
         self.solver = Solver(
             self._residual,
-            rtol=float(settings.rtol),
+            rtol=settings.relative(sizes),
             atol=self.system.tolerances(*settings.tolerances(model.n, sizes)),
             max_order=settings.order(model),
             max_step=float(settings.max_step),

@@ -11,7 +11,7 @@ from polyida.integrate.kinks import at_kink, beside, stretches
 from polyida.integrate.moves import cells_of
 from polyida.integrate.radau.march import adapt, ladder_of, march
 from polyida.integrate.radau.steps import Steps
-from polyida.integrate.sizes import typical_sizes
+from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State
 from polyida.keywords import named_keywords
@@ -23,6 +23,7 @@ LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
 SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
 EXACT = 1e-15  # of the model's length: what it may leave in a fixed step that none went before, as good as nothing
 NOTHING = 1e-20  # the same behind a step without any error
+AIM, WAYS = 1e-5, 30.0  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
 EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
 
 
@@ -38,8 +39,9 @@ class RadauIIA:
     of order s + 1 in q and v and s in a and lam.
 
     rtol, atol: the step follows the local error of q against a method of order s, root mean square with each coordinate weighted by its
-    mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), said in the
-    run's summary. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
+    mass, which stays below atol + rtol |q| (m); atol is rtol times a length of the model by default (integrate/sizes.py), and
+    rtol 1e-5, or less where the motion goes that length more than 30 times, for an error about 1e-4 of it; the run's summary says
+    what was chosen. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
     project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
     the model's step matrices with a border of its constraints, of a scene by one of its factors ("fronts", "band", "superlu"); "kkt": the
     whole matrix of both for each eigenvalue of W, in plain code. scaling: of the rows and columns of that, "physical", "bottasso" or "none"
@@ -55,7 +57,7 @@ class RadauIIA:
     Raises InputError for a setting out of range.
     """
 
-    rtol: float = 1e-6
+    rtol: float | None = None
     atol: float | None = None
     h: float | None = None
     stages: int = 3
@@ -79,7 +81,7 @@ class RadauIIA:
         positive = lambda x: x is None or (is_number(x) and x > 0)  # noqa: E731
         length = lambda x: is_number(x) and x >= 0  # noqa: E731
         return (
-            ("rtol", is_number(self.rtol) and 0 < self.rtol < 1, "between 0 and 1"),
+            ("rtol", self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "between 0 and 1, or None: by the run"),
             ("atol", positive(self.atol), "a positive number (of q), or None: rtol times the model's length"),
             ("h", positive(self.h), "a positive step in s, or None: by the local error"),
             ("stages", is_whole(self.stages, 2, 3), "2 or 3"),
@@ -100,31 +102,39 @@ class RadauIIA:
         """Whether the step follows the local error."""
         return self.h is None
 
+    def relative(self, sizes: np.ndarray) -> float:
+        """rtol, or that of a run of these sizes, (length, speed, time, ways)."""
+        return relative_tolerance(AIM, WAYS, float(sizes[3])) if self.rtol is None else self.rtol
+
     def allowed(self, q: np.ndarray, shares: np.ndarray, sizes: np.ndarray) -> float:
         """The local error that is allowed at q: `atol + rtol |q|`."""
-        atol = self.rtol * float(sizes[0]) if self.atol is None else self.atol
-        return atol + self.rtol * float(np.sqrt(shares @ q**2))
+        rtol = self.relative(sizes)
+        atol = rtol * float(sizes[0]) if self.atol is None else self.atol
+        return atol + rtol * float(np.sqrt(shares @ q**2))
 
     def left(self, state: State, shares: np.ndarray, sizes: np.ndarray) -> float:
         """What Newton may leave of q in a step from the state."""
         if self.tolerance is not None:
             return self.tolerance
         if self.adaptive:
-            return min(SHARE, self.rtol**0.6) * self.allowed(state.q, shares, sizes)
+            return min(SHARE, self.relative(sizes) ** 0.6) * self.allowed(state.q, shares, sizes)
         error, length = state.memory.get("error"), float(sizes[0])
         return EXACT * length if error is None else max(NOTHING * length, SHARE * (error / length) ** 0.75 * error)
 
     def told(self, memory: dict) -> str:
-        """What a summary says of the absolute tolerance that a run took from its model; memory of one of its states."""
-        return f"atol {self.rtol * memory['sizes'][0]:.1e} of q" if self.adaptive and self.atol is None and "sizes" in memory else ""
+        """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
+        if not self.adaptive or "sizes" not in memory:
+            return ""
+        sizes, rtol = memory["sizes"], self.relative(memory["sizes"])
+        words = [] if self.rtol else [chosen(rtol, sizes[3])]
+        return ", ".join(words + ([f"atol {rtol * sizes[0]:.1e} of q"] if self.atol is None else []))
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted States after `state` up to t_end, one a step. Raises StepFailure.
 
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
         """
-        sizes, span = state.memory.get("sizes"), t_end - state.t
-        sizes = typical_sizes(model, state, span) if sizes is None else np.array(sizes, float)
+        sizes, span = sizes_of_run(model, state, t_end), t_end - state.t
         engine, most_steps = Steps(self, model, counts, sizes), counts.steps + counts.rejected + self.max_num_steps
         ladder, longest = ladder_of(state, self._first(sizes, span)), self.h or self.max_step or np.inf
         state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else _restarted(state)
@@ -143,8 +153,8 @@ class RadauIIA:
 
     def _first(self, sizes, span):
         """The first step, s."""
-        length, speed = sizes
-        return self.first_step or min(span, EASY * length / speed * self.rtol ** (1 / (self.stages + 1)))
+        length, speed = sizes[:2]
+        return self.first_step or min(span, EASY * length / speed * self.relative(sizes) ** (1 / (self.stages + 1)))
 
 
 def _restarted(state):

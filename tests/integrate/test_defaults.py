@@ -1,0 +1,131 @@
+"""What integrators choose where no step and no tolerance is given: errors about 1e-4 of the model's size, and a summary that says it."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.integrate.alpha.control import AIM
+from polyida.integrate.sizes import LEAST, relative_tolerance
+from polyida.integrate.start import consistent_state
+from polyida.integrate.state import Counts
+
+OWN = {"alpha": pi.GeneralizedAlpha(), "radau": pi.RadauIIA(), "ida": pi.IDA()}
+WORST = 3e-4  # of the size; 1e-3 is what a user may still take for right
+
+
+def error(model, t_end, integrator, **start):
+    """The largest error of q at 21 times over the model's size."""
+    times = np.linspace(0.0, t_end, 21)
+    exact, run = (pi.solve(model, t_end, method, output=times, **start) for method in (pi.RadauIIA(rtol=1e-9), integrator))
+    assert exact.success and run.success, run.message
+    return np.abs(run.q - exact.q).max() / (model.extent or np.abs(exact.q).max())
+
+
+@pytest.mark.parametrize("integrator", OWN.values(), ids=OWN)
+@pytest.mark.parametrize("name", ["pendulum", "car-axis", "andrews"])
+def test_published_digits_of_rigid_systems(name, integrator):
+    p = pi.problems.get(name)
+    run = pi.solve(p.model, p.t_end, integrator, q0=p.q0, v0=p.v0)
+    assert run.success and p.compare(run)["q"] < WORST * np.abs(run.q).max()
+
+
+@pytest.mark.parametrize("integrator", OWN.values(), ids=OWN)
+def test_every_joint(scenes, kind, integrator):
+    assert error(scenes.jointed(kind).build(), 0.2, integrator) < WORST
+
+
+@pytest.mark.parametrize("kinks", [(0.05, 0.055), ()], ids=["kinks told", "kinks found"])
+@pytest.mark.parametrize("integrator", OWN.values(), ids=OWN)
+def test_a_pulse_is_seen(scenes, integrator, kinks):
+    """A plate at rest, struck for 5 ms; without the pulse the error would be all of the motion, 5e-2."""
+    scene, plate = scenes.cantilever()
+    blow = lambda t: float(np.sin(np.pi * (t - 0.05) / 5e-3) ** 2) if 0.05 < t < 0.055 else 0.0  # noqa: E731
+    scene.add(pi.PointLoad(plate.section("right"), (0.0, -40.0), pi.profile.from_function(blow, kinks=kinks), name="blow"))
+    assert error(scene.build(), 0.1, integrator) < WORST
+
+
+@pytest.mark.parametrize("time", [1.0, 4.0])
+def test_errors_of_generalized_alpha_are_those_of_the_run_however_long_it_is(time):
+    p = pi.problems.get("pendulum")
+    assert AIM / 2 < error(p.model, time, pi.GeneralizedAlpha(), q0=p.q0) < 6 * AIM
+
+
+@pytest.mark.parametrize(
+    "settings", [{"form": "stabilised"}, {"linear": "kkt"}, {"rho_inf": 0.5}, {"member": (0.0, 0.05, 0.275625, 0.55)}], ids=str
+)
+def test_every_form_of_generalized_alpha_chooses_its_steps(scenes, settings):
+    assert error(scenes.jointed("motor between").build(), 0.2, pi.GeneralizedAlpha(**settings)) < WORST
+
+
+def test_the_error_of_a_run_follows_its_tolerance(scenes):
+    model, rtols = scenes.jointed("revolute").build(), (1e-3, 1e-4, 1e-5)
+    assert scenes.slope(rtols, [error(model, 0.2, pi.GeneralizedAlpha(rtol=rtol)) for rtol in rtols]) == pytest.approx(1.0, abs=0.25)
+
+
+def test_ringing_mesh_modes_force_no_short_steps():
+    """Plates of E = 1e13 Pa under gravity that sets in at once: told from one step each, errors took 940 steps, mostly of ringing."""
+    p = pi.problems.get("rigid-limit")
+    run = pi.solve(p.model, 1.0, pi.GeneralizedAlpha())
+    assert p.compare(run)["q"] < 2 * WORST and run.counts.steps + run.counts.rejected < 500
+
+
+def test_a_model_at_rest_takes_few_steps(scenes):
+    run = pi.solve(scenes.single(gravity=(0.0, 0.0))[0].build(), 10.0, pi.GeneralizedAlpha())
+    assert run.success and not run.q.any() and run.counts.steps < 40
+
+
+def test_summaries_say_what_was_chosen_and_why(scenes):
+    p = pi.problems.get("pendulum")
+    alpha, radau, ida = (pi.solve(p.model, 10.0, method, q0=p.q0).summary() for method in OWN.values())
+    assert "steps by local errors of q that add up to 3.5e-05 + 5.0e-05 |q| in 10 s" in alpha
+    assert "rtol 9.6e-06 for a way of 31 times the model's length, atol 6.8e-06 of q" in radau
+    assert "rtol 9.6e-07 for a way of 31 times the model's length, atol 6.8e-07 of q, 2.1e-06 of v" in ida
+    given = (pi.GeneralizedAlpha(h=1e-2), pi.RadauIIA(rtol=1e-4, atol=1e-4), pi.IDA(rtol=1e-4, atol=1e-4))
+    for method in given:
+        summary = pi.solve(p.model, 0.1, method, q0=p.q0).summary()
+        assert "way" not in summary and "add up" not in summary
+
+
+def test_a_tolerance_that_had_to_be_limited_is_told():
+    p = pi.problems.get("pendulum")
+    state = consistent_state(p.model, 0.0, p.q0)
+    state = next(pi.IDA().steps(p.model, state, 1e8, Counts()))
+    assert relative_tolerance(1e-5, 3.0, 1e9) == LEAST
+    assert "rtol 1.0e-10" in pi.IDA().told(state.memory) and "the error may be larger" in pi.IDA().told(state.memory)
+
+
+@pytest.mark.parametrize("integrator", OWN.values(), ids=OWN)
+def test_a_run_that_goes_on_keeps_what_it_chose(scenes, integrator, tmp_path):
+    model = scenes.jointed("revolute").build()
+    first = pi.solve(model, 0.1, integrator, out=tmp_path / "run.h5")
+    sizes = first.state.memory["sizes"].tolist()
+    assert pi.resume(tmp_path / "run.h5", 0.2).state.memory["sizes"].tolist() == sizes
+    again = pi.solve(model, 0.2, integrator, state=first.state)
+    assert again.success and again.state.memory["sizes"].tolist() == sizes
+    exact = pi.solve(model, 0.2, pi.RadauIIA(rtol=1e-9), every=10**9)
+    assert np.abs(again.q[-1] - exact.q[-1]).max() < WORST * model.extent
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: pi.GeneralizedAlpha.newmark(None), ("h = None", "(0.0, 0.0, 0.3025, 0.6)")),
+        (lambda: pi.GeneralizedAlpha(extrapolate=True), ("extrapolate = True",)),
+        (lambda: pi.GeneralizedAlpha(atol=0.0), ("atol = 0.0",)),
+        (lambda: pi.GeneralizedAlpha(rtol=0.0), ("atol = None",)),
+        (lambda: pi.RadauIIA(rtol=1.0), ("rtol = 1.0", "None")),
+        (lambda: pi.IDA(rtol=0.0), ("rtol 0.0",)),
+    ],
+)
+def test_what_cannot_be_chosen_is_refused(make, words):
+    with pytest.raises(pi.InputError) as refused:
+        make()
+    assert all(word in str(refused.value) for word in words)
+
+
+def test_the_condition_of_an_integrator_without_a_step_asks_for_one(scenes):
+    model = scenes.jointed("revolute").build()
+    state = consistent_state(model)
+    with pytest.raises(pi.InputError, match="h = None must be a positive step in s: GeneralizedAlpha"):
+        pi.condition_number(model, pi.GeneralizedAlpha(), state)
+    assert pi.condition_number(model, pi.GeneralizedAlpha(), state, h=1e-3) > 1
