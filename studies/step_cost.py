@@ -8,6 +8,7 @@ from polyida.study.drawing import drawn
 from polyida.study.harness import Study
 from step_cost import measure as cost
 from step_cost.against import against
+from step_cost.beside_alpha import ratio_row
 from step_cost.pair import BACKENDS, pair_row
 
 DECADES = {"1e3": 1_000, "1e4": 10_000, "1e5": 100_000}
@@ -22,6 +23,7 @@ AIMS = {  # figure: aim, at most (True) or at least
     "ida_speedup_over_sparse_2e3": (4, False),
     "ida_speedup_over_sparse_9e3": (6, False),
     "ida_speedup_over_sparse_2e4": (8, False),
+    **{f"ida_over_alpha_step_{name}": (1.5, True) for name in DECADES},
     "growth_exponent": (1.15, True),
     "residual_ns_per_dof": (15, True),
     "residual_tangent_ns_per_dof": (100, True),
@@ -35,6 +37,7 @@ RUNS = {
     "step": cost.step_row,
     "floor": cost.floor_row,
     "pair": pair_row,
+    "beside alpha": ratio_row,
     "sparse": cost.sparse_row,
     "memory": cost.memory_row,
     "start": cost.start_rows,
@@ -78,6 +81,7 @@ def tasks(quick):
         made += [{"part": "pair", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in BACKENDS]
         names = [name for name in cost.BACKENDS if name != "band" or dof <= peers.WIDEST_BAND]
         made += [{"part": "floor", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
+    made += [{"part": "beside alpha", "dof": dof, "repeats": 3 if dof > 50_000 else 7} for dof in DECADES.values()]
     spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
     made += [{"part": "sparse", "dof": dof, "t_end": span, "repeats": 1 if quick else 3} for dof, span in spans.items()]
     made += [
@@ -127,6 +131,7 @@ def figures(rows):
     if len(alpha) > 1:
         found["growth_exponent"] = np.polyfit(np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1)[0]
     found |= {f"ida_speedup_over_sparse_{name}": row["speedup"] for name, dof in SPARSE.items() for row in only(rows, "sparse", dof=dof)}
+    found |= {f"ida_over_alpha_step_{name}": row["ratio"] for name, dof in DECADES.items() for row in only(rows, "beside alpha", dof=dof)}
     for row in only(rows, "memory"):
         found[f"{'' if row['integrator'] == 'alpha' else row['integrator'] + '_'}bytes_per_dof_1e5"] = row["bytes_per_dof"]
     found |= {
@@ -159,6 +164,16 @@ def step_notes(rows):
             f"{floor['factor_ms']:.3g} + 3 x {floor['solve_ms']:.3g} ms"
         )
     return lines
+
+
+def ida_notes(rows):
+    """A step of IDA beside one of generalized-alpha, and what it did."""
+    return [
+        f"{row['n']} coordinates: a step of IDA {row['ida_ms']:.3g} ms, of generalized-alpha {row['alpha_ms']:.3g}, in turn {row['ratio']:.2f}; "
+        f"IDA's takes {row['residuals_per_step']:.2f} residuals, {row['factorizations_per_step']:.3f} factorizations and "
+        f"{row['solves_per_step']:.2f} solves, those of the border with every factor among them"
+        for row in only(rows, "beside alpha")
+    ]
 
 
 def radau_notes(rows):
@@ -256,7 +271,7 @@ study = Study(
     run,
     figures,
     (cost_figure, parts_figure),
-    notes=(aim_notes, step_notes, radau_notes, memory_notes, start_notes),
+    notes=(aim_notes, step_notes, ida_notes, radau_notes, memory_notes, start_notes),
     headline=HEADLINE,
     options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
     columns=("part", "scene", "integrator", "backend", "n", "steps", "ms_per_step", "newton_iterations_per_step", "floor_ms", "speedup"),

@@ -1,5 +1,7 @@
 """IDA: settings, the linear solve against the dense matrix, published digits in every form, failures, kinks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import BarycentricInterpolator
@@ -15,6 +17,7 @@ from polyida.integrate.ida.whole import WholeSolve, whole_matrix
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts, State, StepFailure
 from polyida.model import Model, Needs
+from polyida.problems import plates
 
 
 def run(model, settings, t_end, q0=None, v0=None):
@@ -100,14 +103,31 @@ def test_wrong_settings_are_named(settings, named):
 
 
 def test_absolute_tolerances():
-    sizes = (2.0, 30.0)
-    assert IDA(rtol=1e-4).tolerances(2, sizes) == pytest.approx((2e-4, 3e-3))
-    assert IDA(atol=1e-8).tolerances(2, sizes) == pytest.approx((1e-8, 1e-5))
-    assert IDA(atol=[1e-8, 1e-6]).tolerances(3, sizes) == (1e-8, 1e-6)
-    of_q, of_v = IDA(atol=np.arange(1.0, 7.0)).tolerances(3, sizes)
-    assert of_q.tolist() == [1, 2, 3] and of_v.tolist() == [4, 5, 6]
-    with pytest.raises(InputError, match="atol of 5 entries must be a number, a pair .* or 6 entries"):
-        IDA(atol=np.ones(5)).tolerances(3, sizes)
+    model, sizes = Oscillator(), np.array([2.0, 30.0, 1.0, 1.0])
+    assert IDA(rtol=1e-4).tolerances(model, sizes) == pytest.approx((1e-4, 2e-4, 3e-3))
+    assert IDA(rtol=1e-4, atol=1e-8).tolerances(model, sizes) == pytest.approx((1e-4, 1e-8, 1e-5))
+    assert IDA(rtol=1e-4, atol=[1e-8, 1e-6]).tolerances(model, sizes) == (1e-4, 1e-8, 1e-6)
+    _, of_q, of_v = IDA(atol=np.arange(1.0, 2 * model.n + 1)).tolerances(model, sizes)
+    assert of_q.tolist() == [*range(1, model.n + 1)] and of_v.tolist() == [*range(model.n + 1, 2 * model.n + 1)]
+    with pytest.raises(InputError, match=f"atol of 5 entries must be a number, a pair .* or {2 * model.n} entries"):
+        IDA(atol=np.ones(5)).tolerances(model, sizes)
+
+
+@pytest.mark.parametrize("order", [2, 5])
+def test_v_of_flexible_bodies_is_not_tested_and_q_more_sharply(order):
+    model, sizes = Oscillator(), np.array([2.0, 30.0, 1.0, 1.0])
+    model.flexible = True
+    rtol, of_q, of_v = IDA(rtol=1e-4, max_order=order).tolerances(model, sizes)
+    assert rtol == pytest.approx(3 * 1e-4 ** (1 + 1 / order)) and of_q == pytest.approx(2 * rtol) and of_v > 1e6
+    assert IDA(rtol=1e-4, atol=(1e-8, 1e-6)).tolerances(model, sizes) == (1e-4, 1e-8, 1e-6)
+
+
+@pytest.mark.parametrize("E", [1e11, 1e12])
+def test_stiff_plates_take_no_more_steps_than_soft_ones(E):
+    stiff = plates.double_plate(12, material=replace(plates.RUBBER, E=E)).build()
+    run, right = (pi.solve(stiff, 1.0, member) for member in (IDA(rtol=1e-5, max_num_steps=3000), pi.RadauIIA(rtol=1e-7)))
+    assert run.success and run.counts.steps < 1000 and run.counts.rejected < 20
+    assert np.abs(run.q[-1] - right.q[-1]).max() < 1e-3
 
 
 def test_order_follows_the_model():

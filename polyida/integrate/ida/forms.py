@@ -25,7 +25,9 @@ from polyida.linear.matrix import dense
 from polyida.model.differences import along
 
 NEAR = np.finfo(float).eps ** (1 / 3)  # of phi_q's slopes, which only Newton sees: two values are enough
-MULTIPLIER_ATOL = 1e9  # multipliers carry no error estimate: any size far above theirs takes them out of IDA's norms
+UNTESTED = (
+    1e9  # absolute tolerance of what carries no error estimate, as multipliers: any size far above theirs takes them out of IDA's norms
+)
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ class System:
     def tolerances(self, atol_q, atol_v):
         """Absolute tolerances of y, (size,), from those of q and v."""
         n, atol = self.model.n, np.empty(self.size)
-        atol[:n], atol[n : 2 * n], atol[2 * n :] = atol_q, atol_v, MULTIPLIER_ATOL
+        atol[:n], atol[n : 2 * n], atol[2 * n :] = atol_q, atol_v, UNTESTED
         return atol
 
     def residual(self, t, y, yp, res):

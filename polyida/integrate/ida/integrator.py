@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.ida.error_lines import error_lines_kept
-from polyida.integrate.ida.forms import FORMS, System
+from polyida.integrate.ida.forms import FORMS, UNTESTED, System
 from polyida.integrate.ida.linear import ReducedSolve
 from polyida.integrate.ida.whole import SCALINGS, WholeSolve
 from polyida.integrate.kinks import at_kink, beside, segments, stops
@@ -24,6 +24,7 @@ from polyida.model import Model
 LINEAR = ("auto", "kkt", "whole")
 AIM, WAYS = 1e-5, 3.0  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a number is given
+TIGHT = 3.0  # times rtol^(1 + 1/order): tolerance of q where v is left out, for the error that rtol gives with v
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
 OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
@@ -49,7 +50,9 @@ class IDA:
     1e-4 of that. atol: absolute tolerances; by default rtol times a length and a speed of the model, told from its first state
     (integrate/sizes.py). The run's summary says what was chosen. A number is that of q (m), with 1e3 1/s times it
     for v (m/s); a pair is (of q, of v); 2n numbers are those of every entry of (q, v).
-    Multipliers are not in the error estimate.
+    Multipliers are not in the error estimate. Nor is v of a model with flexible bodies, where atol is not given: that of stiff modes
+    jumps with every change of the step, h, as in index 3, and no step would be long enough to leave order 1. q is tested the more sharply
+    for it, to TIGHT rtol^(1 + 1/max_order): what a tolerance of v allows q to err by in a step goes with h rtol, and h with rtol^(1/order).
     max_order: 1 to 5; by default 2 where the model has flexible bodies (BDF of order 3 to 5 is unstable beside the
     imaginary axis, where their mesh modes lie; only with all of them well damped is 5 the faster) and 5 elsewhere.
     form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
@@ -98,32 +101,38 @@ class IDA:
         """rtol, or that of a run of these sizes, (length, speed, time, ways)."""
         return relative_tolerance(AIM, WAYS, float(sizes[3])) if self.rtol is None else float(self.rtol)
 
-    def tolerances(self, n: int, sizes: NDArray) -> tuple[float | NDArray, float | NDArray]:
-        """Absolute tolerances (of q, of v) for n coordinates and a model's `sizes`, (length, speed).
+    def tolerances(self, model: Model, sizes: NDArray) -> tuple[float, float | NDArray, float | NDArray]:
+        """(Relative tolerance, absolute ones of q, of v) that IDA gets in a run of these sizes, (length, speed, time, ways).
 
-        InputError where their number does not fit.
+        InputError where atol does not fit the model.
         """
+        rtol, n = self.relative(sizes), model.n
+        if self.atol is None and model.flexible:
+            tight = TIGHT * rtol ** (1 + 1 / self.order(model))
+            return tight, tight * float(sizes[0]), UNTESTED
         if self.atol is None:
-            return self.relative(sizes) * sizes[0], self.relative(sizes) * sizes[1]
+            return rtol, rtol * float(sizes[0]), rtol * float(sizes[1])
         if not isinstance(self.atol, tuple):
-            return self.atol, VELOCITY_ATOL * self.atol
+            return rtol, self.atol, VELOCITY_ATOL * self.atol
         if len(self.atol) == 2:
-            return self.atol
+            return rtol, *self.atol
         _check(
             "atol",
             f"of {len(self.atol)} entries",
             len(self.atol) == 2 * n,
             f"must be a number, a pair (of q, of v) or {2 * n} entries for the model's n = {n}",
         )
-        return np.array(self.atol[:n]), np.array(self.atol[n:])
+        return rtol, np.array(self.atol[:n]), np.array(self.atol[n:])
 
     def told(self, memory: dict) -> str:
         """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
-        if "sizes" not in memory:
-            return ""
-        sizes = memory["sizes"]
-        words = [] if self.rtol else [chosen(self.relative(sizes), sizes[3])]
-        return ", ".join(words + (["atol {:.1e} of q, {:.1e} of v".format(*self.tolerances(1, sizes))] if self.atol is None else []))
+        words = [chosen(self.relative(memory["sizes"]), memory["sizes"][3])] if self.rtol is None and "sizes" in memory else []
+        if "tolerances" in memory:
+            rtol, of_q, of_v = memory["tolerances"]
+            words.append(
+                f"q to {rtol:.1e} of itself and {of_q:.1e}, v untested" if of_v == UNTESTED else f"atol {of_q:.1e} of q, {of_v:.1e} of v"
+            )
+        return ", ".join(words)
 
     def order(self, model: Model) -> int:
         """The largest BDF order used on this model."""
@@ -142,7 +151,7 @@ class IDA:
         """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.
 
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
-        State.memory: "mu" of the stabilised forms, and "sizes", from which the tolerances came; a run that goes on keeps them.
+        State.memory: "mu" of the stabilised forms, and "sizes", from which the "tolerances" came; a run that goes on keeps them.
         """
         sizes = sizes_of_run(model, state, t_end)
         run, look = _Run(self, model, sizes, counts), cells_of(math.inf, t_end - state.t)
@@ -188,7 +197,9 @@ class _Run:
         from sksundae.ida import IDA as Solver
         from sksundae.ida import IDAJacTimes
 
-        self.settings, self.model, self.sizes, self.counts = settings, model, sizes, counts
+        self.settings, self.model, self.counts = settings, model, counts
+        rtol, *atol = settings.tolerances(model, sizes)
+        self.sizes, self.memory = sizes, {"sizes": sizes} | ({} if settings.atol else {"tolerances": np.array([rtol, *atol])})
         self.system, self.linear = _callbacks(settings, model, counts)
         self.right = np.empty(self.system.size)
         self.steps, self.standing, self.attempts = 0, 0, 0
@@ -196,8 +207,8 @@ class _Run:
         self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
         self.solver = Solver(
             self._residual,
-            rtol=settings.relative(sizes),
-            atol=self.system.tolerances(*settings.tolerances(model.n, sizes)),
+            rtol=rtol,
+            atol=self.system.tolerances(*atol),
             max_order=settings.order(model),
             max_step=float(settings.max_step),
             first_step=float(settings.first_step),
@@ -249,7 +260,7 @@ class _Run:
             t = float(result.t)
             self.linear.accept(t, result.y)
             before, state = state, self.system.state(t, result.y, result.yp)
-            state.memory["sizes"] = self.sizes
+            state.memory.update(self.memory)
             if objection := self.system.objection(t, state.q):
                 raise self._failure("objection", objection, before)
             if opened := self.system.opened(state, OPEN * self.sizes[0]):

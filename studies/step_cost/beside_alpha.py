@@ -1,0 +1,34 @@
+"""A step of IDA over one of generalized-alpha, in the midst of a run each, measured in turn."""
+
+import numpy as np
+
+from step_cost.measure import MEMBERS, model_of
+from step_cost.side import LARGE, one_run, two_runs
+
+SPANS = {  # s: (IDA, generalized-alpha), IDA behind the growth of its first steps
+    1_000: ((0.1, 1.0), (0.01, 1.01)),
+    10_000: ((0.1, 0.3), (0.01, 0.21)),
+    100_000: ((0.02, 0.06), (0.01, 0.05)),
+}
+
+
+def ratio_row(dof, repeats):
+    """Medians over `repeats` turns of the CPU milliseconds of both steps and of their ratio, no frames kept; what IDA's steps did."""
+    model, turns = model_of("scene 1", dof), []
+    for _ in range(1 + repeats):
+        turns.append([_step(model, name, *span) for name, span in zip(("ida", "alpha"), SPANS[dof])])
+    ida, alpha = (np.array([turn[k]["ms"] for turn in turns[1:]]) for k in (0, 1))
+    counts = {f"{key}_per_step": value for key, value in turns[-1][0].items() if key != "ms"}
+    return {
+        "n": model.n,
+        "ida_ms": float(np.median(ida)),
+        "alpha_ms": float(np.median(alpha)),
+        "ratio": float(np.median(ida / alpha)),
+    } | counts
+
+
+def _step(model, name, short, long):
+    """{"ms"} of a step, and what IDA or generalized-alpha counts in it."""
+    (begin, first), (end, last) = (two_runs if model.n < LARGE else one_run)(model, MEMBERS[name], short, long)
+    steps, kinds = last.steps - first.steps, ("residuals", "solves", "factorizations")
+    return {"ms": 1e3 * (end - begin) / steps} | {kind: (getattr(last, kind) - getattr(first, kind)) / steps for kind in kinds}
