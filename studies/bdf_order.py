@@ -1,22 +1,34 @@
-"""What the highest order of BDF costs: 3 to 5 are unstable beside the imaginary axis, where undamped mesh modes lie."""
+"""What the highest order of BDF costs: 3 to 5 are unstable beside the imaginary axis, where undamped mesh modes lie.
 
-from bdf_order.order import run_order
+And what it costs that the error test looks at v: the velocities of stiff modes jump with every change of the step, as in index 3.
+"""
+
+from bdf_order.order import run_order, run_tested
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, look, panels, saved
 from polyida.study.harness import Study
 from polyida.study.rows import column, each, last, number, pick, stopped, value
 
 ORDERS = (1, 2, 3, 4, 5)
+TESTED = ("q", "q and v")
 
 
 def tasks(quick):
-    cells, time, cap = (20, 0.25, 20_000) if quick else (100, 1.0, 60_000)
+    cells, time, cap = (20, 0.5, 6_000) if quick else (100, 1.0, 60_000)
     materials = (0.0, 1e-4) if quick else (0.0, 1e-6, 1e-5, 1e-4, 1e-3)
-    return [
+    orders = [
         {"viscosity": viscosity, "max_order": order, "rtol": 1e-5, "cells": cells, "time": time, "cap": cap}
         for viscosity in materials
         for order in ORDERS
     ]
+    plates = {"cells": 12, "time": 0.3, "cap": 2_000} if quick else {"cells": 40, "time": 1.0, "cap": 20_000}
+    moduli = (5e7, 1e12) if quick else (5e7, 1e9, 1e10, 1e11, 1e12)
+    return orders + [{"modulus": E, "tested": what, "rtol": rtol} | plates for E in moduli for rtol in (1e-5, 1e-6) for what in TESTED]
+
+
+def run(**task):
+    """One run, of either part."""
+    return run_tested(**task) if "tested" in task else run_order(**task)
 
 
 def ratios(rows):
@@ -38,7 +50,35 @@ def undamped(rows):
     }
 
 
+def weights(rows):
+    """Steps per simulated second with v in the error test over those without, and the least of all."""
+    found = {}
+    for row in pick(rows, tested="q and v"):
+        other = number(rows, "steps_per_s", **{key: row[key] for key in ("modulus", "rtol")}, tested="q")
+        found[f"steps_with_v_over_without_{row['modulus']:.0e}_rtol_{row['rtol']:.0e}"] = row["steps_per_s"] / other
+    return found
+
+
+def weight_notes(rows):
+    """What the two error tests give, one line a modulus and tolerance."""
+    told = {
+        key: [f"{what}: {row['steps']} steps, {row['rejected']} rejected, tip {row['tip_error']:.1e} m" for what, row in runs.items()]
+        for key, runs in _by_plate(rows).items()
+    }
+    return [f"E = {E:.0e} Pa, rtol {rtol:.0e}, tested are {'; '.join(lines)}" for (E, rtol), lines in told.items()]
+
+
+def _by_plate(rows):
+    """{(modulus, rtol): {what is tested: row}}."""
+    found = {}
+    for row in pick(rows):
+        if "tested" in row:
+            found.setdefault((row["modulus"], row["rtol"]), {})[row["tested"]] = row
+    return found
+
+
 def notes(rows):
+    rows = [row for row in rows if "max_order" in row]
     capped = [row for row in pick(rows) if row["outcome"] != "done"]
     lines = stopped(rows, "viscosity", "max_order", length=140)
     covered = "; ".join(f"order {row['max_order']} at viscosity {row['viscosity']:g} s {row['t_reached']:.3g} s" for row in capped)
@@ -49,9 +89,10 @@ def notes(rows):
 
 @drawn
 def bdf_order_figure(rows, folder):
-    made, axes = panels(2 if pick(rows) else 0, width=7.4, height=3.6)
+    made, axes = panels(3 if pick(rows) else 0, width=10.6, height=3.8)
     steps_panel(axes[0], rows)
     history_panel(axes[1], rows)
+    weights_panel(axes[2], rows)
     for axis in [axis for axis in axes if axis.lines]:
         axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return saved(made, folder, "bdf-order")
@@ -99,9 +140,25 @@ def history_panel(axis, rows):
     axis.set(xlabel="t, s", ylabel="step of the undamped plates, s")
 
 
+def weights_panel(axis, rows):
+    """Steps per simulated second against Young's modulus, both error tests; runs that were stopped are hollow."""
+    colours = {key: look(i) for i, key in enumerate((rtol, what) for rtol in each(rows, "rtol") for what in TESTED)}
+    for (rtol, what), style in colours.items():
+        runs = sorted(pick(rows, rtol=rtol, tested=what), key=lambda row: row["modulus"])
+        if runs:
+            axis.loglog(column(runs, "modulus"), column(runs, "steps_per_s"), label=f"tested: {what}, rtol {rtol:.0e}", **style)
+            ended = [row for row in runs if row["outcome"] != "done"]
+            hollow = {"markersize": 9, "markerfacecolor": "none", "color": "#222222", "markeredgewidth": 0.8}
+            axis.plot(column(ended, "modulus"), column(ended, "steps_per_s"), "o", **hollow)
+    axis.set(xlabel="Young's modulus, Pa", ylabel="steps per simulated second, order 2")
+
+
 COLUMNS = (
     "viscosity",
     "max_order",
+    "modulus",
+    "tested",
+    "rtol",
     "dof",
     "steps",
     "steps_per_s",
@@ -115,14 +172,14 @@ COLUMNS = (
 )
 STUDY = Study(
     "bdf_order",
-    "IDA on the swinging double plate: the highest order of BDF",
+    "IDA on the swinging double plate: the highest order of BDF, and what its error test looks at",
     tasks,
-    run_order,
-    (ratios, undamped),
+    run,
+    (ratios, undamped, weights),
     bdf_order_figure,
     COLUMNS,
-    notes=notes,
-    headline=("steps_order5_over_order2",),
+    notes=(notes, weight_notes),
+    headline=("steps_order5_over_order2", "steps_with_v_over_without_1e+12_rtol_1e-06"),
 )
 
 if __name__ == "__main__":

@@ -164,11 +164,12 @@ def sparse_ida(model, t_end, settings=None):
     settings = settings or IDA()
     system, jacobian = SceneSystem(model, "ggl2", settings.rate), WholeJacobian(model)
     sizes = sizes_of_run(model, consistent_state(model, 0.0, None, None), t_end)
+    rtol, *atol = settings.tolerances(model, sizes)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own
         solver = Solver(
             system.residual,
-            rtol=settings.relative(sizes),
-            atol=system.tolerances(*settings.tolerances(model.n, sizes)),
+            rtol=rtol,
+            atol=system.tolerances(*atol),
             jacfn=jacobian,
             max_order=settings.order(model),
             linsolver="sparse",

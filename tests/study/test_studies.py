@@ -98,6 +98,14 @@ def performance(name, task):
     sizes = {f"{key}_bytes": 2**20 for key in ("imported", "built", "peak", "frame")}
     starts = {f"{how}_{what}_s": 1.0 for how in ("cold", "warm") for what in ("import", "mesh", "first_step", "start")}
     costs = {"n": task["dof"], "ms_per_step": 1e-3 * task["dof"], "newton_iterations_per_step": 1.0, "floor_ms": 1.0, "speedup": 5.0}
+    costs |= {
+        "ida_ms": 0.1,
+        "alpha_ms": 0.1,
+        "ratio": 1.0,
+        "residuals_per_step": 1.0,
+        "solves_per_step": 1.0,
+        "factorizations_per_step": 0.1,
+    }
     costs |= {"factor_ms": 0.5, "solve_ms": 0.1, "ms_per_iteration": 1.0, "factorizations_in_all": 2}
     return (
         parts
