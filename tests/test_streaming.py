@@ -72,8 +72,16 @@ def stored(model, tmp_path_factory):
 
 def test_beyond_the_limit_frames_go_to_a_file_without_a_name(stored, whole):
     run, folder = stored
-    assert isinstance(run.q, StoredFrames) and isinstance(run.t, np.ndarray)
     assert equal(run, whole) and os.listdir(folder) == []
+    assert all(type(getattr(run, name)) is np.ndarray and getattr(run, name).base is not None for name in FRAMES)
+
+
+@pytest.fixture(scope="module")
+def filed(whole, tmp_path_factory):
+    """The run in a file that is read when asked for."""
+    path = tmp_path_factory.mktemp("filed") / "run.h5"
+    whole.save(path)
+    return pi.load(path, memory_limit=0)
 
 
 KEYS = (
@@ -101,12 +109,12 @@ KEYS = (
 
 
 @pytest.mark.parametrize("key", KEYS, ids=str)
-def test_stored_frames_index_like_arrays(stored, whole, key):
-    assert np.array_equal(stored[0].q[key], whole.q[key])
+def test_stored_frames_index_like_arrays(filed, whole, key):
+    assert isinstance(filed.q, StoredFrames) and np.array_equal(filed.q[key], whole.q[key])
 
 
-def test_stored_frames_iterate_and_calculate_like_arrays(stored, whole):
-    q = stored[0].q
+def test_stored_frames_iterate_and_calculate_like_arrays(filed, whole):
+    q = filed.q
     assert len(q) == len(whole.q) and q.shape == whole.q.shape and q.ndim == 2
     assert np.array_equal(q + 1, whole.q + 1) and np.abs(q).max() == np.abs(whole.q).max()
     assert all(np.array_equal(a, b) for a, b in zip(q, whole.q, strict=True))
@@ -115,8 +123,9 @@ def test_stored_frames_iterate_and_calculate_like_arrays(stored, whole):
         q[401]
 
 
-def test_what_is_derived_is_the_same_frame_by_frame(stored, whole):
-    run = stored[0]
+@pytest.mark.parametrize("where", ["stored", "filed"])
+def test_what_is_derived_is_the_same_frame_by_frame(stored, filed, whole, where):
+    run = {"stored": stored[0], "filed": filed}[where]
     assert np.array_equal(run.drift, whole.drift) and np.array_equal(run.velocity_drift, whole.velocity_drift)
     assert np.array_equal(run.energy.total, whole.energy.total) and np.array_equal(run.stress(77), whole.stress(77))
     assert np.array_equal(run.position("tip"), whole.position("tip"))
@@ -387,7 +396,7 @@ def test_a_full_disk_ends_the_run_and_keeps_the_frames(model, whole, tmp_path):
 
 def test_a_full_disk_behind_the_memory_limit(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(LIMITED), "", "3000000", "{'memory_limit': 1000000}"],
+        [sys.executable, "-c", textwrap.dedent(LIMITED), "", "1000000", "{'memory_limit': 1000000}"],
         capture_output=True,
         text=True,
         check=True,

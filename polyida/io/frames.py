@@ -16,8 +16,9 @@ def require_bytes(part, memory_limit):
 
 
 def blocks(frames):
-    """Consecutive pieces (k, ...) of frames, of bounded size where they are in a file."""
-    return frames.blocks() if isinstance(frames, StoredFrames) else (frames,)
+    """Consecutive pieces (k, ...) of frames, of bounded size."""
+    step = frames_at_once(int(np.prod(frames.shape[1:])))
+    return (frames[first : first + step] for first in range(0, max(1, len(frames)), step))
 
 
 class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):

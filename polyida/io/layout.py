@@ -31,6 +31,11 @@ def shapes_of(n, m, drives=()):
     return {"t": (), "q": (n,), "v": (n,), "a": (n,), "lam": (m,)} | {name: (3,) for name in drives}
 
 
+def dtypes_of(shapes, single=False):
+    """{name: dtype} of what a file holds: of q, v, a and lam in single precision where that is asked for."""
+    return {name: np.dtype("f4" if single and name in FRAMES[1:] else "f8") for name in shapes}
+
+
 def width_of(shapes):
     """How many numbers make a frame."""
     return sum(int(np.prod(shape)) for shape in shapes.values())

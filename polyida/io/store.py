@@ -5,74 +5,76 @@ from contextlib import suppress
 import numpy as np
 
 from polyida.io.frames import MEMORY_LIMIT
-from polyida.io.layout import FRAMES, frames_at_once, shapes_of, width_of
+from polyida.io.layout import FRAMES, dtypes_of, frames_at_once, shapes_of
+from polyida.io.memory import LAZY, room
 from polyida.io.reader import read_open
-from polyida.io.writer import NotWritten, Writer
+from polyida.io.spill import Spill
+from polyida.io.writer import NotWritten
+
+SMALL = 1 << 20  # bytes of a run's frames that are not worth a piece of memory of their own
 
 
 class FrameStore:
     """Accepted states of one run.
 
-    Without a `file` they stay in memory up to `limit` bytes and go to a temporary file beyond; with one, block after
-    block, they go there. Not more than a block is held beside the file. Raises NotWritten where the disk does not take
-    them.
+    Without a `file` they are written into their final place in memory, up to `limit` bytes, and go to a temporary file
+    beyond; with one, block after block, they go there. Not more than a block is held beside a file. single: q, v, a and
+    lam are kept in single precision. Raises NotWritten where the disk does not take them.
     """
 
-    def __init__(self, n, m, limit=MEMORY_LIMIT, file=None):
-        self.shape, self.limit, self.file, self.count = (n, m), limit, file, 0
+    def __init__(self, n, m, limit=MEMORY_LIMIT, file=None, single=False):
+        self.file, self.limit, self.count, self._spill, self._rows, self._single = file, limit, 0, None, 0, single
         self.drives = list(file.drives.values()) if file else []
-        self._full, self._bytes, self._rows, self._block = [], 0, 0, self._room()
+        shapes = shapes_of(n, m, range(len(self.drives)))
+        self._shapes, self._dtypes = list(shapes.values()), list(dtypes_of(shapes, single).values())
+        self._block = self._few(file.rows) if file else room(self._shapes, self._dtypes, limit)
 
-    def _room(self):
-        shapes = shapes_of(*self.shape, range(len(self.drives)))
-        length, width = frames_at_once(width_of(shapes)), width_of(shapes)
-        if not self.file:
-            length = min(length, max(1, int(min(self.limit, 1e15)) // (8 * width)))
-        return [np.empty((length, *shape)) for shape in shapes.values()]
+    def _few(self, rows):
+        """A block of some frames, to be written into again and again."""
+        return [np.empty((rows, *shape), dtype) for shape, dtype in zip(self._shapes, self._dtypes)]
+
+    def rows(self, count):
+        """The places of the next `count` frames, [q, v, a, lam], to be written into before they are kept; None where they do not stay there."""
+        first, end = self._rows, self._rows + count
+        if self.file or self._spill or self._single or end > len(self._block[0]):
+            return None
+        return [values[first:end] for values in self._block[1 : len(FRAMES)]]
 
     def add(self, state):
-        """Keep a state."""
-        self._keep([getattr(state, name) for name in FRAMES])
+        """Keep a state; nothing is copied where it is in its place already."""
+        self._keep(state.t, state.q, state.v, state.a, state.lam)
 
     def extend(self, columns, count):
         """Keep the first `count` of frames, arrays or StoredFrames in the order of FRAMES."""
         for first in range(0, count, self.file.rows):
             for frame in zip(*(values[first : min(first + self.file.rows, count)] for values in columns)):
-                self._keep(frame)
+                self._keep(*frame)
 
-    def _keep(self, frame):
-        row = self._rows
-        for values, value in zip(self._block, frame):
-            values[row] = value
-        for values, profile in zip(self._block[len(FRAMES) :], self.drives):
-            values[row] = profile.at(frame[0])
+    def _keep(self, t, q, v, a, lam):
+        row, (ts, qs, vs, accelerations, lams, *samples) = self._rows, self._block
+        ts[row], qs[row], vs[row], accelerations[row], lams[row] = t, q, v, a, lam
+        for values, profile in zip(samples, self.drives):
+            values[row] = profile.at(t)
         self._rows, self.count = row + 1, self.count + 1
-        if self._rows == len(self._block[0]):
+        if self._rows == len(ts):
             self.put_away()
 
     def waiting(self):
         """The frames that the file does not have yet, not more than a block of them."""
-        rows = self.count - self.file.count
+        rows = self.count - (self.file or self._spill).count
         return [values[:rows] for values in self._block]
 
     def put_away(self):
-        """Move the block at hand to the file or to the full ones. Safe to be interrupted and called again."""
-        if self.file:
-            if self.count > self.file.count:
-                self.file.append(self.waiting())
+        """Move the block at hand to the file, or what memory holds when it is full. Safe to be interrupted and called again."""
+        if away := self.file or self._spill:
+            if self.count > away.count:
+                away.append(self.waiting())
             self._rows = 0
-            return
-        block, room = [values[: self._rows] for values in self._block], self._room()
-        full, size = [*self._full, block], self._bytes + sum(values.nbytes for values in block)
-        self._full, self._bytes, self._block, self._rows = full, size, room, 0
-        if size > self.limit:
-            self._to_file()
-
-    def _to_file(self):
-        file = Writer.temporary(*self.shape)
-        for block in self._full:
-            file.append(block)
-        self.file, self._full = file, []
+        elif self._rows == len(self._block[0]):
+            spill = Spill()
+            spill.append(self._block)
+            width = sum(values[:1].nbytes for values in self._block)
+            self._spill, self._block, self._rows = spill, self._few(frames_at_once(width // 8)), 0
 
     def arrays(self):
         """{name: frames} of all that was kept, or committed to a file, arrays or StoredFrames. The store is used up then."""
@@ -80,6 +82,10 @@ class FrameStore:
             with suppress(NotWritten):
                 self.file.close()
             return read_open(self.file.descriptor, self.file.shown).frames(self.limit)
-        parts = [*self._full, [values[: self._rows] for values in self._block]]
-        self._full = []
-        return {name: np.concatenate([block.pop(0) for block in parts]) for name in FRAMES}
+        block, self._block = self._block, []
+        if self._spill:
+            found = self._spill.arrays(block)
+        else:
+            found = [values[: self.count] for values in block]
+            found = found if LAZY and sum(values.nbytes for values in found) > SMALL else [values.copy() for values in found]
+        return dict(zip(FRAMES, found))

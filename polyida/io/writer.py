@@ -3,11 +3,9 @@
 import errno
 import json
 import os
-import tempfile
 import time
 import zlib
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
@@ -32,7 +30,7 @@ class NotWritten(Exception):
 
 
 @contextmanager
-def _taken(path):
+def taken(path):
     """Have what the disk does not take raise NotWritten."""
     try:
         yield
@@ -54,10 +52,10 @@ class Writer:
         self.rows = frames_at_once(width_of(self.shapes))
         self._block = self.rows * 8 * width_of(self.shapes)
         self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
-        with _taken(shown):
+        with taken(shown):
             self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            with _taken(shown):
+            with taken(shown):
                 lock(self.descriptor)
                 self._file = h5py.File(self.path, "w", libver="v110", locking=False)
                 self._make(about, arrays)
@@ -75,13 +73,6 @@ class Writer:
             return cls(path, *contents)
         except NotWritten as error:
             raise InputError(f"no file can be written there: {error}") from None
-
-    @classmethod
-    def temporary(cls, n, m):
-        """A file without a name in the folder for temporary files; it is gone when nobody reads it any more."""
-        file = cls(Path(tempfile.gettempdir()) / "frames.h5", n, m, {"drives": {}}, {}, {}, False)
-        os.unlink(file.path)
-        return file
 
     def _make(self, about, arrays):
         for name, shape in self.shapes.items():
@@ -101,7 +92,7 @@ class Writer:
     def append(self, block):
         """Append frames, a list of arrays in the order of `shapes`: as many as a chunk holds, or the run's last ones."""
         end = self.count + len(block[0])
-        with _taken(self.shown):
+        with taken(self.shown):
             self._reserve(end)
             for name, values in zip(self.shapes, block):
                 if dataset := self._datasets.get(name):
@@ -120,7 +111,7 @@ class Writer:
             text = json.dumps(record | {"commit": self.commits}, default=_listed).encode()
             body = text + numbers
             content = np.frombuffer(HEAD.pack(len(body), zlib.crc32(body), len(text)) + body, np.uint8)
-            with _taken(self.shown):
+            with taken(self.shown):
                 self._slots = max(self._slots, 2 * (len(content) + SLOT_CHUNK))
                 self._reserve(self.count)
                 self._flush()
@@ -186,7 +177,7 @@ class Writer:
     def close(self):
         """Close the file; it holds what was committed. Its descriptor stays open, to be read from and closed."""
         try:
-            with _taken(self.shown):
+            with taken(self.shown):
                 self._file.close()
                 _trim(self.descriptor)
         finally:

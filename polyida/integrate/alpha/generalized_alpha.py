@@ -68,6 +68,7 @@ class GeneralizedAlpha:
     incremental_phi: bool = True
     max_halvings: int = 6
     max_num_steps: int = 1_000_000
+    writes_rows = True  # into the places of a run's frames
 
     @classmethod
     def hht(cls, h: float, alpha: float = -0.05, **settings) -> Self:
@@ -151,17 +152,18 @@ class GeneralizedAlpha:
         """Whether the step follows the local error."""
         return self.rtol is not None or self.atol is not None
 
-    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
-        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts, rows: Any = None) -> Iterator[State]:
+        """Accepted states after `state` up to t_end, one a step; rows: where to write them, see Steps. Raises StepFailure."""
         if self.extrapolate:
             from polyida.integrate.alpha.richardson import extrapolated
 
             return extrapolated(self, model, state, t_end, counts)
-        return self.in_pieces(model, state, t_end, counts)
+        return self.in_pieces(model, state, t_end, counts, rows=rows)
 
-    def in_pieces(self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1) -> Iterator[State]:
+    def in_pieces(self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1, rows: Any = None) -> Iterator[State]:
         """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
         engine, most_steps = self._engine(model, counts), counts.steps + counts.rejected + self.max_num_steps
+        engine.rows = rows or engine.rows
         look = cells_of(self.h, t_end - state.t) if self.adaptive else (self.h,)
         for begin, end, most in stretches(model, state.t, t_end, *look):
             if self.adaptive:

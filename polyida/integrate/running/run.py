@@ -71,7 +71,7 @@ class Run:
         self.last, until = state, Until(self.until, state) if self.until else None
         model = guard(self.model)
         self.watch = Watch(model, state)
-        for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts):
+        for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts, self.sampler.rows):
             self.watch.step(after)
             at_zero = until.crossing(state, after) if until else None
             if at_zero is not None:
@@ -130,8 +130,8 @@ class Run:
             if status != "stopped":
                 self._settle()
             self.sampler.end(self.last)
+            self.store.put_away()
             if self.store.file:
-                self.store.put_away()
                 self._commit(status, message, self.restart, last=True)
         except NotWritten as error:
             status, message = self._cut_off(error, f"{status} {message}")
@@ -162,20 +162,26 @@ class Run:
         if self.streams and not self.store.file.in_place():
             gone = f"{self.store.file.shown} was removed or replaced: these frames are in no file"
             message = f"{message}; {gone}" if message else gone
-        restart = self.flushed if self.store.file else self.restart
+        frames, restart = self.store.arrays(), self.flushed if self.streams else self.restart
         return Trajectory(
             self.model,
             self.integrator,
-            **self.store.arrays(),
+            **frames,
             status=status,
             message=message,
             counts=self.counts,
             cpu_seconds=cpu,
             wall_seconds=wall,
             machine=machine_info(),
-            restart=restart,
+            restart=_own(restart) if restart and restart.frames <= len(frames["t"]) else None,
             plan=self.plan,
         )
+
+
+def _own(restart):
+    """A Restart whose state is in arrays of its own, not in those of the frames."""
+    s = restart.state
+    return restart._replace(state=State(s.t, s.q.copy(), s.v.copy(), s.a.copy(), s.lam.copy(), s.memory, s.restart))
 
 
 def _again(run, state, counts):
