@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
-from polyida.integrate.running.run import Run
+from polyida.integrate.running.run import Run, constant_step
 from polyida.integrate.start import consistent_state, require_state, restarted
 from polyida.integrate.state import Counts, Integrator, State
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
@@ -59,9 +59,9 @@ def solve(
     last frame is there. progress: called with t at every accepted step.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
-    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s; resume
-    goes on from the last step by then whose memory is known (generalized-alpha on a scene works in stretches of up to
-    256 steps). overwrite: replace an existing file, unless a process is writing it. fsync: have every flush on the disk
+    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, or up
+    to half as much later where a block of frames is whole by then; resume goes on from the last step by then whose memory
+    is known (generalized-alpha on a scene works in stretches of up to 256 steps). overwrite: replace an existing file, unless a process is writing it. fsync: have every flush on the disk
     before the run goes on, so that it survives a power cut too; slow. What comes back is what was written, also where
     the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
     `memory_limit` bytes go to a file in the folder for temporary files (TMPDIR); a trajectory with more of them than
@@ -86,7 +86,7 @@ def solve(
         file = None
         if path is not None:
             file = create(path, model, integrator, model.n, model.m, plan, machine_info())
-        store = FrameStore(model.n, model.m, memory_limit, file)
+        store = FrameStore(model.n, model.m, memory_limit, file, expected=_expected(plan, begin, integrator))
         run = Run(model, integrator, plan, store, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
         return run.go(state)
@@ -154,6 +154,14 @@ def _plan(begin, t_end, every, output, until, flush_every, fsync):
         "flush_every": int(flush_every),
         "fsync": fsync,
     }
+
+
+def _expected(plan, begin, integrator):
+    """How many frames there will be, 0 where nobody knows."""
+    if plan["output"]:
+        return len(plan["output"])
+    h = constant_step(integrator)
+    return int((plan["t_end"] - begin) / (h * plan["every"])) + 1 if h else 0
 
 
 def _times(output, begin, t_end):

@@ -2,9 +2,9 @@
 
 `format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t` (frames,), `q`, `v`,
 `a` (frames, n), `lam` (frames, m), and `drive i` (frames, 3) of profiles that have no formula. All of them are chunked
-with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). A chunk of
-frames is a block, written once and never again, so that none is torn where the process ends; the frames behind the last
-whole block are in the slots.
+with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). Frames come in
+blocks, a chunk or a row of chunks of each name, written once and never again, so that none is torn where the process
+ends; the frames behind the last whole block are in the slots.
 
 Two datasets `slot i`, written in turn, the other one whole meanwhile: HEAD, then a record (JSON: how many frames hold,
 how the run stands), the state to go on from and the frames behind the last block, one name after the other.
@@ -14,16 +14,24 @@ import struct
 
 import numpy as np
 
-FORMAT = "polyida trajectory 3"
+FORMAT = "polyida trajectory 4"
 HEAD = struct.Struct("<QII")  # of a slot: bytes behind it, their CRC-32, bytes of the record
 FRAMES = ("t", "q", "v", "a", "lam")
-BLOCK_BYTES = 500_000  # of frames that are read or written at once
-FEW, BLOCK_FRAMES = 4, 1024  # frames of a block: single ones are slow to write, however long they are
+BLOCK_BYTES = 1_000_000  # of frames that are read or written at once
+FEW, BLOCK_FRAMES = 16, 1024  # frames of a block: single ones are slow to write, however long they are
+COLUMNS = 1024  # numbers of a frame in a chunk: with FEW frames one coordinate's history, and one frame, are a small part of the file
 
 
 def frames_at_once(width):
-    """How many frames of `width` numbers make a block."""
-    return int(np.clip(BLOCK_BYTES // (8 * max(1, width)), FEW, BLOCK_FRAMES))
+    """How many frames of `width` numbers make a block, a multiple of FEW."""
+    return int(np.clip(BLOCK_BYTES // (8 * max(1, width)) // FEW * FEW, FEW, BLOCK_FRAMES))
+
+
+def chunk_of(rows, shape):
+    """Shape of a chunk of `rows` frames of that shape: equal parts of not more than COLUMNS numbers."""
+    if len(shape) != 1:
+        return (rows, *shape)
+    return rows, -(-shape[0] // -(-shape[0] // COLUMNS))
 
 
 def shapes_of(n, m, drives=()):

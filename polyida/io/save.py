@@ -21,7 +21,7 @@ def save(run, path, overwrite=False):
     path, n, m = free(path, overwrite), run.q.shape[1], run.lam.shape[1]
     file = create(path, run.model, run.integrator, n, m, run.plan, run.machine)
     with file.publishing(overwrite):
-        store = FrameStore(n, m, file=file)
+        store = FrameStore(n, m, 0, file)
         store.extend([getattr(run, name) for name in FRAMES], len(run))
         store.put_away()
         commit(store, run.status, run.message, run.counts, (run.cpu_seconds, run.wall_seconds), run.restart, last=True)

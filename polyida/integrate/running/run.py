@@ -22,6 +22,12 @@ from polyida.trajectory import Trajectory
 FLUSH_SECONDS = 2.0
 
 
+def constant_step(integrator):
+    """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
+    h, adapts = getattr(integrator, "h", 0.0), getattr(integrator, "adaptive", False)
+    return h if is_number(h) and not adapts else 0.0
+
+
 class Run:
     """A run on its way.
 
@@ -85,21 +91,20 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        return "done", unseen(model, self._constant_step())
-
-    def _constant_step(self):
-        """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
-        h, adapts = getattr(self.integrator, "h", 0.0), getattr(self.integrator, "adaptive", False)
-        return h if is_number(h) and not adapts else 0.0
+        return "done", unseen(model, constant_step(self.integrator))
 
     def _keep(self, state):
         """Note where the run can go on; a flush where it is due."""
         if state.restart:
             self.restart = Restart(state, self.store.count, vars(self.counts).copy())
-        if self.store.file and (
-            self.counts.steps - self.flushed_steps >= self.plan["flush_every"] or time.monotonic() - self.flushed_at >= FLUSH_SECONDS
-        ):
+        if self.store.file and self._due():
             self._flush()
+
+    def _due(self):
+        """Whether to flush: as the plan says, or up to half as many steps later where a block of frames is whole by then."""
+        steps, wait = self.counts.steps - self.flushed_steps, self.store.file.rows * self.plan["every"]
+        late = max(steps / self.plan["flush_every"], (time.monotonic() - self.flushed_at) / FLUSH_SECONDS)
+        return late >= 1.0 and (late >= 1.5 or 2 * wait > self.plan["flush_every"] or self.store.count == self.store.file.count)
 
     def _flush(self):
         self._commit("running", "", self.restart)
