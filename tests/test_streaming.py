@@ -119,6 +119,9 @@ def test_stored_frames_iterate_and_calculate_like_arrays(filed, whole):
     assert np.array_equal(q + 1, whole.q + 1) and np.abs(q).max() == np.abs(whole.q).max()
     assert all(np.array_equal(a, b) for a, b in zip(q, whole.q, strict=True))
     assert np.array_equal(pickle.loads(pickle.dumps(q)), whole.q)
+    assert np.array_equal(q.T, whole.q.T) and q.max() == whole.q.max() and np.array_equal(q.mean(axis=0), whole.q.mean(axis=0))
+    assert np.array_equal(np.concatenate([q, q]), np.concatenate([whole.q, whole.q])) and (q.dtype, q.size) == (float, whole.q.size)
+    assert np.array_equal(q - filed.v, whole.q - whole.v) and q.reshape(401, -1, 2).shape == (401, 36, 2) and not hasattr(q, "colour")
     with pytest.raises(IndexError):
         q[401]
 
@@ -174,6 +177,44 @@ def test_no_more_than_the_limit_is_held(tmp_path, monkeypatch, out):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 45_000_000
+
+
+def test_what_will_not_fit_goes_to_a_file_from_the_start(model, whole, monkeypatch):
+    """Of steps of one size it is known how many frames there will be."""
+    from polyida.io import store
+
+    rooms, room = [], store.room
+    monkeypatch.setattr(store, "room", lambda *given: rooms.append(given) or room(*given))
+    for settings in ({"memory_limit": 500_000}, {"memory_limit": 500_000, "every": 2}, {"memory_limit": 100_000, "output": whole.t}):
+        rooms.clear()
+        run = pi.solve(model, 0.4, ALPHA, **settings)
+        assert len(rooms) == (settings.get("every") == 2) and np.array_equal(run.q, whole.q[:: settings.get("every", 1)])
+
+
+@pytest.mark.parametrize("settings", [{}, {"memory_limit": 50_000}, {"out": "run.h5"}, {"out": "run.h5", "memory_limit": 0}], ids=str)
+def test_frames_in_single_precision(model, whole, tmp_path, monkeypatch, settings):
+    """What is looked at has 7 digits; the run, and the state to go on from, all of them."""
+    monkeypatch.chdir(tmp_path)
+    run = pi.solve(model, 0.4, ALPHA, precision="single", **settings)
+    assert run.counts == whole.counts and np.array_equal(run.state.q, whole.state.q) and run.state.q.dtype == float
+    run.save("again.h5")
+    for one in (run, pi.load("again.h5"), pi.load("again.h5", memory_limit=0)):
+        assert np.array_equal(one.t, whole.t) and one.q.dtype == np.float32
+        assert all(np.array_equal(getattr(one, name), getattr(whole, name).astype("f4")) for name in FRAMES[1:])
+        assert np.array_equal(one.state.v, whole.state.v) and one.energy.total.dtype == float
+        assert np.abs(one.energy.total - whole.energy.total).max() < 1e-4 and np.abs(one.stress(9) - whole.stress(9)).max() < 100.0
+        assert one.position("tip").dtype == one.reaction("elbow motor").dtype == float
+    if "out" in settings:
+        half = pi.solve(model, 0.4, ALPHA, precision="single", out="half.h5", progress=raising(KeyboardInterrupt, 0.3))
+        assert half.status == "interrupted" and np.array_equal(pi.resume("half.h5").q, whole.q.astype("f4"))
+
+
+def test_half_the_file_in_single_precision(tmp_path):
+    sizes = []
+    for precision in ("double", "single"):
+        pi.solve(Wide(), 1.0, Free(), every=3, out=tmp_path / "run.h5", overwrite=True, precision=precision)
+        sizes.append((tmp_path / "run.h5").stat().st_size)
+    assert 0.5 < sizes[1] / sizes[0] < 0.55
 
 
 def test_output_at_accepted_steps_is_exact(model, whole):
@@ -340,6 +381,8 @@ def test_a_file_that_came_during_the_start_is_kept(model, tmp_path, monkeypatch)
         ({"memory_limit": -1}, "memory_limit"),
         ({"every": True}, "every"),
         ({"output": "soon"}, "output"),
+        ({"precision": "half"}, "precision = 'half' must be one of double, single"),
+        ({"precision": 32}, "precision = 32"),
     ],
 )
 def test_wrong_input_is_told_before_the_run(model, tmp_path, monkeypatch, settings, message):

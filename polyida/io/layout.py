@@ -1,7 +1,8 @@
 """What a result file looks like: names, shapes and sizes that its writer and its reader agree upon.
 
 `format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t` (frames,), `q`, `v`,
-`a` (frames, n), `lam` (frames, m), and `drive i` (frames, 3) of profiles that have no formula. All of them are chunked
+`a` (frames, n), `lam` (frames, m), these four in single precision where that was asked for, and `drive i` (frames, 3) of
+profiles that have no formula. All of them are chunked
 with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). Frames come in
 blocks, a chunk or a row of chunks of each name, written once and never again, so that none is torn where the process
 ends; the frames behind the last whole block are in the slots.

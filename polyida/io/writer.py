@@ -12,7 +12,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.io.checksum import fletcher32
-from polyida.io.layout import FORMAT, HEAD, chunk_of, frames_at_once, shapes_of, width_of
+from polyida.io.layout import FORMAT, HEAD, chunk_of, dtypes_of, frames_at_once, shapes_of, width_of
 from polyida.io.lock import CAN_TELL, being_written, lock, require_unwritten
 
 ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is known to be needed
@@ -43,17 +43,18 @@ def taken(path):
 class Writer:
     """A file under construction, held open by its descriptor: beside `shown`, where `publishing` brings it. Methods raise NotWritten.
 
-    path: where it lies. count: frames in whole blocks; held: frames of the last commit. drives: {name: profile}.
+    path: where it lies. single: see FrameStore. count: frames in whole blocks; held: frames of the last commit. drives: {name: profile}.
     """
 
-    def __init__(self, shown, n, m, about, arrays, drives, fsync=False):
+    def __init__(self, shown, n, m, about, arrays, drives, fsync=False, single=False):
         import h5py
 
         self.shown, self.path, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0
         self.count = self.held = 0
         self.drives, self.fsync, self.shapes = drives, fsync, shapes_of(n, m, drives)
         self.rows = frames_at_once(width_of(self.shapes))
-        self._packs = {name: _pack(chunk_of(self.rows, shape), np.dtype(float)) for name, shape in self.shapes.items() if shape != (0,)}
+        shapes, dtypes = self.shapes.items(), dtypes_of(self.shapes, single)
+        self._packs = {name: _pack(chunk_of(self.rows, shape), dtypes[name]) for name, shape in shapes if shape != (0,)}
         self._block = sum(self._chunks_of_a_block(name) * len(stored) for name, (stored, _) in self._packs.items())
         self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
         with taken(shown):
@@ -82,7 +83,7 @@ class Writer:
         for name, (_, numbers) in self._packs.items():
             shape = self.shapes[name]
             options = {"maxshape": (None, *shape), "chunks": numbers.shape, "fletcher32": True}
-            self._datasets[name] = self._file.create_dataset(name, (0, *shape), "f8", **options)
+            self._datasets[name] = self._file.create_dataset(name, (0, *shape), numbers.dtype, **options)
         self._file.attrs["format"] = FORMAT
         text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
         for key, values in {"about": text, **arrays}.items():
