@@ -46,7 +46,8 @@ def _piece(size, least):
     grain = max(HUGE, 1 << (size.bit_length() - 4))
     mapping = _mapping(-(-size // grain) * grain, least)
     if least >= WIDE and hasattr(mmap, "MADV_HUGEPAGE"):
-        mapping.madvise(mmap.MADV_HUGEPAGE)
+        with suppress(OSError):  # a system that has none
+            mapping.madvise(mmap.MADV_HUGEPAGE)
     piece = np.frombuffer(mapping, np.uint8)
     weakref.finalize(piece, _give_back, mapping).atexit = False
     return piece
@@ -65,7 +66,10 @@ def _mapping(size, least):
 
 def _give_back(mapping):
     """Keep a piece that no array shows any more."""
-    mapping.madvise(mmap.MADV_FREE)
+    try:
+        mapping.madvise(mmap.MADV_FREE)
+    except OSError:  # a system that would not have it back
+        return
     kept = _unused[len(mapping)]
     kept.append(mapping)
     del kept[:-KEPT]

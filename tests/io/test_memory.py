@@ -1,6 +1,7 @@
 """Frames in memory: written once, where they stay, and in memory that is used again."""
 
 import gc
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -74,6 +75,7 @@ def test_no_more_is_reserved_than_the_system_grants(monkeypatch):
         return grants(at, size, **flags)
 
     monkeypatch.setattr(memory.mmap, "mmap", stingy)
+    monkeypatch.setattr(memory, "_unused", defaultdict(list))
     (rows,) = room([(100,)], [DOUBLE], 2**30 - 1000)
     assert 4000 < len(rows) <= (1 << 22) // 800 and len(given) == 9
     with pytest.raises(MemoryError):
