@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.errors import InputError
 from polyida.given import floats, is_one_of, is_whole
 from polyida.integrate.state import Counts, Restart, State
-from polyida.io.frames import blocks
+from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.keywords import named_keywords
 from polyida.model.guarded import guard
@@ -39,7 +39,7 @@ class Trajectory:
     file; the frames before the damage), "error" (in a user's function), "disk full", or the kind of failure; message:
     where and why; success: it reached its end.
     counts: exact work. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
-    read when asked for. Energies, drift, positions, reactions and stresses are computed from the motion when they are
+    read when asked for; those of a run with precision="single" are float32. Energies, drift, positions, reactions and stresses are computed from the motion when they are
     asked for, frame by frame.
     """
 
@@ -69,7 +69,8 @@ class Trajectory:
         """
         if self.restart and not (len(self) and self.t[-1] > self.restart.state.t):
             return self.restart.state
-        return State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1], restart=False)
+        q, v, a, lam = (np.asarray(x[-1], float) for x in (self.q, self.v, self.a, self.lam))
+        return State(float(self.t[-1]), q, v, a, lam, restart=False)
 
     @property
     def memory(self) -> dict:
@@ -93,21 +94,21 @@ class Trajectory:
     def drift(self) -> NDArray:
         """Largest |phi| of every frame, (frames,), in phi's unit (m for joints)."""
         model = self._known_model("drift")
-        return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, self.q)])
+        return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, each(self.q))])
 
     @cached_property
     def velocity_drift(self) -> NDArray:
         """Largest |phi_q v + phi_t| of every frame, (frames,)."""
         model = self._known_model("velocity_drift")
-        frames = zip(self.t, self.q, self.v)
+        frames = zip(self.t, each(self.q), each(self.v))
         return np.array([_largest(model.phi_q(t, q) @ v + model.phi_t(t, q)) for t, q, v in frames])
 
     @cached_property
     def energy(self) -> Energy:
         """Kinetic, potential (gravity, force elements) and strain energy of every frame."""
         model = self._known_model("energy")
-        kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(self.q, self.v)])
-        potential, strain = np.array([model.potentials(q) for q in self.q], float).reshape(-1, 2).T
+        kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(each(self.q), each(self.v))])
+        potential, strain = np.array([model.potentials(q) for q in each(self.q)], float).reshape(-1, 2).T
         return Energy(kinetic, potential, strain)
 
     def _known_model(self, what):
@@ -128,7 +129,7 @@ class Trajectory:
         model = self._known_model("reaction")
         if not is_one_of(name, model.rows):
             raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
-        lam, first, found = self.lam[:, model.rows[name]], 0, []
+        lam, first, found = np.asarray(self.lam[:, model.rows[name]], float), 0, []
         for q in blocks(self.q):
             found.append(model.reactions(name, q, lam[first : first + len(q)]))
             first += len(q)
@@ -152,7 +153,7 @@ class Trajectory:
         """q of a frame."""
         if not is_whole(frame, -len(self), len(self) - 1):
             raise InputError(f"{what}: frame = {frame!r} must be the index of one of the run's {len(self)} frames")
-        return self.q[frame]
+        return np.asarray(self.q[frame], float)
 
     def _scene(self, what):
         if not self._known_model(what).is_scene:

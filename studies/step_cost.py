@@ -6,6 +6,7 @@ from against_peers import peers
 from polyida.cli.study import main
 from polyida.study.drawing import drawn
 from polyida.study.harness import Study
+from step_cost import frames
 from step_cost import measure as cost
 from step_cost.against import against
 from step_cost.beside_alpha import ratio_row
@@ -28,6 +29,10 @@ AIMS = {  # figure: aim, at most (True) or at least
     "residual_ns_per_dof": (15, True),
     "residual_tangent_ns_per_dof": (100, True),
     "bytes_per_dof_1e5": (2 * 2**30 / 1e5, True),
+    "frames_over_none_1e3": (1.05, True),
+    "frames_over_none_1e4": (1.1, True),
+    "frames_over_none_1e5": (1.15, True),
+    "hdf5_over_none_1e4": (1.25, True),
     "cold_start_s": (3, True),
     "warm_start_s": (0.7, True),
 }
@@ -40,6 +45,7 @@ RUNS = {
     "beside alpha": ratio_row,
     "sparse": cost.sparse_row,
     "memory": cost.memory_row,
+    "frames": frames.frames_row,
     "start": cost.start_rows,
 }
 
@@ -88,6 +94,7 @@ def tasks(quick):
         {"part": "memory", "dof": 100_000, "integrator": name, "steps": 30 if quick else steps}
         for name, steps in (("alpha", 1000), ("radau", 100))
     ]
+    made += frames.tasks(quick)
     return made if quick else made + [{"part": "start", "dof": 1_000, "warm": 3}]
 
 
@@ -132,6 +139,7 @@ def figures(rows):
         found["growth_exponent"] = np.polyfit(np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1)[0]
     found |= {f"ida_speedup_over_sparse_{name}": row["speedup"] for name, dof in SPARSE.items() for row in only(rows, "sparse", dof=dof)}
     found |= {f"ida_over_alpha_step_{name}": row["ratio"] for name, dof in DECADES.items() for row in only(rows, "beside alpha", dof=dof)}
+    found |= frames.figures(rows)
     for row in only(rows, "memory"):
         found[f"{'' if row['integrator'] == 'alpha' else row['integrator'] + '_'}bytes_per_dof_1e5"] = row["bytes_per_dof"]
     found |= {
@@ -271,7 +279,7 @@ study = Study(
     run,
     figures,
     (cost_figure, parts_figure),
-    notes=(aim_notes, step_notes, ida_notes, radau_notes, memory_notes, start_notes),
+    notes=(aim_notes, step_notes, ida_notes, radau_notes, memory_notes, frames.notes, start_notes),
     headline=HEADLINE,
     options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
     columns=("part", "scene", "integrator", "backend", "n", "steps", "ms_per_step", "newton_iterations_per_step", "floor_ms", "speedup"),

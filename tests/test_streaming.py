@@ -72,8 +72,16 @@ def stored(model, tmp_path_factory):
 
 def test_beyond_the_limit_frames_go_to_a_file_without_a_name(stored, whole):
     run, folder = stored
-    assert isinstance(run.q, StoredFrames) and isinstance(run.t, np.ndarray)
     assert equal(run, whole) and os.listdir(folder) == []
+    assert all(type(getattr(run, name)) is np.ndarray and getattr(run, name).base is not None for name in FRAMES)
+
+
+@pytest.fixture(scope="module")
+def filed(whole, tmp_path_factory):
+    """The run in a file that is read when asked for."""
+    path = tmp_path_factory.mktemp("filed") / "run.h5"
+    whole.save(path)
+    return pi.load(path, memory_limit=0)
 
 
 KEYS = (
@@ -101,22 +109,26 @@ KEYS = (
 
 
 @pytest.mark.parametrize("key", KEYS, ids=str)
-def test_stored_frames_index_like_arrays(stored, whole, key):
-    assert np.array_equal(stored[0].q[key], whole.q[key])
+def test_stored_frames_index_like_arrays(filed, whole, key):
+    assert isinstance(filed.q, StoredFrames) and np.array_equal(filed.q[key], whole.q[key])
 
 
-def test_stored_frames_iterate_and_calculate_like_arrays(stored, whole):
-    q = stored[0].q
+def test_stored_frames_iterate_and_calculate_like_arrays(filed, whole):
+    q = filed.q
     assert len(q) == len(whole.q) and q.shape == whole.q.shape and q.ndim == 2
     assert np.array_equal(q + 1, whole.q + 1) and np.abs(q).max() == np.abs(whole.q).max()
     assert all(np.array_equal(a, b) for a, b in zip(q, whole.q, strict=True))
     assert np.array_equal(pickle.loads(pickle.dumps(q)), whole.q)
+    assert np.array_equal(q.T, whole.q.T) and q.max() == whole.q.max() and np.array_equal(q.mean(axis=0), whole.q.mean(axis=0))
+    assert np.array_equal(np.concatenate([q, q]), np.concatenate([whole.q, whole.q])) and (q.dtype, q.size) == (float, whole.q.size)
+    assert np.array_equal(q - filed.v, whole.q - whole.v) and q.reshape(401, -1, 2).shape == (401, 36, 2) and not hasattr(q, "colour")
     with pytest.raises(IndexError):
         q[401]
 
 
-def test_what_is_derived_is_the_same_frame_by_frame(stored, whole):
-    run = stored[0]
+@pytest.mark.parametrize("where", ["stored", "filed"])
+def test_what_is_derived_is_the_same_frame_by_frame(stored, filed, whole, where):
+    run = {"stored": stored[0], "filed": filed}[where]
     assert np.array_equal(run.drift, whole.drift) and np.array_equal(run.velocity_drift, whole.velocity_drift)
     assert np.array_equal(run.energy.total, whole.energy.total) and np.array_equal(run.stress(77), whole.stress(77))
     assert np.array_equal(run.position("tip"), whole.position("tip"))
@@ -159,12 +171,60 @@ def test_no_more_than_the_limit_is_held(tmp_path, monkeypatch, out):
 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     tracemalloc.start()
+    before = resident()
     run = pi.solve(Wide(), 1.0, Free(), memory_limit=20_000_000, out=out and tmp_path / out)
     assert 24 * run.q.size > 140_000_000 and run.q[150, 3] == 150 and run.a[-1, 0] == 302
     assert run.q[:, 7][-1] == 300 and len(run.energy.kinetic) == 301
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 45_000_000
+    assert peak < 45_000_000 and resident() - before < 70_000_000
+
+
+def resident():
+    """Bytes of this process that are in no file, 0 where the system does not tell."""
+    try:
+        with open("/proc/self/status", encoding="utf-8") as status:
+            return next((1024 * int(line.split()[1]) for line in status if line.startswith("RssAnon")), 0)
+    except OSError:
+        return 0
+
+
+def test_what_will_not_fit_goes_to_a_file_from_the_start(model, whole, monkeypatch):
+    """Of steps of one size it is known how many frames there will be."""
+    from polyida.io import store
+
+    rooms, room = [], store.room
+    monkeypatch.setattr(store, "room", lambda *given: rooms.append(given) or room(*given))
+    for settings in ({"memory_limit": 500_000}, {"memory_limit": 500_000, "every": 2}, {"memory_limit": 100_000, "output": whole.t}):
+        rooms.clear()
+        run = pi.solve(model, 0.4, ALPHA, **settings)
+        assert len(rooms) == (settings.get("every") == 2) and np.array_equal(run.q, whole.q[:: settings.get("every", 1)])
+
+
+@pytest.mark.parametrize("settings", [{}, {"memory_limit": 50_000}, {"out": "run.h5"}, {"out": "run.h5", "memory_limit": 0}], ids=str)
+def test_frames_in_single_precision(model, whole, tmp_path, monkeypatch, settings):
+    """What is looked at has 7 digits; the run, and the state to go on from, all of them."""
+    monkeypatch.chdir(tmp_path)
+    run = pi.solve(model, 0.4, ALPHA, precision="single", **settings)
+    assert run.counts == whole.counts and np.array_equal(run.state.q, whole.state.q) and run.state.q.dtype == float
+    run.save("again.h5")
+    for one in (run, pi.load("again.h5"), pi.load("again.h5", memory_limit=0)):
+        assert np.array_equal(one.t, whole.t) and one.q.dtype == np.float32
+        assert all(np.array_equal(getattr(one, name), getattr(whole, name).astype("f4")) for name in FRAMES[1:])
+        assert np.array_equal(one.state.v, whole.state.v) and one.energy.total.dtype == float
+        assert np.abs(one.energy.total - whole.energy.total).max() < 1e-4 and np.abs(one.stress(9) - whole.stress(9)).max() < 100.0
+        assert one.position("tip").dtype == one.reaction("elbow motor").dtype == float
+    if "out" in settings:
+        half = pi.solve(model, 0.4, ALPHA, precision="single", out="half.h5", progress=raising(KeyboardInterrupt, 0.3))
+        assert half.status == "interrupted" and np.array_equal(pi.resume("half.h5").q, whole.q.astype("f4"))
+
+
+def test_half_the_file_in_single_precision(tmp_path):
+    sizes = []
+    for precision in ("double", "single"):
+        pi.solve(Wide(), 1.0, Free(), every=3, out=tmp_path / "run.h5", overwrite=True, precision=precision)
+        sizes.append((tmp_path / "run.h5").stat().st_size)
+    assert 0.5 < sizes[1] / sizes[0] < 0.55
 
 
 def test_output_at_accepted_steps_is_exact(model, whole):
@@ -331,6 +391,8 @@ def test_a_file_that_came_during_the_start_is_kept(model, tmp_path, monkeypatch)
         ({"memory_limit": -1}, "memory_limit"),
         ({"every": True}, "every"),
         ({"output": "soon"}, "output"),
+        ({"precision": "half"}, "precision = 'half' must be one of double, single"),
+        ({"precision": 32}, "precision = 32"),
     ],
 )
 def test_wrong_input_is_told_before_the_run(model, tmp_path, monkeypatch, settings, message):
@@ -387,7 +449,7 @@ def test_a_full_disk_ends_the_run_and_keeps_the_frames(model, whole, tmp_path):
 
 def test_a_full_disk_behind_the_memory_limit(tmp_path):
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(LIMITED), "", "3000000", "{'memory_limit': 1000000}"],
+        [sys.executable, "-c", textwrap.dedent(LIMITED), "", "1000000", "{'memory_limit': 1000000}"],
         capture_output=True,
         text=True,
         check=True,

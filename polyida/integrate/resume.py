@@ -121,9 +121,9 @@ def _plan(stored, t_end, until):
 def _continued(stored, model, integrator, plan, memory_limit):
     """A FrameStore with a file in the place of the stored one, which has its frames up to where the run goes on."""
     restart = stored.restart
-    file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, dict(stored.about["machine"]))
+    file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, dict(stored.about["machine"]), stored.single)
     with file.publishing(True):
-        store = FrameStore(stored.n, stored.m, memory_limit, file)
+        store = FrameStore(stored.n, stored.m, memory_limit, file, stored.single)
         store.extend([stored.columns[name] for name in FRAMES], restart.frames)
         commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart)
     return store

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_whole
-from polyida.integrate.running.run import Run
+from polyida.given import floats, is_number, is_one_of, is_whole
+from polyida.integrate.running.run import Run, constant_step
 from polyida.integrate.start import consistent_state, require_state, restarted
 from polyida.integrate.state import Counts, Integrator, State
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 MOST_STEPS = 1e12
 SHORTEST = 1e-15  # s: what is divided by the squares of its steps is still a number in single precision
+PRECISIONS = ("double", "single")
 APART = 16  # times between t and t + h, at least
 
 
@@ -49,6 +50,7 @@ def solve(
     flush_every: int = 100,
     fsync: bool = False,
     memory_limit: float = MEMORY_LIMIT,
+    precision: str = "double",
 ) -> "Trajectory":
     """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
 
@@ -59,13 +61,14 @@ def solve(
     last frame is there. progress: called with t at every accepted step.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
-    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s; resume
-    goes on from the last step by then whose memory is known (generalized-alpha on a scene works in stretches of up to
-    256 steps). overwrite: replace an existing file, unless a process is writing it. fsync: have every flush on the disk
+    process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, or up
+    to half as much later where a block of frames is whole by then; resume goes on from the last step by then whose memory
+    is known (generalized-alpha on a scene works in stretches of up to 256 steps). overwrite: replace an existing file, unless a process is writing it. fsync: have every flush on the disk
     before the run goes on, so that it survives a power cut too; slow. What comes back is what was written, also where
     the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
     `memory_limit` bytes go to a file in the folder for temporary files (TMPDIR); a trajectory with more of them than
-    that leaves them in the file, see Trajectory.
+    that leaves them in the file, see Trajectory. precision: "single" keeps q, v, a and lam of the frames with 7 digits, in half the
+    room, in memory and in files; the run itself, and the state to go on from, are as ever.
 
     Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with
     the frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the
@@ -76,7 +79,7 @@ def solve(
         raise InputError(f"solve: progress = {progress!r} must be a function of t")
     begin = t0 if state is None else state.t
     require_run(model, t_end, begin, integrator)
-    plan = _plan(begin, t_end, every, output, until, flush_every, fsync)
+    plan = _plan(begin, t_end, every, output, until, flush_every, fsync, precision)
     require_bytes("solve", memory_limit)
     path = None if out is None else free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
@@ -85,8 +88,8 @@ def solve(
         getattr(integrator, "require_reach", lambda *run: None)(guard(model), state, t_end)
         file = None
         if path is not None:
-            file = create(path, model, integrator, model.n, model.m, plan, machine_info())
-        store = FrameStore(model.n, model.m, memory_limit, file)
+            file = create(path, model, integrator, model.n, model.m, plan, machine_info(), precision == "single")
+        store = FrameStore(model.n, model.m, memory_limit, file, precision == "single", _expected(plan, begin, integrator))
         run = Run(model, integrator, plan, store, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
         return run.go(state)
@@ -136,7 +139,7 @@ def _require_start(model, t0, state, q0, v0):
     require_state("solve", guard(model), state)
 
 
-def _plan(begin, t_end, every, output, until, flush_every, fsync):
+def _plan(begin, t_end, every, output, until, flush_every, fsync, precision):
     """What was asked for, as plain data that a file can hold."""
     for name, value in (("every", every), ("flush_every", flush_every)):
         if not is_whole(value):
@@ -145,6 +148,8 @@ def _plan(begin, t_end, every, output, until, flush_every, fsync):
         raise InputError(f"solve: fsync = {fsync!r} must be True or False")
     if until is not None and not callable(until):
         raise InputError(f"solve: until = {until!r} must be a function of t, q and v")
+    if not is_one_of(precision, PRECISIONS):
+        raise InputError(f"solve: precision = {precision!r} must be one of {', '.join(PRECISIONS)}")
     times = None if output is None else _times(output, begin, t_end)
     return {
         "t_end": float(t_end),
@@ -153,7 +158,16 @@ def _plan(begin, t_end, every, output, until, flush_every, fsync):
         "until": until is not None,
         "flush_every": int(flush_every),
         "fsync": fsync,
+        "precision": precision,
     }
+
+
+def _expected(plan, begin, integrator):
+    """How many frames there will be, 0 where nobody knows."""
+    if plan["output"]:
+        return len(plan["output"])
+    h = constant_step(integrator)
+    return int((plan["t_end"] - begin) / (h * plan["every"])) + 1 if h else 0
 
 
 def _times(output, begin, t_end):

@@ -16,30 +16,35 @@ def require_bytes(part, memory_limit):
 
 
 def blocks(frames):
-    """Consecutive pieces (k, ...) of frames, of bounded size where they are in a file."""
-    return frames.blocks() if isinstance(frames, StoredFrames) else (frames,)
+    """Consecutive pieces (k, ...) of frames, in double precision, of bounded size."""
+    step = frames_at_once(int(np.prod(frames.shape[1:])))
+    return (np.asarray(frames[first : first + step], float) for first in range(0, max(1, len(frames)), step))
+
+
+def each(frames):
+    """One frame after the other, in double precision."""
+    return (frame for block in blocks(frames) for frame in block)
 
 
 class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
     """Frames (count, width) that are read when asked for: the rows of an HDF5 dataset, and behind them those of `tail`.
 
-    Arithmetic and `np.asarray` read all of it. Raises InputError where what is read is not whole.
+    What is indexed is read, of single coordinates their chunks alone; arithmetic, `np.asarray` and all else that an array
+    has read all of it. Raises InputError where what is read is not whole.
     """
 
-    dtype = np.dtype(float)
-
     def __init__(self, dataset, tail, count, path):
-        self._dataset, self._tail, self._path = dataset, tail, path
+        self._dataset, self._tail, self._path, self.dtype = dataset, tail, path, tail.dtype
         self._file = getattr(dataset, "file", None)  # stays open as long as its frames are known
         self.cut(count)
 
     def cut(self, count):
         """Have no more frames than `count`."""
-        stored = min(getattr(self, "_stored", count - len(self._tail)), count)
+        stored = min(vars(self).get("_stored", count - len(self._tail)), count)
         self._stored, self._tail = stored, self._tail[: count - stored]
         self.shape = (int(count), *self._tail.shape[1:])
         self.ndim, self.size = len(self.shape), int(np.prod(self.shape))
-        self.nbytes = 8 * self.size
+        self.nbytes = self.dtype.itemsize * self.size
 
     def __len__(self):
         return self.shape[0]
@@ -47,12 +52,13 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
     def __repr__(self):
         return f"StoredFrames({self.shape[0]} frames of {self.shape[1]}, in a file)"
 
-    def blocks(self):
-        """Consecutive frames, a bounded number at once."""
-        return self._pieces(np.arange(len(self)))
+    def __getattr__(self, name):
+        if name.startswith("_") or not hasattr(np.ndarray, name):
+            raise AttributeError(f"StoredFrames has no attribute {name!r}")
+        return getattr(np.asarray(self), name)
 
     def __iter__(self):
-        for block in self.blocks():
+        for block in self._pieces(np.arange(len(self))):
             yield from block
 
     def __getitem__(self, key):
@@ -64,33 +70,41 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
             row = self._read(rows, rows + 1)[0]
             return row[tuple(rest)] if rest else row
         if isinstance(first, slice):
-            return np.concatenate([np.array(piece[(slice(None), *rest)]) for piece in self._pieces(rows)])
+            return self._slice(rows, rest)
         return np.concatenate(list(self._pieces(rows)))[(np.arange(len(rows)), *rest)]
 
-    def _pieces(self, rows):
-        """The rows of that number, in their order, a bounded number at once."""
-        step = frames_at_once(int(np.prod(self.shape[1:])))
+    def _slice(self, rows, rest):
+        """The rows, of the columns that `rest` wants those between the outermost ones read."""
+        columns = np.arange(self.shape[1])[rest[0]] if len(rest) == 1 and self.ndim == 2 else None
+        if columns is None or columns.ndim > 1:
+            return np.concatenate([np.array(piece[(slice(None), *rest)]) for piece in self._pieces(rows)])
+        low, end = (int(columns.min()), int(columns.max()) + 1) if columns.size else (0, 0)
+        return np.concatenate([np.array(piece[:, columns - low]) for piece in self._pieces(rows, slice(low, end))])
+
+    def _pieces(self, rows, columns=None):
+        """The rows of that number, in their order, a bounded number at once; columns: a slice of them, or all."""
+        step = frames_at_once(columns.stop - columns.start if columns else int(np.prod(self.shape[1:])))
         for run in np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1):
             for part in np.split(run, range(step, len(run), step)):
-                yield self._read(part[0], part[-1] + 1) if len(part) else self._read(0, 0)
+                yield self._read(part[0], part[-1] + 1, columns) if len(part) else self._read(0, 0, columns)
 
-    def _read(self, first, end):
+    def _read(self, first, end, columns=None):
         try:
-            values = self.rows(first, end)
+            values = self.rows(first, end, columns)
         except OSError:
             values = np.full(1, np.nan)
         if not np.isfinite(values).all():
             raise InputError(f"{self._path}: frames {first} to {end - 1} are damaged")
         return values
 
-    def rows(self, first, end):
+    def rows(self, first, end, columns=None):
         """Frames first to end as they are there. Raises OSError where a checksum does not fit."""
-        stored = self._stored
-        rows = np.asarray(self._dataset[min(first, stored) : min(end, stored)], float)
-        return rows if end <= stored else np.concatenate([rows, self._tail[max(0, first - stored) : end - stored]])
+        stored, rest = self._stored, (columns,) if columns else ()
+        rows = np.asarray(self._dataset[(slice(min(first, stored), min(end, stored)), *rest)], self.dtype)
+        return rows if end <= stored else np.concatenate([rows, self._tail[(slice(max(0, first - stored), end - stored), *rest)]])
 
     def __array__(self, dtype=None, copy=None):
-        return self._read(0, len(self)).astype(dtype or float, copy=False)
+        return self._read(0, len(self)).astype(dtype or self.dtype, copy=False)
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
         return getattr(ufunc, method)(*(np.asarray(x) if isinstance(x, StoredFrames) else x for x in inputs), **options)

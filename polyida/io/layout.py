@@ -1,10 +1,11 @@
 """What a result file looks like: names, shapes and sizes that its writer and its reader agree upon.
 
 `format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t` (frames,), `q`, `v`,
-`a` (frames, n), `lam` (frames, m), and `drive i` (frames, 3) of profiles that have no formula. All of them are chunked
-with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). A chunk of
-frames is a block, written once and never again, so that none is torn where the process ends; the frames behind the last
-whole block are in the slots.
+`a` (frames, n), `lam` (frames, m), these four in single precision where that was asked for, and `drive i` (frames, 3) of
+profiles that have no formula. All of them are chunked
+with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). Frames come in
+blocks, a chunk or a row of chunks of each name, written once and never again, so that none is torn where the process
+ends; the frames behind the last whole block are in the slots.
 
 Two datasets `slot i`, written in turn, the other one whole meanwhile: HEAD, then a record (JSON: how many frames hold,
 how the run stands), the state to go on from and the frames behind the last block, one name after the other.
@@ -14,21 +15,34 @@ import struct
 
 import numpy as np
 
-FORMAT = "polyida trajectory 3"
+FORMAT = "polyida trajectory 4"
 HEAD = struct.Struct("<QII")  # of a slot: bytes behind it, their CRC-32, bytes of the record
 FRAMES = ("t", "q", "v", "a", "lam")
-BLOCK_BYTES = 500_000  # of frames that are read or written at once
-FEW, BLOCK_FRAMES = 4, 1024  # frames of a block: single ones are slow to write, however long they are
+BLOCK_BYTES = 1_000_000  # of frames that are read or written at once
+FEW, BLOCK_FRAMES = 16, 1024  # frames of a block: single ones are slow to write, however long they are
+COLUMNS = 1024  # numbers of a frame in a chunk: with FEW frames one coordinate's history, and one frame, are a small part of the file
 
 
 def frames_at_once(width):
-    """How many frames of `width` numbers make a block."""
-    return int(np.clip(BLOCK_BYTES // (8 * max(1, width)), FEW, BLOCK_FRAMES))
+    """How many frames of `width` numbers make a block, a multiple of FEW."""
+    return int(np.clip(BLOCK_BYTES // (8 * max(1, width)) // FEW * FEW, FEW, BLOCK_FRAMES))
+
+
+def chunk_of(rows, shape):
+    """Shape of a chunk of `rows` frames of that shape: equal parts of not more than COLUMNS numbers."""
+    if len(shape) != 1:
+        return (rows, *shape)
+    return rows, -(-shape[0] // -(-shape[0] // COLUMNS))
 
 
 def shapes_of(n, m, drives=()):
     """{name: shape of a frame} of what a file holds; drives are names of profiles, each (value, d1, d2)."""
     return {"t": (), "q": (n,), "v": (n,), "a": (n,), "lam": (m,)} | {name: (3,) for name in drives}
+
+
+def dtypes_of(shapes, single=False):
+    """{name: dtype} of what a file holds: of q, v, a and lam in single precision where that is asked for."""
+    return {name: np.dtype("f4" if single and name in FRAMES[1:] else "f8") for name in shapes}
 
 
 def width_of(shapes):

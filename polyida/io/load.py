@@ -7,6 +7,7 @@ import numpy as np
 
 from polyida import registry
 from polyida.errors import InputError
+from polyida.given import is_flag
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, from_data
@@ -19,29 +20,32 @@ TORN = "; the record of one flush is not whole: cut off by the end of the proces
 
 
 @named_keywords
-def load(path: str | Path, memory_limit: float = MEMORY_LIMIT) -> Trajectory:
+def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = True) -> Trajectory:
     """Read a trajectory. Raises InputError naming the file where it is missing, truncated or of another kind.
 
     Frames beyond `memory_limit` bytes stay in the file and are read when asked for. A file of a run that was killed
     holds the frames up to the last flush, with status "interrupted"; one that is still written, those up to now, with
     status "running". All frames are looked at: where some are damaged, those before them come back, with status
-    "damaged" and a message that says which and why. The scene is built again from the file's data. A motor or load
+    "damaged" and a message that says which and why. check=False looks at none of them, for files that take long to read: what
+    is damaged raises InputError when it is asked for. The scene is built again from the file's data. A motor or load
     whose profile was a function of the user's own follows the values that the run saw, which are in the file; without a
     frame there is no model then.
     """
     require_bytes("load", memory_limit)
+    if not is_flag(check):
+        raise InputError(f"load: check = {check!r} must be True or False")
     stored = read(path)
     with naming(path):
         try:
-            return _trajectory(stored, memory_limit)
+            return _trajectory(stored, memory_limit, check)
         except BaseException:
             stored.file.close()
             raise
 
 
-def _trajectory(stored, memory_limit):
+def _trajectory(stored, memory_limit, check):
     about, record = stored.about, stored.record
-    damage = stored.check()
+    damage = stored.check() if check else ""
     model, missing = _model(stored)
     status, message = str(record["status"]), str(record["message"])
     if status == "running":

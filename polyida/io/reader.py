@@ -13,7 +13,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import StoredFrames
-from polyida.io.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, frames_at_once, shapes_of, width_of
+from polyida.io.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, dtypes_of, frames_at_once, shapes_of, width_of
 from polyida.io.lock import being_written
 from polyida.io.source import Source
 
@@ -65,7 +65,7 @@ class Stored:
     """An open file, checked: plain data `about`, the last whole `record`, `restart`, where the run goes on, or None.
 
     torn: whether a slot is not whole. counts; seconds: (CPU, wall). n, m: of the model. count: frames that hold.
-    columns: {name: StoredFrames} of t, q, v, a, lam and the drives. Raises InputError, or whatever a damaged file makes fail.
+    single: whether frames are in single precision. columns: {name: StoredFrames} of t, q, v, a, lam and the drives. Raises InputError, or whatever a damaged file makes fail.
     """
 
     def __init__(self, file, path, size, live=False):
@@ -168,8 +168,12 @@ class Stored:
             raise InputError("the last frames, or the state to go on from, are damaged")
         parts = [part.reshape(shape) for part, shape in zip(np.split(numbers, np.cumsum(sizes)), shapes)]
         tails = dict(zip(self.shapes, parts[-len(self.shapes) :]))
+        self.single = found["q"].dtype == np.float32
         none = np.zeros((self.count, 0))  # of no width: lam without constraints
-        self.columns = {name: StoredFrames(found.get(name, none), tail, self.count, self.path) for name, tail in tails.items()}
+        self.columns = {
+            name: StoredFrames(found.get(name, none), tails[name].astype(dtype), self.count, self.path)
+            for name, dtype in dtypes_of(self.shapes, self.single).items()
+        }
         self.restart = self._restart([name for name, _ in memory], parts) if record["restart"] else None
 
     def _restart(self, names, parts):

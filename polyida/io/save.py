@@ -19,9 +19,10 @@ from polyida.io.writer import Writer
 def save(run, path, overwrite=False):
     """Write a trajectory; the file appears whole or not at all. Raises InputError where it must not be overwritten."""
     path, n, m = free(path, overwrite), run.q.shape[1], run.lam.shape[1]
-    file = create(path, run.model, run.integrator, n, m, run.plan, run.machine)
+    single = run.q.dtype == np.float32
+    file = create(path, run.model, run.integrator, n, m, run.plan, run.machine, single)
     with file.publishing(overwrite):
-        store = FrameStore(n, m, file=file)
+        store = FrameStore(n, m, 0, file, single)
         store.extend([getattr(run, name) for name in FRAMES], len(run))
         store.put_away()
         commit(store, run.status, run.message, run.counts, (run.cpu_seconds, run.wall_seconds), run.restart, last=True)
@@ -55,15 +56,17 @@ def free(given, overwrite):
     return path
 
 
-def create(path, model, integrator, n, m, plan, machine):
-    """A Writer with what is known before the run: integrator, scene, what was asked for, on what machine."""
+def create(path, model, integrator, n, m, plan, machine, single=False):
+    """A Writer with what is known before the run: integrator, scene, what was asked for, on what machine; see FrameStore."""
     kind = integrator if isinstance(integrator, str) else registry.name_of(type(integrator))
     settings = asdict(integrator) if is_dataclass(integrator) else {}
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "plan": plan, "machine": machine}
     scene, arrays, drives = to_data(model.parts, model.gravity) if model.parts else (None, {}, {})
     about |= ({"scene": scene} if scene else {}) | {"drives": {key: name for key, (name, _) in drives.items()}}
     profiles = {key: profile for key, (_, profile) in drives.items()}
-    return Writer.create(path, n, m, about, {f"scene/{key}": array for key, array in arrays.items()}, profiles, bool(plan.get("fsync")))
+    return Writer.create(
+        path, n, m, about, {f"scene/{key}": array for key, array in arrays.items()}, profiles, bool(plan.get("fsync")), single
+    )
 
 
 def commit(store, status, message, counts, seconds, restart, last=False):

@@ -1,85 +1,105 @@
 """Frames of a run as they come: in memory while they are small, in a file beyond or from the start."""
 
+import os
 from contextlib import suppress
 
 import numpy as np
 
 from polyida.io.frames import MEMORY_LIMIT
-from polyida.io.layout import FRAMES, frames_at_once, shapes_of, width_of
+from polyida.io.layout import FRAMES, dtypes_of, shapes_of
+from polyida.io.memory import LAZY, room
 from polyida.io.reader import read_open
-from polyida.io.writer import NotWritten, Writer
+from polyida.io.spill import Spill
+from polyida.io.writer import NotWritten
+
+SMALL = 1 << 20  # bytes of a run's frames that are not worth a piece of memory of their own
 
 
 class FrameStore:
     """Accepted states of one run.
 
-    Without a `file` they stay in memory up to `limit` bytes and go to a temporary file beyond; with one, block after
-    block, they go there. Not more than a block is held beside the file. Raises NotWritten where the disk does not take
-    them.
+    They are written into their final place in memory, up to `limit` bytes, and block after block from there to the
+    `file`, where there is one. Beyond the limit they go to the file alone, or to a temporary one; where more are
+    `expected`, a number of frames, from the start. Not more than a block is held then. single: q, v, a and lam are kept
+    in single precision. Raises NotWritten where the disk does not take them.
     """
 
-    def __init__(self, n, m, limit=MEMORY_LIMIT, file=None):
-        self.shape, self.limit, self.file, self.count = (n, m), limit, file, 0
+    def __init__(self, n, m, limit=MEMORY_LIMIT, file=None, single=False, expected=0):
+        self.file, self.limit, self.count, self._single = file, limit, 0, single
         self.drives = list(file.drives.values()) if file else []
-        self._full, self._bytes, self._rows, self._block = [], 0, 0, self._room()
+        shapes = shapes_of(n, m, range(len(self.drives)))
+        self._shapes, self._dtypes = list(shapes.values()), list(dtypes_of(shapes, single).values())
+        self._away, self._first, self._rows = file, 0, 0  # where the frames before the block are, and how many
+        self._whole = limit >= self._bytes(max(expected, file.rows if file else 1))
+        self._block = self._many() if self._whole else self._few()
 
-    def _room(self):
-        shapes = shapes_of(*self.shape, range(len(self.drives)))
-        length, width = frames_at_once(width_of(shapes)), width_of(shapes)
-        if not self.file:
-            length = min(length, max(1, int(min(self.limit, 1e15)) // (8 * width)))
-        return [np.empty((length, *shape)) for shape in shapes.values()]
+    def _bytes(self, frames):
+        return frames * sum(int(np.prod(shape)) * dtype.itemsize for shape, dtype in zip(self._shapes, self._dtypes))
+
+    def _many(self):
+        """A block that frames stay in, of whole blocks of the file."""
+        found = room(self._shapes, self._dtypes, self.limit)
+        rows = len(found[0]) - (len(found[0]) % self.file.rows if self.file else 0)
+        return [values[:rows] for values in found]
+
+    def _few(self):
+        """A block that frames go through on their way to a file."""
+        self._away = self._away or Spill(self._bytes(1))
+        return [np.empty((self._away.rows, *shape), dtype) for shape, dtype in zip(self._shapes, self._dtypes)]
+
+    def rows(self, count):
+        """The places of the next `count` frames, [q, v, a, lam], to be written into before they are kept; None where they do not stay there."""
+        first, end = self._rows, self._rows + count
+        if self._single or not self._whole or end > len(self._block[0]):
+            return None
+        return [values[first:end] for values in self._block[1 : len(FRAMES)]]
 
     def add(self, state):
-        """Keep a state."""
-        self._keep([getattr(state, name) for name in FRAMES])
+        """Keep a state; nothing is copied where it is in its place already."""
+        self._keep(state.t, state.q, state.v, state.a, state.lam)
 
     def extend(self, columns, count):
         """Keep the first `count` of frames, arrays or StoredFrames in the order of FRAMES."""
         for first in range(0, count, self.file.rows):
             for frame in zip(*(values[first : min(first + self.file.rows, count)] for values in columns)):
-                self._keep(frame)
+                self._keep(*frame)
 
-    def _keep(self, frame):
-        row = self._rows
-        for values, value in zip(self._block, frame):
-            values[row] = value
-        for values, profile in zip(self._block[len(FRAMES) :], self.drives):
-            values[row] = profile.at(frame[0])
+    def _keep(self, t, q, v, a, lam):
+        row, (ts, qs, vs, accelerations, lams, *samples) = self._rows, self._block
+        ts[row], qs[row], vs[row], accelerations[row], lams[row] = t, q, v, a, lam
+        for values, profile in zip(samples, self.drives):
+            values[row] = profile.at(t)
         self._rows, self.count = row + 1, self.count + 1
-        if self._rows == len(self._block[0]):
+        if self._rows == len(ts) or (self._away and self.count == self._away.count + self._away.rows):
             self.put_away()
 
     def waiting(self):
         """The frames that the file does not have yet, not more than a block of them."""
-        rows = self.count - self.file.count
-        return [values[:rows] for values in self._block]
+        first = self._away.count - self._first
+        return [values[first : self._rows] for values in self._block]
 
     def put_away(self):
-        """Move the block at hand to the file or to the full ones. Safe to be interrupted and called again."""
-        if self.file:
-            if self.count > self.file.count:
-                self.file.append(self.waiting())
-            self._rows = 0
-            return
-        block, room = [values[: self._rows] for values in self._block], self._room()
-        full, size = [*self._full, block], self._bytes + sum(values.nbytes for values in block)
-        self._full, self._bytes, self._block, self._rows = full, size, room, 0
-        if size > self.limit:
-            self._to_file()
-
-    def _to_file(self):
-        file = Writer.temporary(*self.shape)
-        for block in self._full:
-            file.append(block)
-        self.file, self._full = file, []
+        """Bring what waits to the file; a block that is full is left for one to go through. Safe to be interrupted and called again."""
+        full = self._rows == len(self._block[0])
+        if full and self._away is None:
+            self._away = Spill(self._bytes(1))
+        while self._away and self.count > self._away.count:
+            self._away.append([values[: self._away.rows] for values in self.waiting()])
+        if full:
+            block = self._few() if self._whole else self._block
+            self._whole, self._block, self._first, self._rows = False, block, self.count, 0
 
     def arrays(self):
         """{name: frames} of all that was kept, or committed to a file, arrays or StoredFrames. The store is used up then."""
+        block, self._block = self._block, []
         if self.file:
             with suppress(NotWritten):
                 self.file.close()
-            return read_open(self.file.descriptor, self.file.shown).frames(self.limit)
-        parts = [*self._full, [values[: self._rows] for values in self._block]]
-        self._full = []
-        return {name: np.concatenate([block.pop(0) for block in parts]) for name in FRAMES}
+            if not self._whole:
+                return read_open(self.file.descriptor, self.file.shown).frames(self.limit)
+            os.close(self.file.descriptor)
+        if not self._whole:
+            return dict(zip(FRAMES, self._away.arrays(block)))
+        found = [values[: self.file.held if self.file else self.count] for values in block]
+        found = found if LAZY and sum(values.nbytes for values in found) > SMALL else [values.copy() for values in found]
+        return dict(zip(FRAMES, found))

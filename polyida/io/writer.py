@@ -3,21 +3,21 @@
 import errno
 import json
 import os
-import tempfile
 import time
 import zlib
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from uuid import uuid4
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.io.layout import FORMAT, HEAD, frames_at_once, shapes_of, width_of
+from polyida.io.checksum import fletcher32
+from polyida.io.layout import FORMAT, HEAD, chunk_of, dtypes_of, frames_at_once, shapes_of, width_of
 from polyida.io.lock import CAN_TELL, being_written, lock, require_unwritten
 
 ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is known to be needed
 SLOT_CHUNK = 1 << 16
+CHECK = 4  # bytes of a chunk's checksum
 YOUNG = 60.0  # s: a file of that age that nobody has locked may be about to be
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
@@ -32,7 +32,7 @@ class NotWritten(Exception):
 
 
 @contextmanager
-def _taken(path):
+def taken(path):
     """Have what the disk does not take raise NotWritten."""
     try:
         yield
@@ -43,21 +43,24 @@ def _taken(path):
 class Writer:
     """A file under construction, held open by its descriptor: beside `shown`, where `publishing` brings it. Methods raise NotWritten.
 
-    path: where it lies. count: frames in whole blocks. drives: {name: profile}.
+    path: where it lies. single: see FrameStore. count: frames in whole blocks; held: frames of the last commit. drives: {name: profile}.
     """
 
-    def __init__(self, shown, n, m, about, arrays, drives, fsync=False):
+    def __init__(self, shown, n, m, about, arrays, drives, fsync=False, single=False):
         import h5py
 
-        self.shown, self.path, self.count, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0, 0
+        self.shown, self.path, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0
+        self.count = self.held = 0
         self.drives, self.fsync, self.shapes = drives, fsync, shapes_of(n, m, drives)
         self.rows = frames_at_once(width_of(self.shapes))
-        self._block = self.rows * 8 * width_of(self.shapes)
+        shapes, dtypes = self.shapes.items(), dtypes_of(self.shapes, single)
+        self._packs = {name: _pack(chunk_of(self.rows, shape), dtypes[name]) for name, shape in shapes if shape != (0,)}
+        self._block = sum(self._chunks_of_a_block(name) * len(stored) for name, (stored, _) in self._packs.items())
         self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
-        with _taken(shown):
+        with taken(shown):
             self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            with _taken(shown):
+            with taken(shown):
                 lock(self.descriptor)
                 self._file = h5py.File(self.path, "w", libver="v110", locking=False)
                 self._make(about, arrays)
@@ -76,18 +79,11 @@ class Writer:
         except NotWritten as error:
             raise InputError(f"no file can be written there: {error}") from None
 
-    @classmethod
-    def temporary(cls, n, m):
-        """A file without a name in the folder for temporary files; it is gone when nobody reads it any more."""
-        file = cls(Path(tempfile.gettempdir()) / "frames.h5", n, m, {"drives": {}}, {}, {}, False)
-        os.unlink(file.path)
-        return file
-
     def _make(self, about, arrays):
-        for name, shape in self.shapes.items():
-            if shape != (0,):
-                options = {"maxshape": (None, *shape), "chunks": (self.rows, *shape), "fletcher32": True}
-                self._datasets[name] = self._file.create_dataset(name, (0, *shape), "f8", **options)
+        for name, (_, numbers) in self._packs.items():
+            shape = self.shapes[name]
+            options = {"maxshape": (None, *shape), "chunks": numbers.shape, "fletcher32": True}
+            self._datasets[name] = self._file.create_dataset(name, (0, *shape), numbers.dtype, **options)
         self._file.attrs["format"] = FORMAT
         text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
         for key, values in {"about": text, **arrays}.items():
@@ -98,16 +94,38 @@ class Writer:
         self._file.flush()
         self._file.swmr_mode = True
 
+    def _chunks_of_a_block(self, name):
+        shape, numbers = self.shapes[name], self._packs[name][1]
+        return -(-shape[0] // numbers.shape[1]) if len(shape) == 1 else 1
+
     def append(self, block):
         """Append frames, a list of arrays in the order of `shapes`: as many as a chunk holds, or the run's last ones."""
         end = self.count + len(block[0])
-        with _taken(self.shown):
+        with taken(self.shown):
             self._reserve(end)
             for name, values in zip(self.shapes, block):
-                if dataset := self._datasets.get(name):
-                    dataset.resize(end, axis=0)
-                    dataset[self.count : end] = values
+                if name in self._datasets:
+                    self._put(self._datasets[name].id, *self._packs[name], values)
         self.count = end
+
+    def _put(self, dataset, stored, numbers, values):
+        """Write chunks as they are stored, past the library: checked by our own checksum, and copied once."""
+        dataset.set_extent((self.count + len(values), *values.shape[1:]))
+        numbers[len(values) :] = 0.0
+        if values.ndim != 2:
+            numbers[: len(values)] = values
+            self._put_chunk(dataset, stored, (self.count, *[0] * (values.ndim - 1)))
+            return
+        columns = numbers.shape[1]
+        for first in range(0, values.shape[1], columns):
+            part = values[:, first : first + columns]
+            numbers[: len(part), : part.shape[1]] = part
+            numbers[:, part.shape[1] :] = 0.0
+            self._put_chunk(dataset, stored, (self.count, first))
+
+    def _put_chunk(self, dataset, stored, at):
+        stored[-CHECK:] = np.frombuffer(fletcher32(stored[:-CHECK]).to_bytes(CHECK, "little"), np.uint8)
+        dataset.write_direct_chunk(at, stored)
 
     def commit(self, record, numbers, tail, last=False):
         """Make all frames so far hold: flush them, then `record` (plain data), the state `numbers` and the frames `tail`.
@@ -120,7 +138,7 @@ class Writer:
             text = json.dumps(record | {"commit": self.commits}, default=_listed).encode()
             body = text + numbers
             content = np.frombuffer(HEAD.pack(len(body), zlib.crc32(body), len(text)) + body, np.uint8)
-            with _taken(self.shown):
+            with taken(self.shown):
                 self._slots = max(self._slots, 2 * (len(content) + SLOT_CHUNK))
                 self._reserve(self.count)
                 self._flush()
@@ -128,7 +146,7 @@ class Writer:
                 slot.resize(max(len(slot), len(content)), axis=0)
                 slot[: len(content)] = content
                 self._flush()
-            self.commits += 1
+            self.commits, self.held = self.commits + 1, record["frames"]
 
     def _flush(self):
         self._file.flush()
@@ -140,7 +158,7 @@ class Writer:
 
         HDF5 gives chunks their place late, so what is needed is counted here: whole chunks, their checksums and index.
         """
-        chunks = -(-count // self.rows) * (self._block + 4 * len(self.shapes))
+        chunks = -(-count // self.rows) * self._block
         need = self._start + chunks + chunks // 32 + self._slots + ABOVE
         if need > self._reserved and hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self.descriptor, 0, need)
@@ -186,7 +204,7 @@ class Writer:
     def close(self):
         """Close the file; it holds what was committed. Its descriptor stays open, to be read from and closed."""
         try:
-            with _taken(self.shown):
+            with taken(self.shown):
                 self._file.close()
                 _trim(self.descriptor)
         finally:
@@ -218,6 +236,12 @@ def _move_new(source, target):
     except OSError:  # a file system without links
         target.touch(exist_ok=False)
         os.replace(source, target)
+
+
+def _pack(chunk, dtype):
+    """(the bytes of a chunk as it is stored, its numbers in them)."""
+    stored = np.empty(dtype.itemsize * int(np.prod(chunk)) + CHECK, np.uint8)
+    return stored, stored[:-CHECK].view(dtype).reshape(chunk)
 
 
 def _trim(descriptor):

@@ -133,8 +133,8 @@ class Driven(GeneralizedAlpha):
 
     engine: type = Steps
 
-    def _engine(self, model, counts):
-        return self.engine(self, model, counts)
+    def _engine(self, model, counts, control):
+        return self.engine(self, model, counts, control)
 
 
 class OneByOne(Steps):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.io.checksum import fletcher32
 from polyida.io.layout import frames_at_once
 from polyida.problems import plates
 
@@ -22,7 +23,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def whole(model):
-    return pi.solve(model, 0.9, ALPHA)
+    return pi.solve(model, 1.8, ALPHA)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ def test_a_run_goes_on_from_the_last_frame_before_the_damage(path, model, whole)
     with h5py.File(path, "r") as file:
         at = file["q"].id.get_chunk_info(1).byte_offset
     flipped(path, path.read_bytes(), at + 20)
-    rest = pi.solve(model, 0.9, ALPHA, state=pi.load(path).state)
+    rest = pi.solve(model, 1.8, ALPHA, state=pi.load(path).state)
     assert rest.t[0] == whole.t[block(whole) - 1] and np.abs(rest.q[-1] - whole.q[-1]).max() < 1e-4
 
 
@@ -133,6 +134,50 @@ def test_frames_before_one_that_makes_no_sense_come_back(path, whole, name, valu
         file[name][3] = value
     run = pi.load(path)
     assert len(run) == 3 and same(run, whole, 3) and run.status == "damaged" and told in run.message
+
+
+class Wide(pi.Model):
+    n, m, needs = 2500, 0, pi.Needs(False, False, False, False)
+
+    def mass(self, q):
+        from scipy.sparse import eye_array
+
+        return eye_array(self.n, format="csc")
+
+    def force(self, t, q, v):
+        return q - 1.0
+
+
+def test_a_coordinate_s_history_is_read_without_the_others(tmp_path):
+    """A frame lies in three chunks; what one of them has lost is told when it is asked for."""
+    path = tmp_path / "wide.h5"
+    whole = pi.solve(Wide(), 0.05, pi.GeneralizedAlpha(h=1e-3), out=path)
+    with h5py.File(path, "r") as file:
+        assert file["q"].chunks == (16, 834)
+        at = [file["q"].id.get_chunk_info_by_coord((16, first)).byte_offset for first in (0, 834, 1668)]
+    flipped(path, path.read_bytes(), at[1] + 20)
+    assert len(pi.load(path)) == 16
+    run = pi.load(path, memory_limit=0, check=False)
+    assert run.status == "done" and len(run) == 51
+    for columns in (0, 833, 1668, -1, slice(1668, None, 2), [2400, 2000], slice(7, 3)):
+        assert np.array_equal(run.q[:, columns], whole.q[:, columns])
+        assert np.array_equal(run.q[40:10:-3, columns], whole.q[40:10:-3, columns])
+    for key in ((slice(None), 834), (slice(None), [2000, 5]), 17):
+        with pytest.raises(pi.InputError, match="wide.h5: frames .* are damaged"):
+            run.q[key]
+    with pytest.raises(pi.InputError, match="load: check = 1 must"):
+        pi.load(path, check=1)
+
+
+@pytest.mark.parametrize("kind, words", [("f8", "i8"), ("f4", "i4")])
+@pytest.mark.parametrize("shape", [(16,), (16, 1021), (32, 3), (2, 2)])
+def test_our_checksum_is_that_of_hdf5(tmp_path, shape, kind, words):
+    numbers = np.random.default_rng(0).random(shape).astype(kind)
+    for values in (numbers, np.zeros(shape, kind), np.full(shape, -1, words).view(kind), np.where(numbers > 0.1, 0, numbers)):
+        with h5py.File(tmp_path / "one.h5", "w") as file:
+            file.create_dataset("x", data=values, chunks=shape, fletcher32=True)
+            stored = file["x"].id.read_direct_chunk((0,) * len(shape))[1]
+        assert fletcher32(values) == int.from_bytes(stored[-4:], "little") and stored[:-4] == values.tobytes()
 
 
 def test_a_file_without_a_whole_frame_is_refused(path):

@@ -17,7 +17,7 @@ from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from skip import savings
-from step_cost import against, measure, pair
+from step_cost import against, frames, measure, pair
 
 SMALL = 120
 
@@ -67,6 +67,27 @@ def test_both_factors_of_a_pair_solve_their_systems(backend):
     row = pair.pair_row(SMALL, backend, 1)
     assert row["relative_residual"] < (1e-3 if backend == "fronts" else 1e-10)
     assert row["floor_ms"] == pytest.approx(row["factor_ms"] + 3 * row["solve_ms"])
+
+
+@pytest.mark.parametrize("streams", [False, True])
+def test_runs_with_and_without_frames_are_the_same_work(streams, monkeypatch):
+    row = frames.frames_row("frames_over_none_1e3", SMALL, 30, 2, streams)
+    assert row["n"] == measure.model_of("scene 1", SMALL).n and row["ratio"] > 0
+    real = frames.solve
+    monkeypatch.setattr(
+        frames, "solve", lambda model, t_end, integrator, **rest: real(model, t_end * (1.1 if rest else 1.0), integrator, **rest)
+    )
+    with pytest.raises(RuntimeError, match="2 and 31 frames"):
+        frames.frames_row("frames_over_none_1e3", SMALL, 30, 1, False)
+
+
+def test_figures_of_frames_are_those_of_their_rows():
+    rows = [{"part": "frames"} | task for task in frames.tasks(True)]
+    rows = [row | {"ratio": 1.0 + 0.1 * k, "first_ratio": 1.5, "extra_us": 2.0, "none_ms": 0.1} for k, row in enumerate(rows)]
+    found = of_cost.figures(rows)
+    assert found["frames_over_none_1e3"] == 1.0 and found["hdf5_over_none_1e4"] == 1.3 and set(found) <= set(of_cost.HEADLINE)
+    assert any("hdf5_over_none_1e4: 1.3, aim at most 1.25" in note for note in of_cost.aim_notes(rows))
+    assert "frames_over_none_1e4: 1.100; 2 us a frame" in " ".join(frames.notes(rows))
 
 
 def slope(residual, y, yp, along_y, along_yp):

@@ -72,6 +72,7 @@ class GeneralizedAlpha:
     incremental_phi: bool = True
     max_halvings: int = 6
     max_num_steps: int = 1_000_000
+    writes_rows = True  # into the places of a run's frames
 
     @classmethod
     def hht(cls, h: float | None = None, alpha: float = -0.05, **settings) -> Self:
@@ -167,19 +168,19 @@ class GeneralizedAlpha:
         rtol, atol = tolerances(self.rtol, self.atol, length)
         return f"steps by local errors of q that add up to {atol:.1e} + {rtol:.1e} |q| in {time:.4g} s"
 
-    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
-        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts, rows: Any = None) -> Iterator[State]:
+        """Accepted states after `state` up to t_end, one a step; rows: where to write them, see Steps. Raises StepFailure."""
         if self.extrapolate:
             from polyida.integrate.alpha.richardson import extrapolated
 
             return extrapolated(self, model, state, t_end, counts)
-        return self.in_pieces(model, state, t_end, counts)
+        return self.in_pieces(model, state, t_end, counts, rows=rows)
 
-    def in_pieces(self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1) -> Iterator[State]:
+    def in_pieces(self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1, rows: Any = None) -> Iterator[State]:
         """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
-        engine = Steps(self, model, counts, self._control(model, state, t_end))
+        engine = self._engine(model, counts, self._control(model, state, t_end))
+        engine.rows, control = rows or engine.rows, engine.control
         most_steps = counts.steps + counts.rejected + self.max_num_steps
-        control = engine.control
         look = cells_of(control.largest, t_end - state.t) if control else (self.h,)
         for begin, end, most in stretches(model, state.t, t_end, *look):
             if control:
@@ -189,6 +190,9 @@ class GeneralizedAlpha:
                 piece = march(engine, self, model, state, begin, end, count, counts)
             for state in piece:
                 yield state
+
+    def _engine(self, model, counts, control):
+        return Steps(self, model, counts, control)
 
     def _control(self, model, state, t_end):
         """What its steps are held to; None where they are equal."""

@@ -46,7 +46,7 @@ def _in_parts(engine, settings, model, state, grid, level, seen, counts):
         parts = Grid(t0, t1, 2**level)
         try:
             engine.begin(started(settings, model, _cut(state, level), parts.h), parts.h)
-            return list(engine.run(parts))[-1], level
+            return engine.aside(parts), level
         except StepFailure as failure:
             seen.append(failure)
             counts.rejected += 1

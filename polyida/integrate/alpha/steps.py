@@ -10,6 +10,7 @@ from polyida.integrate.start import start_values
 from polyida.integrate.state import State, StepFailure
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
 from polyida.integrate.stepping.kept import Kept
+from polyida.io.memory import room
 from polyida.linear.lu import SingularSystem
 
 ADAPTIVE = 32  # steps of a stretch whose step may change any time
@@ -19,7 +20,8 @@ class Steps:
     """Steps on one model: `begin` sets state and h, `run` goes on from there.
 
     control: what adaptive steps are held to (a Control), None where they are equal.
-    verdict: "far" or "near" where adaptive steps should be shorter or longer.
+    verdict: "far" or "near" where adaptive steps should be shorter or longer. rows: a function of a count that gives the
+    places of so many states, [q, v, a (count, n), lam (count, m)], or None where they are to be made.
     """
 
     chunk_bytes = 4_000_000  # of frames that one compiled stretch fills
@@ -30,7 +32,7 @@ class Steps:
         self.loop = _loop(settings, model)(settings, model, counts, self.memory, self.trial)
         self.caution = settings.step_matrix(model).caution
         self.system = self.verdict = None
-        self.kept, self.pause = Kept(), 0
+        self.kept, self.pause, self.rows = Kept(), 0, _no_rows
 
     def begin(self, state, h):
         """Go on from a state that `started` has made ready for steps of h.
@@ -104,10 +106,18 @@ class Steps:
                 done += 1
                 yield state
 
+    def aside(self, grid):
+        """The State at the end of the grid, in arrays of its own. Raises StepFailure."""
+        rows, self.rows = self.rows, _no_rows
+        try:
+            return list(self.run(grid))[-1]
+        finally:
+            self.rows = rows
+
     def _stretch(self, times, grid, done):
         """The states at times[1:]."""
         count = len(times) - 1
-        frames = [np.empty((count, size)) for size in (*[self.model.n] * 3, self.model.m)]
+        frames = self.rows(count) or _fresh(count, self.model.n, self.model.m)
         self.times = times
         self.loop.prepare(times, self.method)
         first, fresh = 0, False
@@ -198,6 +208,14 @@ class Steps:
         self._take(system)
         if self.control:
             self.kept.keep(self.method.h, system)
+
+
+def _no_rows(count):
+    return None
+
+
+def _fresh(count, n, m):
+    return room([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * count * (3 * n + m))
 
 
 def _loop(settings, model):

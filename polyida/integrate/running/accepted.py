@@ -13,20 +13,23 @@ STANDSTILL = 20  # so many states in a row that hardly move t end the run
 FIELDS = ("q", "v", "a", "lam")
 
 
-def accepted(integrator, model, state, t_end, counts):
+def accepted(integrator, model, state, t_end, counts, rows=None):
     """Yield the integrator's states from `state` to t_end.
 
     Raises StepFailure, which names integrator and time, at one that is no State, has the wrong shape, is not real or not
     finite, goes back in time, repeats it, overruns t_end or hardly moves, and where the last is short of t_end. States
     of a user's own integrator are copied, for it may fill one array again and again; polyida's own are only looked
-    at, in less than a microsecond. A failure says which of a user's functions gave what is not finite.
+    at, in less than a microsecond. A failure says which of a user's functions gave what is not finite. rows: of a
+    FrameStore, for an integrator that `writes_rows`.
     """
-    made = integrator.steps(model, state, t_end, counts)
+    own = type(integrator).__module__.startswith("polyida.")
+    places = {"rows": rows} if rows and own and getattr(integrator, "writes_rows", False) else {}
+    made = integrator.steps(model, state, t_end, counts, **places)
     watch = _Watch(integrator, state, t_end)
     if not hasattr(made, "__iter__"):
         watch.stop(f"its steps gave {type(made).__name__}, no states")
     try:
-        yield from _own(watch, made) if type(integrator).__module__.startswith("polyida.") else _foreign(watch, made)
+        yield from _own(watch, made) if own else _foreign(watch, made)
     except StepFailure as failure:
         raise _naming_function(failure, model, watch.before) from None
     watch.at_end()

@@ -22,6 +22,12 @@ from polyida.trajectory import Trajectory
 FLUSH_SECONDS = 2.0
 
 
+def constant_step(integrator):
+    """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
+    h, adapts = getattr(integrator, "h", 0.0), getattr(integrator, "adaptive", False)
+    return h if is_number(h) and not adapts else 0.0
+
+
 class Run:
     """A run on its way.
 
@@ -71,7 +77,7 @@ class Run:
         self.last, until = state, Until(self.until, state) if self.until else None
         model = guard(self.model)
         self.watch = Watch(model, state)
-        for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts):
+        for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts, self.sampler.rows):
             self.watch.step(after)
             at_zero = until.crossing(state, after) if until else None
             if at_zero is not None:
@@ -85,21 +91,20 @@ class Run:
             if self.progress is not None:
                 self.progress(after.t)
             heed()
-        return "done", unseen(model, self._constant_step())
-
-    def _constant_step(self):
-        """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
-        h, adapts = getattr(self.integrator, "h", 0.0), getattr(self.integrator, "adaptive", False)
-        return h if is_number(h) and not adapts else 0.0
+        return "done", unseen(model, constant_step(self.integrator))
 
     def _keep(self, state):
         """Note where the run can go on; a flush where it is due."""
         if state.restart:
             self.restart = Restart(state, self.store.count, vars(self.counts).copy())
-        if self.store.file and (
-            self.counts.steps - self.flushed_steps >= self.plan["flush_every"] or time.monotonic() - self.flushed_at >= FLUSH_SECONDS
-        ):
+        if self.store.file and self._due():
             self._flush()
+
+    def _due(self):
+        """Whether to flush: as the plan says, or up to half as many steps later where a block of frames is whole by then."""
+        steps, wait = self.counts.steps - self.flushed_steps, self.store.file.rows * self.plan["every"]
+        late = max(steps / self.plan["flush_every"], (time.monotonic() - self.flushed_at) / FLUSH_SECONDS)
+        return late >= 1.0 and (late >= 1.5 or 2 * wait > self.plan["flush_every"] or self.store.count == self.store.file.count)
 
     def _flush(self):
         self._commit("running", "", self.restart)
@@ -130,8 +135,8 @@ class Run:
             if status != "stopped":
                 self._settle()
             self.sampler.end(self.last)
+            self.store.put_away()
             if self.store.file:
-                self.store.put_away()
                 self._commit(status, message, self.restart, last=True)
         except NotWritten as error:
             status, message = self._cut_off(error, f"{status} {message}")
@@ -162,20 +167,26 @@ class Run:
         if self.streams and not self.store.file.in_place():
             gone = f"{self.store.file.shown} was removed or replaced: these frames are in no file"
             message = f"{message}; {gone}" if message else gone
-        restart = self.flushed if self.store.file else self.restart
+        frames, restart = self.store.arrays(), self.flushed if self.streams else self.restart
         return Trajectory(
             self.model,
             self.integrator,
-            **self.store.arrays(),
+            **frames,
             status=status,
             message=message,
             counts=self.counts,
             cpu_seconds=cpu,
             wall_seconds=wall,
             machine=machine_info(),
-            restart=restart,
+            restart=_own(restart) if restart and restart.frames <= len(frames["t"]) else None,
             plan=self.plan,
         )
+
+
+def _own(restart):
+    """A Restart whose state is in arrays of its own, not in those of the frames."""
+    s = restart.state
+    return restart._replace(state=State(s.t, s.q.copy(), s.v.copy(), s.a.copy(), s.lam.copy(), s.memory, s.restart))
 
 
 def _again(run, state, counts):

@@ -28,11 +28,15 @@ def between(before, after, t):
 
 
 class Sampler:
-    """Puts into a store every `every`-th accepted step, the first and the last; or the times `output`, where given."""
+    """Puts into a store every `every`-th accepted step, the first and the last; or the times `output`, where given.
+
+    rows: the store's places of the next states, where each becomes a frame, or None.
+    """
 
     def __init__(self, store, counts, every=1, output=None, done=0):
         self.store, self.counts, self.every = store, counts, every
         self.output, self.next, self.kept = output, done, None
+        self.rows = store.rows if every == 1 and output is None else None
 
     def start(self, state):
         """Keep the first state."""
