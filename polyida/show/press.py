@@ -1,5 +1,6 @@
 """Figures drawn by another process while this one goes on."""
 
+import gc
 import os
 import pickle
 import subprocess
@@ -93,6 +94,7 @@ def serve():
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     files = drawn(figure()[0])  # imports and reads what every drawing needs
+    gc.freeze()  # none of that is ever garbage
     while True:
         pickle.dump(files, out)
         out.flush()
