@@ -39,24 +39,27 @@ def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress
 
 
 class Picture:
-    """The picture of a frame, all on one scale of place and colour: what stays is drawn once, plates and time anew on it."""
+    """The picture of a frame, all on one scale of place and colour: what stays is drawn once, plates and time anew on it.
+
+    The drawn cells and edges are views of `corners` and `ends`, which each frame fills with its places.
+    """
 
     def __init__(self, run, chosen, width):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.collections import LineCollection, PolyCollection
+        from matplotlib.collections import LineCollection, PathCollection
+        from matplotlib.path import Path as Outline
 
-        self.run = run
-        corners = np.array([box(run.node_positions(k)) for k in chosen])
-        low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        self.run, (self.nodes, offsets), self.edges = run, plates.closed(run.model), plates.edges(run.model)
+        self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.edges), 2, 2))
+        boxes = np.array([box(run.node_positions(k)) for k in chosen])
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
         self.stress = {k: run.von_mises(k) / 1e3 for k in chosen}
+        look = {"cmap": "viridis", "clim": (0, colour_top([*self.stress.values()])), "edgecolors": "face", "linewidths": 0.2}
         with settings():
             made, self.axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
-            self.cells = PolyCollection(
-                [], cmap="viridis", clim=(0, colour_top([*self.stress.values()])), edgecolors="face", linewidths=0.2, animated=True
-            )
-            self.outline = LineCollection([], colors=INK, linewidths=0.5, animated=True)
-            for collection in (self.cells, self.outline):
-                self.axes.add_collection(collection)
+            cells = [Outline(corners) for corners in np.split(self.corners, offsets[1:-1])]
+            self.cells = self.axes.add_collection(PathCollection(cells, animated=True, **look))
+            self.outline = self.axes.add_collection(LineCollection(self.ends, colors=INK, linewidths=0.5, animated=True))
             self.title = self.axes.set_title(self._time(chosen[0]), loc="left", animated=True)
             equal(self.axes, low, high)
             made.colorbar(self.cells, ax=self.axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
@@ -70,9 +73,8 @@ class Picture:
         from PIL import Image
 
         place = self.run.node_positions(k)
-        self.cells.set_verts(plates.polygons(self.run.model, place))
+        self.corners[:], self.ends[:] = place[self.nodes], place[self.edges]
         self.cells.set_array(self.stress[k])
-        self.outline.set_segments(plates.outlines(self.run.model, place))
         self.title.set_text(self._time(k))
         self.canvas.restore_region(self.empty)
         with settings():

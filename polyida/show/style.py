@@ -8,6 +8,7 @@ import numpy as np
 INK = "#222222"
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
+PRINT_DPI = 400  # of what is an image in a PDF
 SETTINGS = {
     "font.size": 9,
     "axes.titlesize": 9,
@@ -72,7 +73,7 @@ def rendered(figure, kind):
 
     What is laid out the first time stays so: the same figure of another kind has the same places.
     """
-    file, extra = BytesIO(), {"metadata": {"CreationDate": None}} if kind == "pdf" else {}
+    file, extra = BytesIO(), {"metadata": {"CreationDate": None}, "dpi": PRINT_DPI} if kind == "pdf" else {}
     with settings():
         lay_out(figure)
         figure.savefig(file, format=kind, **extra)
