@@ -6,7 +6,7 @@ from against_peers import peers
 from polyida.cli.study import main
 from polyida.study.drawing import drawn
 from polyida.study.harness import Study
-from step_cost import frames
+from step_cost import frames, waits
 from step_cost import measure as cost
 from step_cost.against import against
 from step_cost.beside_alpha import ratio_row
@@ -35,8 +35,8 @@ AIMS = {  # figure: aim, at most (True) or at least
     "hdf5_over_none_1e4": (1.25, True),
     "cold_start_s": (3, True),
     "warm_start_s": (0.7, True),
-}
-HEADLINE = tuple(name for name in AIMS if not name.endswith("start_s"))  # the short selection starts no process
+} | waits.AIMS
+HEADLINE = tuple(name for name in AIMS if not name.endswith("start_s"))  # the short selection leaves out the start with an empty cache
 PARTS = ("residual", "tangent", "factor", "solve", "rest")
 RUNS = {
     "step": cost.step_row,
@@ -47,6 +47,7 @@ RUNS = {
     "memory": cost.memory_row,
     "frames": frames.frames_row,
     "start": cost.start_rows,
+    "wait": waits.wait_row,
 }
 
 
@@ -94,7 +95,7 @@ def tasks(quick):
         {"part": "memory", "dof": 100_000, "integrator": name, "steps": 30 if quick else steps}
         for name, steps in (("alpha", 1000), ("radau", 100))
     ]
-    made += frames.tasks(quick)
+    made += frames.tasks(quick) + waits.tasks(quick)
     return made if quick else made + [{"part": "start", "dof": 1_000, "warm": 3}]
 
 
@@ -147,6 +148,7 @@ def figures(rows):
         for row in only(rows, "step", integrator="alpha", scene="scene 1", dof=10_000)
         for key in ("residual_ns_per_dof", "residual_tangent_ns_per_dof")
     }
+    found |= waits.figures(rows)
     return found | {key: row[key] for row in only(rows, "start") for key in ("cold_start_s", "warm_start_s")}
 
 
@@ -279,10 +281,22 @@ study = Study(
     run,
     figures,
     (cost_figure, parts_figure),
-    notes=(aim_notes, step_notes, ida_notes, radau_notes, memory_notes, frames.notes, start_notes),
+    notes=(aim_notes, step_notes, ida_notes, radau_notes, memory_notes, frames.notes, start_notes, waits.notes),
     headline=HEADLINE,
     options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
-    columns=("part", "scene", "integrator", "backend", "n", "steps", "ms_per_step", "newton_iterations_per_step", "floor_ms", "speedup"),
+    columns=(
+        "part",
+        "scene",
+        "integrator",
+        "backend",
+        "n",
+        "steps",
+        "ms_per_step",
+        "newton_iterations_per_step",
+        "floor_ms",
+        "speedup",
+        "wall_s",
+    ),
 )
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import polyida as pi
+from polyida.cli.garbage import THRESHOLDS
 from polyida.cli.main import main
 from polyida.study.job import load
 
@@ -111,6 +112,37 @@ def test_report_stands_alone_and_figures_are_numbers(folder):
     assert data["figures"]["alpha_error_end"] < 1e-5 and data["figures"]["alpha_steps"] == 20
     assert data["figures"]["refined_steps"] > 2 * data["figures"]["radau_steps"] and data["machine"]["numpy"]
     assert data["command"] == "polyida compare double-plate-motors --cells 8 --time 0.02 --out r"
+
+
+def test_nothing_is_drawn_while_runs_are_timed_and_every_picture_once(folder, monkeypatch):
+    from polyida.show.press import Press
+    from polyida.study import compare
+
+    told = []
+    for place, name in ((Press, "ready"), (Press, "give"), (compare, "timed"), (compare, "refine")):
+        monkeypatch.setattr(place, name, heard(told, name, getattr(place, name)))
+    assert main(["compare", "double-plate", *SMALL, "--out", "r"]) == 0
+    given = [name for what, name in told if what == "give"]
+    assert [what for what, _ in told] == ["ready", "timed", *["give"] * 6, "refine", "give"]
+    assert given == ["mesh", "deformed", "tip", "reactions", "energy", "drift", "error"]
+
+
+def heard(told, name, function):
+    """The function, which tells that it is called, and with what name a figure."""
+
+    def call(*given):
+        told.append((name, given[1] if name == "give" else ""))
+        return function(*given)
+
+    return call
+
+
+def test_a_command_looks_for_garbage_seldom_and_not_at_its_end():
+    said = "import atexit, gc; atexit.register(lambda: print(gc.get_freeze_count(), *gc.get_threshold()))"  # registered first, called last
+    said += "; from polyida.cli.main import main; main(['--version'])"
+    ended = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True)
+    frozen, *thresholds = map(int, ended.stdout.split("\n")[1].split())
+    assert frozen > 1000 and tuple(thresholds) == THRESHOLDS
 
 
 def test_a_second_run_keeps_the_first_result(folder, capsys):

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from polyida.cli.garbage import collect_rarely
 from polyida.cli.places import free, made, make
 from polyida.cli.terminal import bars, error, lines, table, tolerate_letters, writable
 from polyida.errors import InputError
@@ -46,6 +47,7 @@ Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 def main(args=None):
     """Run the command line; returns the exit code."""
     args = sys.argv[1:] if args is None else list(args)
+    collect_rarely()
     tolerate_letters()
     try:
         with writable():
@@ -92,14 +94,20 @@ def compare(
 ):
     """Run the integrators and a refined run on one scene: a table, and a folder with the report."""
     from polyida.show import page, report
-    from polyida.study.compare import compare as run_all
+    from polyida.show.press import Press
+    from polyida.study.compare import measured, prepared, timed
     from polyida.study.job import load
 
-    job = load(scene, time=time, step=step, cells=cells)
-    folder = free(out, Path(f"{job.name}-compare"), overwrite, lines)
-    with made(folder), bars() as tell:
-        found = run_all(job, rtol, tell)
-        written = report.write(found, folder, context.obj, lambda what: tell("writing the report", None, what))
+    with Press() as press:
+        job = load(scene, time=time, step=step, cells=cells)
+        folder = free(out, Path(f"{job.name}-compare"), overwrite, lines)
+        with made(folder), bars() as tell:
+            members = prepared(job, rtol, tell)
+            press.ready()
+            runs = timed(job, members, tell)
+            report.begin(job, runs, press)
+            found = measured(job, runs, rtol, tell)
+            written = report.write(found, folder, context.obj, press, lambda what: tell("writing the report", None, what))
     headings, rows = page.table(found)
     columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
     table(f"{job.name}: {page.system(job)}", columns[0], columns[1:])

@@ -6,6 +6,7 @@ import sys
 from itertools import chain
 from pathlib import Path
 
+from polyida.cli.garbage import collect_rarely
 from polyida.cli.terminal import tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
@@ -23,6 +24,7 @@ def main(study, arguments=None, command=None):
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
     kept.
     """
+    collect_rarely()
     tolerate_letters()
     options = parser(study).parse_args(arguments)
     out = Path(options.out or "-".join([study.name, *_given(study, options), *["quick"] * options.quick]))

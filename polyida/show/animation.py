@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.show import plates
-from polyida.show.style import INK, box, colour_top, equal, figure, height_for, settings
+from polyida.show.style import INK, box, colour_top, equal, figure, height_for, lay_out, settings
 
 
 def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress=None):
@@ -26,48 +26,61 @@ def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress
         raise InputError(f"animation {path} exists: choose another name or say overwrite")
     chosen = plates.spread(run, frames)
     seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else seconds
-    images = []
-    for image in _draw(run, chosen, width):
-        images.append(image)
+    picture = Picture(run, chosen, width)
+    palette, images = picture.at(chosen[len(chosen) // 2]).quantize(128), []
+    for k in chosen:
+        images.append(picture.at(k).quantize(palette=palette, dither=0))
         if progress:
             progress(len(images))
-    palette = images[len(images) // 2].quantize(128)
-    images = [image.quantize(palette=palette, dither=0) for image in images]
     images[0].save(
         path, save_all=True, append_images=images[1:], loop=0, optimize=False, duration=max(20, round(1000 * seconds / len(images)))
     )
     return path
 
 
-def _draw(run, chosen, width):
-    """Yield one RGB image a frame, all on one scale of place and colour."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.collections import LineCollection, PolyCollection
-    from PIL import Image
+class Picture:
+    """The picture of a frame, all on one scale of place and colour: what stays is drawn once, plates and time anew on it.
 
-    places = [run.node_positions(k) for k in chosen]
-    stress = [run.von_mises(k) / 1e3 for k in chosen]
-    low, high = box(np.concatenate(places))
-    with settings():
-        made, axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
-        cells = PolyCollection(
-            plates.polygons(run.model, places[0]),
-            array=stress[0],
-            cmap="viridis",
-            clim=(0, colour_top(stress)),
-            edgecolors="face",
-            linewidths=0.2,
-        )
-        outline = LineCollection(plates.outlines(run.model, places[0]), colors=INK, linewidths=0.5)
-        for collection in (cells, outline):
-            axes.add_collection(collection)
-        equal(axes, low, high)
-        made.colorbar(cells, ax=axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
-        canvas = FigureCanvasAgg(made)
-        for k, place, values in zip(chosen, places, stress):
-            cells.set_verts(plates.polygons(run.model, place))
-            cells.set_array(values)
-            outline.set_segments(plates.outlines(run.model, place))
-            axes.set_title(f"t = {run.t[k]:.3f} s", loc="left")
-            canvas.draw()
-            yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    The drawn cells and edges are views of `corners` and `ends`, which each frame fills with its places.
+    """
+
+    def __init__(self, run, chosen, width):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.collections import LineCollection, PathCollection
+        from matplotlib.path import Path as Outline
+
+        self.run, (self.nodes, offsets), self.edges = run, plates.closed(run.model), plates.edges(run.model)
+        self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.edges), 2, 2))
+        boxes = np.array([box(run.node_positions(k)) for k in chosen])
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        self.stress = {k: run.von_mises(k) / 1e3 for k in chosen}
+        look = {"cmap": "viridis", "clim": (0, colour_top([*self.stress.values()])), "edgecolors": "face", "linewidths": 0.2}
+        with settings():
+            made, self.axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
+            cells = [Outline(corners) for corners in np.split(self.corners, offsets[1:-1])]
+            self.cells = self.axes.add_collection(PathCollection(cells, animated=True, **look))
+            self.outline = self.axes.add_collection(LineCollection(self.ends, colors=INK, linewidths=0.5, animated=True))
+            self.title = self.axes.set_title(self._time(chosen[0]), loc="left", animated=True)
+            equal(self.axes, low, high)
+            made.colorbar(self.cells, ax=self.axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
+            lay_out(made)
+            self.canvas = FigureCanvasAgg(made)
+            self.canvas.draw()
+            self.empty = self.canvas.copy_from_bbox(made.bbox)
+
+    def at(self, k):
+        """Frame k as an RGB image."""
+        from PIL import Image
+
+        place = self.run.node_positions(k)
+        self.corners[:], self.ends[:] = place[self.nodes], place[self.edges]
+        self.cells.set_array(self.stress[k])
+        self.title.set_text(self._time(k))
+        self.canvas.restore_region(self.empty)
+        with settings():
+            for artist in (self.cells, self.outline, self.title):
+                self.axes.draw_artist(artist)
+        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
+
+    def _time(self, k):
+        return f"t = {self.run.t[k]:.3f} s"

@@ -95,7 +95,7 @@ h1 {{ font-size: 1.5rem; }} h2 {{ font-size: 1.1rem; margin-top: 2rem; }}
 table {{ border-collapse: collapse; font-variant-numeric: tabular-nums; }} .wide {{ overflow-x: auto; }}
 th, td {{ text-align: right; padding: .3rem .7rem; border-bottom: 1px solid #ddd; }} th {{ font-weight: 600; }}
 td:first-child, .settings th, .settings td {{ text-align: left; }}
-figure {{ margin: 1.5rem 0; }} figure img {{ width: 100%; max-width: 50rem; }}
+figure {{ margin: 1.5rem 0; }} figure img {{ width: 100%; max-width: 40rem; }}
 figcaption {{ color: #555; font-size: .9rem; }} .note {{ color: #a33000; }}
 code {{ font-size: .85em; background: #f4f4f4; padding: .1rem .3rem; }}
 footer {{ margin-top: 3rem; color: #555; font-size: .8rem; }}

@@ -43,8 +43,18 @@ def polygons(model, positions):
 
 def outlines(model, positions):
     """Boundary edges of all plates as segments (edges, 2, 2), m."""
-    edges = np.concatenate([body.mesh.boundary_edges + body.nodes.start for body in bodies(model)])
-    return positions[edges]
+    return positions[edges(model)]
+
+
+def edges(model):
+    """Nodes at both ends of the boundary edges of all plates, (edges, 2), numbered over all plates."""
+    return np.concatenate([body.mesh.boundary_edges + body.nodes.start for body in bodies(model)])
+
+
+def closed(model):
+    """As `connectivity`, the first corner of every cell once more after its last."""
+    nodes, offsets = connectivity(model)
+    return np.insert(nodes, offsets[1:], nodes[offsets[:-1]]), offsets + np.arange(len(offsets))
 
 
 def frames_at(run, times):

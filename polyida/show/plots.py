@@ -9,6 +9,8 @@ from polyida.show import plates
 from polyida.show.style import INK, PALETTE, box, colour_top, equal, figure, height_for, line, plain, settings
 from polyida.study.energy import unbalanced
 
+DISTINCT = 20_000  # polygons in one picture, beyond which they are an image in a PDF: nobody can tell them apart
+
 
 def mesh(model):
     """The polygon meshes of all plates in the reference configuration. Raises InputError for a model without plates."""
@@ -42,12 +44,13 @@ def deformed(run, times=None, snapshots=6, width=6.4):
         low, high = box(np.concatenate([run.node_positions(k) for k in frames]))
         made, axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
         top = colour_top(stress)
-        look = {"cmap": "viridis", "clim": (0, top), "edgecolors": "face", "linewidths": 0.2}
+        fine = sum(map(len, shapes)) > DISTINCT
+        look = {"cmap": "viridis", "clim": (0, top), "edgecolors": "face", "linewidths": 0.2, "rasterized": fine}
         for k, cells, values in zip(frames, shapes, stress):
             drawn = PolyCollection(cells, array=values, **look)
             edges = plates.outlines(run.model, run.node_positions(k))
             axes.add_collection(drawn)
-            axes.add_collection(LineCollection(edges, colors=INK, linewidths=0.4))
+            axes.add_collection(LineCollection(edges, colors=INK, linewidths=0.4, rasterized=fine))
         _label_times(axes, run, frames)
         equal(axes, low, high, margin=0.09)
         bar = made.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02, extend="max")

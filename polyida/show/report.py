@@ -1,21 +1,28 @@
 """The folder of a comparison: report.html, its pictures as PNG and PDF, figures.json, the runs, VTU frames."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 from polyida.machine import machine_info
 from polyida.show import plots
 from polyida.show.page import finite, page
-from polyida.show.style import save
 
 FRAMES = 50  # VTU frames written at most
 
 
-def write(comparison, folder, command, tell=lambda what: None):
+def begin(job, runs, press):
+    """Give to a Press what can be drawn of {label: Trajectory} before the refined run; a picture that fails waits for `write`."""
+    for name, (draw, _) in pictures(job, runs).items():
+        with suppress(Exception):
+            press.give(name, draw())
+
+
+def write(comparison, folder, command, press, tell=lambda what: None):
     """Write the report of a Comparison into an existing folder; returns the path of report.html.
 
-    command: what was typed, shown in the report and in figures.json. tell: called with the name of what is being
-    written.
+    command: what was typed, shown in the report and in figures.json. press: a Press, which draws. tell: called with the
+    name of what is being written.
     """
     folder, machine = Path(folder), machine_info()
     for label, run in comparison.runs.items():  # first what cannot be made again in a moment
@@ -23,38 +30,49 @@ def write(comparison, folder, command, tell=lambda what: None):
         run.save(folder / f"{label}.h5", overwrite=True)
     data = {"figures": comparison.figures, "rows": finite(comparison.rows), "machine": machine, "command": command}
     (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    captions = _draw(comparison, folder, tell)
-    if shown := _drawable(comparison):
+    captions = _give(comparison, press)
+    if shown := _drawable(comparison.runs):
         from polyida.show.vtu import vtu
 
         tell("frames")
         vtu(shown, folder / "frames", overwrite=True, frames=FRAMES)
+    tell("pictures")
+    press.write(folder)
     text = page(comparison, folder, captions, machine, command)
     (folder / "report.html").write_text(text, encoding="utf-8")
     return folder / "report.html"
 
 
-def pictures(comparison):
-    """{file name: (function that draws it, caption)} of what this comparison can show."""
-    runs = {label: run for label, run in comparison.runs.items() if len(run.t) > 1}
-    model, shown, found = comparison.job.model, _drawable(comparison), {}
+def _give(comparison, press):
+    """Give to the press what it does not have yet; {name of a picture: caption} of all, in their order."""
+    found = pictures(comparison.job, comparison.runs, comparison)
+    for name, (draw, _) in found.items():
+        if name not in press:
+            press.give(name, draw())
+    return {name: caption for name, (_, caption) in found.items()}
+
+
+def pictures(job, runs, comparison=None):
+    """{file name: (function that draws it, caption)} of what these runs can show, with a Comparison also how far they are from the refined run."""
+    moving, shown, found = {label: run for label, run in runs.items() if len(run.t) > 1}, _drawable(runs), {}
     if shown:
-        found["mesh"] = lambda: plots.mesh(model), "The polygon meshes at rest, shaded by number of corners."
+        found["mesh"] = lambda: plots.mesh(job.model), "The polygon meshes at rest, shaded by number of corners."
         caption = "The plates at several times, coloured by the von Mises stress of every element."
         found["deformed"] = lambda: plots.deformed(shown), caption
-    return found | (_curves(comparison, runs) if runs else {})
+    return found | (_curves(job, moving, comparison) if moving else {})
 
 
-def _curves(comparison, runs):
+def _curves(job, runs, comparison):
     """The pictures that any model has, in the form of `pictures`."""
-    model, point, found = comparison.job.model, comparison.job.point, {}
+    model, point, found = job.model, job.point, {}
     if point:
         found["tip"] = lambda: plots.tip(runs, point), f"Path of {point}, and its coordinates against time."
     else:
         found["coordinates"] = lambda: plots.coordinates(runs), "The first coordinates."
-    distances = {label: comparison.distances[label] for label in runs}
-    caption = f"Distance of {comparison.quantity} from the refined run."
-    found["error"] = lambda: plots.errors(distances, comparison.unit), caption
+    if comparison:
+        distances = {label: comparison.distances[label] for label in runs}
+        caption = f"Distance of {comparison.quantity} from the refined run."
+        found["error"] = lambda: plots.errors(distances, comparison.unit), caption
     if model.rows:
         caption = "What each joint does to the body on its far side."
         found["reactions"] = lambda: plots.reactions(runs, list(model.rows)), caption
@@ -64,19 +82,7 @@ def _curves(comparison, runs):
     return found
 
 
-def _draw(comparison, folder, tell):
-    """Write all pictures; {file name: caption}."""
-    captions = {}
-    for name, (draw, caption) in pictures(comparison).items():
-        tell(f"{name}.png")
-        drawn = draw()
-        for suffix in ("png", "pdf"):
-            save(drawn, folder / f"{name}.{suffix}")
-        captions[name] = caption
-    return captions
-
-
-def _drawable(comparison):
+def _drawable(runs):
     """The first run whose plates can be drawn, or None."""
-    runs = [run for run in comparison.runs.values() if len(run.t) > 1 and run.model.bodies]
-    return runs[0] if runs else None
+    shown = [run for run in runs.values() if len(run.t) > 1 and run.model.bodies]
+    return shown[0] if shown else None

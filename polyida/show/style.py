@@ -1,5 +1,6 @@
 """Look of all figures: fonts, the colour-blind-safe colours of Okabe and Ito, and how a figure is made and saved."""
 
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 INK = "#222222"
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
+PRINT_DPI = 400  # of what is an image in a PDF
 SETTINGS = {
     "font.size": 9,
     "axes.titlesize": 9,
@@ -17,6 +19,7 @@ SETTINGS = {
     "font.family": "DejaVu Sans",
     "mathtext.fontset": "dejavusans",
     "pdf.fonttype": 42,
+    "ps.fonttype": 42,  # matplotlib 3.11 splits a PDF's fonts by this one: the minus sign would be embedded as a second font
     "svg.fonttype": "path",
     "axes.linewidth": 0.6,
     "axes.edgecolor": INK,
@@ -33,7 +36,7 @@ SETTINGS = {
     "legend.frameon": False,
     "axes.formatter.limits": (-3, 4),
     "axes.formatter.use_mathtext": True,
-    "savefig.dpi": 160,
+    "savefig.dpi": 200,  # two pixels for each of the 640 that a report shows
     "figure.dpi": 100,
 }
 
@@ -60,13 +63,33 @@ def line(i):
 
 def save(figure, path):
     """Write a figure to a file, its format given by the suffix; returns the path. Equal figures give equal files."""
-    extra = {"metadata": {"CreationDate": None}} if Path(path).suffix == ".pdf" else {}
-    if Path(path).suffix == ".png":
-        extra["pil_kwargs"] = {"optimize": True}
+    path = Path(path)
+    path.write_bytes(rendered(figure, path.suffix[1:]))
+    return path
+
+
+def rendered(figure, kind):
+    """The bytes of a figure's file of a kind, "png" or "pdf".
+
+    What is laid out the first time stays so: the same figure of another kind has the same places.
+    """
+    file, extra = BytesIO(), {"metadata": {"CreationDate": None}, "dpi": PRINT_DPI} if kind == "pdf" else {}
     with settings():
-        figure.draw_without_rendering()  # the layout settles only when the tick labels of a first drawing are known
-        figure.savefig(path, **extra)
-    return Path(path)
+        lay_out(figure)
+        figure.savefig(file, format=kind, **extra)
+    return file.getvalue()
+
+
+def lay_out(figure):
+    """Settle the places of a figure's axes for good, its numbers in letters."""
+    from polyida.show.labels import lettered
+
+    lettered(figure)
+    if engine := figure.get_layout_engine():
+        to_scale = any(axes.get_aspect() != "auto" for axes in figure.axes)
+        for _ in range(2 if to_scale else 1):  # where axes to scale come to lie shows only when the others have their place
+            engine.execute(figure)
+        figure.set_layout_engine("none")
 
 
 def box(points):

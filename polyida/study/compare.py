@@ -88,9 +88,14 @@ def compare(job, rtol=None, progress=None, others=None):
     fraction None while kernels compile. Failures of a run do not raise: they are in `notes`. InputError is raised
     before the first run.
     """
+    tell = progress or (lambda label, fraction: None)
+    return measured(job, timed(job, prepared(job, rtol, tell, others), tell), rtol, tell)
+
+
+def prepared(job, rtol=None, tell=lambda label, fraction: None, others=None):
+    """{label: integrator} of what `compare` runs, looked at, their kernels loaded: nothing is left to do but the runs."""
     from polyida.integrate.solve import require_run
 
-    tell = progress or (lambda label, fraction: None)
     members = integrators(job, rtol)
     members |= _others({} if others is None else others, {*members, REFINED})
     for member in members.values():
@@ -98,7 +103,16 @@ def compare(job, rtol=None, progress=None, others=None):
     tell("preparing kernels", None)
     for member in members.values():
         warm_up(job, member)
-    runs = {label: _run(job, member, label, tell) for label, member in members.items()}
+    return members
+
+
+def timed(job, members, tell=lambda label, fraction: None):
+    """{label: Trajectory} of {label: integrator}; their CPU times are compared, so nothing else should go on."""
+    return {label: _run(job, member, label, tell) for label, member in members.items()}
+
+
+def measured(job, runs, rtol=None, tell=lambda label, fraction: None):
+    """The Comparison of {label: Trajectory} with the refined run, which is made here."""
     refined = refine(job, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), tell)
     distances = {label: (run.t, refined.distance(run)) for label, run in runs.items()}
     rows = [_row(label, run, distances[label][1]) | published(job, run.q[-1], run.success) for label, run in runs.items()]

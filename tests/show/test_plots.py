@@ -7,7 +7,7 @@ import polyida as pi
 from polyida.errors import InputError
 from polyida.model import Model
 from polyida.show import plates, plots
-from polyida.show.style import save
+from polyida.show.style import rendered, save
 
 
 def drawn(figure, kind=PolyCollection):
@@ -27,6 +27,15 @@ def test_deformed_plates_stand_where_the_run_has_them_in_the_colour_of_their_str
     nodes, _ = plates.connectivity(run.model)
     assert corners == pytest.approx(run.node_positions(-1)[nodes])
     assert len({cell.get_clim() for cell in cells}) == 1
+
+
+def test_more_polygons_than_can_be_told_apart_are_one_image_in_a_pdf(run, monkeypatch):
+    whole = plots.deformed(run)
+    monkeypatch.setattr(plots, "DISTINCT", 100)
+    fine = plots.deformed(run)
+    images = [rendered(made, "pdf").count(b"/Subtype /Image") for made in (whole, fine)]
+    assert images[1] == images[0] + 2  # its colours and what shines through; the colorbar is one as well
+    assert rendered(fine, "png") == rendered(whole, "png")
 
 
 def test_tip_shows_the_path_of_every_run(runs):

@@ -17,7 +17,7 @@ from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from skip import savings
-from step_cost import against, frames, measure, pair
+from step_cost import against, frames, measure, pair, waits
 
 SMALL = 120
 
@@ -243,6 +243,28 @@ def test_growth_and_floor_come_from_their_rows():
     found = of_cost.figures(rows)
     assert found["growth_exponent"] == pytest.approx(1.2)
     assert found["alpha_step_over_floor_1e3"] == pytest.approx(1e-4 * 1_000**1.2)
+
+
+def test_a_wait_is_the_median_of_those_after_the_first(monkeypatch):
+    seconds = [(9.0, 9.0), (1.0, 2.0), (5.0, 6.0), (2.0, 3.0)]
+    monkeypatch.setitem(waits.WAITS, "comparison", lambda folder: lambda k: seconds[k])
+    row = waits.wait_row("comparison", 3)
+    assert row == {"wall_s": 2.0, "cpu_s": 3.0, "first_s": 9.0}
+    found = of_cost.figures([{"part": "wait", "what": "comparison"} | row])
+    assert found == {"compare_wall_s": 2.0, "compare_cpu_s": 3.0}
+
+
+def test_a_command_that_is_waited_for_must_end_well(tmp_path):
+    wall, cpu = waits.command("run", "pendulum", "--time", 0.01, "--out", tmp_path / "run.h5")
+    assert wall > 0 and cpu > 0 and (tmp_path / "run.h5").is_file()
+    with pytest.raises(RuntimeError, match="no such file"):
+        waits.command("animate", tmp_path / "none.h5")
+
+
+def test_the_largest_figure_has_its_panels_in_both_files(tmp_path):
+    paths = waits.draw_panels(tmp_path)
+    assert [path.suffix for path in paths] == [".png", ".pdf"] and all(path.stat().st_size for path in paths)
+    assert paths[1].read_bytes().count(b"/FontFile2") == 1
 
 
 @pytest.mark.parametrize("study", [against_peers.study, of_cost.study, of_skip.study, of_start.study])

@@ -94,6 +94,8 @@ def performance(name, task):
             return {"n": task["dof"], "reference_doubt": 1e-9, "stiff_error": 1e-7}
         known = {"reference_doubt": 1e-8} if task["solver"] == "reference" else {"cpu_s": 1e-4 / setting, "steps": 1 / setting}
         return {"n": task["dof"], "error_max": 0.5 * setting**1.5, "error_end": setting**2} | known
+    if task["part"] == "wait":
+        return {"wall_s": 2.0, "cpu_s": 3.0, "first_s": 9.0}
     parts = {f"{part}_ms": 1.0 for part in ("residual", "tangent", "factor", "solve", "rest")}
     sizes = {f"{key}_bytes": 2**20 for key in ("imported", "built", "peak", "frame")}
     starts = {f"{how}_{what}_s": 1.0 for how in ("cold", "warm") for what in ("import", "mesh", "first_step", "start")}
