@@ -7,6 +7,7 @@ from polyida.cli.study import main
 from polyida.study.drawing import drawn
 from polyida.study.harness import Study
 from step_cost import measure as cost
+from step_cost import threads
 from step_cost.against import against
 from step_cost.pair import BACKENDS, pair_row
 
@@ -37,6 +38,7 @@ RUNS = {
     "pair": pair_row,
     "sparse": cost.sparse_row,
     "memory": cost.memory_row,
+    "threads": threads.threads_row,
     "start": cost.start_rows,
 }
 
@@ -84,6 +86,7 @@ def tasks(quick):
         {"part": "memory", "dof": 100_000, "integrator": name, "steps": 30 if quick else steps}
         for name, steps in (("alpha", 1000), ("radau", 100))
     ]
+    made.append({"part": "threads", "dof": 100_000, "steps": 10 if quick else 30, "repeats": 3 if quick else 9})
     return made if quick else made + [{"part": "start", "dof": 1_000, "warm": 3}]
 
 
@@ -129,6 +132,7 @@ def figures(rows):
     found |= {f"ida_speedup_over_sparse_{name}": row["speedup"] for name, dof in SPARSE.items() for row in only(rows, "sparse", dof=dof)}
     for row in only(rows, "memory"):
         found[f"{'' if row['integrator'] == 'alpha' else row['integrator'] + '_'}bytes_per_dof_1e5"] = row["bytes_per_dof"]
+    found |= threads.figures(only(rows, "threads"))
     found |= {
         key: row[key]
         for row in only(rows, "step", integrator="alpha", scene="scene 1", dof=10_000)
@@ -182,6 +186,11 @@ def memory_notes(rows):
         "frames, in a file beyond 512 MiB"
         for row in only(rows, "memory")
     ]
+
+
+def thread_notes(rows):
+    """What a second thread can bring."""
+    return threads.notes(only(rows, "threads"))
 
 
 def start_notes(rows):
@@ -256,7 +265,7 @@ study = Study(
     run,
     figures,
     (cost_figure, parts_figure),
-    notes=(aim_notes, step_notes, radau_notes, memory_notes, start_notes),
+    notes=(aim_notes, step_notes, radau_notes, memory_notes, thread_notes, start_notes),
     headline=HEADLINE,
     options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
     columns=("part", "scene", "integrator", "backend", "n", "steps", "ms_per_step", "newton_iterations_per_step", "floor_ms", "speedup"),
