@@ -96,6 +96,14 @@ def test_a_plate_a_touch_away_from_rest_swings():
     assert np.abs(near - far).max() < 2e-2 * np.abs(far).max() and np.abs(far[-1]).max() > 0.1 * np.abs(shape).max()
 
 
+def test_a_short_run_beside_an_equilibrium_gets_under_way():
+    """What moves by less than round-off within the run still has its speed, q'' t."""
+    model = cantilever()
+    q = pi.static(model).q + 1e-5 * (pi.static(cantilever(gravity=-9.80)).q - pi.static(model).q)
+    start = pi.solve(model, 1e-7, pi.GeneralizedAlpha(h=1e-8), q0=q)
+    assert start.v[-1] == pytest.approx(1e-7 * start.a[0], rel=1e-2, abs=1e-9 * np.abs(start.a[0]).max())
+
+
 def test_a_drift_that_is_slow_but_leads_somewhere_is_no_rest():
     """A free plate that moves by less than round-off in a step is not held."""
     scene = pi.Scene()

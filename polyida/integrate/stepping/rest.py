@@ -1,10 +1,10 @@
 """Rest: where nothing moves a state, steps leave it where it is, at one residual each, without a factor.
 
-A state is at rest where neither its v nor what is left of its forces leads anywhere within the time T to come: `|v| T` and `|dq|` of
-`(M / T^2 + K) dq + phi_q^T dlam = -r`, `phi_q dq = 0`, r = r(t, q, 0, 0, lam), are no more than round-off of the coordinates. There it stays
+A state is at rest where v is zero and what is left of its forces leads nowhere within the time T to come: `|dq|` of
+`(M / T^2 + K) dq + phi_q^T dlam = -r`, `phi_q dq = 0`, r = r(t, q, 0, 0, lam), is no more than round-off of the coordinates. There it stays
 while r and phi, and phi_t, are the same to the last bit, which says that no load, motor or force has begun to move; also where the
 equilibrium is one that a touch would upset. Memory "rest" of a State: that r, by which a run goes on, and one from `static` begins,
-without another look.
+without another look. A motion that dies out comes as near to rest as round-off, and goes on there step by step.
 """
 
 import numpy as np
@@ -14,6 +14,7 @@ from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.state import State
 from polyida.linear.lu import SingularSystem
 
+LEAST = 1.0  # s: as long it is to stay at least, however short the run
 CALM = 1e-3  # of a fall, where there is gravity: a greater acceleration is no rest, which needs no closer look
 
 
@@ -43,11 +44,11 @@ def equilibrium(model, t, q, lam, r, solve):
 
 def _at_rest(model, state, grid, counts):
     """r of a state at rest, or None."""
-    span, small = grid.end - state.t, ROUND_OFF * extent(model, state.q)
-    if np.abs(state.v).max() * span > small:
+    if state.v.any():
         return None
     if "rest" in state.memory:
         return state.memory["rest"]
+    small = ROUND_OFF * extent(model, state.q)
     if np.abs(state.a).max() > (CALM * model.free_fall or small / grid.h**2):
         return None
     next_t = inner_side(model, grid.time(grid.done + 1), grid.h)
@@ -56,7 +57,7 @@ def _at_rest(model, state, grid, counts):
     r = _forces(model, state.t, state, counts)
     if not np.array_equal(r, _forces(model, next_t, state, counts)):
         return None
-    return r if not r.any() or _way(model, state, r, span, counts) <= small else None
+    return r if not r.any() or _way(model, state, r, max(grid.end - state.t, LEAST), counts) <= small else None
 
 
 def _forces(model, t, state, counts):
@@ -72,7 +73,7 @@ def _closed(model, t, q):
 
 
 def _way(model, state, r, span, counts):
-    """How far r moves the state within `span`: the largest of |dq|, infinite where that cannot be told."""
+    """How far r moves the state within the time `span`, s: the largest of |dq|, infinite where that cannot be told."""
     system, still = model.step_matrix(), np.zeros(model.n)
     counts.tangents += 1
     counts.factorizations += 1
