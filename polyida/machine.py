@@ -2,9 +2,10 @@
 
 import os
 import platform
+import sys
 import threading
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, lru_cache
 from importlib import metadata
 
 _lock = threading.Lock()
@@ -51,14 +52,20 @@ def footer(data=None):
     return ", ".join(f"{name} {value}" for name, value in (data or machine_info()).items())
 
 
+@lru_cache(maxsize=1)
+def _libraries(modules):
+    """The libraries of this process that have threads, looked for when modules have been imported: that takes longer than a short run."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
 @contextmanager
 def one_blas_thread():
     """Limit the BLAS libraries of this process to one thread: on small matrices more cost more than they bring. The last of several runs at once gives back what was set."""
-    from threadpoolctl import threadpool_limits
-
     with _lock:
         if not _inside:
-            _inside.append(threadpool_limits(limits=1, user_api="blas"))
+            _inside.append(_libraries(len(sys.modules)).limit(limits=1, user_api="blas"))
         _inside.append(None)
     try:
         yield

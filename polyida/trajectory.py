@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida.assembly.rigidity import hint
 from polyida.errors import InputError
 from polyida.given import floats, is_one_of, is_whole
 from polyida.integrate.state import Counts, Restart, State
@@ -167,7 +168,8 @@ class Trajectory:
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
-        told = "".join(f", {what}" for what in (told, self.model.remark if self.model is not None else "") if what)
+        of_model = (self.model.remark, hint(self.model, self.q, self.integrator)) if self.model is not None else ()
+        told = "".join(f", {what}" for what in (told, *of_model) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
             f"; {self.message}" if self.message else ""

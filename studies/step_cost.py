@@ -8,6 +8,7 @@ from polyida.study.drawing import drawn
 from polyida.study.harness import Study
 from step_cost import frames, waits
 from step_cost import measure as cost
+from step_cost import threads
 from step_cost.against import against
 from step_cost.beside_alpha import ratio_row
 from step_cost.pair import BACKENDS, pair_row
@@ -46,6 +47,7 @@ RUNS = {
     "sparse": cost.sparse_row,
     "memory": cost.memory_row,
     "frames": frames.frames_row,
+    "threads": threads.threads_row,
     "start": cost.start_rows,
     "wait": waits.wait_row,
 }
@@ -96,6 +98,7 @@ def tasks(quick):
         for name, steps in (("alpha", 1000), ("radau", 100))
     ]
     made += frames.tasks(quick) + waits.tasks(quick)
+    made.append({"part": "threads", "dof": 100_000, "steps": 10 if quick else 30, "repeats": 3 if quick else 9})
     return made if quick else made + [{"part": "start", "dof": 1_000, "warm": 3}]
 
 
@@ -143,6 +146,7 @@ def figures(rows):
     found |= frames.figures(rows)
     for row in only(rows, "memory"):
         found[f"{'' if row['integrator'] == 'alpha' else row['integrator'] + '_'}bytes_per_dof_1e5"] = row["bytes_per_dof"]
+    found |= threads.figures(only(rows, "threads"))
     found |= {
         key: row[key]
         for row in only(rows, "step", integrator="alpha", scene="scene 1", dof=10_000)
@@ -207,6 +211,11 @@ def memory_notes(rows):
         "frames, in a file beyond 512 MiB"
         for row in only(rows, "memory")
     ]
+
+
+def thread_notes(rows):
+    """What a second thread can bring."""
+    return threads.notes(only(rows, "threads"))
 
 
 def start_notes(rows):
@@ -281,7 +290,7 @@ study = Study(
     run,
     figures,
     (cost_figure, parts_figure),
-    notes=(aim_notes, step_notes, ida_notes, radau_notes, memory_notes, frames.notes, start_notes, waits.notes),
+    notes=(aim_notes, step_notes, ida_notes, radau_notes, memory_notes, frames.notes, thread_notes, start_notes, waits.notes),
     headline=HEADLINE,
     options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
     columns=(

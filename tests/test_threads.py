@@ -158,6 +158,21 @@ def test_blas_threads_are_given_back_where_one_run_is_within_another():
         assert blas() == before and set(inside[0]) == {1}
 
 
+def test_libraries_are_looked_for_when_modules_have_been_imported(monkeypatch):
+    """And not in every run: that takes longer than a short one."""
+    import sys
+
+    import threadpoolctl
+
+    found, controller = [], threadpoolctl.ThreadpoolController
+    monkeypatch.setattr(threadpoolctl, "ThreadpoolController", lambda: found.append(1) or controller())
+    for modules in (0, 0, 1, 1):
+        monkeypatch.setitem(sys.modules, f"made_up_{modules}", threading)
+        with one_blas_thread():
+            pass
+    assert len(found) == 2
+
+
 def test_no_state_is_left_between_runs(alone):
     """After all kinds of runs, failed ones too, each gives what it gave alone."""
     for name in METHODS:

@@ -10,6 +10,7 @@ from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.start import given
 from polyida.integrate.state import State, StepFailure
+from polyida.integrate.stepping.rest import equilibrium
 from polyida.keywords import named_keywords
 from polyida.linear.inertia import falling
 from polyida.linear.kkt import KKT, require_independent, scaling_factors
@@ -73,10 +74,11 @@ def static(
         open_load = (1 - 1 / steps) * load - model.force(t, q, rest)
         lam = np.linalg.solve(dense(B @ B.T), B @ open_load)  # not zero: it may be all that gives stiffness
     for part in range(1, steps + 1):
-        q, lam = _newton(model, t, q, lam, (1 - part / steps) * load, tolerance, max_iterations)
+        q, lam, system = _newton(model, t, q, lam, (1 - part / steps) * load, tolerance, max_iterations)
     if objection := model.objection(t, q):
         raise StepFailure("objection", objection, t)
-    found = Equilibrium(float(t), q, rest.copy(), rest.copy(), lam, falling=_falling(model, t, q, lam))
+    memory = equilibrium(model, t, q, lam, model.residual(t, q, rest, rest, lam), system.solve)
+    found = Equilibrium(float(t), q, rest.copy(), rest.copy(), lam, memory, falling=_falling(model, t, q, lam))
     if found.stable is False:
         warnings.warn(f"static: {found.summary()}; look for another from a disturbed q0", stacklevel=2)
     return found
@@ -107,5 +109,5 @@ def _newton(model, t, q, lam, offset, tolerance, max_iterations):
         q, lam = q + dq, lam + dlam
         moved = np.abs(dq).max()
         if moved <= tolerance * max(1.0, np.abs(q).max()):
-            return q, lam
+            return q, lam, system
     raise StepFailure("newton", "static equilibrium not found; use more load steps", t, iterations=max_iterations, moved=float(moved))

@@ -12,7 +12,6 @@ import numpy as np
 from polyida.assembly import equilibrium
 from polyida.assembly.rows import joints as joint_rows
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.alpha.steps import Steps
@@ -25,7 +24,9 @@ from polyida.linear.cholesky.fronts import factorize, solve_fronts
 from polyida.mesh import rectangle
 from polyida.problems import plates
 from polyida.scene import Scene
-from step_cost.measure import NO_FRAMES, H, cpu
+from skip import unasked
+from skip.sides import done, plate_at, sides
+from step_cost.measure import NO_FRAMES, H
 
 
 class Wasteful(SceneModel):
@@ -72,21 +73,6 @@ class Wasteful(SceneModel):
     def force_v(self, t, q, v):
         self.calls["velocity"] += 1
         return super().force_v(t, q, v)
-
-
-def sides(on, off, repeats):
-    """Both sides in turn: medians of CPU seconds and the counts that they return, as a row."""
-    on(), off()
-    pairs = [(cpu(on), cpu(off)) for _ in range(repeats)]
-    (on_s, off_s), (count_on, count_off) = (np.median([[a[0], b[0]] for a, b in pairs], axis=0), [side[1] for side in pairs[-1]])
-    return {"count_on": count_on, "count_off": count_off, "cpu_on_s": float(on_s), "cpu_off_s": float(off_s), "times": float(off_s / on_s)}
-
-
-def done(run):
-    """The run, or an exception where it did not come to its end."""
-    if not run.success:
-        raise RuntimeError(run.message)
-    return run
 
 
 def again(what, integrator):
@@ -174,7 +160,7 @@ def no_border(cells, t_end, repeats):
 
     def side(loaded):
         scene = Scene(gravity=plates.GRAVITY)
-        plate = scene.add(_plate(rectangle(plates.LENGTH, plates.HEIGHT, cells=cells, seed=1), "plate", 0.0))
+        plate = scene.add(plate_at(rectangle(plates.LENGTH, plates.HEIGHT, cells=cells, seed=1), "plate", 0.0))
         if loaded:
             scene.add(PointMass(plate.section("right"), 1e-9, name="speck"))
         model = scene.build()
@@ -183,16 +169,12 @@ def no_border(cells, t_end, repeats):
     return sides(side(False), side(True), repeats)
 
 
-def _plate(mesh, name, x):
-    return Plate(mesh, plates.RUBBER, thickness=plates.THICKNESS, origin=(x, 0.0), name=name)
-
-
 def shared_operator(cells, t_end, repeats):
     """Two plates on one mesh object, against two on equal meshes: bytes of the element arrays, CPU of the build."""
 
     def build(meshes):
         scene = Scene(gravity=plates.GRAVITY)
-        upper, lower = (scene.add(_plate(mesh, name, x)) for mesh, name, x in zip(meshes, ("upper", "lower"), (0.0, plates.LENGTH)))
+        upper, lower = (scene.add(plate_at(mesh, name, x)) for mesh, name, x in zip(meshes, ("upper", "lower"), (0.0, plates.LENGTH)))
         scene.add(Revolute(ground, upper.section("left")))
         scene.add(Revolute(upper.section("right"), lower.section("left")))
         s = scene.build().arrays.plates
@@ -270,7 +252,7 @@ SAVINGS = {  # name: (what is counted, how it is switched off, measure)
     "shared operator": ("bytes of element arrays", "two equal meshes", shared_operator),
     "no energies, no stresses": ("evaluations", "of every frame", only_what_is_asked),
     "no frames": ("frames kept", "every frame", no_frames),
-}
+} | unasked.SAVINGS
 FIXED = (
     "not switched off: M, phi_q of linear joints and dg/dv in the compiled steps, which have no code "
     "for it; the general path stands for them",

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.integrate.start import on_velocity
 from polyida.study.energy import unbalanced
 
 ENERGY = 1e-9  # of the energy exchanged, for Newton's tolerance
@@ -122,3 +123,27 @@ def test_damping_only_takes_energy(scenes, damping):
 def test_bad_settings(setting):
     with pytest.raises(pi.InputError, match=next(iter(setting))):
         pi.EnergyMomentum(**({"h": 1e-3} | setting))
+
+
+class Slot(pi.Joint):
+    """A point of b stays on a line of a: rows that turn with a."""
+
+    def rows(self):
+        return [pi.cross(self.a.d, self.b.x - self.a.x)]
+
+
+def test_velocities_of_frames_that_are_not_kept_are_not_made(monkeypatch):
+    """Where rows turn, v of a frame is put on its constraint for that frame alone; the motion does not ask for it."""
+    from polyida.integrate.energy import at_end
+
+    scene, made = pi.Scene(gravity=(0.0, -9.81)), []
+    mesh = pi.mesh.rectangle(1.0, 0.1, cells=6, seed=1)
+    upper, lower = (scene.add(pi.Plate(mesh, pi.Material(E=5e7, nu=0.3, rho=1100.0), thickness=0.01, origin=(x, 0.0))) for x in (0.0, 1.0))
+    scene.add(pi.Revolute(pi.ground, upper.section("left")))
+    scene.add(Slot(upper.section("right"), lower.section("left")))
+    model = scene.build()
+    monkeypatch.setattr(at_end, "on_velocity", lambda *given: made.append(1) or on_velocity(*given))
+    runs = [pi.solve(model, 0.05, pi.EnergyMomentum(h=1e-3), every=every) for every in (10, 1)]
+    assert len(made) == 5 + 50
+    assert np.array_equal(runs[0].q, runs[1].q[::10]) and np.array_equal(runs[0].v, runs[1].v[::10])
+    assert runs[1].velocity_drift.max() < 1e-12

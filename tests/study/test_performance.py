@@ -162,6 +162,10 @@ SAVED = {
     "shared operator",
     "no energies, no stresses",
     "no frames",
+    "rest",
+    "rest, residuals",
+    "no frames: v",
+    "no frames: a, lam",
 }
 
 

@@ -3,11 +3,17 @@
 from polyida.integrate.alpha.start import started
 from polyida.integrate.state import State, StepFailure
 from polyida.integrate.stepping.grid import Grid, goes_on, grid_of
+from polyida.integrate.stepping.rest import held
 
 
 def march(engine, settings, model, state, begin, end, count, counts):
     """Yield the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts fail."""
     grid = grid_of(state, begin, end, count)
+    for state in held(model, state, grid, counts):
+        grid = grid._replace(done=grid.done + 1)
+        state.memory["grid"] = grid.after(grid.done)
+        counts.steps += 1
+        yield state
     level, done = min(int(state.memory.get("cut", 0)), settings.max_halvings), grid.done
     while done < grid.count:
         if level == 0:

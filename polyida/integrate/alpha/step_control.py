@@ -7,6 +7,7 @@ from polyida.integrate.alpha.start import started
 from polyida.integrate.kinks import enough_steps
 from polyida.integrate.state import State, StepFailure
 from polyida.integrate.stepping.grid import Grid
+from polyida.integrate.stepping.rest import held
 
 RUNGS = 4  # a factor of two
 SAFETY = 0.85
@@ -58,6 +59,11 @@ def adapt(engine, settings, model, state, begin, end, largest, counts, most_step
     control, t, failures = engine.control, begin, []
     ladder = Ladder(control.largest, float(state.memory.get("h", control.first)), most, control.order)
     lowest = 0 if largest == control.largest else int(np.ceil(RUNGS * np.log2(control.largest / largest) - 1e-9))
+    for state in held(model, state, Grid(t, end, max(1, int(np.ceil((end - t) / most * (1 - 1e-12))))), counts):
+        _require_progress(t, state.t - t, settings, counts, most_steps)
+        t = state.t
+        counts.steps += 1
+        yield state
     while t < end:
         grid, moved = _piece(t, end, ladder.h), False
         _require_progress(t, grid.h, settings, counts, most_steps)

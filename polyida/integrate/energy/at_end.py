@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.integrate.start import consistent_acceleration
+from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import State, StepFailure
 
 
@@ -13,11 +13,23 @@ class AtEnd(State):
     """A State whose a and lam are worked out of q and v when they are first asked for: most steps of a run need not have them.
 
     `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`: of the order of q and v, needs no step before or after, and the forces of a frame are in
-    balance. memory: what the next step starts from. at: the time, to one side of a kink there.
+    balance. So is v, where memory has "v_free" and v is None: that put on its constraint, and made as fast as it was.
+    memory: what the next step starts from. at: the time, to one side of a kink there.
     """
 
     def __init__(self, model, t, q, v, memory, at):
-        vars(self).update(t=t, q=q, v=v, memory=memory, restart=True, _at=(model, at))
+        vars(self).update(t=t, q=q, memory=memory, restart=True, _at=(model, at))
+        if v is not None:
+            vars(self)["v"] = v
+
+    @cached_property
+    def v(self):
+        """v on its constraint with the kinetic energy of "v_free", (n,)."""
+        (model, at), free = self._at, self.memory["v_free"]
+        on = on_velocity(model, at, self.q, free)
+        M = model.mass(on)
+        has = on @ (M @ on)
+        return on * np.sqrt(free @ (M @ free) / has) if has > 0.0 else on
 
     @cached_property
     def _forces(self):
@@ -28,8 +40,9 @@ class AtEnd(State):
             raise StepFailure("singular", "the constraints' system is singular", self.t) from None
 
     def finite(self):
-        """Whether q and v are finite; a and lam follow from them where they are asked for."""
-        return math.isfinite(self.q.dot(self.v))
+        """Whether q and v are finite; a and lam, and v on its constraint, follow where they are asked for."""
+        v = vars(self).get("v")
+        return math.isfinite(self.q.dot(self.memory["v_free"] if v is None else v))
 
     a = property(lambda self: self._forces[0])
     lam = property(lambda self: self._forces[1])

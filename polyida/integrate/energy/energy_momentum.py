@@ -10,6 +10,8 @@ from polyida.integrate.energy.midpoint import Midpoint
 from polyida.integrate.kinks import at_kink, beside, enough_steps, stretches
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import Counts, State
+from polyida.integrate.stepping.grid import Grid
+from polyida.integrate.stepping.rest import held
 from polyida.keywords import named_keywords
 from polyida.model import Model
 
@@ -60,9 +62,14 @@ class EnergyMomentum:
         for begin, end, most in stretches(model, state.t, t_end, self.h):
             state = _ready(model, state, begin)
             count = enough_steps(model, state, begin, end, min(self.h, most))
-            stepper = kind(self, model, (end - begin) / count, counts, beside(end, -1) if at_kink(model, end) else end)
-            for k in range(1, count + 1):
-                state = stepper.step(state, begin + k * stepper.h if k < count else end)
+            grid = Grid(begin, end, count)
+            for state in held(model, state, grid, counts):
+                grid = grid._replace(done=grid.done + 1)
+                counts.steps += 1
+                yield state
+            stepper = kind(self, model, grid.h, counts, beside(end, -1) if at_kink(model, end) else end)
+            for k in range(grid.done + 1, count + 1):
+                state = stepper.step(state, grid.time(k))
                 counts.steps += 1
                 yield state
 

@@ -45,20 +45,15 @@ class Steps:
         if self.model.needs.driven:
             v = on_velocity(self.model, at, q, v)
         elif self.model.needs.phi_q_varies:  # else it is there: phi is linear, and its mean rate over the step is zero
-            memory["v_free"], v = v, self._as_fast(v, on_velocity(self.model, at, q, v))
+            memory["v_free"], v = v, None
         return AtEnd(self.model, float(t), q, v, memory, at)
-
-    def _as_fast(self, v, on):
-        """`on`, with the kinetic energy of v."""
-        M = self.model.mass(on)
-        has = on @ (M @ on)
-        return on * np.sqrt(v @ (M @ v) / has) if has > 0.0 else on
 
     def _begin(self, state):
         """Put the state's q and v, and where they lead, into the room."""
         w, h = self.room, self.h
         a, lam = self._guess(state)
-        for target, values in ((w.u0, state.q), (w.v0, state.memory.get("v_free", state.v))):
+        v = state.memory.get("v_free")
+        for target, values in ((w.u0, state.q), (w.v0, state.v if v is None else v)):
             target[:] = values.reshape(target.shape)
         w.u1[:] = w.u0 + h * w.v0 + 0.5 * h * h * a.reshape(w.u0.shape)
         w.lam[:] = lam

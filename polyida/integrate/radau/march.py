@@ -6,6 +6,7 @@ from polyida.integrate.kinks import PULSE, enough_steps
 from polyida.integrate.radau.control import CUT, Ladder
 from polyida.integrate.state import State, StepFailure
 from polyida.integrate.stepping.grid import Grid, grid_of
+from polyida.integrate.stepping.rest import held
 
 FAILURES = 20  # in a row
 SHORT = 16  # times that a step is apart, at least
@@ -14,6 +15,11 @@ SHORT = 16  # times that a step is apart, at least
 def march(engine, settings, model, state, begin, end, most, counts):
     """Yield the states at the ends of equal steps; one that fails is taken in 2, 4, ... parts. Raises StepFailure."""
     grid = _grid(model, state, begin, end, most)
+    for state in held(model, state, grid, counts):
+        grid = grid._replace(done=grid.done + 1)
+        state.memory.update(radau_grid=grid.after(grid.done), sizes=engine.sizes)
+        counts.steps += 1
+        yield state
     engine.expect(grid)
     while grid.done < grid.count:
         t = grid.time(grid.done + 1)
