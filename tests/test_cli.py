@@ -165,12 +165,21 @@ def test_a_folder_that_was_asked_for_is_replaced_only_when_told(folder, capsys):
     [
         (["radau", "--rtol", "1e-5"], pi.RadauIIA(rtol=1e-5)),
         (["radau", "--step", "0.02"], pi.RadauIIA(h=0.02)),
+        (["radau", "--step", "auto"], pi.RadauIIA()),
         (["RadauIIA"], pi.RadauIIA()),
+        (["alpha"], pi.GeneralizedAlpha(h=0.01)),
+        (["GeneralizedAlpha"], pi.GeneralizedAlpha(h=0.01)),
+        (["alpha", "--step", "auto"], pi.GeneralizedAlpha()),
+        (["alpha", "--step", "auto", "--rho-inf", "0.7"], pi.GeneralizedAlpha(rho_inf=0.7)),
     ],
 )
-def test_radau_keeps_to_a_step_only_where_one_is_given(given, made, folder):
+def test_steps_are_those_given_or_the_problem_s_or_chosen(given, made, folder):
     assert main(["run", "pendulum", "--time", "0.1", "--out", "run.h5", "--integrator", *given]) == 0
     assert pi.load(folder / "run.h5").integrator == made
+
+
+def test_a_step_is_a_number_or_auto(capsys):
+    assert "'--step'" in refused(capsys, "run", "pendulum", "--step", "long")
 
 
 @pytest.mark.parametrize("name", ["build", "model", "short"])
@@ -204,6 +213,7 @@ def test_a_failed_run_gives_one_and_keeps_what_it_has(folder, capsys):
         (["run", "pendulum", "--integrator", "euler"], "alpha, ida"),
         (["run", "pendulum", "--integrator", "ida", "--step", "1e-3"], "--step is no setting of ida"),
         (["run", "pendulum", "--rtol", "1e-3"], "--rtol is no setting of alpha"),
+        (["run", "pendulum", "--integrator", "energy", "--step", "auto"], "--step auto is no setting of energy"),
         (["run", "pendulum", "--rho-inf", "1.5"], "rho_inf"),
         (["run", "pendulum", "--out", "scene.py/run.h5"], "cannot be made"),
         (["run", "pendulum", "--out", "scene.py"], "--overwrite"),

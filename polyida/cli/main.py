@@ -6,7 +6,7 @@ Exit codes: 0 done, 1 a run failed (what it has is kept), 2 the input was wrong.
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -25,6 +25,10 @@ def _option(kind, text, *names):
     return Annotated[kind | None, typer.Option(*names, help=text)]
 
 
+def _step(text):
+    return text if text == "auto" else float(text)
+
+
 SCENE_HELP = "A name from `polyida list`, or my_scene.py:build (the file is executed)."
 Scene = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP)]
 SceneOrNone = Annotated[str | None, typer.Argument(metavar="SCENE", help=SCENE_HELP, show_default=False)]
@@ -37,6 +41,14 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", "--force", help="Replace
 Cells = _option(int, "Polygons in each plate.")
 Time = _option(float, "Time to simulate, s.")
 Step = _option(float, "Step of generalized-alpha and energy-momentum, s; with it Radau IIA keeps to one.")
+StepOrAuto = Annotated[
+    Any,
+    typer.Option(
+        parser=_step,
+        metavar="FLOAT|auto",
+        help="Step of generalized-alpha and energy-momentum, s; with it Radau IIA keeps to one. auto: by the error of the run.",
+    ),
+]
 RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite frequency, in [0, 1).")
 Rtol = _option(float, "Relative tolerance of IDA and Radau IIA.")
 Atol = _option(float, "Absolute tolerance of IDA and Radau IIA for q, m.")
@@ -125,7 +137,7 @@ def run(
     integrator: Integrator = None,
     cells: Cells = None,
     time: Time = None,
-    step: Step = None,
+    step: StepOrAuto = None,
     rho_inf: RhoInf = None,
     rtol: Rtol = None,
     atol: Atol = None,
@@ -154,7 +166,7 @@ def run(
     from polyida.study.compare import warm_up
     from polyida.study.job import integrator_of, load
 
-    job, integrator = load(scene, time=time, step=step, cells=cells), integrator or "alpha"
+    job, integrator = load(scene, time=time, step=None if step == "auto" else step, cells=cells), integrator or "alpha"
     member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
     path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, lines)
     make(path.parent)

@@ -122,7 +122,8 @@ def _default_point(model):
 
 
 def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
-    """ "alpha", "ida", "radau", "energy" or a registered integrator with the settings given; the job's step where it must have one.
+    """ "alpha", "ida", "radau", "energy" or a registered integrator with the settings given; alpha, and what must have one, with the job's
+    step. step: s, or "auto": the integrator decides.
 
     Raises InputError for an unknown name and for a setting of another one.
     """
@@ -143,8 +144,12 @@ def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
     given = {key: value for key, value in (("step", step), ("rho_inf", rho_inf), ("rtol", rtol), ("atol", atol)) if value is not None}
     if strange := [key for key in given if key not in own]:
         raise InputError(f"--{strange[0].replace('_', '-')} is no setting of {name}; its settings are {', '.join(own)}")
-    fixed = "step" in own and (step is not None or inspect.signature(maker).parameters["h"].default is inspect.Parameter.empty)
-    given.pop("step", None)
+    needed = "step" in own and inspect.signature(maker).parameters["h"].default is inspect.Parameter.empty
+    if given.pop("step", None) == "auto":
+        if needed:
+            raise InputError(f"--step auto is no setting of {name}, which must have a step, s")
+        return maker(**given)
+    fixed = needed or maker is GeneralizedAlpha or ("step" in own and step is not None)
     return maker(h=job.step, **given) if fixed else maker(**given)
 
 
