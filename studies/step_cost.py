@@ -6,9 +6,8 @@ from against_peers import peers
 from polyida.cli.study import main
 from polyida.study.drawing import drawn
 from polyida.study.harness import Study
-from step_cost import frames, waits
+from step_cost import frames, threads, waits
 from step_cost import measure as cost
-from step_cost import threads
 from step_cost.against import against
 from step_cost.beside_alpha import ratio_row
 from step_cost.pair import BACKENDS, pair_row

@@ -37,12 +37,12 @@ class Entry(CPUDispatcher):
     def _numba_type_(self):
         return self.part._numba_type_
 
-    def held(self):
+    def typed(self):
         """The same for arguments whose types are those of its first call, and not looked at again: that costs as much as a small kernel."""
-        return Held(self)
+        return Typed(self)
 
 
-class Held:
+class Typed:
     """An entry that was compiled for the types of its first call."""
 
     def __init__(self, entry):

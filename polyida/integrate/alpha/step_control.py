@@ -63,6 +63,7 @@ def adapt(engine, settings, model, state, begin, end, largest, counts, most_step
         _require_progress(t, state.t - t, settings, counts, most_steps)
         t = state.t
         counts.steps += 1
+        state.memory.update(control.memory)
         yield state
     while t < end:
         grid, moved = _piece(t, end, ladder.h), False

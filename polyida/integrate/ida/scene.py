@@ -127,7 +127,7 @@ class SceneSystem(System):
 
     def __init__(self, model, form, rate):
         super().__init__(model, form, rate)
-        self.room, self.kernel = room(model), residual.held()
+        self.room, self.kernel = room(model), residual.typed()
         self.damp = np.empty((model.n_nodes, 2)) if model.damped else None
 
     def residual(self, t, y, yp, res):
@@ -148,7 +148,7 @@ class SceneSolve(Correction):
 
     def __init__(self, system, counts, order):
         super().__init__(system, counts, order)
-        self.step, self.kernel = system.model.step_matrix(), solve.held()
+        self.step, self.kernel = system.model.step_matrix(), solve.typed()
 
     def setup(self, t, y, yp, cj):
         """Factor S at y."""

@@ -28,7 +28,7 @@ class SceneSystem:
         self.trial = trial(tableau.stages, model.n, model.m, self.tied)
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.moves_v, self.tie = moves_v, tie(model) if model.m else None
-        self.kernels = {kernel: kernel.held() for kernel in (begin, iterate, close, error)}
+        self.kernels = {kernel: kernel.typed() for kernel in (begin, iterate, close, error)}
 
     def _call(self, kernel, *args):
         """kernel(scene's arrays, *args), whose types are the same in every call."""
