@@ -219,6 +219,25 @@ def test_frames_in_single_precision(model, whole, tmp_path, monkeypatch, setting
         assert half.status == "interrupted" and np.array_equal(pi.resume("half.h5").q, whole.q.astype("f4"))
 
 
+def test_a_flush_waits_for_a_whole_block_where_it_is_near(tmp_path, monkeypatch):
+    """What is behind the last whole block is written twice."""
+    from polyida.io.writer import Writer
+
+    seen, commit = [], Writer.commit
+
+    def noted(file, record, numbers, tail, last=False):
+        seen.append((file.count, len(tail[0])))
+        commit(file, record, numbers, tail, last)
+
+    monkeypatch.setattr("polyida.integrate.running.run.FLUSH_SECONDS", 1e9)
+    monkeypatch.setattr(Writer, "commit", noted)
+    pi.solve(Wide(), 1.0, Free(), out=tmp_path / "run.h5", flush_every=40)
+    assert seen == [(0, 1), *((48 * k, 0) for k in range(1, 7)), (301, 0)]
+    seen.clear()
+    pi.solve(Wide(), 1.0, Free(), out=tmp_path / "run.h5", overwrite=True, flush_every=20)
+    assert [count + tail for count, tail in seen][:4] == [1, 21, 41, 61]
+
+
 def test_half_the_file_in_single_precision(tmp_path):
     sizes = []
     for precision in ("double", "single"):

@@ -32,15 +32,15 @@ def sizes_of_run(model, state, t_end):
         return np.array(kept, float)
     span = t_end - state.t
     length, speed = kept if len(kept) else typical_sizes(model, state, span)
-    return np.array([length, speed, span, span * _pace(model, state, speed / length)], float)
+    pace = speed / length if model.extent else _own_pace(model, state) or speed / length
+    return np.array([length, speed, span, span * pace], float)
 
 
-def _pace(model, state, pace):
-    """How often a second the motion goes its own length: of a model of one's own by norms that weigh coordinates by their mass."""
+def _own_pace(model, state):
+    """How often a second the motion of a model of one's own goes its |q|, by norms that weigh coordinates by their mass; 0 from q = 0."""
     shares = weights(model, state.q)
     q, v, a = (float(np.sqrt(shares @ x**2)) for x in (state.q, state.v, state.a))
-    own = max(v / q, np.sqrt(a / q)) if q > 0.0 else 0.0
-    return pace if model.extent or not own else own
+    return max(v / q, np.sqrt(a / q)) if q > NOTHING else 0.0
 
 
 def relative_tolerance(aim, most, ways):

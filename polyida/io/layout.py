@@ -29,10 +29,8 @@ def frames_at_once(width):
 
 
 def chunk_of(rows, shape):
-    """Shape of a chunk of `rows` frames of that shape: equal parts of not more than COLUMNS numbers."""
-    if len(shape) != 1:
-        return (rows, *shape)
-    return rows, -(-shape[0] // -(-shape[0] // COLUMNS))
+    """Shape of a chunk of `rows` frames of that shape, () or (width,): equal parts of not more than COLUMNS numbers."""
+    return (rows, *(-(-width // -(-width // COLUMNS)) for width in shape))
 
 
 def shapes_of(n, m, drives=()):

@@ -58,7 +58,7 @@ def _mapping(size, least):
         return _unused[size].pop()
     try:
         return mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    except OSError:
+    except (OSError, OverflowError):
         if size // 2 < least:
             raise MemoryError(f"no room for {least} bytes") from None
         return _mapping(size // 2, least)

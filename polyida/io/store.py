@@ -30,8 +30,9 @@ class FrameStore:
         shapes = shapes_of(n, m, range(len(self.drives)))
         self._shapes, self._dtypes = list(shapes.values()), list(dtypes_of(shapes, single).values())
         self._away, self._first, self._rows = file, 0, 0  # where the frames before the block are, and how many
-        self._whole = limit >= self._bytes(max(expected, file.rows if file else 1))
-        self._block = self._many() if self._whole else self._few()
+        many = self._many() if limit >= self._bytes(max(expected, file.rows if file else 1)) else [()]
+        self._whole = len(many[0]) > 0
+        self._block = many if self._whole else self._few()
 
     def _bytes(self, frames):
         return frames * sum(int(np.prod(shape)) * dtype.itemsize for shape, dtype in zip(self._shapes, self._dtypes))

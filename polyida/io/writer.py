@@ -55,7 +55,7 @@ class Writer:
         self.rows = frames_at_once(width_of(self.shapes))
         shapes, dtypes = self.shapes.items(), dtypes_of(self.shapes, single)
         self._packs = {name: _pack(chunk_of(self.rows, shape), dtypes[name]) for name, shape in shapes if shape != (0,)}
-        self._block = sum(self._chunks_of_a_block(name) * len(stored) for name, (stored, _) in self._packs.items())
+        self._block = sum(len(stored) * -(-self._size(name) // numbers.size) for name, (stored, numbers) in self._packs.items())
         self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
         with taken(shown):
             self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
@@ -94,9 +94,9 @@ class Writer:
         self._file.flush()
         self._file.swmr_mode = True
 
-    def _chunks_of_a_block(self, name):
-        shape, numbers = self.shapes[name], self._packs[name][1]
-        return -(-shape[0] // numbers.shape[1]) if len(shape) == 1 else 1
+    def _size(self, name):
+        """Numbers of a block."""
+        return self.rows * int(np.prod(self.shapes[name]))
 
     def append(self, block):
         """Append frames, a list of arrays in the order of `shapes`: as many as a chunk holds, or the run's last ones."""
@@ -109,23 +109,15 @@ class Writer:
         self.count = end
 
     def _put(self, dataset, stored, numbers, values):
-        """Write chunks as they are stored, past the library: checked by our own checksum, and copied once."""
-        dataset.set_extent((self.count + len(values), *values.shape[1:]))
-        numbers[len(values) :] = 0.0
-        if values.ndim != 2:
-            numbers[: len(values)] = values
-            self._put_chunk(dataset, stored, (self.count, *[0] * (values.ndim - 1)))
-            return
-        columns = numbers.shape[1]
-        for first in range(0, values.shape[1], columns):
-            part = values[:, first : first + columns]
-            numbers[: len(part), : part.shape[1]] = part
-            numbers[:, part.shape[1] :] = 0.0
-            self._put_chunk(dataset, stored, (self.count, first))
-
-    def _put_chunk(self, dataset, stored, at):
-        stored[-CHECK:] = np.frombuffer(fletcher32(stored[:-CHECK]).to_bytes(CHECK, "little"), np.uint8)
-        dataset.write_direct_chunk(at, stored)
+        """Write chunks as they are stored, past the library: with our own checksum, and copied once."""
+        rows, flat, place = len(values), values.reshape(len(values), -1), numbers.reshape(len(numbers), -1)
+        dataset.set_extent((self.count + rows, *values.shape[1:]))
+        place[rows:] = 0.0
+        for first in range(0, flat.shape[1], place.shape[1]):
+            part = flat[:, first : first + place.shape[1]]
+            place[:rows, : part.shape[1]], place[:, part.shape[1] :] = part, 0.0
+            stored[-CHECK:] = np.frombuffer(fletcher32(stored[:-CHECK]).to_bytes(CHECK, "little"), np.uint8)
+            dataset.write_direct_chunk((self.count, first)[: values.ndim], stored)
 
     def commit(self, record, numbers, tail, last=False):
         """Make all frames so far hold: flush them, then `record` (plain data), the state `numbers` and the frames `tail`.

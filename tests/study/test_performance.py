@@ -83,7 +83,10 @@ def test_runs_with_and_without_frames_are_the_same_work(streams, monkeypatch):
 
 def test_figures_of_frames_are_those_of_their_rows():
     rows = [{"part": "frames"} | task for task in frames.tasks(True)]
-    rows = [row | {"ratio": 1.0 + 0.1 * k, "first_ratio": 1.5, "extra_us": 2.0, "none_ms": 0.1} for k, row in enumerate(rows)]
+    rows = [
+        row | {"ratio": 1.0 + 0.1 * k, "first_ratio": 1.5, "extra_us": 2.0, "none_ms": 0.1, "new_memory_us": 1.0}
+        for k, row in enumerate(rows)
+    ]
     found = of_cost.figures(rows)
     assert found["frames_over_none_1e3"] == 1.0 and found["hdf5_over_none_1e4"] == 1.3 and set(found) <= set(of_cost.HEADLINE)
     assert any("hdf5_over_none_1e4: 1.3, aim at most 1.25" in note for note in of_cost.aim_notes(rows))

@@ -32,20 +32,20 @@ class GeneralizedAlpha:
     """Generalized-alpha: equilibrium and phi = 0 hold at the end of each step,
     `(1 - alpha_m) a_1 + alpha_m a_0 = (1 - alpha_f) q''_1 + alpha_f q''_0`, with Newmark's formulas in a.
 
-    h: step, s, or None: the error of the run decides, see rtol; a piece of a run between kinks of its loads takes the largest step not above h that divides it evenly,
-    four at least behind a kink where loads and motors are no straight lines, and as many as it needs where a load or
-    motor moves too fast for h (integrate/moves.py).
+    h: step, s, or None: by the error of the run, see rtol. A piece of a run between kinks of its loads takes the largest step not above
+    h that divides it evenly, four at least behind a kink where loads and motors are no straight lines, and as many as it needs where a
+    load or motor moves too fast for h (integrate/moves.py).
     rho_inf: spectral radius at infinite frequency, in [0, 1). member: other members of the family, (alpha_m, alpha_f,
     beta, gamma), in place of rho_inf; see `hht`, `wbz` and `newmark`.
     form: "index3", or "stabilised": also phi_q v + phi_t = 0 at the end of each step, q moved along M^-1 phi_q^T to
     have both. rtol, atol: with either given, steps change on the ladder h 2^(-k/4) so that the local error of q,
     `(1/6 - (alpha_m - alpha_f)/2 - beta) h^2 (q''_1 - q''_0)`, stays below atol + rtol |q| (root mean squares, each
     coordinate weighted with its mass; m; atol is 1e-3 rtol where only rtol is given); lam is not in it. h is then the
-    largest step, and the run fails beyond max_num_steps steps, with those rejected. Without h the local errors of all steps together
-    stay below that: a step has h over the run's time of it, rtol is 5e-5 where neither is given, and atol rtol times the model's length
-    (integrate/sizes.py), so that the error at the end is about 1e-4 of the model's size, or 1 to 3 times rtol; the summary says these
-    (integrate/alpha/control.py). Motions that part from a neighbour by more than in proportion to time end further off. extrapolate: give
-    (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
+    largest step, and the run fails beyond max_num_steps steps, with those rejected. Without h the local errors
+    of all steps together stay below that: each may have h over the run's time of it; rtol is 5e-5 where neither is given, and atol rtol
+    times the model's length (integrate/sizes.py). The error of the run is then about twice rtol, 1e-4 of the model's size by default
+    (integrate/alpha/control.py), unless neighbouring motions part faster than in proportion to time; the summary says what was chosen.
+    extrapolate: give (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
 
     tolerance: Newton's, of beta h^2 times the size of q''; None: 1e-3 of the step's local error, but at least 1e-7 and at
     most 1e-4 of that. max_iterations: of one Newton solve. max_halvings: a step
@@ -166,7 +166,8 @@ class GeneralizedAlpha:
             return ""
         length, _, time, _ = memory["sizes"]
         rtol, atol = tolerances(self.rtol, self.atol, length)
-        return f"steps by local errors of q that add up to {atol:.1e} + {rtol:.1e} |q| in {time:.4g} s"
+        last = f", at last of {float(memory['h']):.1e} s" if "h" in memory else ""
+        return f"steps by local errors of q that add up to {atol:.1e} + {rtol:.1e} |q| in {time:.4g} s{last}"
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts, rows: Any = None) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step; rows: where to write them, see Steps. Raises StepFailure."""
