@@ -1,4 +1,4 @@
-"""Numbers at the axes in letters, "10⁻⁴" and "×10⁻⁵": matplotlib would parse each as a formula, which is most of a figure's time."""
+"""Numbers at the axes in letters, "10⁻⁴" and "×10⁻⁵": matplotlib would parse each as a formula, which took two fifths of a figure's time."""
 
 import re
 
