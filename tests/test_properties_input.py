@@ -237,7 +237,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "GeneralizedAlpha": (
         made(pi.GeneralizedAlpha, h=1e-3),
         {
-            "h": POSITIVE,
+            "h": [x for x in POSITIVE if x is not None],
             "rho_inf": NUMBER + [1.0, -0.1],
             "tolerance": [x for x in SHARE if x is not None],
             "scaling": CHOICE,
@@ -250,7 +250,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "IDA": (
         pi.IDA,
         {
-            "rtol": SHARE,
+            "rtol": [x for x in SHARE if x is not None],
             "atol": NOTHING[1:] + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab", 0, -1.0, [1e-6, 0.0]],
             "max_order": [value for value in COUNT if value is not None] + [6],
             "form": CHOICE,
@@ -264,7 +264,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "RadauIIA": (
         pi.RadauIIA,
         {
-            "rtol": SHARE,
+            "rtol": [x for x in SHARE if x is not None],
             "atol": [x for x in POSITIVE if x is not None],
             "h": [x for x in POSITIVE if x is not None],
             "stages": COUNT + [1, 4],

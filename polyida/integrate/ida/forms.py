@@ -25,9 +25,7 @@ from polyida.linear.matrix import dense
 from polyida.model.differences import along
 
 NEAR = np.finfo(float).eps ** (1 / 3)  # of phi_q's slopes, which only Newton sees: two values are enough
-UNTESTED = (
-    1e9  # absolute tolerance of what carries no error estimate, as multipliers: any size far above theirs takes them out of IDA's norms
-)
+UNTESTED = 1e9  # absolute tolerance of what carries no error estimate, as multipliers: far above any size of theirs
 
 
 @dataclass(frozen=True)
