@@ -24,6 +24,7 @@ _PLACES = {
     "dot": "joint.formula",
     "Scene": "scene",
     "solve": "integrate.solve",
+    "threads": "machine",
     "resume": "integrate.resume",
     "Trajectory": "trajectory",
     "von_mises": "trajectory",

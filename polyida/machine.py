@@ -8,7 +8,12 @@ from contextlib import contextmanager
 from functools import cache, lru_cache
 from importlib import metadata
 
+from polyida.errors import InputError
+from polyida.given import is_whole
+from polyida.keywords import named_keywords
+
 _lock = threading.Lock()
+_threads = [1]  # that a run takes
 _inside: list = []  # the limit in force, and one entry for each run within it
 PACKAGES = ("polyida", "numpy", "scipy", "numba", "scikit-sundae")
 
@@ -50,6 +55,21 @@ def processor():
 def footer(data=None):
     """One line that says on what a result was made, from `machine_info()` or the same data read from a file."""
     return ", ".join(f"{name} {value}" for name, value in (data or machine_info()).items())
+
+
+@named_keywords
+def threads(count: int | None = None) -> int:
+    """Let runs take so many threads from now on, and as many cores, all free; without a number, how many they take: one, where nothing was said.
+
+    What takes them are the steps of generalized-alpha on scenes of SHARED coordinates and more (integrate/alpha/scene.py). The
+    results are the same bit by bit for any number. Raises InputError for what is no whole number from 1 to that of the machine's cores.
+    """
+    cores = os.cpu_count() or 1
+    if count is not None:
+        if not is_whole(count, 1, cores):
+            raise InputError(f"threads: {count!r} must be a whole number from 1 to {cores}, the cores of this machine")
+        _threads[0] = int(count)
+    return _threads[0]
 
 
 @lru_cache(maxsize=1)

@@ -19,6 +19,7 @@ from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack, part, shared
 from polyida.linear.cholesky.factor import BAND, FRONTS, Factor, factor
 from polyida.linear.cholesky.fronts import solve_fronts
+from polyida.linear.cholesky.team import Team, solve_together
 from polyida.linear.cholesky.triangular import solve_band, solve_columns
 from polyida.linear.dense import clear, solve_small
 
@@ -43,7 +44,7 @@ class Corotated(NamedTuple):
 
 @pack
 class Room(NamedTuple):
-    """Scratch of a solve; own: slopes of the force elements on the points, as old as the factor, or (0, 0)."""
+    """Scratch of a solve; own: slopes of the force elements on the points, as old as the factor, or (0, 0). team: of threads that serve it."""
 
     x: np.ndarray
     turn: np.ndarray
@@ -58,6 +59,7 @@ class Room(NamedTuple):
     last: np.ndarray
     pull: np.ndarray
     own: np.ndarray
+    team: Team | None = None
 
 
 def corotated(model, blocks, rotation, backend="auto", phase=1.0):
@@ -165,6 +167,15 @@ def all_triangular(f, x):
 
 
 @part
+def solve_in_place(f, team, x):
+    """The same, by a team where there is one."""
+    if team is None:
+        triangular(f, x)
+    else:
+        solve_together(f.fronts, f.panels, x, team)
+
+
+@part
 def solve_plates(s, c, w, rotation, r, x):
     """x (nodes, 2) = P S_ref^-1 P^T r, and the frames of nodes and points for what follows."""
     turn_frames(s, c, w, rotation)
@@ -174,7 +185,7 @@ def solve_plates(s, c, w, rotation, r, x):
         b[order[2 * i + 1]] = turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0]
     for k in range(2 * r.shape[0], b.shape[0]):
         b[k] = np.float32(0.0)
-    triangular(c.factor, b)
+    solve_in_place(c.factor, w.team, b)
     for i in range(r.shape[0]):
         p, q = b[order[2 * i]], b[order[2 * i + 1]]
         x[i, 0] = turn[i, 0] * p - turn[i, 1] * q

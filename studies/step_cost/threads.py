@@ -1,7 +1,7 @@
-"""How far a second thread can bring a step: what the memory gives to two threads, and what two halves of a model make of it.
+"""What a second thread brings to a step of generalized-alpha, beside what the memory gives to two threads, and two halves of a model make of it.
 
-A step streams the factor, twice a solve, and does little beside. Two models of half the size, which share nothing and wait for nothing,
-are the best that a step in two threads could be; each gives bit by bit what it gives alone.
+A step streams the factor, twice a solve. Two models of half the size, which share nothing and wait for nothing, are the best that a step in
+two threads could be. All results are the same bit by bit.
 """
 
 import time
@@ -15,6 +15,7 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
 from polyida.linear.cholesky.factor import symbolic_of
+from polyida.machine import threads
 from polyida.problems import plates
 from step_cost.measure import H, cells_for
 
@@ -28,18 +29,16 @@ def _triad(a, b, c):
         a[i] = b[i] + 0.5 * c[i]
 
 
-class Half:
-    """A run of generalized-alpha on the double plate, taken some steps at a time."""
+class Run:
+    """A run of generalized-alpha on the double plate in `count` threads, taken some steps at a time; a factor is made."""
 
-    def __init__(self, dof):
+    def __init__(self, dof, count=1):
         self.model = plates.double_plate(cells_for(dof)).build()
-        self.begin()
-
-    def begin(self):
-        """Start anew, with a factor made."""
-        state = consistent_state(self.model)
-        self.states = GeneralizedAlpha(h=H).steps(self.model, state, 1e5 * H, Counts())
+        before = threads()
+        threads(count)
+        self.states = GeneralizedAlpha(h=H).steps(self.model, consistent_state(self.model), 1e5 * H, Counts())
         self.take(2)
+        threads(before)
 
     def take(self, steps):
         """The state after so many more steps."""
@@ -56,61 +55,59 @@ def wall(call):
 
 
 def threads_row(dof, steps, repeats):
-    """Triad and steps in one thread and in two: medians of wall times measured in turn, and lowest and highest ratio of a turn.
+    """Steps and triads in one thread and in two: medians of wall times measured in turn, and of the ratios of a turn.
 
     triad: a = b + c/2 on arrays that no cache holds, 24 bytes a number. Raises ArithmeticError where results differ by the threads.
     """
-    halves = [Half(dof // THREADS) for _ in range(THREADS)]
-    triads = [partial(_triad, *np.ones((3, MANY // 8))) for _ in range(THREADS)]
+    one, two, halves = Run(dof), Run(dof, THREADS), [Run(dof // THREADS) for _ in range(THREADS)]
+    require_same(one.take(steps), two.take(steps))
     with ThreadPoolExecutor(THREADS) as pool:
-        require_same(halves, steps, pool)
-        rows = []
-        for _ in range(repeats):
-            by_turns = wall(lambda: [half.take(1) for _ in range(steps) for half in halves])
-            at_once = wall(lambda: list(pool.map(lambda half: half.take(steps), halves)))
-            rows.append((by_turns, at_once, *(wall(lambda run=run: list(run(lambda triad: triad(), triads))) for run in (map, pool.map))))
-    one, two, triad_one, triad_two = np.median(rows, axis=0)
-    ratios, moved = [row[0] / row[1] for row in rows], THREADS * 3 * MANY / 1e9
-    panels = sum(4 * int(half.model.once(symbolic_of).panel[-1]) for half in halves)
+        require_same(*pool.map(lambda half: half.take(steps), halves))
+        triads = [partial(_triad, *np.ones((3, MANY // 8))) for _ in range(THREADS)]
+        measured = {
+            "one_thread": lambda: one.take(steps),
+            "two_threads": lambda: two.take(steps),
+            "halves_by_turns": lambda: [half.take(1) for _ in range(steps) for half in halves],
+            "halves_at_once": lambda: list(pool.map(lambda half: half.take(steps), halves)),
+            "triad_one": lambda: [triad() for triad in triads],
+            "triad_two": lambda: list(pool.map(lambda triad: triad(), triads)),
+        }
+        times = np.array([[wall(call) for call in measured.values()] for _ in range(repeats)])
+    found = dict(zip(measured, np.median(times, axis=0).tolist()))
+    ratios = times[:, ::2] / times[:, 1::2]
+    speedup, limit, triad = np.median(ratios, axis=0).tolist()
     return {
-        "n": sum(half.model.n for half in halves),
-        "factor_mb": panels / 1e6,
-        "one_thread_ms": 1e3 * one / steps,
-        "two_threads_ms": 1e3 * two / steps,
-        "speedup": float(np.median(ratios)),
-        "lowest": min(ratios),
-        "highest": max(ratios),
-        "triad_gb_s_one": moved / triad_one,
-        "triad_gb_s_two": moved / triad_two,
-        "triad_speedup": triad_one / triad_two,
+        "n": one.model.n,
+        "factor_mb": 4e-6 * int(one.model.once(symbolic_of).panel[-1]),
+        "speedup": speedup,
+        "lowest": float(ratios[:, 0].min()),
+        "highest": float(ratios[:, 0].max()),
+        "limit": limit,
+        "triad_speedup": triad,
+        **{f"{name}_ms": 1e3 * found[name] / steps for name in list(measured)[:4]},
+        **{f"{name}_gb_s": THREADS * 3e-9 * MANY / found[name] for name in list(measured)[4:]},
     }
 
 
-def require_same(halves, steps, pool):
-    """Raise ArithmeticError unless both halves end, at once and one after the other, in the same state bit by bit."""
-    ends = [half.take(steps) for half in halves]
-    for half in halves:
-        half.begin()
-    for alone, beside in zip(ends, pool.map(lambda half: half.take(steps), halves)):
-        if not all(np.array_equal(getattr(alone, name), getattr(beside, name)) for name in ("q", "v", "a", "lam")):
-            raise ArithmeticError("a run gives other results beside another")
+def require_same(first, second):
+    """Raise ArithmeticError unless two states are the same bit by bit."""
+    if not all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("q", "v", "a", "lam")):
+        raise ArithmeticError("the number of threads changes the results")
 
 
 def figures(rows):
     """{name: number} of the rows of this part."""
-    return {
-        key: value
-        for row in rows
-        for key, value in (("threads_speedup_1e5", row["speedup"]), ("triad_threads_speedup", row["triad_speedup"]))
-    }
+    names = {"threads_speedup_1e5": "speedup", "threads_limit_1e5": "limit", "triad_threads_speedup": "triad_speedup"}
+    return {name: row[key] for row in rows for name, key in names.items()}
 
 
 def notes(rows):
     """What was measured, and what the memory would allow."""
     return [
-        f"{row['n']} coordinates in two threads that share nothing, half the plates' cells each: {row['two_threads_ms']:.3g} ms a step, by "
-        f"turns in one {row['one_thread_ms']:.3g} ms, {row['speedup']:.2f} times as fast ({row['lowest']:.2f} to {row['highest']:.2f}), bit by "
-        f"bit the same; the memory gives {row['triad_gb_s_one']:.3g} GB/s to one thread and {row['triad_gb_s_two']:.3g} to two, "
-        f"{row['triad_speedup']:.2f} times; the factor is {row['factor_mb']:.3g} MB, a step streams it twice a solve"
+        f"{row['n']} coordinates, wall time of a step: {row['one_thread_ms']:.3g} ms in one thread, {row['two_threads_ms']:.3g} ms in two, which "
+        f"share the solves, {row['speedup']:.2f} times as fast ({row['lowest']:.2f} to {row['highest']:.2f}), bit by bit the same. Two "
+        f"halves that share nothing: {row['halves_by_turns_ms']:.3g} ms by turns, {row['halves_at_once_ms']:.3g} ms at once, {row['limit']:.2f} times. "
+        f"The memory gives {row['triad_one_gb_s']:.3g} GB/s to one thread and {row['triad_two_gb_s']:.3g} to two, {row['triad_speedup']:.2f} times; "
+        f"the factor is {row['factor_mb']:.3g} MB, streamed twice a solve"
         for row in rows
     ]

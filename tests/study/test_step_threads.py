@@ -1,30 +1,25 @@
-"""Two halves of a model in threads of their own: the same results, and figures that follow from the row. No times are judged."""
+"""Steps in one thread and in two: the same results, and figures that follow from the row. No times are judged."""
 
-from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from polyida import machine
 from step_cost import threads
 
 
 def test_a_row_of_two_threads(monkeypatch):
     monkeypatch.setattr(threads, "MANY", 2**16)
+    monkeypatch.setattr(machine.os, "cpu_count", lambda: 2)
     row = threads.threads_row(400, 3, 2)
-    assert row["lowest"] <= row["speedup"] <= row["highest"] and row["triad_gb_s_one"] > 0 and row["factor_mb"] > 0
-    assert row["n"] == sum(threads.Half(200).model.n for _ in range(threads.THREADS))
-    found = threads.figures([row])
-    assert found == {"threads_speedup_1e5": row["speedup"], "triad_threads_speedup": row["triad_speedup"]}
+    assert row["lowest"] <= row["speedup"] <= row["highest"] and row["limit"] > 0 and row["triad_one_gb_s"] > 0 and row["factor_mb"] > 0
+    assert threads.figures([row])["threads_speedup_1e5"] == row["speedup"] and machine.threads() == 1
     assert f"{row['n']} coordinates" in threads.notes([row])[0]
 
 
-def test_halves_that_differ_are_seen():
-    class Drifting(threads.Half):
-        """Ends elsewhere each time."""
-
-        def take(self, steps):
-            state = super().take(steps)
-            return type("Moved", (), {"q": state.q + np.random.random(), "v": state.v, "a": state.a, "lam": state.lam})
-
-    with ThreadPoolExecutor(2) as pool, pytest.raises(ArithmeticError, match="other results"):
-        threads.require_same([Drifting(100) for _ in range(2)], 2, pool)
+def test_results_that_differ_are_seen():
+    state = SimpleNamespace(q=np.zeros(2), v=np.zeros(2), a=np.zeros(2), lam=np.zeros(1))
+    threads.require_same(state, state)
+    with pytest.raises(ArithmeticError, match="changes the results"):
+        threads.require_same(state, SimpleNamespace(**vars(state) | {"lam": np.array([1e-300])}))

@@ -16,7 +16,11 @@ from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, TOO_FAR
+from polyida.linear.cholesky.factor import FRONTS
+from polyida.linear.cholesky.team import at_work, team
+from polyida.machine import threads
 
+SHARED = 20_000  # coordinates from which on the threads that are asked for share the solves
 DZ, FORCES, START, VX, AX, DX, DV = range(7)  # rows of Scratch.points
 
 
@@ -129,15 +133,16 @@ def stretch(s, c, room, p, tie, damp, laws, drives, gains, y, x, w, counts, qs, 
 
 
 class SceneLoop:
-    """Stretches of compiled steps on a scene."""
+    """Stretches of compiled steps on a scene, their solves by several threads where it has `SHARED` coordinates and these are asked for."""
 
-    longest = 256
+    longest, team = 256, None
 
     def __init__(self, settings, model, counts, memory, trial):
         self.model, self.counts, self.memory, self.trial = model, counts, memory, trial
         self.tie = tie_of(model) if settings.form == "stabilised" and model.m else None
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.scratch = scratch(model)
+        self.threads = threads() if model.n >= SHARED else 1
 
     def prepare(self, times, method):
         """Get ready for steps between the times: loads and motors at all of them."""
@@ -153,23 +158,29 @@ class SceneLoop:
 
     def steps(self, p, system, first, last, *frames):
         """Take the steps from `first` to `last` with a factored system: (steps, how it ended, last |dq|)."""
-        seen = np.zeros(2, np.int64)
-        result = stretch(
-            self.model.arrays,
-            system.corotated,
-            system.room,
-            p,
-            self.tie,
-            self.damp,
-            self.model.laws,
-            self.drives[first : last + 1],
-            self.gains[first:last],
-            self.memory,
-            self.trial,
-            self.scratch,
-            seen,
-            *frames,
-        )
+        seen, factor = np.zeros(2, np.int64), system.corotated.factor
+        if self.threads > 1 and factor.kind == FRONTS:
+            self.team = self.team or team(factor.fronts, self.threads, factor.panels.dtype)
+            room, helpers = system.room._replace(team=self.team), self.team
+        else:
+            room, helpers = system.room, None
+        with at_work(helpers, factor, room.x):
+            result = stretch(
+                self.model.arrays,
+                system.corotated,
+                room,
+                p,
+                self.tie,
+                self.damp,
+                self.model.laws,
+                self.drives[first : last + 1],
+                self.gains[first:last],
+                self.memory,
+                self.trial,
+                self.scratch,
+                seen,
+                *frames,
+            )
         self.counts.residuals += int(seen[0])
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])

@@ -194,33 +194,53 @@ def solve_fronts(s, panels, x):
     """x <- S^-1 x in float32 or complex64, x (n,) or longer in the places of s.order. Fronts on which x is zero cost nothing."""
     work = np.empty(s.size, x.dtype)
     for f in range(s.children.shape[0]):
-        at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
-        n = own + 2 * (high - low)
-        if zero(x, at, own):
-            continue
-        for k in range(own):
-            work[k] = x[at + k]
-        for k in range(own, n):
-            work[k] = 0.0
-        forward(panels, s.panel[f], work, own, n)
+        if descend(s, panels, x, work, f):
+            spread(s, x, work, f)
+    for f in range(s.children.shape[0] - 1, -1, -1):
+        ascend(s, panels, x, work, f)
+
+
+@part
+def descend(s, panels, x, work, f):
+    """The forward half of a solve on front f: its part in x, what it hands on in work. False where x is zero there, and work is not filled."""
+    at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
+    n = own + 2 * (high - low)
+    if zero(x, at, own):
+        return False
+    for k in range(own):
+        work[k] = x[at + k]
+    for k in range(own, n):
+        work[k] = 0.0
+    forward(panels, s.panel[f], work, own, n)
+    for k in range(own):
+        x[at + k] = work[k]
+    return True
+
+
+@part
+def spread(s, x, work, f):
+    """Add what front f hands on to the places that it reaches."""
+    own, low = 2 * (s.first[f + 1] - s.first[f]), s.start[f]
+    for k in range(low, s.start[f + 1]):
+        i, q = 2 * s.rows[k], own + 2 * (k - low)
+        x[i] += work[q]
+        x[i + 1] += work[q + 1]
+
+
+@part
+def ascend(s, panels, x, work, f):
+    """The backward half of a solve on front f."""
+    at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
+    n = own + 2 * (high - low)
+    for k in range(own):
+        work[k] = x[at + k]
+    for k in range(low, high):
+        i, q = 2 * s.rows[k], own + 2 * (k - low)
+        work[q], work[q + 1] = x[i], x[i + 1]
+    if not zero(work, 0, n):
+        backward(panels, s.panel[f + 1], work, own, n)
         for k in range(own):
             x[at + k] = work[k]
-        for k in range(low, high):
-            i, q = 2 * s.rows[k], own + 2 * (k - low)
-            x[i] += work[q]
-            x[i + 1] += work[q + 1]
-    for f in range(s.children.shape[0] - 1, -1, -1):
-        at, own, low, high = 2 * s.first[f], 2 * (s.first[f + 1] - s.first[f]), s.start[f], s.start[f + 1]
-        n = own + 2 * (high - low)
-        for k in range(own):
-            work[k] = x[at + k]
-        for k in range(low, high):
-            i, q = 2 * s.rows[k], own + 2 * (k - low)
-            work[q], work[q + 1] = x[i], x[i + 1]
-        if not zero(work, 0, n):
-            backward(panels, s.panel[f + 1], work, own, n)
-            for k in range(own):
-                x[at + k] = work[k]
 
 
 @part

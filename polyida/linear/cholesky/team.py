@@ -1,0 +1,180 @@
+"""The solve with a multifrontal factor in several threads: subtrees of the dissection side by side, what is above them by one.
+
+Thread k takes the fronts cuts[k]:cuts[k + 1], without those on the way from a cut to the root, `top`. What it hands to their places it
+leaves in `late`, and thread 0 adds all that in the order of the fronts: every sum is made in the order in which one thread makes it, so the
+result is the same bit by bit for any number of threads. Threads wait for each other awake: a solve is some thousandths of a second.
+"""
+
+from contextlib import contextmanager
+from functools import partial
+from threading import Thread
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida import compiled
+from polyida.compiled import pack
+from polyida.compiled.signal import leave, seen
+from polyida.linear.cholesky.fronts import FAST, ascend, descend, spread
+
+entry = partial(compiled.entry, fastmath=FAST)
+part = partial(compiled.part, fastmath=FAST)
+LINE = 8  # numbers of a cache line: nobody waits on the line that another writes
+CALLED, DONE, GONE = 0, LINE, -1
+
+
+@pack
+class Team(NamedTuple):
+    """cuts (k + 1,); top (fronts,); shared (nodes,): places of top; late (k, most); signals (2 LINE k,): how often a thread was called, and done."""
+
+    cuts: np.ndarray
+    top: np.ndarray
+    shared: np.ndarray
+    late: np.ndarray
+    signals: np.ndarray
+
+
+def team(s, count, dtype):
+    """The Team of `count` threads for fronts s."""
+    cuts, above = _cuts(s, count)
+    top, shared = np.zeros(len(s.children), np.int8), np.zeros(len(s.nodes), np.int8)
+    top[above] = 1
+    for f in above:
+        shared[s.first[f] : s.first[f + 1]] = 1
+    handed = np.add.reduceat(np.append(shared[s.rows], 0), s.start[:-1]) * (np.diff(s.start) > 0) * (1 - top)
+    most = max(int(handed[low:high].sum()) for low, high in zip(cuts[:-1], cuts[1:]))
+    return Team(cuts, top, shared, np.zeros((count, 2 * most), dtype), np.zeros(2 * LINE * count, np.int64))
+
+
+def _cuts(s, count):
+    """(cuts, fronts on the way from them to the root): near equal shares of the panels, with little above."""
+    parent, waiting, work = np.full(len(s.children), -1), [], np.diff(s.panel).astype(float)
+    for f, held in enumerate(s.children):
+        parent[waiting[len(waiting) - held :]] = f
+        waiting[len(waiting) - held :] = [f]
+    way = np.zeros(len(parent))
+    for f in range(len(parent) - 1, -1, -1):
+        way[f] = way[parent[f]] + work[parent[f]] if parent[f] >= 0 else 0.0
+    before, above = np.cumsum(work), set()
+    cuts = [0, *(1 + int(np.argmin(np.abs(before - before[-1] * k / count) + way)) for k in range(1, count)), len(parent)]
+    for f in (cut - 1 for cut in cuts[1:-1]):
+        while parent[f] >= 0:
+            f = parent[f]
+            above.add(int(f))
+    return np.array(cuts), sorted(above)
+
+
+@entry
+def serve(s, panels, x, t, who):
+    """The work of thread `who`, whenever it is called, until it is told to go."""
+    work, calls = np.empty(s.size, x.dtype), 0
+    while True:
+        while seen(t.signals, 2 * LINE * who + CALLED) == calls:
+            pass
+        calls = seen(t.signals, 2 * LINE * who + CALLED)
+        if calls == GONE:
+            return
+        if calls % 2:
+            gather(s, panels, x, t, who, work)
+        else:
+            scatter(s, panels, x, t, who, work)
+        leave(t.signals, 2 * LINE * who + DONE, calls)
+
+
+@part
+def gather(s, panels, x, t, who, work):
+    """The forward half on the fronts of thread `who`; what goes to the top is left in late."""
+    late, at = t.late[who], 0
+    for f in range(t.cuts[who], t.cuts[who + 1]):
+        if t.top[f]:
+            continue
+        going = descend(s, panels, x, work, f)
+        if who == 0:
+            if going:
+                spread(s, x, work, f)
+            continue
+        own = 2 * (s.first[f + 1] - s.first[f])
+        for k in range(s.start[f], s.start[f + 1]):
+            i, q = 2 * s.rows[k], own + 2 * (k - s.start[f])
+            if t.shared[s.rows[k]]:
+                late[at] = late[at + 1] = 0.0
+                if going:
+                    late[at], late[at + 1] = work[q], work[q + 1]
+                at += 2
+            elif going:
+                x[i] += work[q]
+                x[i + 1] += work[q + 1]
+
+
+@part
+def scatter(s, panels, x, t, who, work):
+    """The backward half on the fronts of thread `who`."""
+    for f in range(t.cuts[who + 1] - 1, t.cuts[who] - 1, -1):
+        if not t.top[f]:
+            ascend(s, panels, x, work, f)
+
+
+@part
+def call(t):
+    """Call all threads but this one, the number 0. Returns how often that was."""
+    calls = seen(t.signals, DONE) + 1
+    leave(t.signals, DONE, calls)
+    for who in range(1, t.late.shape[0]):
+        leave(t.signals, 2 * LINE * who + CALLED, calls)
+    return calls
+
+
+@part
+def await_all(t, calls):
+    """Wait until all have done what they were called for."""
+    for who in range(1, t.late.shape[0]):
+        while seen(t.signals, 2 * LINE * who + DONE) != calls:
+            pass
+
+
+@part
+def solve_together(s, panels, x, t):
+    """x <- S^-1 x, as `solve_fronts` does, with others that `serve`."""
+    work = np.empty(s.size, x.dtype)
+    calls = call(t)
+    gather(s, panels, x, t, 0, work)
+    await_all(t, calls)
+    for who in range(1, t.late.shape[0]):
+        late, at = t.late[who], 0
+        for f in range(t.cuts[who], t.cuts[who + 1]):
+            if t.top[f]:
+                if descend(s, panels, x, work, f):
+                    spread(s, x, work, f)
+                continue
+            for k in range(s.start[f], s.start[f + 1]):
+                if t.shared[s.rows[k]]:
+                    i = 2 * s.rows[k]
+                    x[i] += late[at]
+                    x[i + 1] += late[at + 1]
+                    at += 2
+    for f in range(s.children.shape[0] - 1, t.cuts[1] - 1, -1):
+        if t.top[f]:
+            ascend(s, panels, x, work, f)
+    calls = call(t)
+    scatter(s, panels, x, t, 0, work)
+    await_all(t, calls)
+
+
+@contextmanager
+def at_work(t, factor, x):
+    """Within this the other threads serve solves of x with the factor; nothing where t is None."""
+    if t is None:
+        yield
+        return
+    t.signals[:] = 0
+    args = factor.fronts, factor.panels, x, t
+    bound = serve.bound(*args, 1)
+    others = [Thread(target=bound, args=(*args, who), daemon=True) for who in range(1, len(t.late))]
+    for other in others:
+        other.start()
+    try:
+        yield
+    finally:
+        t.signals[CALLED :: 2 * LINE] = GONE
+        for other in others:
+            other.join()
