@@ -13,6 +13,7 @@ from polyida.io.spill import Spill
 from polyida.io.writer import NotWritten
 
 SMALL = 1 << 20  # bytes of a run's frames that are not worth a piece of memory of their own
+PART = 8  # times an array must be in that piece to be left there: one that is less, and kept for long, would keep all of it
 
 
 class FrameStore:
@@ -102,5 +103,6 @@ class FrameStore:
         if not self._whole:
             return dict(zip(FRAMES, self._away.arrays(block)))
         found = [values[: self.file.held if self.file else self.count] for values in block]
-        found = found if LAZY and sum(values.nbytes for values in found) > SMALL else [values.copy() for values in found]
-        return dict(zip(FRAMES, found))
+        whole = sum(values.nbytes for values in found)
+        left = LAZY and whole > SMALL
+        return {name: values if left and PART * values.nbytes > whole else values.copy() for name, values in zip(FRAMES, found)}

@@ -158,3 +158,11 @@ def test_small_runs_hold_no_piece(model):
     runs = [pi.solve(model, 0.05, METHODS["fixed"]) for _ in range(3)]
     assert sum(getattr(runs[0], name).nbytes for name in FRAMES) < SMALL
     assert all(run.q.base is None for run in runs) and sum(map(len, memory._unused.values())) > 0
+
+
+@pytest.mark.skipif(not memory.LAZY, reason="memory is the system's at once")
+def test_times_that_are_kept_do_not_keep_the_frames(model):
+    """Nor do multipliers: both are a small part of what they were written with."""
+    run = pi.solve(model, 2.0, METHODS["fixed"])
+    assert sum(getattr(run, name).nbytes for name in FRAMES) > SMALL and run.q.base is not None
+    assert run.t.base is None and run.lam.base is None
