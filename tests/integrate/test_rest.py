@@ -166,3 +166,17 @@ def test_a_run_at_rest_is_resumed_bit_by_bit(name, tmp_path):
     run = pi.resume(tmp_path / "run.h5", 30 * H)
     assert np.abs(run.q - whole.q).max() < 1e-12 * np.abs(whole.q).max()
     assert run.counts.residuals == whole.counts.residuals
+
+
+@pytest.mark.parametrize("name", ["alpha", "radau"])
+def test_a_state_off_its_constraint_is_not_at_rest(name):
+    """That of a shorter pendulum, which hung still, with the same forces."""
+
+    class Longer(Pendulum):
+        def phi(self, t, q):
+            return super().phi(t, q) - 0.5
+
+    still = pi.solve(Pendulum(), 10 * H, METHODS[name], q0=[0.0, -1.0]).state
+    assert "rest" in still.memory
+    run = pi.solve(Longer(), 20 * H, METHODS[name], state=still)
+    assert not run.success or run.drift[-1] < 1e-6

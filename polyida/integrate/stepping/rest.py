@@ -1,6 +1,6 @@
 """Rest: where nothing moves a state, steps leave it where it is, at one residual each, without a factor.
 
-A state is at rest where v is zero and what is left of its forces leads nowhere within the time T to come: `|dq|` of
+A state is at rest where v and phi are zero and what is left of its forces leads nowhere within the time T to come: `|dq|` of
 `(M / T^2 + K) dq + phi_q^T dlam = -r`, `phi_q dq = 0`, r = r(t, q, 0, 0, lam), is no more than round-off of the coordinates. There it stays
 while r and phi, and phi_t, are the same to the last bit, which says that no load, motor or force has begun to move; also where the
 equilibrium is one that a touch would upset. Memory "rest" of a State: that r, by which a run goes on, and one from `static` begins,
@@ -15,6 +15,7 @@ from polyida.integrate.state import State
 from polyida.linear.lu import SingularSystem
 
 LEAST = 1.0  # s: as long it is to stay at least, however short the run
+CLOSED = 1e-10  # of the model's extent: |phi| of a state that is where its constraints want it
 CALM = 1e-3  # of a fall, where there is gravity: a greater acceleration is no rest, which needs no closer look
 
 
@@ -44,7 +45,7 @@ def equilibrium(model, t, q, lam, r, solve):
 
 def _at_rest(model, state, grid, counts):
     """r of a state at rest, or None."""
-    if state.v.any():
+    if state.v.any() or np.abs(model.phi(state.t, state.q)).max(initial=0.0) > CLOSED * extent(model, state.q):
         return None
     if "rest" in state.memory:
         return state.memory["rest"]
