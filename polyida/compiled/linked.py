@@ -37,6 +37,10 @@ class Entry(CPUDispatcher):
     def _numba_type_(self):
         return self.part._numba_type_
 
+    def bound(self, *args):
+        """The compiled function for arguments of these very types."""
+        return self.compile(tuple(map(typeof, args)))
+
     def typed(self):
         """The same for arguments whose types are those of its first call, and not looked at again: that costs as much as a small kernel."""
         return Typed(self)
@@ -50,7 +54,7 @@ class Typed:
 
     def __call__(self, *args):
         if self.compiled is None:
-            self.compiled = self.entry.compile(tuple(map(typeof, args)))
+            self.compiled = self.entry.bound(*args)
         return self.compiled(*args)
 
 

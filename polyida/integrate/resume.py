@@ -12,10 +12,10 @@ from polyida.given import is_number
 from polyida.integrate.running.run import Run
 from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
+from polyida.io.file.layout import FRAMES
+from polyida.io.file.reader import naming, read
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
-from polyida.io.layout import FRAMES
 from polyida.io.load import integrator_of, model_of
-from polyida.io.reader import naming, read
 from polyida.io.save import commit, create, free
 from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore

@@ -9,11 +9,11 @@ import numpy as np
 from polyida import registry
 from polyida.errors import InputError
 from polyida.given import is_flag
-from polyida.io.layout import FRAMES
-from polyida.io.lock import require_unwritten
+from polyida.io.file.layout import FRAMES
+from polyida.io.file.lock import require_unwritten
+from polyida.io.file.writer import Writer
 from polyida.io.scene_data import to_data
 from polyida.io.store import FrameStore
-from polyida.io.writer import Writer
 
 
 def save(run, path, overwrite=False):

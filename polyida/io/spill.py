@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polyida.io.writer import taken
+from polyida.io.file.writer import taken
 
 BLOCK = 1 << 20  # bytes that are written at once
 WINDOW = 1 << 24  # bytes after which the system is told that those before will not be read soon

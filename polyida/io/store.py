@@ -5,12 +5,12 @@ from contextlib import suppress
 
 import numpy as np
 
+from polyida.io.file.layout import FRAMES, dtypes_of, shapes_of
+from polyida.io.file.reader import read_open
+from polyida.io.file.writer import NotWritten
 from polyida.io.frames import MEMORY_LIMIT
-from polyida.io.layout import FRAMES, dtypes_of, shapes_of
 from polyida.io.memory import LAZY, room
-from polyida.io.reader import read_open
 from polyida.io.spill import Spill
-from polyida.io.writer import NotWritten
 
 SMALL = 1 << 20  # bytes of a run's frames that are not worth a piece of memory of their own
 PART = 8  # times an array must be in that piece to be left there: one that is less, and kept for long, would keep all of it

@@ -14,7 +14,7 @@ import numpy as np
 
 from polyida.integrate.resume import resume
 from polyida.integrate.solve import solve
-from polyida.io.layout import FRAMES
+from polyida.io.file.layout import FRAMES
 from polyida.io.load import load
 from polyida.problems import plates
 from polyida.study.harness import Study, results

@@ -13,8 +13,8 @@ from polyida.integrate.running.accepted import accepted
 from polyida.integrate.running.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, StepFailure
+from polyida.io.file.writer import NotWritten
 from polyida.io.save import commit
-from polyida.io.writer import NotWritten
 from polyida.machine import machine_info
 from polyida.model.guarded import guard
 from polyida.trajectory import Trajectory

@@ -11,9 +11,9 @@ from uuid import uuid4
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.io.checksum import fletcher32
-from polyida.io.layout import FORMAT, HEAD, chunk_of, dtypes_of, frames_at_once, shapes_of, width_of
-from polyida.io.lock import CAN_TELL, being_written, lock, require_unwritten
+from polyida.io.file.checksum import fletcher32
+from polyida.io.file.layout import FORMAT, HEAD, chunk_of, dtypes_of, frames_at_once, shapes_of, width_of
+from polyida.io.file.lock import CAN_TELL, being_written, lock, require_unwritten
 
 ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is known to be needed
 SLOT_CHUNK = 1 << 16

@@ -12,10 +12,10 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State
+from polyida.io.file.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, dtypes_of, frames_at_once, shapes_of, width_of
+from polyida.io.file.lock import being_written
+from polyida.io.file.source import Source
 from polyida.io.frames import StoredFrames
-from polyida.io.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, dtypes_of, frames_at_once, shapes_of, width_of
-from polyida.io.lock import being_written
-from polyida.io.source import Source
 
 TRIES, PAUSE = 50, 0.01  # s: at a file that is being written
 

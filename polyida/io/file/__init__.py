@@ -1,0 +1,1 @@
+"""The result file itself: what it looks like, written, locked, read through."""
