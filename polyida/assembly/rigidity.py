@@ -16,7 +16,8 @@ def hint(model, frames, integrator):
     rtol = getattr(integrator, "rtol", None) if getattr(integrator, "adaptive", True) else None
     names = as_good_as_rigid(model, frames, rtol or RESOLVED)
     plates = ", ".join(map(repr, names[:NAMED])) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
-    return f"{plates} deforms far less than the run resolves: such a plate may as well be rigid" if names else ""
+    deform = "deforms" if len(names) == 1 else "deform"
+    return f"{plates} {deform} far less than the run resolves: such a plate may as well be rigid" if names else ""
 
 
 def as_good_as_rigid(model, frames, tolerance=RESOLVED):

@@ -31,7 +31,7 @@ def fall(E, integrator=None, t_end=0.1, **options):
 
 def test_stiff_plates_are_told_by_name():
     summary = fall(5e15).summary()
-    assert f"'upper', 'lower' deforms far less than the run resolves: such a plate {HINT}" in summary
+    assert f"'upper', 'lower' deform far less than the run resolves: such a plate {HINT}" in summary
 
 
 @pytest.mark.parametrize("E", [50e6, 2e11])
