@@ -25,12 +25,13 @@ def typical_sizes(model, state, span):
 def sizes_of_run(model, state, t_end):
     """(length, speed, time, ways) of the run that a state is of, as that took them, or of one that begins with it; m, m/s, s.
 
-    ways: how often the motion goes its own length in that time, the same in whatever units the coordinates are.
+    ways: how often the motion goes its own length in that time, the same in whatever units the coordinates are. Where there is more to
+    come than that run was long, time and ways are those of what is to come.
     """
-    kept = state.memory.get("sizes", ())
+    kept, span = state.memory.get("sizes", ()), t_end - state.t
     if len(kept) == 4:
-        return np.array(kept, float)
-    span = t_end - state.t
+        more = max(1.0, span / kept[2])
+        return np.array(kept, float) * (1.0, 1.0, more, more)
     length, speed = kept if len(kept) else typical_sizes(model, state, span)
     pace = speed / length if model.extent else _own_pace(model, state) or speed / length
     return np.array([length, speed, span, span * pace], float)

@@ -79,7 +79,7 @@ def test_summaries_say_what_was_chosen_and_why(scenes):
     alpha, radau, ida = (pi.solve(p.model, 10.0, method, q0=p.q0).summary() for method in OWN.values())
     assert "steps by local errors of q that add up to 3.5e-05 + 5.0e-05 |q| in 10 s" in alpha
     assert "rtol 9.6e-06 for a way of 31 times the model's length, atol 6.8e-06 of q" in radau
-    assert "rtol 9.6e-07 for a way of 31 times the model's length, atol 6.8e-07 of q, 2.1e-06 of v" in ida
+    assert "rtol 9.6e-07 for a way of 31 times the model's length, q to 9.6e-07 of itself and 6.8e-07, v to 2.1e-06" in ida
     given = (pi.GeneralizedAlpha(h=1e-2), pi.RadauIIA(rtol=1e-4, atol=1e-4), pi.IDA(rtol=1e-4, atol=1e-4))
     for method in given:
         summary = pi.solve(p.model, 0.1, method, q0=p.q0).summary()
@@ -104,6 +104,18 @@ def test_a_run_that_goes_on_keeps_what_it_chose(scenes, integrator, tmp_path):
     assert again.success and again.state.memory["sizes"].tolist() == sizes
     exact = pi.solve(model, 0.2, pi.RadauIIA(rtol=1e-9), every=10**9)
     assert np.abs(again.q[-1] - exact.q[-1]).max() < WORST * model.extent
+
+
+@pytest.mark.parametrize("integrator", OWN.values(), ids=OWN)
+def test_a_run_that_goes_on_for_longer_chooses_for_what_is_to_come(scenes, integrator):
+    """What is allowed, and the longest step, of a first look at a motion are not those of all of it."""
+    model = scenes.jointed("revolute").build()
+    look = pi.solve(model, 1e-3, integrator)
+    run, whole = pi.solve(model, 0.401, integrator, state=look.state), pi.solve(model, 0.4, integrator)
+    ways = look.state.memory["sizes"][3]
+    assert run.state.memory["sizes"][2:] == pytest.approx([0.4, 400 * ways]) and run.steps < 2 * whole.steps
+    exact = pi.solve(model, 0.401, pi.RadauIIA(rtol=1e-9), every=10**9)
+    assert np.abs(run.q[-1] - exact.q[-1]).max() < WORST * model.extent
 
 
 @pytest.mark.parametrize(
