@@ -23,7 +23,7 @@ class Press:
     """
 
     def __init__(self):
-        self.sheets, self.process, self.line = {}, None, ThreadPoolExecutor(1)
+        self.sheets, self.process, self.answers, self.line = {}, None, True, ThreadPoolExecutor(1)
 
     def __enter__(self):
         if cores() > 1:
@@ -60,7 +60,7 @@ class Press:
 
     def _drawn(self, sheet):
         """The files of a pickled figure, {kind: bytes}, or None where they are to be drawn here."""
-        if self.process is None or sheet is None:
+        if self.process is None or sheet is None or not self.answers:
             return None
         with suppress(OSError):
             pickle.dump(sheet, self.process.stdin)
@@ -68,9 +68,11 @@ class Press:
             return self._answer()
 
     def _answer(self):
-        """What the other process says next; None where it is not there any more."""
-        with suppress(AttributeError, OSError, EOFError, pickle.UnpicklingError):
+        """What the other process says next; None where it is not there, or says what makes no sense: then it is asked no more."""
+        try:
             return pickle.load(self.process.stdout)
+        except Exception:  # noqa: BLE001, bytes that are no answer fail in many ways
+            self.answers = False
 
 
 def cores():

@@ -80,3 +80,16 @@ def test_what_a_figure_raises_is_raised_here(two, runs, tmp_path):
         given.sheets["wrong"][1].result()
         given.write(tmp_path)
     assert not names(tmp_path)
+
+
+def test_what_else_the_other_process_says_is_no_figure(two, here, runs, tmp_path, monkeypatch):
+    """A line before the answers, by a program that Python runs at its start: no answer may be taken for that to another figure."""
+    monkeypatch.setattr(press, "START", f"print('N', flush=True); {press.START}")
+    with Press() as given:
+        given.ready()
+        for name in "abcd":
+            given.give(name, plots.energy(runs))
+            given.sheets[name][1].result()
+        given.write(tmp_path)
+    for name in "abcd":
+        assert (tmp_path / f"{name}.png").read_bytes() == style.save(plots.energy(runs), tmp_path / "here.png").read_bytes()
