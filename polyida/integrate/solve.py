@@ -68,7 +68,8 @@ def solve(
     the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
     `memory_limit` bytes go to a file in the folder for temporary files (TMPDIR); a trajectory with more of them than
     that leaves them in the file, see Trajectory. precision: "single" keeps q, v, a and lam of the frames with 7 digits, in half the
-    room, in memory and in files; the run itself, and the state to go on from, are as ever.
+    room, in memory and in files; the run itself, and the state to go on from, are as ever, but one that no step ended in, found by
+    `until` or extrapolated, is the last frame.
 
     Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with
     the frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the
