@@ -11,6 +11,7 @@ TIMES = np.linspace(0.0, 1.0, 101)  # where the tip is compared, s
 LEAN = 3e-3  # m/s^2 times h^2: what Newton may leave of q, a share of what weight moves in a step
 OWN = {  # solver: (what it is called, integrator of a step, s, or a tolerance)
     "alpha": ("generalized-alpha", lambda h: GeneralizedAlpha(h=h)),
+    "alpha lean": ("generalized-alpha, Newton to 3e-2", lambda h: GeneralizedAlpha(h=h, tolerance=0.03)),
     "ida": ("IDA", lambda rtol: IDA(rtol=rtol)),
     "radau": ("Radau IIA, by its error", lambda rtol: RadauIIA(rtol=rtol)),
     "radau fixed": ("Radau IIA, equal steps", lambda h: RadauIIA(h=h)),

@@ -22,10 +22,13 @@ from polyida.keywords import named_keywords
 from polyida.model import Model
 
 LINEAR = ("auto", "kkt", "whole")
-AIM, WAYS = 1e-5, 3.0  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
+AIM, WAYS, FLEXIBLE_WAYS = (
+    1e-5,
+    3.0,
+    30.0,
+)  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a number is given
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
-TIGHT = 3.0  # times rtol^(1 + 1/order): that of their q, for errors as rtol gives where v is tested as q is
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
 OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
@@ -47,13 +50,13 @@ STATUS = {
 class IDA:
     """Backward differentiation formulas of order 1 to 5 with error control, by SUNDIALS' IDA.
 
-    rtol: relative tolerance; by default 1e-5, or less where the motion goes the model's length more than three times, for an error about
-    1e-4 of that. atol: absolute tolerances; by default rtol times a length and a speed of the model, told from its first state
-    (integrate/sizes.py). The run's summary says what was chosen. A number is that of q (m), with 1e3 1/s times it
+    rtol: relative tolerance; by default 1e-5, or less where the motion goes the model's length more than three times (30 times with flexible
+    bodies), for an error about 1e-4 of that. atol: absolute tolerances; by default rtol times a length and a speed of the model, told from
+    its first state (integrate/sizes.py). The run's summary says what was chosen. A number is that of q (m), with 1e3 1/s times it
     for v (m/s); a pair is (of q, of v); 2n numbers are those of every entry of (q, v).
     Multipliers are not in the error estimate. v of a model with flexible bodies, where atol is not given, is tested LOOSE times less
     sharply: that of stiff modes jumps with every change of the step, h, as in index 3, and no step would be long enough to leave
-    order 1. q is tested the more sharply for it, to TIGHT rtol^(1 + 1/max_order): what a tolerance of v allows q to err by in a step
+    order 1. q is tested the more sharply for it, to rtol^(1 + 1/max_order): what a tolerance of v allows q to err by in a step
     goes with h rtol, and h with rtol^(1/order).
     max_order: 1 to 5; by default 2 where the model has flexible bodies (BDF of order 3 to 5 is unstable beside the
     imaginary axis, where their mesh modes lie; only with all of them well damped is 5 the faster) and 5 elsewhere.
@@ -99,18 +102,19 @@ class IDA:
         positive = len(entries) >= 1 and all(is_number(x) and x > 0 for x in entries)
         _check("atol", self.atol, positive, "must be positive")
 
-    def relative(self, sizes: NDArray) -> float:
+    def relative(self, model: Model, sizes: NDArray) -> float:
         """rtol, or that of a run of these sizes, (length, speed, time, ways)."""
-        return relative_tolerance(AIM, WAYS, float(sizes[3])) if self.rtol is None else float(self.rtol)
+        ways = FLEXIBLE_WAYS if model.flexible else WAYS
+        return relative_tolerance(AIM, ways, float(sizes[3])) if self.rtol is None else float(self.rtol)
 
     def tolerances(self, model: Model, sizes: NDArray) -> tuple[float, float | NDArray, float | NDArray]:
         """(Relative tolerance, absolute ones of q, of v) that IDA gets in a run of these sizes, (length, speed, time, ways).
 
         InputError where atol does not fit the model.
         """
-        rtol, n = self.relative(sizes), model.n
+        rtol, n = self.relative(model, sizes), model.n
         if self.atol is None and model.flexible:
-            tight = TIGHT * rtol ** (1 + 1 / self.order(model))
+            tight = rtol ** (1 + 1 / self.order(model))
             return tight, tight * float(sizes[0]), LOOSE * rtol * float(sizes[1])
         if self.atol is None:
             return rtol, rtol * float(sizes[0]), rtol * float(sizes[1])
@@ -128,10 +132,11 @@ class IDA:
 
     def told(self, memory: dict) -> str:
         """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
-        words = [chosen(self.relative(memory["sizes"]), memory["sizes"][3])] if self.rtol is None and "sizes" in memory else []
+        words = [chosen(float(memory["rtol"]), memory["sizes"][3])] if self.rtol is None and "rtol" in memory else []
         if "tolerances" in memory:
             rtol, of_q, of_v = memory["tolerances"]
-            words.append(f"q to {rtol:.1e} of itself and {of_q:.1e}, v to {of_v:.1e}")
+            sharper = f"rtol {rtol:.1e} and " if rtol != float(memory["rtol"]) else ""
+            words.append(f"{sharper}atol {of_q:.1e} of q, {of_v:.1e} of v")
         return ", ".join(words)
 
     def order(self, model: Model) -> int:
@@ -151,7 +156,7 @@ class IDA:
         """Accepted States after `state` (consistent), one an internal step, the last at t_end; raises StepFailure.
 
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
-        State.memory: "mu" of the stabilised forms, and "sizes", from which the "tolerances" came; a run that goes on keeps them.
+        State.memory: "mu" of the stabilised forms, and "sizes", from which "rtol" and "tolerances" came; a run that goes on keeps them.
         """
         sizes = sizes_of_run(model, state, t_end)
         run, look = _Run(self, model, sizes, counts), cells_of(math.inf, t_end - state.t)
@@ -199,7 +204,8 @@ class _Run:
 
         self.settings, self.model, self.counts = settings, model, counts
         rtol, *atol = settings.tolerances(model, sizes)
-        self.sizes, self.memory = sizes, {"sizes": sizes} | ({} if settings.atol else {"tolerances": np.array([rtol, *atol])})
+        self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
+        self.memory |= {} if settings.atol else {"tolerances": np.array([rtol, *atol])}
         self.system, self.linear = _callbacks(settings, model, counts)
         self.right = np.empty(self.system.size)
         self.steps, self.standing, self.attempts = 0, 0, 0
