@@ -6,10 +6,9 @@ from against_peers import peers
 from polyida.cli.study import main
 from polyida.study.drawing import drawn
 from polyida.study.harness import Study
-from step_cost import frames, threads, waits
+from step_cost import beside_alpha, frames, threads, waits
 from step_cost import measure as cost
 from step_cost.against import against
-from step_cost.beside_alpha import ratio_row
 from step_cost.pair import BACKENDS, pair_row
 
 DECADES = {"1e3": 1_000, "1e4": 10_000, "1e5": 100_000}
@@ -42,7 +41,7 @@ RUNS = {
     "step": cost.step_row,
     "floor": cost.floor_row,
     "pair": pair_row,
-    "beside alpha": ratio_row,
+    "beside alpha": beside_alpha.ratio_row,
     "sparse": cost.sparse_row,
     "memory": cost.memory_row,
     "frames": frames.frames_row,
@@ -180,13 +179,7 @@ def step_notes(rows):
 
 
 def ida_notes(rows):
-    """A step of IDA beside one of generalized-alpha, and what it did."""
-    return [
-        f"{row['n']} coordinates: a step of IDA {row['ida_ms']:.3g} ms, of generalized-alpha {row['alpha_ms']:.3g}, in turn {row['ratio']:.2f}; "
-        f"IDA's takes {row['residuals_per_step']:.2f} residuals, {row['factorizations_per_step']:.3f} factorizations and "
-        f"{row['solves_per_step']:.2f} solves, those of the border with every factor among them"
-        for row in only(rows, "beside alpha")
-    ]
+    return beside_alpha.notes(only(rows, "beside alpha"))
 
 
 def radau_notes(rows):

@@ -32,3 +32,13 @@ def _step(model, name, short, long):
     (begin, first), (end, last) = (two_runs if model.n < LARGE else one_run)(model, MEMBERS[name], short, long)
     steps, kinds = last.steps - first.steps, ("residuals", "solves", "factorizations")
     return {"ms": 1e3 * (end - begin) / steps} | {kind: (getattr(last, kind) - getattr(first, kind)) / steps for kind in kinds}
+
+
+def notes(rows):
+    """A step of IDA beside one of generalized-alpha, and what it did."""
+    return [
+        f"{row['n']} coordinates: a step of IDA {row['ida_ms']:.3g} ms, of generalized-alpha {row['alpha_ms']:.3g}, in turn {row['ratio']:.2f}; "
+        f"IDA's takes {row['residuals_per_step']:.2f} residuals, {row['factorizations_per_step']:.3f} factorizations and "
+        f"{row['solves_per_step']:.2f} solves, those of the border with every factor among them"
+        for row in rows
+    ]

@@ -170,11 +170,13 @@ def at_work(t, factor, x):
     args = factor.fronts, factor.panels, x, t
     bound = serve.bound(*args, 1)
     others = [Thread(target=bound, args=(*args, who), daemon=True) for who in range(1, len(t.late))]
-    for other in others:
-        other.start()
+    started = []
     try:
+        for other in others:
+            other.start()
+            started.append(other)
         yield
     finally:
         t.signals[CALLED :: 2 * LINE] = GONE
-        for other in others:
+        for other in started:
             other.join()
