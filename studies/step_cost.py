@@ -59,32 +59,11 @@ def tasks(quick):
         repeats = 1 if quick and large else 3
         count = max(12, STEPS[dof] // few)
         for scene in ("scene 1",) if quick else ("scene 1", "scene 2"):
-            made.append(
-                {
-                    "part": "step",
-                    "scene": scene,
-                    "dof": dof,
-                    "integrator": "alpha",
-                    "short": 0.01,
-                    "long": 0.01 + 1e-3 * count,
-                    "repeats": repeats,
-                }
-            )
+            made.append(_step(scene, dof, "alpha", 0.01, 0.01 + 1e-3 * count, repeats))
         short, long = SPANS[dof]
-        made.append(
-            {
-                "part": "step",
-                "scene": "scene 1",
-                "dof": dof,
-                "integrator": "ida",
-                "short": short,
-                "long": short + (long - short) / (1 if large else few),
-                "repeats": 1 if large else repeats,
-            }
-        )
-        short, long = RADAU_SPANS[dof]
-        radau = {"integrator": "radau", "short": short, "long": long, "repeats": repeats}
-        made.append({"part": "step", "scene": "scene 1", "dof": dof} | radau)
+        once = 1 if large else repeats
+        made.append(_step("scene 1", dof, "ida", short, short + (long - short) / (1 if large else few), once))
+        made.append(_step("scene 1", dof, "radau", *RADAU_SPANS[dof], repeats))
         made += [{"part": "pair", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in BACKENDS]
         names = [name for name in cost.BACKENDS if name != "band" or dof <= peers.WIDEST_BAND]
         made += [{"part": "floor", "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
@@ -98,6 +77,11 @@ def tasks(quick):
     made += frames.tasks(quick) + waits.tasks(quick)
     made.append({"part": "threads", "dof": 100_000, "steps": 10 if quick else 30, "repeats": 3 if quick else 9})
     return made if quick else made + [{"part": "start", "dof": 1_000, "warm": 3}]
+
+
+def _step(scene, dof, integrator, short, long, repeats):
+    step = {"scene": scene, "dof": dof, "integrator": integrator, "short": short, "long": long, "repeats": repeats}
+    return {"part": "step"} | step
 
 
 def run(part, **task):

@@ -55,8 +55,7 @@ class Control:
 def over_run(settings, model, state, t_end):
     """The Control of a run from the state to t_end whose local errors add up to no more than atol + rtol |q|.
 
-    The largest error of a run is 0.7 to 3 times their sum, on all problems but one, however long the run; on the spin-up beam, which is
-    driven all the time, a hundredth. It begins below the step that a motion bears that goes the model's length L within T:
+    What errors come of it `studies/defaults.py` measures: about their sum, and less where a motor drives all the time. It begins below the step that a motion bears that goes the model's length L within T:
     `|C| (h/T)^3 L = h/span (atol + rtol L)`.
     """
     length, _, span, ways = sizes = tuple(map(float, sizes_of_run(model, state, t_end)))
