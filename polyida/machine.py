@@ -57,17 +57,21 @@ def footer(data=None):
     return ", ".join(f"{name} {value}" for name, value in (data or machine_info()).items())
 
 
+def cores():
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @named_keywords
 def threads(count: int | None = None) -> int:
     """Let runs take so many threads from now on, and as many cores, all free; without a number, how many they take: one, where nothing was said.
 
     What takes them are the steps of generalized-alpha on scenes of SHARED coordinates and more (integrate/alpha/scene.py). The
-    results are the same bit by bit for any number. Raises InputError for what is no whole number from 1 to that of the machine's cores.
+    results are the same bit by bit for any number. Raises InputError for what is no whole number from 1 to that of the cores it may use.
     """
-    cores = os.cpu_count() or 1
     if count is not None:
-        if not is_whole(count, 1, cores):
-            raise InputError(f"threads: {count!r} must be a whole number from 1 to {cores}, the cores of this machine")
+        if not is_whole(count, 1, cores()):
+            raise InputError(f"threads: {count!r} must be a whole number from 1 to {cores()}, the cores that this process may use")
         _threads[0] = int(count)
     return _threads[0]
 

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
+from polyida.machine import cores
 from polyida.show.style import figure, rendered
 
 KINDS = ("png", "pdf")
@@ -73,11 +74,6 @@ class Press:
             return pickle.load(self.process.stdout)
         except Exception:  # noqa: BLE001, bytes that are no answer fail in many ways
             self.answers = False
-
-
-def cores():
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def drawn(made):

@@ -74,7 +74,7 @@ def test_cuts_part_the_work_evenly():
 @pytest.fixture
 def two_threads(monkeypatch):
     """Two threads whatever the machine has, for small scenes too."""
-    monkeypatch.setattr(machine.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(machine, "cores", lambda: 2)
     monkeypatch.setattr(compiled_loop, "SHARED", 1)
     yield lambda count: pi.threads(count)
     machine._threads[0] = 1
@@ -101,6 +101,12 @@ def test_a_failing_run_sends_its_threads_home(two_threads):
 
 @pytest.mark.parametrize("count", [0, 3, 1.5, "2", True])
 def test_a_wrong_number_of_threads_is_refused(count, two_threads):
-    with pytest.raises(pi.InputError, match="from 1 to 2, the cores of this machine"):
+    with pytest.raises(pi.InputError, match="from 1 to 2, the cores that this process may use"):
         pi.threads(count)
     assert pi.threads() == 1
+
+
+def test_a_process_that_may_use_one_core_takes_one_thread(monkeypatch):
+    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda process: {0}, raising=False)
+    with pytest.raises(pi.InputError, match="from 1 to 1, the cores that this process may use"):
+        pi.threads(2)

@@ -11,7 +11,7 @@ from step_cost import threads
 
 def test_a_row_of_two_threads(monkeypatch):
     monkeypatch.setattr(threads, "MANY", 2**16)
-    monkeypatch.setattr(machine.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(machine, "cores", lambda: 2)
     row = threads.threads_row(400, 3, 2)
     assert row["lowest"] <= row["speedup"] <= row["highest"] and row["limit"] > 0 and row["triad_one_gb_s"] > 0 and row["factor_mb"] > 0
     assert threads.figures([row])["threads_speedup_1e5"] == row["speedup"] and machine.threads() == 1
