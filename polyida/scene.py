@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 from numpy.typing import ArrayLike
 
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.body import Body, require_body
+from polyida.body.body import Body
 from polyida.body.force_element import ForceElement, require_element, sides_of
 from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.material import vector2
@@ -44,7 +44,7 @@ class Scene:
         if isinstance(part, ForceElement):
             require_element(part)
         if isinstance(part, Body):
-            require_body(part)
+            part.require()
         if any(part is known for known in self.parts.values()):
             raise InputError(f"Scene.add: {part.name or kind_of(part)!r} is in the scene already")
         name = part.name or self._next_name(kind_of(part))

@@ -15,8 +15,7 @@ from polyida.body.force_element import ForceElement, sides_of
 from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
-from polyida.element import stabilisation
-from polyida.element.wachspress import reference_operator
+from polyida.element.choose import operator_of, stabilisation_factor
 from polyida.errors import LockingWarning
 from polyida.given import pairs_of
 from polyida.joint.attachment import Attachment
@@ -73,15 +72,6 @@ def warn_of_locking(name, plate):
             LockingWarning,
             stacklevel=5,
         )
-
-
-def operator_of(plate):
-    """The reference operator of a plate's element on its mesh."""
-    if plate.element == "virtual":
-        from polyida.element import virtual
-
-        return virtual.reference_operator(plate.placed, plate.tau)
-    return reference_operator(plate.placed)
 
 
 def extent_of(plates, few):
@@ -169,7 +159,7 @@ def body_arrays(bodies, gravity):
         modulus, nu = plate.material.in_plane
         c1.append(plate.thickness * modulus / (1 - nu**2))
         ratio.append(nu)
-        factor.append(0.0 if operator.stabilisation is None else stabilisation.of_plate(plate))
+        factor.append(stabilisation_factor(plate, operator))
         density.append(plate.material.rho * plate.thickness)
         lumped = np.add.reduceat(operator.mass, operator.indptr[:-1]) * density[-1]
         weight.append(np.outer(lumped, gravity))

@@ -5,7 +5,6 @@ from functools import cached_property
 import numpy as np
 
 from polyida.assembly.bodies.places import PlacedPlate
-from polyida.assembly.build import operator_of
 from polyida.assembly.constraints import Constraints
 from polyida.element import kernels
 
@@ -24,7 +23,7 @@ class Drawn(Constraints):
         found, first = [], self.bodies[-1].nodes.stop if self.bodies else 0
         for placed in self.few:
             if (plate := placed.body.plate) is not None:
-                found.append((PlacedPlate(placed.name, plate, operator_of(plate), slice(first, first + plate.mesh.n_nodes)), placed))
+                found.append((PlacedPlate(placed.name, plate, placed.body.operator, slice(first, first + plate.mesh.n_nodes)), placed))
                 first = found[-1][0].nodes.stop
         return found
 

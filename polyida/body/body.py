@@ -98,6 +98,16 @@ class Body(OwnPart):
         """Displacements (nodes, 2), m, of the nodes of its plate from those of its pairs, complex."""
         raise NotImplementedError
 
+    def require(self) -> None:
+        """Raise InputError unless its class is whole and gives what it must."""
+        require_whole(self, Body, ("coordinates", "mass_matrix", "attachments"))
+        if writes(self, Body, "elastic") != writes(self, Body, "energy"):
+            raise InputError(f"{self.label}: elastic(z) is the slope of energy(z); its class must give both, or none where it is rigid")
+        named = self.attachments()
+        if not isinstance(named, dict) or not named or not all(isinstance(name, str) and name for name in named):
+            raise InputError(f"{self.label}: attachments() gave {str(named)[:80]}; it must give {{name: weights}}, one at least")
+        mass_of(self), translation_of(self), form_of(self)
+
     def at(self, name: str, direction: ArrayLike | None = None) -> "BodyPoint":
         """A point by name. direction: of any length, in the axes of the body at rest turned with its x axis; that axis where it is None.
 
@@ -228,14 +238,3 @@ def translation_of(body):
 def points_of(body):
     """All of its named points."""
     return [body.at(name) for name in body.attachments()]
-
-
-def require_body(body):
-    """Raise InputError unless a body of one's own is whole."""
-    require_whole(body, Body, ("coordinates", "mass_matrix", "attachments"))
-    if writes(body, Body, "elastic") != writes(body, Body, "energy"):
-        raise InputError(f"{body.label}: elastic(z) is the slope of energy(z); its class must give both, or none where it is rigid")
-    named = body.attachments()
-    if not isinstance(named, dict) or not named or not all(isinstance(name, str) and name for name in named):
-        raise InputError(f"{body.label}: attachments() gave {str(named)[:80]}; it must give {{name: weights}}, one at least")
-    mass_of(body), translation_of(body)

@@ -30,12 +30,12 @@ class Rigid(FieldBody):
         self.require_plate()
 
     @cached_property
-    def _fields(self):
+    def _shapes(self):
         return rigid_fields(self.plate)
 
-    def fields(self) -> NDArray:
+    def shapes(self) -> NDArray:
         """1 and X - X_S at the nodes, (N, 2), complex."""
-        return self._fields
+        return self._shapes
 
     def mass_matrix(self) -> NDArray:
         """diag(mass, inertia), by exact area integrals."""
