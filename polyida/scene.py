@@ -6,13 +6,13 @@ from numpy.typing import ArrayLike
 
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.body import Body, require_body
-from polyida.body.force_element import ForceElement, require_element, sides_of
-from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.material import vector2
 from polyida.body.own_part import OwnPart
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
+from polyida.force.force_element import ForceElement, require_element, sides_of
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
@@ -83,5 +83,5 @@ def kind_of(part):
 def _sides(name, part):
     """What a part holds on to."""
     if isinstance(part, ForceElement):
-        return sides_of(name, part)
+        return [side.at for side in sides_of(name, part)]
     return [getattr(part, key, None) for key in ("a", "b", "at")]

@@ -11,13 +11,13 @@ from polyida.assembly.own.law_table import laws_of
 from polyida.assembly.rows.points import Points
 from polyida.assembly.rows.row_table import Drives, RowTable
 from polyida.body.body import points_of
-from polyida.body.force_element import ForceElement
-from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.element import stabilisation
 from polyida.element.wachspress import reference_operator
 from polyida.errors import LockingWarning
+from polyida.force.force_element import ForceElement
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.joint import Joint
 
 LOCKING = 0.45  # Poisson's ratio in plane strain above which cells of full integration lock

@@ -15,8 +15,8 @@ from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows.increments import Increments
 from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
-from polyida.body.force_element import ForceElement
 from polyida.element import kernels
+from polyida.force.force_element import ForceElement
 from polyida.linear.lu import LU
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs

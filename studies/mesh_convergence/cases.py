@@ -6,7 +6,7 @@ reference.
 
 import numpy as np
 
-from polyida.body.loads import PointLoad
+from polyida.force.loads import PointLoad
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.integrate.static import static

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida import mesh, profile
-from polyida.body.loads import EdgeTraction, PointLoad
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass

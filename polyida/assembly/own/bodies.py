@@ -76,7 +76,7 @@ class Elastic(OwnForce):
         self.name, self.element, self.not_finite = own.name, own.body, ""
         self.rest = own.pairs
         self.A = eye_array(2 * n_nodes, format="csr")[2 * own.nodes.start : 2 * own.nodes.stop]
-        self.extent = float(np.abs(own.rest).max()) or 1.0
+        self.sizes = np.full((len(own.rest), 1), float(np.abs(own.rest).max()) or 1.0)
 
     def forces(self, t, x, v):
         """Forces on the pairs, (pairs, 2)."""
