@@ -11,12 +11,12 @@ from polyida.assembly.own.law_table import laws_of
 from polyida.assembly.rows.points import Points
 from polyida.assembly.rows.row_table import Drives, RowTable
 from polyida.body.body import Body, points_of
-from polyida.body.force_element import ForceElement, sides_of
-from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.element.choose import operator_of, stabilisation_factor
 from polyida.errors import LockingWarning
+from polyida.force.force_element import ForceElement, sides_of
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.given import pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
@@ -58,7 +58,11 @@ def few_of(parts, first):
 
 def sides_held(name, part):
     """The attachments that a part holds on to."""
-    sides = sides_of(name, part) if isinstance(part, ForceElement) else [getattr(part, key, None) for key in ("a", "b", "at")]
+    sides = (
+        [side.at for side in sides_of(name, part)]
+        if isinstance(part, ForceElement)
+        else [getattr(part, key, None) for key in ("a", "b", "at")]
+    )
     return [side for side in sides if isinstance(side, Attachment)]
 
 

@@ -23,7 +23,6 @@ from polyida.linear.cholesky.team import Team, solve_together
 from polyida.linear.cholesky.triangular import solve_band, solve_columns
 from polyida.linear.dense import clear, solve_small
 
-
 UNIT = (lambda c, n: np.stack([c, -n], axis=1), lambda c, n: np.stack([n, c], axis=1))  # A^T of a unit along x and along y
 
 

@@ -46,14 +46,7 @@ class Drawn(Constraints):
             modulus, nu = body.plate.material.in_plane
             out, operator = np.empty((body.mesh.n_cells, 3)), body.operator
             kernels.stress(
-                *operator.force_arrays,
-                operator.lane_cells,
-                operator.areas,
-                body.nodes.start,
-                modulus / (1 - nu**2),
-                nu,
-                nodal,
-                out,
+                *operator.force_arrays, operator.lane_cells, operator.areas, body.nodes.start, modulus / (1 - nu**2), nu, nodal, out
             )
             parts.append(out)
         return np.concatenate(parts)

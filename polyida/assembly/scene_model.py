@@ -15,7 +15,7 @@ from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows.increments import Increments
 from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
-from polyida.body.force_element import ForceElement
+from polyida.force.force_element import ForceElement
 from polyida.given import on_pairs, pairs_of
 from polyida.linear.lu import LU
 from polyida.linear.step_matrix import StepMatrix

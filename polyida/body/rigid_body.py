@@ -41,7 +41,9 @@ class RigidBody(Body):
     name: str | None = None
 
     def __post_init__(self):
-        settle(self, mass=positive(self.label, "mass", self.mass, "kilograms"), inertia=positive(self.label, "inertia", self.inertia, "kg m2"))
+        settle(
+            self, mass=positive(self.label, "mass", self.mass, "kilograms"), inertia=positive(self.label, "inertia", self.inertia, "kg m2")
+        )
         for key in ("origin", "center", "velocity"):
             settle(self, **{key: tuple(vector2(self.label, key, getattr(self, key)).tolist())})
         for key, unit in (("angle", "rad"), ("spin", "rad/s")):
@@ -49,7 +51,9 @@ class RigidBody(Body):
                 raise InputError(f"{self.label}: {key} = {getattr(self, key)!r} must be a finite number of {unit}")
             settle(self, **{key: float(getattr(self, key))})
         if not isinstance(self.points, Mapping) or not self.points or not all(isinstance(name, str) and name for name in self.points):
-            raise InputError(f"{self.label}: points = {str(self.points)[:80]} must be a dictionary {{name: (x, y)}}, with one point at least")
+            raise InputError(
+                f"{self.label}: points = {str(self.points)[:80]} must be a dictionary {{name: (x, y)}}, with one point at least"
+            )
         settle(self, points={name: tuple(vector2(self.label, f"point {name!r}", at).tolist()) for name, at in self.points.items()})
 
     @classmethod

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 from numpy.typing import NDArray
 
 from polyida.joint.attachment import labelled
-from polyida.joint.formula import Row, Vector, cross
+from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
+from polyida.joint.shared_rows import held, torque
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
 
@@ -33,9 +33,8 @@ class AngleMotor(Joint):
 
     def rows(self) -> list[Row | Vector]:
         """`R(theta + theta0) d_A x d_B`."""
-        return [cross(self.a.d.onto(self.b.d).turned(self.angle), self.b.d).one_way().named("angle", "N m")]
+        return [held(self.a, self.b, self.angle)]
 
     def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
         """The torque on b, (frames, 1), N m."""
-        sizes = [np.linalg.norm(values(side.d), axis=1) for side in (self.a, self.b)]
-        return -lam * (sizes[0] * sizes[1])[:, None]
+        return torque(self, lam[:, 0], values)[:, None]

@@ -1,5 +1,7 @@
 """What Python alone can say of bodies of one's own: elastic forces, and masses that are not the same along x and y."""
 
+import numpy as np
+
 from polyida.assembly.own.forces import OwnForce
 from polyida.given import complexes, pairs_of
 
@@ -27,7 +29,7 @@ class Elastic(OwnForce):
         self.name, self.element, self.not_finite = placed.name, placed.body, ""
         self.rest = pairs_of(placed.rest)
         self.A = eye_array(2 * n_pairs, format="csr")[2 * placed.pairs.start : 2 * placed.pairs.stop]
-        self.extent = float(abs(self.rest).max()) or 1.0
+        self.sizes = np.full((len(self.rest), 1), float(abs(self.rest).max()) or 1.0)
 
     def forces(self, t, x, v):
         """Forces on the pairs, (pairs, 2)."""
@@ -40,7 +42,7 @@ class Elastic(OwnForce):
     def slopes(self, t, x, v, c_v, c_q):
         """`c_q df/dx`, (2 pairs, 2 pairs)."""
         if not c_q:
-            return 0.0 * x.repeat(2, axis=0).repeat(len(x), axis=1)
+            return np.zeros((x.size, x.size))
         if self.element.elastic_z(x @ (1, 1j)) is not None:
             return -c_q * self._call("elastic_z", (x.size, x.size), x @ (1, 1j))
         return c_q * self._differences(x, lambda d: self.forces(t, x + d, v))

@@ -125,10 +125,8 @@ def _apart(part):
     if not isinstance(part, Joint):
         return "its coordinates() must be on the rows that it gives"
     a, b = part.a, part.b
-    return (
-        f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; "
-        "place the bodies so that they meet"
-    )
+    apart = np.linalg.norm(a.point - b.point)
+    return f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}, {apart:.3g} m apart; {part.placing}"
 
 
 def _called(name, labels):

@@ -54,9 +54,7 @@ class PlateMatrices:
 
         o = self.operator
         blocks = np.zeros((len(o.indices), 2, 2))
-        kernels.tangent(
-            o.layout, o.corners, o.gradients, o.weights, o.pairs, 0, 0, *self.c1, np.zeros((o.n_nodes, 2)), 1.0, blocks
-        )
+        kernels.tangent(o.layout, o.corners, o.gradients, o.weights, o.pairs, 0, 0, *self.c1, np.zeros((o.n_nodes, 2)), 1.0, blocks)
         K = bsr_array((blocks, o.indices, o.indptr), shape=(2 * o.n_nodes,) * 2).tocsc()
         return K if self.stabilisation is None else (K + kron(self.stabilisation, eye_array(2))).tocsc()
 
