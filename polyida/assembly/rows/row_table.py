@@ -127,7 +127,7 @@ def _apart(part):
     a, b = part.a, part.b
     return (
         f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; "
-        "place the bodies so that they meet"
+        "place the bodies so that they meet, or let scene.assemble() move them"
     )
 
 
