@@ -4,11 +4,10 @@ import numpy as np
 
 from polyida.body.force_element import sides_of
 from polyida.errors import InputError
-from polyida.given import complexes, is_number, read_only, reals
+from polyida.given import complexes, is_number, on_pairs, read_only, reals
 from polyida.model import differences
 
 SORT = {reals: "real", complexes: "complex"}
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imaginary unit does to (x, y)
 
 
 class OwnForce:
@@ -122,14 +121,12 @@ class OwnForces:
 
 def _places(sides, model):
     """A: displacements of the sides from q, (2 sides, n)."""
-    from scipy.sparse import csr_array, kron
+    from scipy.sparse import csr_array
 
-    held = [(k, side) for k, side in enumerate(sides) if side.body is not None]
-    rows = np.concatenate([np.full(len(side.nodes), k) for k, side in held])
-    columns = np.concatenate([model.nodes_of(side) for _, side in held])
-    weights = np.concatenate([side.weights for _, side in held]).astype(complex)
-    whole = csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes))
-    return csr_array(kron(whole.real, np.eye(2)) + kron(whole.imag, TURN))
+    held = [(k, *model.held(side)) for k, side in enumerate(sides) if side.body is not None]
+    rows = np.concatenate([np.full(len(pairs), k) for k, pairs, _ in held])
+    columns, weights = (np.concatenate([entry[i] for entry in held]) for i in (1, 2))
+    return on_pairs(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)))
 
 
 def _shape(given):
