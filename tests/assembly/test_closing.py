@@ -1,6 +1,6 @@
 """Loops that are drawn nearly closed: `scene.assemble()` closes them to round-off, moves little, and says what cannot close."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -18,33 +18,27 @@ MESHES = {name: pi.mesh.rectangle(float(np.hypot(*way)), 0.02, cells=12, seed=1)
 
 
 @dataclass(frozen=True, eq=False)
-class Bar(pi.Body):
-    """A rigid bar: its middle, m, and its direction z, |z| = 1."""
-
-    length: float
-    origin: tuple = (0.0, 0.0)
-    angle: float = 0.0
-    name: str | None = None
-
-    def coordinates(self):
-        z = np.exp(1j * self.angle)
-        return [complex(*self.origin) + z * self.length / 2, z]
-
-    def mass_matrix(self):
-        return np.diag([self.length, self.length**3 / 12])
-
-    def attachments(self):
-        return {"left": [1.0, -self.length / 2], "right": [1.0, self.length / 2]}
-
-    def x_axis(self):
-        return [0.0, 1.0]
-
-    def rows(self):
-        z = self.at("left").d
-        return [(pi.dot(z, z) - 1.0) * (0.5 * self.length)]
+class Bar(pi.RigidBody):
+    """A rigid bar whose ends are called as a plate's sections are."""
 
     def section(self, name):
         return self.at(name)
+
+
+@dataclass(frozen=True, eq=False)
+class Point(pi.Body):
+    """A mass that cannot be placed."""
+
+    name: str | None = None
+
+    def coordinates(self):
+        return [0.3]
+
+    def mass_matrix(self):
+        return np.eye(1)
+
+    def attachments(self):
+        return {"here": [1.0]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +46,27 @@ class Fixed(Bar):
     """One whose coordinates do not follow its angle."""
 
     def coordinates(self):
-        return [complex(*self.origin) + self.length / 2, 1.0]
+        return [complex(*self.origin), 1.0]
 
 
 def plate(name, origin, angle):
     return pi.Plate(MESHES[name], STEEL, 0.01, origin=origin, angle=angle, name=name)
 
 
-def bar(name, origin, angle):
-    return Bar(float(np.hypot(*DRAWN[name])), origin=tuple(origin), angle=float(angle), name=name)
+def bar(name, origin, angle, kind=Bar, length=None):
+    return kind.bar(length or float(np.hypot(*DRAWN[name])), 1.0, origin=origin, angle=angle, name=name)
+
+
+def rigid(name, origin, angle):
+    return pi.Rigid(plate(name, origin, angle))
+
+
+def too_long(name, origin, angle):
+    return bar(name, origin, angle, length=1.6)
+
+
+def fixed(name, origin, angle):
+    return bar(name, origin, angle, Fixed)
 
 
 def four_bar(errors=AS_IS, make=plate, at=0.0, **others):
@@ -83,7 +89,7 @@ def apart(scene):
     return max(np.linalg.norm(pin.a.point - pin.b.point) for pin in scene.parts.values() if isinstance(pin, pi.Revolute))
 
 
-@pytest.mark.parametrize("make", [plate, bar])
+@pytest.mark.parametrize("make", [plate, bar, rigid])
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9), st.sampled_from([1e-6, 1e-3, 2e-2]))
 def test_a_four_bar_closes_and_its_links_move_by_as_little_as_they_were_off(make, errors, size):
@@ -103,19 +109,19 @@ def test_of_all_ways_to_close_the_shortest_is_taken():
         link = scene.add(bar("coupler", (step, 2 * step), 0.0))
         scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), link.at("left")))
         report = scene.assemble()
-        size = np.hypot(*DRAWN["coupler"]) / 2  # of the bar: its ends' distance from its middle
-        turn = -2 * step * size / (size**2 + size**2)  # least (x^2 + y^2 + size^2 turn^2) with y - size turn = -2 step, x = -step
-        assert report.turn["coupler"] == pytest.approx(-turn, rel=3 * step)
-        assert report.shift["coupler"] == pytest.approx(np.hypot(step, step), rel=3 * step)
+        # least x^2 + y^2 + s^2 turn^2 with x = -step, y - half turn = -2 step: s^2 = 2/3 half^2 of the bar's two ends and its middle
+        half = np.hypot(*DRAWN["coupler"]) / 2
+        assert report.turn["coupler"] == pytest.approx(1.2 * step / half, rel=3 * step)
+        assert report.shift["coupler"] == pytest.approx(np.hypot(1.0, 0.8) * step, rel=3 * step)
 
 
 def test_a_stretched_four_bar_closes_where_its_rows_depend_on_each_other():
     scene = pi.Scene()
     ends = [bar("coupler", (0.0, 1e-3), 0.02), bar("coupler", (np.hypot(*DRAWN["coupler"]), 0.0), -0.01)]
-    first, second = (scene.add(Bar(link.length, link.origin, link.angle, name=name)) for link, name in zip(ends, ("first", "second")))
+    first, second = (scene.add(replace(link, name=name)) for link, name in zip(ends, ("first", "second")))
     scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), first.at("left")))
     scene.add(pi.Revolute(first.at("right"), second.at("left")))
-    scene.add(pi.Revolute(second.at("right"), pi.ground.at((2 * first.length, 0.0))))
+    scene.add(pi.Revolute(second.at("right"), pi.ground.at((2 * np.hypot(*DRAWN["coupler"]), 0.0))))
     scene.assemble()
     assert apart(scene) < 1e-12
     assert abs(first.angle) < 1e-6 > abs(second.angle)
@@ -140,7 +146,7 @@ def test_what_holds_on_to_a_body_goes_with_it(scenes):
 
 
 def test_a_closed_scene_runs_and_comes_back_from_its_file(tmp_path):
-    scene = four_bar(np.full((3, 3), 2e-3), bar)
+    scene = four_bar(np.full((3, 3), 2e-3))
     with pytest.raises(pi.InputError, match=r"A: it does not hold at rest.*or let scene.assemble\(\) move them"):
         scene.build()
     scene.assemble()
@@ -173,6 +179,16 @@ def test_what_is_clamped_stays_and_plain_ground_is_where_it_was_drawn():
     report = scene.assemble()
     assert report.shift["crank"] == 0.0 and np.array_equal(base.points, before)
     assert report.shift["coupler"] < wide < report.largest * 2
+
+
+def test_a_body_that_cannot_be_placed_stays():
+    scene = pi.Scene()
+    mass, link = scene.add(Point(name="mass")), scene.add(bar("crank", (0.0, 0.0), 0.1))
+    scene.add(pi.Revolute(mass.at("here"), link.at("right")))
+    report = scene.assemble()
+    assert report.shift["mass"] == 0.0 < report.shift["crank"]
+    assert np.allclose(link.at("right").point, [0.3, 0.0], atol=1e-15)
+    assert "moved 'crank' by" in report.summary() and "'mass'" not in report.summary()
 
 
 def test_a_weld_keeps_the_angle_that_was_drawn():
@@ -232,8 +248,8 @@ def built():
 @pytest.mark.parametrize(
     "call, told",
     [
-        (lambda: four_bar(coupler=lambda name, *place: Bar(1.6, *place, name)).assemble(), "'[ABCD]' by 0.0.* m.* stay open .* as drawn"),
-        (lambda: four_bar(np.full((3, 3), 0.01), coupler=lambda name, o, a: Fixed(0.5, o, a, name)).assemble(), "'coupler' has origin and"),
+        (lambda: four_bar(coupler=too_long).assemble(), "'[ABCD]' by 0.0.* m.* stay open .* as drawn"),
+        (lambda: four_bar(np.full((3, 3), 0.01), coupler=fixed).assemble(), "'coupler' has origin and"),
         (lambda: with_joint(lambda link: Turning(pi.ground.at((0.0, 0.0)), link.at("left"), name="own")).assemble(), "'own' is open again"),
         (half_a_turn, "'drive' would close on the wrong half-turn"),
         (built, "'crank' would have to move, but there is a model"),
@@ -247,7 +263,7 @@ def test_what_cannot_be(call, told):
 
 
 def test_nothing_has_moved_where_it_was_refused():
-    scene = four_bar(np.full((3, 3), 0.01), coupler=lambda name, origin, angle: Fixed(0.5, tuple(origin), angle, name))
+    scene = four_bar(np.full((3, 3), 0.01), coupler=fixed)
     before = {name: (part.origin, part.angle) for name, part in scene.parts.items() if hasattr(part, "origin")}
     with pytest.raises(pi.InputError):
         scene.assemble()

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polyida.assembly.build import extent_of, of_kind
-from polyida.assembly.closing.placed import Placed
-from polyida.assembly.own.bodies import own_bodies_of
+from polyida.assembly.build import of_kind
+from polyida.assembly.closing.placed import Placed, places_of
 from polyida.body.body import Body
 from polyida.body.plate import Plate
 from polyida.errors import InputError
+from polyida.given import pairs_of
 from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
 
@@ -49,8 +49,9 @@ def close(parts, held=()):
     Raises InputError, with every body where it was drawn, naming the joints that stay open, or bodies that would have to move and are
     held, by name.
     """
-    size = extent_of([plate for plate in parts.values() if isinstance(plate, Plate)], own_bodies_of(parts, 0))
-    bodies = [Placed(name, body, size) for name, body in of_kind(parts, Plate, Body).items()]
+    known = of_kind(parts, Plate, Body)
+    size = float(np.ptp(pairs_of(np.concatenate([places_of(body) for body in known.values()])), axis=0).max()) or 1.0
+    bodies = [Placed(name, body, size) for name, body in known.items()]
     loops = Loops(parts, [body for body in bodies if body.part], size)
     x, gaps = loops.solve()
     loops.require_closed(x, gaps)

@@ -7,7 +7,7 @@ import numpy as np
 from polyida.body.body import points_of
 from polyida.body.plate import Plate
 from polyida.errors import InputError
-from polyida.given import settle
+from polyida.given import complex_of_pairs, settle
 
 MISPLACED = 1e-9  # of a body's size and distance, by which its points may miss the place that its origin and angle give them
 
@@ -20,18 +20,18 @@ class Placed:
 
     def __init__(self, name, body, extent):
         self.name, self.body, self.part = name, body, _placing(body)
-        places = _places(body)
+        places = places_of(body)
         self.centre = places.mean()
         self.size = float(np.sqrt(np.mean(np.abs(places - self.centre) ** 2))) or extent
 
     def move(self, shift, turn):
         """Move it by `shift`, complex, m, and turn it about its centre by `turn`, rad, in place; the longest way of a point, m."""
-        before = _places(self.body)
+        before = places_of(self.body)
         rotation = np.exp(1j * turn)
         origin = rotation * (complex(*self.part.origin) - self.centre) + self.centre + shift
         self.settle((origin.real, origin.imag), float(self.part.angle + turn))
         wanted = rotation * (before - self.centre) + self.centre + shift
-        if np.abs(_places(self.body) - wanted).max() > MISPLACED * (self.size + np.abs(wanted).max()):
+        if np.abs(places_of(self.body) - wanted).max() > MISPLACED * (self.size + np.abs(wanted).max()):
             raise InputError(
                 f"Scene.assemble: {self.body.label} has origin and angle, but its points do not follow them; let its coordinates() be those "
                 "at the origin, turned by the angle and moved to the origin"
@@ -56,10 +56,11 @@ def _placing(body):
     return next((part for part in (body, getattr(body, "plate", None)) if hasattr(part, "origin") and hasattr(part, "angle")), None)
 
 
-def _places(body):
-    """Nodes of a plate, named points of another body, (k,) complex, m."""
-    points = body.points if isinstance(body, Plate) else np.array([point.point for point in points_of(body)])
-    return points @ [1.0, 1j]
+def places_of(body):
+    """Nodes of a plate or of that which a body is made of, named points of another, (k,) complex, m."""
+    plate = body if isinstance(body, Plate) else body.plate
+    points = np.array([point.point for point in points_of(body)]) if plate is None else plate.points
+    return complex_of_pairs(points)
 
 
 def _derived(kind):
