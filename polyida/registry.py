@@ -18,6 +18,9 @@ parts: dict[str, Any] = {
     "Clamp": "polyida.joint.clamp:Clamp",
     "Prismatic": "polyida.joint.prismatic:Prismatic",
     "Slot": "polyida.joint.slot:Slot",
+    "Distance": "polyida.joint.distance:Distance",
+    "Weld": "polyida.joint.weld:Weld",
+    "Path": "polyida.joint.path:Path",
     "SpringDamper": "polyida.force.spring_damper:SpringDamper",
     "Torque": "polyida.force.torque:Torque",
 }

@@ -5,7 +5,7 @@ from functools import cached_property
 import numpy as np
 
 from polyida.assembly import equilibrium as compiled
-from polyida.assembly.arrays import bilinear, concatenated
+from polyida.assembly.arrays import bilinear, concatenated, shifting_drives, turning_drives
 from polyida.assembly.build import assemble, bodies_of, extent_of, first_nodes, of_kind
 from polyida.assembly.constraints import Constraints
 from polyida.assembly.damping import add_damping, damped_blocks
@@ -47,13 +47,13 @@ class SceneModel(Constraints):
         self.n, self.m = 2 * self.n_nodes, len(self.labels)
         self.n_points = len(points.nodes)
         links = self.arrays.links
-        self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
+        self.motor_profiles, self.path_profiles = turning_drives(links), shifting_drives(links)
         elements, deforming = of_kind(parts, ForceElement), [own for own in self.own_bodies if own.elastic]
         self.damped, self.flexible = any(body.plate.material.damped for body in self.bodies), bool(self.bodies or deforming)
         self.needs = Needs(
             mass_varies=False,
             velocity_forces=self.damped or bool(elements),
-            driven=bool((links.product_drive >= 0).any()),
+            driven=bool(len(self.motor_profiles) or len(self.path_profiles)),
             phi_q_varies=bool(bilinear(links).any()),
         )
         self.reference = np.concatenate([body.points for body in self.bodies] + [own.pairs for own in self.own_bodies])
