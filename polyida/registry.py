@@ -10,6 +10,9 @@ from typing import Any
 
 parts: dict[str, Any] = {
     "Plate": "polyida.body.plate:Plate",
+    "RigidBody": "polyida.body.rigid_body:RigidBody",
+    "Rigid": "polyida.body.rigid:Rigid",
+    "Reduced": "polyida.body.reduced:Reduced",
     "PointMass": "polyida.body.point_mass:PointMass",
     "PointLoad": "polyida.force.loads:PointLoad",
     "EdgeTraction": "polyida.force.loads:EdgeTraction",

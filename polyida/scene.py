@@ -4,16 +4,16 @@ from typing import Any, TypeVar
 
 from numpy.typing import ArrayLike
 
+from polyida.assembly.build import sides_held
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.body import Body, require_body
+from polyida.body.body import Body
 from polyida.body.material import vector2
 from polyida.body.own_part import OwnPart
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
-from polyida.force.force_element import ForceElement, require_element, sides_of
+from polyida.force.force_element import ForceElement, require_element
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 
@@ -44,7 +44,7 @@ class Scene:
         if isinstance(part, ForceElement):
             require_element(part)
         if isinstance(part, Body):
-            require_body(part)
+            part.require()
         if any(part is known for known in self.parts.values()):
             raise InputError(f"Scene.add: {part.name or kind_of(part)!r} is in the scene already")
         name = part.name or self._next_name(kind_of(part))
@@ -65,8 +65,8 @@ class Scene:
         if not bodies:
             raise InputError("Scene.build: the scene has no plate and no other body")
         for name, part in self.parts.items():
-            for side in _sides(name, part):
-                if isinstance(side, Attachment) and not any(side.body is body for body in bodies):
+            for side in sides_held(name, part):
+                if not any(side.body is body for body in bodies):
                     raise InputError(f"{name}: {side!r} is of a body that is not in the scene; add it with scene.add")
         return SceneModel(self.parts, self.gravity)
 
@@ -78,10 +78,3 @@ def kind_of(part):
     if isinstance(part, (ForceElement, Body)):
         return type(part).__name__.lower()
     return next(word for kind, word in KINDS.items() if isinstance(part, kind))
-
-
-def _sides(name, part):
-    """What a part holds on to."""
-    if isinstance(part, ForceElement):
-        return [side.at for side in sides_of(name, part)]
-    return [getattr(part, key, None) for key in ("a", "b", "at")]

@@ -44,6 +44,7 @@ class Plate:
     element: str = "wachspress"
     tau: float = 0.1
     label: str = field(init=False, repr=False)
+    turns_only = False
 
     def __post_init__(self):
         label = labelled("Plate", self.name)

@@ -78,11 +78,6 @@ class Side:
     part: str
     rest: NDArray
 
-    @property
-    def weights(self) -> NDArray:
-        """Of the coordinates of its body."""
-        return self.at.weights if self.part == "point" else self.at.turn_weights
-
     def size(self, extent: float) -> float:
         """Of what it says of itself: a scene's extent, m, or that of a direction, one."""
         return extent if self.part == "point" else 1.0

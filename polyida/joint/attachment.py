@@ -69,7 +69,6 @@ class Attachment:
     turn_weights: np.ndarray | None
     length: float
     name: str
-    turns_only = False  # whether the length of its direction may be held by its body
     advice = "use a section of two nodes or more"  # where it has no direction
 
     @property
@@ -81,6 +80,11 @@ class Attachment:
     def direction(self) -> NDArray | None:
         """Reference direction, (2,), of length one, or None: the same wherever the body lies."""
         return None if self.turn_weights is None else self.turn_weights @ _arms(self.body, self.nodes)
+
+    @property
+    def turns_only(self) -> bool:
+        """Whether its body may hold the length of its direction."""
+        return self.body.turns_only
 
     @property
     def has_direction(self) -> bool:

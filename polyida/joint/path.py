@@ -43,7 +43,7 @@ class Path(Joint):
     def rows(self) -> list[Row | Vector]:
         """`x - X(t)` and `y - Y(t)`, or one of them."""
         axes = ("x", 1.0, self.x), ("y", 1j, self.y)
-        return [(dot(along(e), self.at.x) - profile).named(axis, "N") for axis, e, profile in axes if profile is not None]
+        return [(dot(along(e), self.at.x) - as_profile(way, "Path")).named(axis, "N") for axis, e, way in axes if way is not None]
 
     def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
         """Force on the attachment, (frames, rows), N."""

@@ -4,12 +4,11 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.force.force_element import sides_of
-from polyida.given import complexes, is_number, read_only, reals
+from polyida.given import complexes, is_number, on_pairs, read_only, reals
 from polyida.model import differences
 
 SORT = {reals: "real", complexes: "complex"}
 NEAR = 1e-3  # of the size of what is varied: forces of contact change within that
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imaginary unit does to (x, y)
 
 
 class OwnForce:
@@ -130,14 +129,12 @@ class OwnForces:
 
 def _places(sides, model):
     """A: displacements of the sides from q, (2 sides, n)."""
-    from scipy.sparse import csr_array, kron
+    from scipy.sparse import csr_array
 
-    held = [(k, side) for k, side in enumerate(sides) if side.at is not None]
-    rows = np.concatenate([np.full(len(side.weights), k) for k, side in held])
-    columns = np.concatenate([model.nodes_of(side.at) for _, side in held])
-    weights = np.concatenate([side.weights for _, side in held]).astype(complex)
-    whole = csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes))
-    return csr_array(kron(whole.real, np.eye(2)) + kron(whole.imag, TURN))
+    held = [(k, *model.held(side.at, side.part)) for k, side in enumerate(sides) if side.at is not None]
+    rows = np.concatenate([np.full(len(pairs), k) for k, pairs, _ in held])
+    columns, weights = (np.concatenate([entry[i] for entry in held]) for i in (1, 2))
+    return on_pairs(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)))
 
 
 def _shape(given):

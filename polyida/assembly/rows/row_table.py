@@ -61,8 +61,8 @@ class RowTable:
     def _weights(self, piece):
         weights = {}
         for side, part, w in piece.terms:
-            for point, share in self._points.parts(side, part):
-                weights[point] = weights.get(point, 0j) + w * share
+            point = self._points.add(side, part)
+            weights[point] = weights.get(point, 0j) + w
         return weights
 
     def arrays(self):
