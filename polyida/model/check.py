@@ -11,7 +11,7 @@ from polyida.model import Model, differences
 from polyida.model.guarded import guard
 
 ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of what it is taken of
-OF_FORCES = ("force_v", "tangent, v")
+ONE_SIDED = 8  # by how much more of it a difference beside a kink has
 
 
 @named_keywords
@@ -37,7 +37,8 @@ def check_derivatives(
     q, v, a = (random.standard_normal(model.n) if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a)))
     lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
     n, m = model.n, model.m
-    blur = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
+    force = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
+    blur = {"force_v": force, "tangent, v": force, "phi_t": ONE_SIDED * ROUND_OFF * np.abs(model.phi(t, q)).max(initial=0.0)}
     pairs = {
         "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
         "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
@@ -58,7 +59,7 @@ def check_derivatives(
             "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), room=model._smooth(t))),
             "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
         }
-    return {name: _deviation(*pair, blur if name in OF_FORCES else 0.0) for name, pair in pairs.items()}
+    return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
 
 
 def _deviation(exact, difference, blur):
