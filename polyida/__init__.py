@@ -42,6 +42,8 @@ _PLACES = {
     "consistent_state": "integrate.start",
     "condition_number": "integrate.iteration_matrix",
     "static": "integrate.static",
+    "modes": "modal.modes",
+    "Modes": "modal.modes",
     "State": "integrate.state",
     "Counts": "integrate.state",
     "GeneralizedAlpha": "integrate.alpha.generalized_alpha",

@@ -16,20 +16,8 @@ from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.keywords import named_keywords
 from polyida.model.guarded import guard
-
-
-@dataclass(frozen=True)
-class Energy:
-    """Energies over time, (frames,), J; nan where the model does not state its potential."""
-
-    kinetic: np.ndarray
-    potential: np.ndarray
-    strain: np.ndarray
-
-    @property
-    def total(self) -> NDArray:
-        """kinetic + potential + strain."""
-        return self.kinetic + self.potential + self.strain
+from polyida.results.energy import Energy, energy_of
+from polyida.results.motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +94,12 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> Energy:
-        """Kinetic, potential (gravity, force elements) and strain energy of every frame."""
-        model = self._known_model("energy")
-        kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(each(self.q), each(self.v))])
-        potential, strain = np.array([model.potentials(q) for q in each(self.q)], float).reshape(-1, 2).T
-        return Energy(kinetic, potential, strain)
+        """Kinetic, potential (gravity, force elements) and strain energy of every frame; when asked, work of parts and what they dissipate."""
+        return energy_of(self._motion("energy"))
+
+    def _motion(self, what):
+        """The run with its model as it is called."""
+        return Motion(self._known_model(what), self.t, self.q, self.v, self.a, self.lam)
 
     def _known_model(self, what):
         if self.model is None:

@@ -310,6 +310,15 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "max_iterations": COUNT,
         },
     ),
+    "modes": (
+        made(pi.modes, model=build(pi.Clamp(LEFT))),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "count": COUNT[:-3] + [10**6],
+            "damped": NOTHING + LISTS + [1, "yes"],
+        },
+    ),
     "consistent_state": (
         made(pi.consistent_state, model=MODEL, q0=[-1.0, 0.0]),
         {"model": NOTHING + [BOARD], "t0": NUMBER, "q0": ARRAY, "v0": ARRAY},

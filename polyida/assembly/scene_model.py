@@ -12,6 +12,7 @@ from polyida.assembly.damping import add_damping, damped_blocks
 from polyida.assembly.drawn import Drawn, deepest
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.powers import Powers
 from polyida.assembly.rows.increments import Increments
 from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
@@ -230,6 +231,15 @@ class SceneModel(Drawn):
         """Potential of gravity on bodies and masses, J, zero at q = 0."""
         at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
         return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
+
+    @property
+    def dissipating(self):
+        """Names of force elements and plates that only take energy."""
+        return self.once(Powers).dissipating
+
+    def powers(self, t, q, v, lam):
+        """{name: power, W} of loads, driven joints, force elements beyond their energy, and damping."""
+        return self.once(Powers)(t, q, v, lam)
 
     @cached_property
     def pattern(self):

@@ -51,6 +51,9 @@ class Joint:
                 label = labelled(type(self).__name__, self.name)
                 raise InputError(f"{label}: {side!r} has no direction; {side.advice}")
 
+    def keep_drawing(self) -> None:
+        """Called before `scene.assemble()` moves bodies: keep of the drawing what rows() would take from another one otherwise."""
+
     def facing(self) -> Self:
         """The joint with plain `ground` put where its other side is in the reference configuration."""
         a, b = (side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a)))

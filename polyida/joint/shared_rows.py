@@ -10,9 +10,10 @@ def across(a, b):
     return cross(a.d, b.x - a.x).named("across", "N")
 
 
-def held(a, b, angle=0.0):
-    """`R(angle) R1 d_A x d_B`, R1 by which it vanishes at rest: b stands at an angle against a, a number or a profile."""
-    return cross(a.d.onto(b.d).turned(angle), b.d).one_way().named("angle", "N m")
+def held(a, b, angle=0.0, zero=None):
+    """`R(angle + zero) d_A x d_B`: b stands at an angle against a, a number or a profile, beyond zero, rad; None: that at rest."""
+    ahead = a.d.onto(b.d) if zero is None else a.d.turned(zero)
+    return cross(ahead.turned(angle), b.d).one_way().named("angle", "N m")
 
 
 def force_across(joint, lam, values):

@@ -62,6 +62,7 @@ class Model:
     motor_profiles = ()  # which of them turn rows of phi, rad
     path_profiles = ()  # which of them are added to rows of phi, m
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
+    dissipating = ()  # names in `powers` of what only takes
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
     def mass(self, q: NDArray) -> Matrix:
@@ -125,6 +126,10 @@ class Model:
         """(potential of loads, strain energy), J; nan where the model does not say."""
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
+
+    def powers(self, t: float, q: NDArray, v: NDArray, lam: NDArray) -> dict[str, float]:
+        """{name: power, W} of what works on it from outside, or without a part in `potential`; `run.energy.work` holds its integrals."""
+        return {}
 
     def objection(self, t: float, q: NDArray) -> str | None:
         """Why a state cannot be accepted, or None."""

@@ -237,7 +237,7 @@ def energy(c, u):
 def blocks(c, u, v, c_m, c_v, c_q, out):
     """out (nnz, 2, 2) += `c_m M + c_v dg/dv + c_q dg/dq` of all, where it is made anew: zero before on their blocks."""
     for b in range(c.drag.shape[0]):
-        first, count = c.pair[b], c.pair[b + 1] - c.pair[b]
+        count = c.pair[b + 1] - c.pair[b]
         factor = c_m + c_v * c.drag[b]
         for i in range(count):
             for j in range(count):

@@ -131,7 +131,8 @@ def _apart(part):
         return "its coordinates() must be on the rows that it gives"
     a, b = part.a, part.b
     apart = np.linalg.norm(a.point - b.point)
-    return f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}, {apart:.3g} m apart; {part.placing}"
+    sides = f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}"
+    return f"{sides}, {apart:.3g} m apart; {part.placing}, or let scene.assemble() move them"
 
 
 def _called(name, labels):
