@@ -3,11 +3,11 @@
 import numpy as np
 
 from polyida.assembly.damping import add_damping
-from polyida.body.loads import EdgeTraction, PointLoad
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.formula import Row, rows_of
 from polyida.model.differences import along
 
-NEAR = 1e-3  # of the scene's size, over which an element's energy is differentiated: contacts are that shallow
+NEAR = 1e-3  # of the size of its sides' places, over which an element's energy is differentiated: contacts are that shallow
 
 
 class Powers:
@@ -61,7 +61,7 @@ def _driven(part):
 
 def _beyond_energy(own, t, x, v):
     """`sum f . v + dE/dt` of a force element, W: zero where its forces are those of its energy E."""
-    power, speed = float(np.vdot(own.forces(t, x, v), v)), float(np.linalg.norm(v))
-    if not speed:
+    power, pace = float(np.vdot(own.forces(t, x, v), v)), float(np.abs(v / own.sizes).max())
+    if not pace:
         return 0.0
-    return power + speed * float(along(lambda s: own.energy(x + s / speed * v), NEAR * own.extent))
+    return power + pace * float(along(lambda s: own.energy(x + s / pace * v), NEAR))
