@@ -25,7 +25,10 @@ parts: dict[str, Any] = {
     "Weld": "polyida.joint.weld:Weld",
     "Path": "polyida.joint.path:Path",
     "SpringDamper": "polyida.force.spring_damper:SpringDamper",
+    "TorsionSpring": "polyida.force.torsion_spring:TorsionSpring",
     "Torque": "polyida.force.torque:Torque",
+    "Force": "polyida.force.force:Force",
+    "Contact": "polyida.force.contact:Contact",
 }
 integrators: dict[str, Any] = {
     "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",
