@@ -1,7 +1,8 @@
 """A scene as plain data and back, so that a result file holds the scene that made it: numbers and names, never code.
 
 A part is its kind and its fields. A field is plain, or one of: {"side": an attachment}, {"ground": [point, direction] or null},
-{"complex": [real, imaginary]}, {"profile": formula}, {"drive": key} for a profile without a formula, {"mesh": key}, {"material": numbers}, {"unknown": type}.
+{"complex": [real, imaginary]}, {"each": list of profiles and numbers}, {"profile": formula}, {"drive": key} for a profile without a formula,
+{"mesh": key}, {"material": numbers}, {"unknown": type}.
 """
 
 from dataclasses import astuple, fields
@@ -30,7 +31,7 @@ def to_data(parts, gravity):
         {"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, number, part)}
         for number, (name, part) in enumerate(parts.items())
     ]
-    return {"gravity": _plain(gravity), "parts": entries}, book.arrays, book.drives
+    return {"gravity": book.value("gravity", "gravity", gravity), "parts": entries}, book.arrays, book.drives
 
 
 class _Book:
@@ -42,15 +43,18 @@ class _Book:
     def fields(self, name, number, part):
         """{field: data} of a part, its name left out."""
         values = {field.name: getattr(part, field.name) for field in fields(part) if field.init and field.name != "name"}
-        return {key: self._value(name, f"part {number} {key}", value) for key, value in values.items()}
+        return {key: self.value(name, f"part {number} {key}", value) for key, value in values.items()}
 
-    def _value(self, name, key, value):
+    def value(self, name, key, value):
+        """The data of a value of the part of that name."""
         if isinstance(value, Attachment):
             return {"side": self._side(key, value)}
         if isinstance(value, Ground):
             return {"ground": None if value.point is None else [_plain(value.point), _plain(value.direction)]}
         if isinstance(value, profile.Profile):
             return {"profile": list(value.formula)} if value.formula else {"drive": self._drive(name, value)}
+        if isinstance(value, tuple) and any(isinstance(item, profile.Profile) for item in value):
+            return {"each": [self.value(name, key, item) for item in value]}
         if isinstance(value, PolygonMesh):
             return {"mesh": self._mesh(value), "sections": list(value.sections)}
         if isinstance(value, Material):
@@ -101,7 +105,7 @@ def from_data(description, arrays, drives=None):
     try:
         for entry in description["parts"]:
             reader.parts[entry["name"]] = reader.part(entry)
-        return reader.parts, tuple(map(float, description["gravity"]))
+        return reader.parts, reader.value({"name": "gravity"}, "gravity", description["gravity"])
     except (InputError, UnknownPart):
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
@@ -119,10 +123,11 @@ class _Reader:
         kind = registry.find(registry.parts, entry["kind"])
         if kind is None:
             raise UnknownPart(f"its part {entry['name']!r} is a {entry['kind']}; define or import that class before loading")
-        values = {key: self._value(entry, key, value) for key, value in entry["fields"].items()}
+        values = {key: self.value(entry, key, value) for key, value in entry["fields"].items()}
         return kind(**values, name=entry["name"])
 
-    def _value(self, entry, key, value):
+    def value(self, entry, key, value):
+        """The value that data describe, of a key of an entry."""
         if not isinstance(value, dict):
             return tuple(value) if isinstance(value, list) else value
         if "unknown" in value:
@@ -131,6 +136,8 @@ class _Reader:
             return Ground() if value["ground"] is None else Ground().at(*value["ground"])
         if "profile" in value:
             return profile.from_formula(tuple(value["profile"]))
+        if "each" in value:
+            return tuple(self.value(entry, key, item) for item in value["each"])
         if "drive" in value:
             return self.drives(value["drive"]) or profile.constant(0.0)
         if "complex" in value:
