@@ -60,7 +60,8 @@ class Model:
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
     labels = units = ()  # of the rows of phi: what each is called, and the unit of its multiplier
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
-    motor_profiles = ()  # which of them turn rows of phi
+    motor_profiles = ()  # which of them turn rows of phi, rad
+    path_profiles = ()  # which of them are added to rows of phi, m
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
     dissipating = ()  # names in `powers` of what only takes
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
