@@ -12,10 +12,11 @@ from polyida.assembly.damping import add_damping, damped_blocks
 from polyida.assembly.own.bodies import Elastic, own_bodies_of, own_mass
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces
-from polyida.assembly.powers import Powers
 from polyida.assembly.rows.increments import Increments
 from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
+from polyida.assembly.told.momenta import Momenta
+from polyida.assembly.told.powers import Powers
 from polyida.body.force_element import ForceElement
 from polyida.element import kernels
 from polyida.linear.lu import LU
@@ -213,6 +214,10 @@ class SceneModel(Constraints):
         """Potential of gravity on bodies and masses, J, zero at q = 0."""
         at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
         return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
+
+    def momenta(self, q, v):
+        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s."""
+        return self.once(Momenta)(q, v)
 
     @property
     def dissipating(self):
