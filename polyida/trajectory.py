@@ -20,6 +20,7 @@ from polyida.results.energy import Energy, energy_of
 from polyida.results.momentum import momenta_of
 from polyida.results.motion import Motion
 from polyida.results.section_forces import SectionForces, section_forces
+from polyida.results.sensors import Sensors
 from polyida.results.strain import strains
 from polyida.results.stress import von_mises
 
@@ -31,7 +32,7 @@ class Trajectory:
     status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "damaged" (a
     file; the frames before the damage), "error" (in a user's function), "disk full", or the kind of failure; message:
     where and why; success: it reached its end.
-    counts: exact work. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
+    counts: exact work. sensors: {name: what it gave at every step}, with the steps' times `sensors.t`. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
     read when asked for; those of a run with precision="single" are float32. Energies, drift, positions, reactions and stresses are computed from the motion when they are
     asked for, frame by frame.
     """
@@ -52,6 +53,7 @@ class Trajectory:
     restart: Restart | None = None
     plan: dict = field(default_factory=dict)
     missing: str = "no file holds a model of a user's own"
+    sensors: Sensors = field(default_factory=Sensors)
 
     @property
     def state(self) -> State:
