@@ -41,7 +41,7 @@ _PLACES = {
     "threads": "machine",
     "resume": "integrate.resume",
     "Trajectory": "trajectory",
-    "von_mises": "trajectory",
+    "von_mises": "results.stress",
     "load": "io.load",
     "consistent_state": "integrate.start",
     "condition_number": "integrate.iteration_matrix",

@@ -13,10 +13,11 @@ from polyida.assembly.drawn import Drawn, deepest
 from polyida.assembly.gravity import largest
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces
-from polyida.assembly.powers import Powers
 from polyida.assembly.rows.increments import Increments
 from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
+from polyida.assembly.told.momenta import Momenta
+from polyida.assembly.told.powers import Powers
 from polyida.force.force_element import ForceElement
 from polyida.given import on_pairs, pairs_of
 from polyida.linear.lu import LU
@@ -233,6 +234,10 @@ class SceneModel(Drawn):
         """Potential of steady gravity on bodies and masses, J, zero at q = 0; of what follows a profile there is work."""
         at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
         return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
+
+    def momenta(self, q, v):
+        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s."""
+        return self.once(Momenta)(q, v)
 
     @property
     def dissipating(self):

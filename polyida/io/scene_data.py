@@ -159,7 +159,7 @@ class _Reader:
         if "array" in value:
             return self.arrays[value["array"]]
         if "named" in value:
-            return {known: self._value(entry, key, one) for known, one in value["named"].items()}
+            return {known: self.value(entry, key, one) for known, one in value["named"].items()}
         if "part" in value:
             return self.part(value["part"])
         return self._mesh(value["mesh"], value["sections"]) if "mesh" in value else self._side(value["side"])

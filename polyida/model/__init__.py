@@ -128,6 +128,10 @@ class Model:
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
 
+    def momenta(self, q: NDArray, v: NDArray) -> NDArray | None:
+        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s, or None where the model does not say."""
+        return None
+
     def powers(self, t: float, q: NDArray, v: NDArray, lam: NDArray) -> dict[str, float]:
         """{name: power, W} of what works on it from outside, or without a part in `potential`; `run.energy.work` holds its integrals."""
         return {}
