@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import bilinear, concatenated
+from polyida.assembly.bodies.motion import velocity_at
 from polyida.assembly.bodies.own import Elastic, uneven_mass
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
 from polyida.assembly.damping import add_damping, damped_blocks
@@ -124,6 +125,10 @@ class SceneModel(Drawn):
     def force(self, t, q, v):
         """g = g_int - g_ext, (n,)."""
         return self._with_forces(t, q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
+
+    def initial_velocity(self, t, q):
+        """What the bodies were given, as far as their joints let them, (n,)."""
+        return velocity_at(self, t, q)
 
     def mass(self, q=None):
         """Mass matrix, constant, (n, n) sparse."""

@@ -130,6 +130,10 @@ class Model:
         """{name: power, W} of what works on it from outside, or without a part in `potential`; `run.energy.work` holds its integrals."""
         return {}
 
+    def initial_velocity(self, t: float, q: NDArray) -> NDArray:
+        """Velocities (n,) at the start of runs that are given none; they need not be consistent."""
+        return np.zeros(self.n)
+
     def objection(self, t: float, q: NDArray) -> str | None:
         """Why a state cannot be accepted, or None."""
         return None
