@@ -51,8 +51,8 @@ class SceneModel(Drawn):
         links = self.arrays.links
         self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
         elements, elastic = of_kind(parts, ForceElement), [placed for placed in self.few if placed.elastic]
-        damping = [body.plate.material.damped for body in self.bodies] + [any(placed.body.damping()) for placed in self.few]
-        self.damped, self.flexible = any(damping), bool(self.bodies) or any(placed.deforms for placed in self.few)
+        self.damped = any(placed.damped for placed in (*self.bodies, *self.few))
+        self.flexible = bool(self.bodies) or any(placed.deforms for placed in self.few)
         self.needs = Needs(
             mass_varies=False,
             velocity_forces=self.damped or bool(elements),
@@ -256,6 +256,11 @@ class SceneModel(Drawn):
             indptr.append((first + len(pairs) * np.arange(1, len(pairs) + 1)).astype(np.int32))
             indices.append(np.tile(pairs, len(pairs)))
         return np.concatenate(indptr), concatenated(indices, np.int32)
+
+    @cached_property
+    def translation(self):
+        """By how much each pair of q moves where all bodies move by one, (pairs,), complex."""
+        return np.concatenate([np.ones(len(body.points), complex) for body in self.bodies] + [placed.translation for placed in self.few])
 
     @cached_property
     def first_pairs(self):

@@ -28,6 +28,11 @@ class PlacedPlate:
         return self.nodes
 
     @property
+    def damped(self):
+        """Whether its material brakes motion."""
+        return self.plate.material.damped
+
+    @property
     def mesh(self):
         """The plate's mesh, turned by its angle."""
         return self.plate.placed
@@ -82,6 +87,11 @@ class PlacedBody:
     def elastic(self):
         """Whether its elastic force is Python."""
         return writes(self.body, Body, "elastic")
+
+    @property
+    def damped(self):
+        """Whether its material brakes motion."""
+        return any(self.body.damping())
 
     @property
     def deforms(self):
