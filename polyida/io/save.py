@@ -62,7 +62,7 @@ def create(path, model, integrator, n, m, plan, machine, single=False):
     settings = asdict(integrator) if is_dataclass(integrator) else {}
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "plan": plan, "machine": machine}
     scene, arrays, drives = to_data(model.parts, model.gravity) if model.parts else (None, {}, {})
-    about |= ({"scene": scene} if scene else {}) | {"drives": {key: name for key, (name, _) in drives.items()}}
+    about |= ({"scene": scene, "redundant": getattr(model, "treats_redundant", "refuse")} if scene else {}) | {"drives": {key: name for key, (name, _) in drives.items()}}
     profiles = {key: profile for key, (_, profile) in drives.items()}
     return Writer.create(
         path, n, m, about, {f"scene/{key}": array for key, array in arrays.items()}, profiles, bool(plan.get("fsync")), single

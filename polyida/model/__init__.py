@@ -62,6 +62,7 @@ class Model:
     motor_profiles = ()  # which of them turn rows of phi
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
     dissipating = ()  # names in `powers` of what only takes
+    redundant: Any = None  # rows of phi that it leaves out, as assembly/rows/redundant.py has them
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
     def mass(self, q: NDArray) -> Matrix:
