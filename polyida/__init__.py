@@ -15,6 +15,7 @@ _PLACES = {
     "RigidBody": "body.rigid_body",
     "Rigid": "body.rigid",
     "Reduced": "body.reduced",
+    "fields_of": "body.reduction.fields",
     "ForceElement": "force.force_element",
     "PointLoad": "force.loads",
     "EdgeTraction": "force.loads",
