@@ -337,12 +337,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "Trajectory.strain": (STANDING.strain, {"frame": INDEX + [None]}),
     "Trajectory.section_forces": (
         made(STANDING.section_forces, plate="board", at=(0.5, 0.0)),
-        {
-            "plate": [part for part in PART if part is not BOARD],
-            "at": PAIR + [(5.0, 0.0)],
-            "normal": PAIR + [(0.0, 0.0)],
-            "frame": INDEX,
-        },
+        {"plate": [part for part in PART if part is not BOARD], "at": PAIR + [(5.0, 0.0)], "normal": PAIR + [(0.0, 0.0)], "frame": INDEX},
     ),
     "problems.get": (pi.problems.get, {"name": CHOICE}),
     "double_plate": (plates.double_plate, {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE}),

@@ -64,6 +64,7 @@ class Model:
     path_profiles = ()  # which of them are added to rows of phi, m
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
     dissipating = ()  # names in `powers` of what only takes
+    redundant: Any = None  # rows of phi that it leaves out, as assembly/rows/redundant.py has them
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
     def mass(self, q: NDArray) -> Matrix:
@@ -135,6 +136,10 @@ class Model:
     def powers(self, t: float, q: NDArray, v: NDArray, lam: NDArray) -> dict[str, float]:
         """{name: power, W} of what works on it from outside, or without a part in `potential`; `run.energy.work` holds its integrals."""
         return {}
+
+    def initial_velocity(self, t: float, q: NDArray) -> NDArray:
+        """Velocities (n,) at the start of runs that are given none; they need not be consistent."""
+        return np.zeros(self.n)
 
     def objection(self, t: float, q: NDArray) -> str | None:
         """Why a state cannot be accepted, or None."""
