@@ -310,6 +310,21 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "max_iterations": COUNT,
         },
     ),
+    "equilibrium_path": (
+        made(pi.equilibrium_path, model=build(pi.Clamp(LEFT)), load=[1e-3] * 30, count=2),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "load": [value for value in ARRAY if not isinstance(value, type)] + ["push"],
+            "t": NUMBER,
+            "q0": ARRAY,
+            "first": POSITIVE,
+            "until": NUMBER + [-1.0],
+            "count": COUNT[:-3],
+            "start": NUMBER,
+            "tolerance": SHARE,
+            "max_iterations": COUNT,
+        },
+    ),
     "modes": (
         made(pi.modes, model=build(pi.Clamp(LEFT))),
         {
