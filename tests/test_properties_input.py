@@ -334,6 +334,27 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "damped": NOTHING + LISTS + [1, "yes"],
         },
     ),
+    "linearise": (
+        made(pi.linearise, model=build(pi.Clamp(LEFT)), modes=1),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "inputs": [value for value in ARRAY if not isinstance(value, type) and not isinstance(value, (dict, list))],
+            "outputs": [value for value in ARRAY if not isinstance(value, (dict, list))],
+            "modes": [value for value in COUNT[:-3] if value is not None] + [10**6],
+        },
+    ),
+    "frequency_response": (
+        made(pi.frequency_response, model=build(pi.Clamp(LEFT)), state=None, input=np.ones(30), output=np.ones(30), frequencies=[1.0]),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "input": [value for value in ARRAY if not isinstance(value, type)] + [None],
+            "output": [value for value in ARRAY if not isinstance(value, (dict, list))],
+            "frequencies": NOTHING + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab"],
+            "modes": [value for value in COUNT[:-3] if value is not None] + [10**6],
+        },
+    ),
     "consistent_state": (
         made(pi.consistent_state, model=MODEL, q0=[-1.0, 0.0]),
         {"model": NOTHING + [BOARD], "t0": NUMBER, "q0": ARRAY, "v0": ARRAY},

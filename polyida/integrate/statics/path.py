@@ -60,9 +60,8 @@ class EquilibriumPath:
     @property
     def branches(self) -> tuple[int, ...]:
         """Points behind which `falling` changes otherwise than by one where the factor turns: another path branches off before the next."""
-        regular = [k for k in range(len(self)) if k not in self.turning]
-        pairs = [(k, then, self.falling[k], self.falling[then]) for k, then in zip(regular, regular[1:])]
-        return tuple(k for k, then, one, other in pairs if None not in (one, other) and abs(other - one) != then - k - 1)
+        regular = [(k, falls) for k, falls in enumerate(self.falling) if k not in self.turning and falls is not None]
+        return tuple(k for (k, one), (then, other) in zip(regular, regular[1:]) if abs(other - one) != then - k - 1)
 
     def position(self, name: object) -> NDArray:
         """Path of a named point, (points, 2), m."""
@@ -141,7 +140,8 @@ def _beside(loading, q, load):
 
 def _walk(way: Path, point: Point, first, until, count):
     """(points, numbers of those that turn, why it ended early or "")."""
-    points, turning, most = [point], [], FARTHEST * (way.loading.model.extent or np.inf)
+    points, most = [point], FARTHEST * (way.loading.model.extent or np.inf)
+    turning: list[int] = []
     length = unit = min(first / point.rate, most)
     while len(points) < count and points[-1].factor < until:
         last = points[-1]
