@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida.assembly.bodies import left_out
 from polyida.assembly.rigidity import hint
 from polyida.errors import InputError
 from polyida.given import floats, is_one_of, is_whole
@@ -16,20 +17,8 @@ from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.keywords import named_keywords
 from polyida.model.guarded import guard
-
-
-@dataclass(frozen=True)
-class Energy:
-    """Energies over time, (frames,), J; nan where the model does not state its potential."""
-
-    kinetic: np.ndarray
-    potential: np.ndarray
-    strain: np.ndarray
-
-    @property
-    def total(self) -> NDArray:
-        """kinetic + potential + strain."""
-        return self.kinetic + self.potential + self.strain
+from polyida.results.energy import Energy, energy_of
+from polyida.results.motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +95,12 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> Energy:
-        """Kinetic, potential (gravity, force elements) and strain energy of every frame."""
-        model = self._known_model("energy")
-        kinetic = np.array([0.5 * v @ (model.mass(q) @ v) for q, v in zip(each(self.q), each(self.v))])
-        potential, strain = np.array([model.potentials(q) for q in each(self.q)], float).reshape(-1, 2).T
-        return Energy(kinetic, potential, strain)
+        """Kinetic, potential (gravity, force elements) and strain energy of every frame; when asked, work of parts and what they dissipate."""
+        return energy_of(self._motion("energy"))
+
+    def _motion(self, what):
+        """The run with its model as it is called."""
+        return Motion(self._known_model(what), self.t, self.q, self.v, self.a, self.lam)
 
     def _known_model(self, what):
         if self.model is None:
@@ -137,9 +127,9 @@ class Trajectory:
         return np.concatenate(found)
 
     def node_positions(self, frame: int) -> NDArray:
-        """Positions of all nodes in a frame, (nodes, 2), m."""
-        q = self._frame("node_positions", frame)
-        return self._scene("node_positions").reference + q.reshape(-1, 2)
+        """Positions of the nodes of all plates in a frame, reduced and rigid ones too, (nodes, 2), m."""
+        q, model = self._frame("node_positions", frame), self._scene("node_positions")
+        return model.drawn_points + model.nodal(q)
 
     def stress(self, frame: int) -> NDArray:
         """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
@@ -168,12 +158,16 @@ class Trajectory:
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
-        of_model = (self.model.remark, hint(self.model, self.q, self.integrator)) if self.model is not None else ()
+        of_model = (self.model.remark, hint(self.model, self.q, self.integrator), self._left_out()) if self.model is not None else ()
         told = "".join(f", {what}" for what in (told, *of_model) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
             f"; {self.message}" if self.message else ""
         )
+
+    def _left_out(self):
+        """What is said of reduced plates whose modes leave much out."""
+        return left_out.hint(self.model, self.q, self.a) if self.model.few else ""
 
     def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""

@@ -18,7 +18,5 @@ def translations(model):
     """Columns (n, 2): how q moves where all bodies move by 1 m along x, and along y; None where the model has no bodies."""
     if not model.is_scene:
         return None
-    T = np.ones(model.n // 2, complex)
-    for own in model.own_bodies:
-        T[own.nodes] = own.translation
+    T = model.translation
     return np.stack([T.view(float), (1j * T).view(float)], axis=1)

@@ -55,12 +55,14 @@ class Model:
     extent = None  # size in space, m, that does not depend on the state
     free_fall = 0.0  # acceleration of gravity, m/s^2, of a model that has an extent
     reference = None  # places of its nodes at q = 0, (nodes, 2), m
-    bodies = ()  # its plates
+    bodies = drawn = ()  # its full plates, and all that have a mesh: reduced and rigid ones behind them
+    few = ()  # its bodies of few coordinates
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
     labels = units = ()  # of the rows of phi: what each is called, and the unit of its multiplier
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
     motor_profiles = ()  # which of them turn rows of phi
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
+    dissipating = ()  # names in `powers` of what only takes
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
     def mass(self, q: NDArray) -> Matrix:
@@ -124,6 +126,10 @@ class Model:
         """(potential of loads, strain energy), J; nan where the model does not say."""
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
+
+    def powers(self, t: float, q: NDArray, v: NDArray, lam: NDArray) -> dict[str, float]:
+        """{name: power, W} of what works on it from outside, or without a part in `potential`; `run.energy.work` holds its integrals."""
+        return {}
 
     def objection(self, t: float, q: NDArray) -> str | None:
         """Why a state cannot be accepted, or None."""

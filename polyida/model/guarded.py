@@ -219,6 +219,13 @@ class Guarded(Model):
             raise InputError(f"{self.name}.potential must return a finite number or None, not {value!r}")
         return value
 
+    def powers(self, t, q, v, lam):
+        """As the model says, {name: W}."""
+        found = self.user.powers(t, read_only(q), read_only(v), read_only(lam))
+        if not isinstance(found, dict) or not all(isinstance(name, str) and is_number(value) for name, value in found.items()):
+            raise InputError(f"{self.name}.powers must return {{name: finite number}}, not {found!r:.100}")
+        return found
+
     @property
     def not_finite(self):
         """Which of the model's functions last gave what is not finite for arguments that are, in words; empty where none."""

@@ -70,4 +70,10 @@ assert np.abs(ends[0] - ends[1]).max() < 5e-5, ends
 run = pi.solve(scene(magnet), 0.4, pi.EnergyMomentum(h=5e-4))
 assert run.success and np.abs(run.energy.total - run.energy.total[0]).max() < 1e-7 * np.abs(run.energy.total).max()
 
+# one without loses what its work takes; the work is counted under its name
+run = pi.solve(scene(drag), 0.4, pi.GeneralizedAlpha(h=5e-4))
+lost = run.energy.total - run.energy.total[0] - run.energy.work["drag"]
+assert run.energy.work["drag"][-1] < -1e-2 and np.abs(lost).max() < 2e-3 * np.abs(run.energy.work["drag"]).max() + 1e-3
+run.save("drag.h5", overwrite=True)
+assert np.array_equal(pi.load("drag.h5").q, run.q)
 print("own force: ends", ends)

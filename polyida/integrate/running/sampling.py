@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_number, read_only
+from polyida.integrate.running.hermite import cubic
 from polyida.integrate.state import State
 
 
@@ -20,9 +21,7 @@ def between(before, after, t):
         return after.within(t)
     h = after.t - before.t
     s = (t - before.t) / h
-    move = after.q - before.q
-    q = before.q + s * s * (3 - 2 * s) * move + h * s * (1 - s) * ((1 - s) * before.v - s * after.v)
-    v = 6 * s * (1 - s) / h * move + (1 - s) * (1 - 3 * s) * before.v + s * (3 * s - 2) * after.v
+    q, v = cubic(before.q, before.v, after.q, after.v, h, s)
     a, lam = before.a + s * (after.a - before.a), before.lam + s * (after.lam - before.lam)
     return State(float(t), q, v, a, lam, restart=False)
 

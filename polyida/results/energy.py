@@ -1,0 +1,72 @@
+"""Energies of a run over time: what it has, and what came in and went out."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.io.frames import each
+from polyida.results.work import works
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Energies over time, (frames,), J; nan where the model does not state its potential.
+
+    kinetic; strain, of bodies; potential, of gravity and force elements. What follows is computed when it is asked for.
+    """
+
+    kinetic: NDArray
+    potential: NDArray
+    strain: NDArray
+    _motion: Any = field(repr=False)  # the run's model, t, q, v, lam
+
+    @property
+    def total(self) -> NDArray:
+        """kinetic + potential + strain."""
+        return self.kinetic + self.potential + self.strain
+
+    @cached_property
+    def gravity(self) -> NDArray:
+        """Potential of gravity, zero in the reference configuration; nan of a model that is no scene's."""
+        model = self._motion.model
+        if not model.is_scene:
+            return np.full(len(self.kinetic), np.nan)
+        return np.array([model.gravity_potential(q) for q in each(self._motion.q)]).reshape(-1)
+
+    @cached_property
+    def elements(self) -> dict[str, NDArray]:
+        """{name: potential energy of a force element that has one}; with `gravity` they make up `potential`."""
+        found = {own.name: own for own in self._motion.model.own_forces.each if not own.strain} if self._motion.model.is_scene else {}
+        values = np.array([[own.energy(own.places(q)) for own in found.values()] for q in each(self._motion.q)])
+        return dict(zip(found, values.reshape(-1, len(found)).T))
+
+    @property
+    def work(self) -> dict[str, NDArray]:
+        """{name: work done on the system since the first frame} by loads, driven joints, and force elements beyond their `energy`.
+
+        `total - total[0] = sum of work - sum of dissipated` for the exact motion. Of the cubic Hermite motion through q and v of
+        the frames, by two Gauss points between them, and between the kinks of profiles: exact for constant loads and of fourth
+        order in the time between frames; multipliers are interpolated with slopes from their neighbours. So it is as good as the
+        frames are near: what swings between two of them is not seen, nor the work of a blow in no time. A model of one's own tells by
+        its `powers`.
+        """
+        return {name: work for name, work in self._works.items() if name not in self._motion.model.dissipating}
+
+    @property
+    def dissipated(self) -> dict[str, NDArray]:
+        """{name: energy taken since the first frame}, alike: by force elements that say `dissipates`, and by plates whose material is damped."""
+        return {name: -work for name, work in self._works.items() if name in self._motion.model.dissipating}
+
+    @cached_property
+    def _works(self):
+        return works(self._motion)
+
+
+def energy_of(motion):
+    """The Energy of a motion: model, t, q, v, lam."""
+    model, frames = motion.model, zip(each(motion.q), each(motion.v))
+    found = [(0.5 * v @ (model.mass(q) @ v), *model.potentials(q)) for q, v in frames]
+    return Energy(*np.array(found, float).reshape(-1, 3).T, motion)
