@@ -4,6 +4,7 @@ from levels import costs, runs
 from levels.scenes import FULL, RIGID, goes_at_any_level
 from polyida import registry
 from polyida.cli.study import main
+from polyida.show.style import INK
 from polyida.study.drawing import aim_line, drawn, legend, loglog, look, panels, saved
 from polyida.study.harness import Study
 from polyida.study.rows import column, each, number, pick, stopped
@@ -14,7 +15,7 @@ QUICK = {"double-plate": (5, 10), "spin-up-beam": (12,)}
 STEPS = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)  # h over the time
 CELLS = (160, 400, 1000, 4000)
 MEASURES = {"run": runs.measure, "step": costs.step, "reduction": costs.reduction}
-AIM_STEP = 25e-6  # s
+AIMS, AIM_STEP = ((5, 1e-4), (10, 1e-5), (12, 1e-4)), 25e-6  # modes and distance, m, of the last the spin-up beam's; s
 
 
 def tasks(quick):
@@ -57,6 +58,11 @@ def costs_of(rows):
     return found | {"reduction_s_4000": number(rows, "reduction_s", part="reduction", cells=4000)}
 
 
+def place(level):
+    """A level's place in a legend: full, most modes first, rigid."""
+    return -level if isinstance(level, int) else {FULL: -1000, RIGID: 0}[level]
+
+
 def words(level):
     """A level as a legend calls it."""
     return f"{level} modes" if isinstance(level, int) else level
@@ -84,13 +90,13 @@ def table_notes(rows):
 def runs_figure(rows, folder):
     """CPU seconds against distance from full plates, a panel a problem."""
     found = [row for row in rows if row.get("x") is not None]
-    problems, levels = each(found, "problem"), each(found, "level")
+    problems, levels = each(found, "problem"), sorted(each(found, "level"), key=place)
     made, axes = panels(len(problems), height=3.2)
     for axis, name in zip(axes, problems):
         for i, level in enumerate(levels):
             points = pick(found, problem=name, level=level)
             loglog(axis, column(points, "distance"), column(points, "cpu_s"), i, words(level))
-        axis.set(title=name, xlabel="largest distance of the tip from full plates', exactly solved, m", ylabel="CPU seconds")
+        axis.set(title=name, xlabel="tip's distance from full plates, m", ylabel="CPU seconds")
     legend(made, axes, 5)
     return saved(made, folder, "levels")
 
@@ -103,10 +109,9 @@ def modes_figure(rows, folder):
     for i, name in enumerate(each(found, "problem")):
         points = pick(found, problem=name)
         axes.semilogy([row["level"] for row in points], column(points, "distance"), label=name, **look(i))
-    aim_line(axes, 1e-4, "aim, 5 modes")
-    aim_line(axes, 1e-5, "aim, 10 modes")
-    axes.set(xlabel="modes a plate", ylabel="largest distance of the tip from full plates', m")
-    legend(made, axes, 2)
+    axes.semilogy(*zip(*AIMS), label="aims", color=INK, marker="_", markersize=9, linestyle="")
+    axes.set(xlabel="modes a plate", ylabel="tip's distance from full plates, m")
+    legend(made, axes, 3)
     return saved(made, folder, "levels_modes")
 
 
