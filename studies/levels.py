@@ -12,7 +12,8 @@ from polyida.study.rows import column, each, number, pick, stopped
 MODES = {"double-plate": (3, 5, 8, 10, 12), "spin-up-beam": (3, 5, 8, 12, 16)}  # problem: numbers of modes
 OTHERS = (3, 5, 10)  # of problems that go at any level by themselves
 QUICK = {"double-plate": (5, 10), "spin-up-beam": (12,)}
-STEPS = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)  # h over the time
+STEPS = {"spin-up-beam": (5e-4, 2.5e-4, 1.25e-4, 6e-5, 3e-5)}  # h over the time
+COMMON = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)  # of the other problems
 CELLS = (160, 400, 1000, 4000)
 MEASURES = {"run": runs.measure, "step": costs.step, "reduction": costs.reduction}
 AIMS, AIM_STEP = ((5, 1e-4), (10, 1e-5), (12, 1e-4)), 25e-6  # modes and distance, m, of the last the spin-up beam's; s
@@ -25,7 +26,7 @@ def tasks(quick):
             {"part": "run", "problem": name, "level": level, "x": x}
             for name, numbers in modes.items()
             for level in (FULL, *numbers, RIGID)
-            for x in (None, *(STEPS[2::3] if quick else STEPS))
+            for x in (None, *STEPS.get(name, COMMON)[:: 2 if quick else 1])
         ),
         *({"part": "step", "cells": cells, "level": level} for cells in (CELLS[::3] if quick else CELLS) for level in (FULL, 5, 10, RIGID)),
         *({"part": "reduction", "cells": cells, "level": 5} for cells in (CELLS[::3] if quick else CELLS)),
