@@ -60,7 +60,8 @@ class Model:
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
     labels = units = ()  # of the rows of phi: what each is called, and the unit of its multiplier
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
-    motor_profiles = ()  # which of them turn rows of phi
+    motor_profiles = ()  # which of them turn rows of phi, rad
+    path_profiles = ()  # which of them are added to rows of phi, m
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
     dissipating = ()  # names in `powers` of what only takes
     redundant: Any = None  # rows of phi that it leaves out, as assembly/rows/redundant.py has them
@@ -127,6 +128,10 @@ class Model:
         """(potential of loads, strain energy), J; nan where the model does not say."""
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
+
+    def momenta(self, q: NDArray, v: NDArray) -> NDArray | None:
+        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s, or None where the model does not say."""
+        return None
 
     def powers(self, t: float, q: NDArray, v: NDArray, lam: NDArray) -> dict[str, float]:
         """{name: power, W} of what works on it from outside, or without a part in `potential`; `run.energy.work` holds its integrals."""

@@ -20,7 +20,7 @@ class RowTable:
 
     def __init__(self, points, drives, size, left_out=()):
         self._points, self._drives, self._size, self._left_out, self._given = points, drives, size, frozenset(left_out), 0
-        self._products, self._vectors, self._constants, self._slopes = [], [], [], []
+        self._products, self._vectors, self._constants, self._slopes, self._shifts = [], [], [], [], []
         self.labels, self.units, self.rows, self.joints = [], [], {}, {}
 
     def add(self, name, part):
@@ -49,6 +49,7 @@ class RowTable:
         number = len(self._constants)
         self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (_at_rest(row) if small or not row.driven else 0.0))
         self._slopes.append(slopes)
+        self._shifts += [(number, self._drives.add(profile, name), factor) for factor, profile in row.drives]
         for product in row.products:
             if not product.linear:
                 profile = product.turning.profile
@@ -70,6 +71,7 @@ class RowTable:
     def arrays(self):
         """The fields of Links that describe the rows."""
         row, first, second, drive, one_way = zip(*self._products) if self._products else [()] * 5
+        shifted, shift, factor = zip(*self._shifts) if self._shifts else [()] * 3
         rest = np.array([value for value, _ in self._vectors], complex)
         points = [list(weights) for _, weights in self._vectors]
         weights = np.array([w for _, weights in self._vectors for w in weights.values()], complex)
@@ -81,6 +83,9 @@ class RowTable:
             "row_start": starts(columns),
             "row_columns": np.array([c for row in columns for c in row], np.int64),
             "row_slopes": _pairs(slopes).ravel(),
+            "shift_row": np.array(shifted, np.int64),
+            "shift_drive": np.array(shift, np.int64),
+            "shift_factor": np.array(factor, float),
             "product_row": np.array(row, np.int64),
             "product_first": np.array(first, np.int64),
             "product_second": np.array(second, np.int64),
