@@ -124,7 +124,6 @@ class RigidBody(Body):
 
 
 def _mean(mesh, section):
-    """The mean point of a section of a mesh."""
+    """The mean point of a section of a mesh, the centre of a hole."""
     found = mesh.section(section)
-    weights = found.lengths if found.lengths.sum() > 0 else np.ones(len(found.nodes))
-    return tuple((weights @ mesh.points[found.nodes] / weights.sum()).tolist())
+    return tuple((found.weights @ mesh.points[found.nodes]).tolist())
