@@ -45,6 +45,10 @@ problems: dict[str, Any] = {
     "plate-chain": "polyida.problems.plates:plate_chain_problem",
     "spin-up-beam": "polyida.problems.spin_up_beam:problem",
     "rigid-limit": "polyida.problems.rigid_limit:problem",
+    "slider-crank": "polyida.problems.mechanisms.slider_crank:problem",
+    "four-bar": "polyida.problems.mechanisms.four_bar:problem",
+    "two-link-arm": "polyida.problems.mechanisms.two_link_arm:problem",
+    "peaucellier": "polyida.problems.mechanisms.peaucellier:problem",
 }
 studies: dict[str, Any] = {}  # those of the repository are the scripts of ./studies
 

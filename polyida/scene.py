@@ -16,11 +16,13 @@ from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, require_element
 from polyida.force.loads import EdgeTraction, PointLoad
+from polyida.given import is_one_of
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
 
 Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | Joint | OwnPart)
+REDUNDANT = ("refuse", "least-norm")
 KINDS = {Plate: "plate", PointMass: "mass", PointLoad: "load", EdgeTraction: "traction"}
 KINDS_AND_BASES = (*KINDS, Joint, ForceElement, Body)
 
@@ -76,10 +78,18 @@ class Scene:
         self._require_sides("assemble")
         return close(self.parts, self._built)
 
-    def build(self) -> SceneModel:
-        """The model of the scene as it is now. Raises InputError naming the part that is wrong."""
+    def build(self, redundant: str = "refuse") -> SceneModel:
+        """The model of the scene as it is now. Raises InputError naming the part that is wrong.
+
+        redundant: what becomes of rows of joints that follow from others, as those of a second hinge on one axis. "refuse": runs do not
+        start, and the message names them. "least-norm": they are left out, `model.redundant.labels` names them, and reactions are those
+        of all rows with the least sum of squares; `run.unique(name)` says which of them are the only ones. Rows that are independent
+        elsewhere, or contradict others, are refused.
+        """
+        if not is_one_of(redundant, REDUNDANT):
+            raise InputError(f"Scene.build: redundant = {redundant!r} must be one of {', '.join(map(repr, REDUNDANT))}")
         self._require_sides("build")
-        model = SceneModel(self.parts, self.gravity)
+        model = SceneModel(self.parts, self.gravity, redundant)
         self._built |= set(self.parts)
         return model
 

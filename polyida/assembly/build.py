@@ -88,10 +88,12 @@ def extent_of(plates, few):
     return float(np.ptp(concatenated(places, float, (2,)), axis=0).max(initial=0.0)) or 1.0
 
 
-def assemble(plates, few, places, parts, gravity, size):
-    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts; gravity: numbers and profiles."""
+def assemble(plates, few, places, parts, gravity, size, left_out=()):
+    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts, without the rows of phi `left_out`, by number; gravity: numbers
+    and profiles.
+    """
     points, drives = Points(places), Drives()
-    table = RowTable(points, drives, size)
+    table = RowTable(points, drives, size, left_out)
     for name, joint in of_kind(parts, Joint).items():
         table.add(name, joint.facing())
     for placed in few:

@@ -14,25 +14,28 @@ CLOSED = 1e-6  # of the scene's size: sides that are apart by less at rest are t
 class RowTable:
     """Collects rows of phi; `labels` says what to call each, `rows` which rows are whose, `joints` holds the joints.
 
-    points, drives: where attachments and profiles get their numbers. size: of the scene, m.
+    points, drives: where attachments and profiles get their numbers. size: of the scene, m. left_out: numbers of rows, of all that are
+    given, that it has not.
     """
 
-    def __init__(self, points, drives, size):
-        self._points, self._drives, self._size = points, drives, size
+    def __init__(self, points, drives, size, left_out=()):
+        self._points, self._drives, self._size, self._left_out, self._given = points, drives, size, frozenset(left_out), 0
         self._products, self._vectors, self._constants, self._slopes, self._shifts = [], [], [], [], []
         self.labels, self.units, self.rows, self.joints = [], [], {}, {}
 
     def add(self, name, part):
         """Append the rows of a joint or body. Raises InputError where they are no rows, or do not hold at rest."""
-        first = len(self.labels)
-        for row in rows_of(_given(name, part)):
+        first, rows = len(self.labels), list(rows_of(_given(name, part)))
+        for row, label in zip(rows, _called(name, [row.label for row in rows])):
+            self._given += 1
+            if self._given - 1 in self._left_out:
+                continue
             if not row.driven and abs(_at_rest(row)) > CLOSED * self._size:
                 raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; {_apart(part)}")
             self._row(name, row)
-            self.labels.append(row.label)
+            self.labels.append(label)
             self.units.append(row.unit)
         self.rows[name], self.joints[name] = slice(first, len(self.labels)), part
-        self.labels[first:] = _called(name, self.labels[first:])
 
     def _row(self, name, row):
         """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
