@@ -6,6 +6,8 @@ from numbers import Real
 
 import numpy as np
 
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imaginary unit does to (x, y)
+
 
 def is_number(value):
     """Whether it is a finite number (int, float, of numpy too), no bool."""
@@ -74,3 +76,22 @@ def read_only(array):
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def on_pairs(matrix):
+    """A complex matrix, dense or sparse, as it acts on (x, y) pairs, real: each entry w becomes ((Re w, -Im w), (Im w, Re w))."""
+    if not hasattr(matrix, "tocsr"):
+        return np.kron(matrix.real, np.eye(2)) + np.kron(matrix.imag, TURN)
+    from scipy.sparse import csr_array, kron
+
+    return csr_array(kron(matrix.real, np.eye(2)) + kron(matrix.imag, TURN))
+
+
+def pairs_of(numbers):
+    """Complex numbers (...) as pairs (..., 2)."""
+    return np.stack([numbers.real, numbers.imag], axis=-1)
+
+
+def complex_of_pairs(pairs):
+    """Pairs (..., 2) as complex numbers (...)."""
+    return pairs[..., 0] + 1j * pairs[..., 1]

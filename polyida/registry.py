@@ -10,12 +10,19 @@ from typing import Any
 
 parts: dict[str, Any] = {
     "Plate": "polyida.body.plate:Plate",
+    "RigidBody": "polyida.body.rigid_body:RigidBody",
+    "Rigid": "polyida.body.rigid:Rigid",
+    "Reduced": "polyida.body.reduced:Reduced",
     "PointMass": "polyida.body.point_mass:PointMass",
-    "PointLoad": "polyida.body.loads:PointLoad",
-    "EdgeTraction": "polyida.body.loads:EdgeTraction",
+    "PointLoad": "polyida.force.loads:PointLoad",
+    "EdgeTraction": "polyida.force.loads:EdgeTraction",
     "Revolute": "polyida.joint.revolute:Revolute",
     "AngleMotor": "polyida.joint.angle_motor:AngleMotor",
     "Clamp": "polyida.joint.clamp:Clamp",
+    "Prismatic": "polyida.joint.prismatic:Prismatic",
+    "Slot": "polyida.joint.slot:Slot",
+    "SpringDamper": "polyida.force.spring_damper:SpringDamper",
+    "Torque": "polyida.force.torque:Torque",
 }
 integrators: dict[str, Any] = {
     "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",

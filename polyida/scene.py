@@ -4,16 +4,17 @@ from typing import Any, TypeVar
 
 from numpy.typing import ArrayLike
 
+from polyida.assembly.build import sides_held
+from polyida.assembly.closing.loops import Assembly, close
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.body import Body, require_body
-from polyida.body.force_element import ForceElement, require_element, sides_of
-from polyida.body.loads import EdgeTraction, PointLoad
+from polyida.body.body import Body
 from polyida.body.material import vector2
 from polyida.body.own_part import OwnPart
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
-from polyida.joint.attachment import Attachment
+from polyida.force.force_element import ForceElement, require_element
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 
@@ -32,6 +33,7 @@ class Scene:
     def __init__(self, gravity: ArrayLike = (0.0, 0.0)) -> None:
         self.gravity = vector2("Scene", "gravity", gravity)
         self.parts: dict[str, Any] = {}
+        self._built: set[str] = set()  # names of the parts that models hold on to
 
     def add(self, part: Part) -> Part:
         """Add a part and return it. Parts without a name are called by kind and number ("plate 1").
@@ -44,7 +46,7 @@ class Scene:
         if isinstance(part, ForceElement):
             require_element(part)
         if isinstance(part, Body):
-            require_body(part)
+            part.require()
         if any(part is known for known in self.parts.values()):
             raise InputError(f"Scene.add: {part.name or kind_of(part)!r} is in the scene already")
         name = part.name or self._next_name(kind_of(part))
@@ -59,16 +61,35 @@ class Scene:
             number += 1
         return f"{kind} {number}"
 
+    def assemble(self) -> Assembly:
+        """Move the bodies, each as rigid and by as little as it takes, until all joints are closed; an Assembly that says by how much.
+
+        Unknowns are place and angle of each body, equations the rows of the joints as drawn, those that are driven at t = 0, solved
+        to round-off. What joints take from the drawing they keep: a joint to plain `ground` its place there, a motor or clamp the angle
+        between its sides; a body clamped to the ground stays. Bodies are moved where they are, by their `origin` and `angle`: their
+        attachments hold on. One of a user's own without these two stays too.
+        Raises InputError, with nothing moved, naming the joints that stay open and by how much; and where bodies would have to move
+        of which there is a model already.
+        """
+        self._require_sides("assemble")
+        return close(self.parts, self._built)
+
     def build(self) -> SceneModel:
         """The model of the scene as it is now. Raises InputError naming the part that is wrong."""
+        self._require_sides("build")
+        model = SceneModel(self.parts, self.gravity)
+        self._built |= set(self.parts)
+        return model
+
+    def _require_sides(self, what):
+        """Raise InputError unless there are bodies, and parts hold on to bodies of this scene."""
         bodies = [part for part in self.parts.values() if isinstance(part, (Plate, Body))]
         if not bodies:
-            raise InputError("Scene.build: the scene has no plate and no other body")
+            raise InputError(f"Scene.{what}: the scene has no plate and no other body")
         for name, part in self.parts.items():
-            for side in _sides(name, part):
-                if isinstance(side, Attachment) and not any(side.body is body for body in bodies):
+            for side in sides_held(name, part):
+                if not any(side.body is body for body in bodies):
                     raise InputError(f"{name}: {side!r} is of a body that is not in the scene; add it with scene.add")
-        return SceneModel(self.parts, self.gravity)
 
 
 def kind_of(part):
@@ -78,10 +99,3 @@ def kind_of(part):
     if isinstance(part, (ForceElement, Body)):
         return type(part).__name__.lower()
     return next(word for kind, word in KINDS.items() if isinstance(part, kind))
-
-
-def _sides(name, part):
-    """What a part holds on to."""
-    if isinstance(part, ForceElement):
-        return sides_of(name, part)
-    return [getattr(part, key, None) for key in ("a", "b", "at")]

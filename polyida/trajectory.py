@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida.assembly.bodies import left_out
 from polyida.assembly.rigidity import hint
 from polyida.errors import InputError
 from polyida.given import is_one_of, is_whole
@@ -154,9 +155,9 @@ class Trajectory:
         return angle_of(self._motion("angle"), joint)
 
     def node_positions(self, frame: int) -> NDArray:
-        """Positions of all nodes in a frame, (nodes, 2), m."""
-        q = self._frame("node_positions", frame)
-        return self._scene("node_positions").reference + q.reshape(-1, 2)
+        """Positions of the nodes of all plates in a frame, reduced and rigid ones too, (nodes, 2), m."""
+        q, model = self._frame("node_positions", frame), self._scene("node_positions")
+        return model.drawn_points + model.nodal(q)
 
     def stress(self, frame: int) -> NDArray:
         """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
@@ -170,13 +171,13 @@ class Trajectory:
         return strains(self._scene("strain"), self._frame("strain", frame))
 
     def section_forces(self, plate: object, at: ArrayLike, normal: ArrayLike = (1.0, 0.0), frame: int | None = None) -> SectionForces:
-        """Normal force, shear force and bending moment through a straight cut across a plate, over all frames or in one: SectionForces.
+        """Normal force, shear force and bending moment through a straight cut across a full plate, over all frames or in one.
 
-        plate: by name or itself. at (x, y), m, and normal: a point of the cut and the direction it is crossed in, both in the axes of
-        the plate's mesh, where the plate is at rest. The cut follows the borders of cells next to the straight line. Forces are those of the
-        part ahead on the part behind: from the nodal forces of the cells ahead with their inertia, damping and weight, so that
-        they are in exact equilibrium with loads, joints and inertia. Loads and joints that hold on to nodes of the cut act behind it.
-        Raises InputError for another plate and where the cut does not part it.
+        plate: by name or itself. at (x, y), m: a point of the cut, and normal: the direction it is crossed in, both in the axes of the
+        plate's mesh, where the plate is at rest. Its SectionForces are those of the part ahead on the part behind: nodal forces of cells
+        with inertia, damping and weight, in exact equilibrium with loads, joints and inertia, not stresses at points. What holds on
+        to nodes between the cells of both parts acts behind. Raises InputError for another plate, one of few coordinates (whose modes
+        leave forces out), and where the cut does not part it.
         """
         self._scene("section_forces")
         if frame is not None:
@@ -206,12 +207,16 @@ class Trajectory:
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
-        of_model = (self.model.remark, hint(self.model, self.q, self.integrator)) if self.model is not None else ()
+        of_model = (self.model.remark, hint(self.model, self.q, self.integrator), self._left_out()) if self.model is not None else ()
         told = "".join(f", {what}" for what in (told, *of_model) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
             f"; {self.message}" if self.message else ""
         )
+
+    def _left_out(self):
+        """What is said of reduced plates whose modes leave much out."""
+        return left_out.hint(self.model, self.q, self.a) if self.model.few else ""
 
     def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""

@@ -314,6 +314,15 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "max_iterations": COUNT,
         },
     ),
+    "modes": (
+        made(pi.modes, model=build(pi.Clamp(LEFT))),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "count": COUNT[:-3] + [10**6],
+            "damped": NOTHING + LISTS + [1, "yes"],
+        },
+    ),
     "consistent_state": (
         made(pi.consistent_state, model=MODEL, q0=[-1.0, 0.0]),
         {"model": NOTHING + [BOARD], "t0": NUMBER, "q0": ARRAY, "v0": ARRAY},
@@ -328,12 +337,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "Trajectory.strain": (STANDING.strain, {"frame": INDEX + [None]}),
     "Trajectory.section_forces": (
         made(STANDING.section_forces, plate="board", at=(0.5, 0.0)),
-        {
-            "plate": [part for part in PART if part is not BOARD],
-            "at": PAIR + [(5.0, 0.0)],
-            "normal": PAIR + [(0.0, 0.0)],
-            "frame": INDEX,
-        },
+        {"plate": [part for part in PART if part is not BOARD], "at": PAIR + [(5.0, 0.0)], "normal": PAIR + [(0.0, 0.0)], "frame": INDEX},
     ),
     "problems.get": (pi.problems.get, {"name": CHOICE}),
     "double_plate": (plates.double_plate, {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE}),

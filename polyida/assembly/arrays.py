@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly.bodies.compact import Compact
 from polyida.compiled import pack
 
 
@@ -14,7 +15,7 @@ class Plates(NamedTuple):
     Operators: concatenated arrays of `element.operator.ReferenceOperator` with the start of each (`at`, (operators + 1, 7): layout,
     corners, gradients, weights, pairs, indptr, nnz). stabilisation: like mass, of virtual elements. Bodies: operator
     number, first node, first block of the tangent, c1, nu, rho t, mass damping (1/s), viscosity (s), factor of the stabilisation (N/m).
-    weight: nodal gravity force, (nodes, 2). Loads: nodal forces times a drive.
+    weight: gravity on every pair of q, (pairs, 2). Loads: forces on pairs times a drive.
     """
 
     at: np.ndarray
@@ -47,7 +48,7 @@ class Plates(NamedTuple):
 class Links(NamedTuple):
     """The points that joints and masses hold on to, and the rows of phi.
 
-    Points: weighted sums of nodal positions in CSR form (`dz = A u`), the mass they carry.
+    Points: weighted sums of pairs of q in CSR form (`dz = A u`), weights complex numbers (., 2); the mass they carry.
     Rows: constant; the components of the points that each touches, in CSR form, and the slopes of its linear part. Products
     `R(theta) E . F`: their row, the vectors E and F, the drive of theta (-1: none), whether only one of two positions half a turn apart
     is accepted. Vectors: value at rest, and in CSR form their points with a complex weight each.
@@ -75,10 +76,11 @@ class Links(NamedTuple):
 
 @pack
 class SceneArrays(NamedTuple):
-    """A scene: what changes with the number of elements, and what with the number of joints."""
+    """A scene: what changes with the number of elements, what with the number of joints, and the bodies of few coordinates."""
 
     plates: Plates
     links: Links
+    compact: Compact
 
 
 def bilinear(links):

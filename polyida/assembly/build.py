@@ -1,46 +1,27 @@
 """From the parts of a scene to its arrays."""
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 
 from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
-from polyida.assembly.own.bodies import at_own, carried_by_own
+from polyida.assembly.bodies.compact import Compact
+from polyida.assembly.bodies.places import PlacedBody, PlacedPlate
 from polyida.assembly.own.law_table import laws_of
 from polyida.assembly.rows.points import Points
 from polyida.assembly.rows.row_table import Drives, RowTable
-from polyida.body.body import points_of
-from polyida.body.force_element import ForceElement
-from polyida.body.loads import EdgeTraction, PointLoad
+from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
-from polyida.element import stabilisation
-from polyida.element.wachspress import reference_operator
+from polyida.element.choose import operator_of, stabilisation_factor
 from polyida.errors import LockingWarning
+from polyida.force.force_element import ForceElement, sides_of
+from polyida.force.loads import EdgeTraction, PointLoad
+from polyida.given import pairs_of
+from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
 
 LOCKING = 0.45  # Poisson's ratio in plane strain above which cells of full integration lock
-
-
-@dataclass(frozen=True)
-class Body:
-    """A plate in its place among the scene's nodes: `nodes` is its slice of the node list, `operator` its reference operator."""
-
-    name: str
-    plate: object
-    operator: object
-    nodes: slice
-
-    @property
-    def mesh(self):
-        """The plate's mesh, turned by its angle."""
-        return self.plate.placed
-
-    @property
-    def points(self):
-        """Reference positions, (N, 2), m."""
-        return self.plate.points
 
 
 def of_kind(parts, *kinds):
@@ -48,17 +29,41 @@ def of_kind(parts, *kinds):
     return {name: part for name, part in parts.items() if isinstance(part, kinds)}
 
 
-def bodies_of(parts):
-    """Bodies in order; plates on one mesh share one reference operator."""
-    operators, bodies, first = {}, [], 0
+def plates_of(parts):
+    """The plates in order; those on one mesh share one reference operator."""
+    operators, placed, first = {}, [], 0
     for name, plate in of_kind(parts, Plate).items():
-        warn_of_locking(name, plate)
-        key = (id(plate.placed), plate.element, plate.tau)
-        if key not in operators:
-            operators[key] = operator_of(plate)
-        bodies.append(Body(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
-        first += plate.mesh.n_nodes
-    return bodies
+        placed.append(placed_plate(name, plate, first, operators))
+        first = placed[-1].nodes.stop
+    return placed
+
+
+def placed_plate(name, plate, first, operators):
+    """A plate whose nodes are numbered from `first`; operators: those that are made, by mesh and element."""
+    warn_of_locking(name, plate)
+    key = (id(plate.placed), plate.element, plate.tau)
+    if key not in operators:
+        operators[key] = operator_of(plate)
+    return PlacedPlate(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes))
+
+
+def few_of(parts, first):
+    """The bodies of few coordinates in order, their pairs numbered from `first`."""
+    sides, placed = [side for name, part in parts.items() for side in sides_held(name, part)], []
+    for name, body in of_kind(parts, Body).items():
+        placed.append(PlacedBody(name, body, first, [side for side in sides if side.body is body]))
+        first = placed[-1].pairs.stop
+    return placed
+
+
+def sides_held(name, part):
+    """The attachments that a part holds on to."""
+    sides = (
+        [side.at for side in sides_of(name, part)]
+        if isinstance(part, ForceElement)
+        else [getattr(part, key, None) for key in ("a", "b", "at")]
+    )
+    return [side for side in sides if isinstance(side, Attachment)]
 
 
 def warn_of_locking(name, plate):
@@ -73,50 +78,56 @@ def warn_of_locking(name, plate):
         )
 
 
-def operator_of(plate):
-    """The reference operator of a plate's element on its mesh."""
-    if plate.element == "virtual":
-        from polyida.element import virtual
-
-        return virtual.reference_operator(plate.placed, plate.tau)
-    return reference_operator(plate.placed)
-
-
-def first_nodes(bodies, own):
-    """{id of a body: its first node in the scene}; pairs of bodies of one's own stand behind the plates' nodes."""
-    return {id(body.plate): body.nodes.start for body in bodies} | {id(body.body): body.nodes.start for body in own}
-
-
-def extent_of(bodies, own):
-    """Size of the scene, m: of the places of nodes and of the points of bodies of one's own; 1 where they are in one place."""
-    places = [body.points for body in bodies] + [point.point[None] for body in own for point in points_of(body.body)]
+def extent_of(plates, few):
+    """Size of the scene, m: of the places of nodes and of the points of other bodies; 1 where they are in one place."""
+    places = [body.points for body in plates]
+    for placed in few:
+        whole = placed.body.plate is not None
+        places += [placed.body.plate.points] if whole else [point.point[None] for point in points_of(placed.body)]
     return float(np.ptp(concatenated(places, float, (2,)), axis=0).max(initial=0.0)) or 1.0
 
 
-def assemble(bodies, own, parts, gravity):
+def assemble(plates, few, places, parts, gravity, size):
     """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts."""
-    first_node = first_nodes(bodies, own)
-    points, drives = Points(first_node), Drives()
-    size = extent_of(bodies, own)
+    points, drives = Points(places), Drives()
     table = RowTable(points, drives, size)
     for name, joint in of_kind(parts, Joint).items():
         table.add(name, joint.facing())
-    for body in own:
-        if body.body.rows():
-            table.add(body.name, body.body)
+    for placed in few:
+        if placed.body.rows():
+            table.add(placed.name, placed.body)
     for mass in of_kind(parts, PointMass).values():
-        if not at_own(mass):
-            points.mass[points.add(mass.at)] += mass.mass
+        points.mass[points.add(mass.at)] += mass.mass
     loads = of_kind(parts, PointLoad, EdgeTraction)
-    fields = operator_arrays(bodies) | body_arrays(bodies, gravity) | load_arrays(loads, drives, first_node)
-    fields["weight"] = np.concatenate([fields["weight"], *(body.weight(gravity) for body in own)])
-    for mass in carried_by_own(parts):
-        first = first_node[id(mass.at.body)]
-        fields["weight"][first : first + len(mass.at.nodes)] += mass.at.share(mass.mass * np.asarray(gravity))
-    laws = None if own else laws_of(of_kind(parts, ForceElement), points, drives, size)
+    fields = operator_arrays(plates) | body_arrays(plates, gravity) | load_arrays(loads, drives, places)
+    fields["weight"] = np.concatenate([fields["weight"], *(placed.weight(gravity) for placed in few)])
+    laws = laws_of(of_kind(parts, ForceElement), points, drives, size)
     links = Links(**points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
-    arrays = SceneArrays(Plates(**fields), links)
+    first = plates[-1].nodes.stop if plates else 0
+    arrays = SceneArrays(Plates(**fields), links, compact_of(few, first, int(fields["body_block"][-1])))
     return arrays, points, table, drives, laws
+
+
+def compact_of(few, first, block):
+    """The Compact of the bodies of few coordinates, behind `first` pairs and `block` blocks of plates."""
+    pairs = [len(placed.rest) for placed in few]
+    masses = [np.zeros((len(placed.rest),) * 2, complex) if placed.mass is None else placed.mass for placed in few]
+    forms, shifts = zip(*(placed.form or (np.zeros((0, 0)), np.zeros(0)) for placed in few)) if few else ((), ())
+    damping = np.array([placed.body.damping() for placed in few], float).reshape(-1, 2)
+    return Compact(
+        pair=first + starts([range(count) for count in pairs]),
+        block=block + starts([range(count**2) for count in pairs]),
+        rest=pairs_of(concatenated([placed.rest for placed in few], complex)),
+        mass_start=starts([mass.ravel() for mass in masses]),
+        mass=pairs_of(concatenated([mass.ravel() for mass in masses], complex)),
+        axis=pairs_of(concatenated([placed.axis for placed in few], complex)),
+        form_start=starts([form.ravel() for form in forms]),
+        form=concatenated([form.ravel() for form in forms], float),
+        shift_start=starts(shifts),
+        shift=concatenated(shifts, float),
+        drag=damping[:, 0].copy(),
+        viscosity=damping[:, 1].copy(),
+    )
 
 
 def operator_arrays(bodies):
@@ -152,7 +163,7 @@ def body_arrays(bodies, gravity):
         modulus, nu = plate.material.in_plane
         c1.append(plate.thickness * modulus / (1 - nu**2))
         ratio.append(nu)
-        factor.append(0.0 if operator.stabilisation is None else stabilisation.of_plate(plate))
+        factor.append(stabilisation_factor(plate, operator))
         density.append(plate.material.rho * plate.thickness)
         lumped = np.add.reduceat(operator.mass, operator.indptr[:-1]) * density[-1]
         weight.append(np.outer(lumped, gravity))
@@ -169,12 +180,12 @@ def body_arrays(bodies, gravity):
     }
 
 
-def load_arrays(loads, drives, first_node):
-    """Nodal forces of the loads and the number of the profile that scales each."""
-    nodes = [load.at.nodes + first_node[id(load.at.body)] for load in loads.values()]
+def load_arrays(loads, drives, places):
+    """Forces of the loads on pairs of q and the number of the profile that scales each."""
+    loaded = [places[id(load.at.body)].loaded(load.at, load.nodal()) for load in loads.values()]
     return {
-        "load_ptr": starts(nodes),
-        "load_nodes": concatenated(nodes, np.int32),
-        "load_values": concatenated([load.nodal() for load in loads.values()], float, (2,)),
+        "load_ptr": starts([pairs for pairs, _ in loaded]),
+        "load_nodes": concatenated([pairs for pairs, _ in loaded], np.int32),
+        "load_values": concatenated([values for _, values in loaded], float, (2,)),
         "load_drive": np.array([drives.add(load.profile, name) for name, load in loads.items()], np.int64),
     }

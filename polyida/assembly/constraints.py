@@ -6,6 +6,7 @@ import numpy as np
 
 from polyida.assembly.named_points import NamedPoints
 from polyida.assembly.rows import joints as rows
+from polyida.given import on_pairs
 
 
 class Constraints(NamedPoints):
@@ -107,17 +108,15 @@ class Constraints(NamedPoints):
     @cached_property
     def _points_t(self):
         """A^T as a sparse matrix, (n, 2 points)."""
-        from scipy.sparse import csr_array, kron
-
-        return csr_array(kron(self._points_s, np.eye(2)).T)
+        return on_pairs(self.point_weights).T.tocsr()
 
     @cached_property
-    def _points_s(self):
-        """A of one direction, (points, nodes)."""
+    def point_weights(self):
+        """A as complex numbers, (points, pairs) sparse."""
         from scipy.sparse import csr_array
 
         s = self.arrays.links
-        return csr_array((s.point_weights, s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
+        return csr_array((s.point_weights @ (1, 1j), s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
 
     def _nodal(self, q):
         """q as (nodes, 2) for the kernels, which do not check bounds."""

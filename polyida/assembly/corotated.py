@@ -23,6 +23,8 @@ from polyida.linear.cholesky.team import Team, solve_together
 from polyida.linear.cholesky.triangular import solve_band, solve_columns
 from polyida.linear.dense import clear, solve_small
 
+UNIT = (lambda c, n: np.stack([c, -n], axis=1), lambda c, n: np.stack([n, c], axis=1))  # A^T of a unit along x and along y
+
 
 @pack
 class Corotated(NamedTuple):
@@ -68,9 +70,9 @@ def corotated(model, blocks, rotation, backend="auto", phase=1.0):
     Raises NotFactorable.
     """
     made, name = factor(model, blocks, backend, phase)
-    s, body_node = model.arrays.links, model.arrays.plates.body_node
-    bodies = np.searchsorted(body_node, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
-    point_body = np.stack([body_node[bodies], body_node[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
+    s, first = model.arrays.links, model.first_pairs
+    bodies = np.searchsorted(first, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
+    point_body = np.stack([first[bodies], first[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
     frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
     reach = np.zeros((2 * model.n_points, model.n_nodes, 2), made.band.dtype)
     active = active_components(s, model.laws)
@@ -86,13 +88,9 @@ def fill_reach(s, c, product=None):
     for column, values in enumerate(x):
         f, axis = divmod(column, 2)
         part = slice(s.point_ptr[f], s.point_ptr[f + 1])
-        nodes, weights = s.point_nodes[part], s.point_weights[part]
-        if product is None:
-            values[order[2 * nodes + axis]] = weights
-        else:
-            load = np.zeros(c.reach.shape[1:])
-            load[nodes, axis] = weights
-            values[order] = product(load).ravel()
+        load = np.zeros(c.reach.shape[1:])
+        load[s.point_nodes[part]] = UNIT[axis](*s.point_weights[part].T)
+        values[order] = load.ravel() if product is None else product(load).ravel()
     all_triangular(c.factor, x)
     for column, (values, found) in enumerate(zip(c.reach, x)):
         body = slice(*c.point_body[column // 2])
@@ -238,8 +236,8 @@ def points_matrix(s, c, w):
             xx = xy = yx = yy = 0.0
             end = s.point_ptr[f + 1] if c.point_body[f, 0] == c.point_body[h, 0] else s.point_ptr[f]
             for k in range(s.point_ptr[f], end):
-                i, weight = s.point_nodes[k], s.point_weights[k]
-                co, si = weight * w.turn[i, 0], weight * w.turn[i, 1]
+                i, c0, n0 = s.point_nodes[k], s.point_weights[k, 0], s.point_weights[k, 1]
+                co, si = c0 * w.turn[i, 0] - n0 * w.turn[i, 1], c0 * w.turn[i, 1] + n0 * w.turn[i, 0]
                 p, q = c.reach[2 * h, i, 0], c.reach[2 * h, i, 1]
                 xx += co * p - si * q
                 yx += si * p + co * q

@@ -1,47 +1,53 @@
-"""Forces of the plates that depend on v, and their derivatives: Kelvin-Voigt and mass-proportional damping.
+"""Forces of the bodies that depend on v, and their derivatives: Kelvin-Voigt and mass-proportional damping.
 
 They stand apart from the undamped pass: a scene without damping neither evaluates nor compiles them.
 """
 
 import numpy as np
 
+from polyida.assembly.bodies import compact
 from polyida.assembly.equilibrium import tangent_blocks
 from polyida.compiled import entry
 from polyida.element import kernels, two_states
 
 
 def symmetric_blocks(model, u, c_m, c_v):
-    """Blocks (nnz, 2, 2) of `c_m M + c_v C + K` of a scene's plates at u (nodes, 2), c_m and c_v both real or both complex.
+    """Blocks (nnz, 2, 2) of `c_m M + c_v C + K` of a scene's bodies at u (nodes, 2), c_m and c_v both real or both complex.
 
     C and K are those at rest there: what K has of velocities beside is not symmetric, and small; Newton does without.
     """
     if isinstance(c_v, complex):
         return combined(c_m, c_v, *symmetric_parts(model, u))
-    plates, blocks = model.arrays.plates, _blocks(model)
-    tangent_blocks(plates, u, c_m, 0.0 if model.damped else 1.0, blocks)
+    blocks = _blocks(model)
+    tangent_blocks(model.arrays, u, c_m, 0.0 if model.damped else 1.0, blocks)
     if model.damped:
         viscous = np.empty_like(blocks)
-        damped_blocks(plates, u, np.zeros_like(u), c_v, 1.0, viscous)
+        damped_blocks(model.arrays, u, np.zeros_like(u), c_v, 1.0, viscous)
         blocks += viscous
     return blocks
 
 
 def symmetric_parts(model, u):
-    """K (nnz, 2, 2), C alike or None where there is no damping, and m (nnz,), M's blocks being m times the identity."""
-    plates, K, C, M = model.arrays.plates, _blocks(model), None, _blocks(model)
-    tangent_blocks(plates, u, 1.0, 0.0, M)
-    tangent_blocks(plates, u, 0.0, 1.0, K)
+    """K (nnz, 2, 2), C alike or None where there is no damping, and the complex numbers m (nnz,) that M's blocks stand for: their real
+    parts, and their imaginary parts or None where there are none.
+    """
+    scene, K, C, M = model.arrays, _blocks(model), None, _blocks(model)
+    tangent_blocks(scene, u, 1.0, 0.0, M)
+    tangent_blocks(scene, u, 0.0, 1.0, K)
     if model.damped:
         C = _blocks(model)
-        damped_blocks(plates, u, np.zeros_like(u), 1.0, 0.0, C)
-    return K, C, M[:, 0, 0].copy()
+        damped_blocks(scene, u, np.zeros_like(u), 1.0, 0.0, C)
+    return K, C, M[:, 0, 0].copy(), M[:, 1, 0].copy() if M[:, 1, 0].any() else None
 
 
-def combined(c_m, c_v, K, C, m):
+def combined(c_m, c_v, K, C, m, across):
     """Blocks of `c_m M + c_v C + K` from symmetric_parts."""
     blocks = K + c_v * (0.0 if C is None else C)
     for i in range(2):
         blocks[:, i, i] += c_m * m
+    if across is not None:
+        blocks[:, 0, 1] -= c_m * across
+        blocks[:, 1, 0] += c_m * across
     return blocks
 
 
@@ -50,8 +56,10 @@ def _blocks(model):
 
 
 @entry
-def add_damping(s, u, v, elastic, r):
-    """r (nodes, 2) += the damping forces of all plates; elastic (nodes, 2) is scratch, rotation is not wanted."""
+def add_damping(scene, u, v, elastic, r):
+    """r (nodes, 2) += the damping forces of all bodies; elastic (nodes, 2) is scratch, rotation is not wanted."""
+    s = scene.plates
+    compact.damping(scene.compact, u, v, r)
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
         p, e = s.at[o], s.at[o + 1]
@@ -95,9 +103,11 @@ def add_damping(s, u, v, elastic, r):
 
 
 @entry
-def damped_blocks(s, u, v, c_v, c_q, blocks):
-    """Fill blocks (nnz, 2, 2) = c_v dg/dv + c_q dg/dq of all plates; dg/dq is not symmetric where v is not zero."""
+def damped_blocks(scene, u, v, c_v, c_q, blocks):
+    """Fill blocks (nnz, 2, 2) = c_v dg/dv + c_q dg/dq of all bodies; dg/dq is not symmetric where v is not zero."""
+    s = scene.plates
     blocks[:] = 0.0
+    compact.blocks(scene.compact, u, v, 0.0, c_v, c_q, blocks)
     for b in range(s.body_operator.shape[0]):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]

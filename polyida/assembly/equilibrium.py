@@ -1,5 +1,6 @@
 """The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
 
+from polyida.assembly.bodies import compact
 from polyida.assembly.rows.joints import joint_forces, point_values, spread
 from polyida.compiled import entry, shared
 from polyida.element import kernels, stabilisation
@@ -10,8 +11,9 @@ from polyida.linear.dense import clear
 def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     """Fill r (nodes, 2), phi (m,), rotation (nodes, 2), dz and forces (points, 2) at displacements u, accelerations a, multipliers lam.
 
-    rotation is the area-weighted sum of (F11 + F22, F21 - F12), whose direction is the nodal rotation; pass (0, 2) to skip it.
-    Returns (least det F of all elements, least cosine of a motor's angle error); the first is nan where u is not finite.
+    rotation is the area-weighted sum of (F11 + F22, F21 - F12), whose direction is the nodal rotation, or the vector of a body's frame;
+    pass (0, 2) to skip it. Returns (least det F of all elements, least cosine of a motor's angle error); the first is nan where u is not
+    finite.
     """
     s, links = scene.plates, scene.links
     for i in range(r.shape[0]):
@@ -33,13 +35,13 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
             r,
             rotation,
         )
-        if not det >= least:
-            least = det
+        least = compact.lesser(least, det)
         kernels.mass_product(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]], s.body_density[b], n0, a, r)
         if s.body_stabilisation[b] != 0.0:
             stabilisation.force(
                 s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, u, r
             )
+    least = compact.lesser(least, compact.forces(scene.compact, u, a, r, rotation))
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
         for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
@@ -56,8 +58,9 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
 
 
 @entry
-def tangent_blocks(s, u, c_m, c_q, blocks):
-    """Fill blocks (nnz, 2, 2) = c_m M + c_q dg_int/dq of the plates on their nodal pattern, without masses at points and joints."""
+def tangent_blocks(scene, u, c_m, c_q, blocks):
+    """Fill blocks (nnz, 2, 2) = c_m M + c_q dg_int/dq of the bodies on their pattern, without masses at points and joints."""
+    s = scene.plates
     for k in range(blocks.shape[0]):
         blocks[k, 0, 0] = blocks[k, 0, 1] = blocks[k, 1, 0] = blocks[k, 1, 1] = 0.0
     for b in range(s.body_operator.shape[0]):
@@ -84,12 +87,13 @@ def tangent_blocks(s, u, c_m, c_q, blocks):
                 mass = mass_scale * s.mass[p[6] + k] + stiffness_scale * s.stabilisation[p[6] + k]
                 blocks[first + k, 0, 0] += mass
                 blocks[first + k, 1, 1] += mass
+    compact.blocks(scene.compact, u, u, c_m, 0.0, c_q, blocks)
 
 
 @entry
-def strain_energy(s, u):
-    """Elastic energy of all plates, J."""
-    total = 0.0
+def strain_energy(scene, u):
+    """Elastic energy of all bodies, J."""
+    s, total = scene.plates, compact.energy(scene.compact, u)
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
         p, e = s.at[o], s.at[o + 1]
@@ -111,8 +115,10 @@ def strain_energy(s, u):
 
 
 @entry
-def momentum(s, a, r):
+def momentum(scene, a, r):
     """r += M a with the masses at points left out."""
+    s = scene.plates
+    compact.momentum(scene.compact, a, r)
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
         p, e = s.at[o], s.at[o + 1]

@@ -3,13 +3,14 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import complex_of_pairs, pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
 from polyida.model import Model
 
 
 class NamedPoints(Model):
-    """A model with `parts`, `joints`, `bodies` and `reference`; q are nodal displacements, (x, y) a node, in m."""
+    """A model with `parts`, `joints` and `places` of its bodies among the pairs of q."""
 
     def attachment(self, name):
         """What a mass, load or joint holds on to (a joint: its side b, or a where b is ground); InputError for another name."""
@@ -25,17 +26,16 @@ class NamedPoints(Model):
             return part.a if part.b.body is None else part.b
         return part.at
 
-    def nodes_of(self, side):
-        """Numbers in the scene of an attachment's nodes, or of its body's pairs; InputError where its body is another scene's."""
-        first = self.first_node.get(id(side.body))
-        if first is None:
+    def held(self, side, part="point"):
+        """(pairs of q, complex weights) of an attachment's "point" or "direction"; InputError where its body is another scene's."""
+        if id(side.body) not in self.places:
             raise InputError(f"{side!r}: its body is not in the scene")
-        return side.nodes + first
+        return self.places[id(side.body)].held(side, part)
 
     def displacement(self, name, q):
         """Displacement of the point that a mass, load or joint holds on to, (2,), m; of q = v its velocity."""
         side = self.attachment(name)
-        return self._moved(side, side.weights, q[None])[0]
+        return self._moved(side, "point", q[None])[0]
 
     def position(self, name, q):
         """Path of a mass, load or joint, by name or itself, or of an attachment, over frames q (frames, n): (frames, 2), m.
@@ -43,13 +43,12 @@ class NamedPoints(Model):
         Raises InputError for what is not in the scene.
         """
         side = self._side(name)
-        return side.point + self._moved(side, side.weights, q)
+        return side.point + self._moved(side, "point", q)
 
-    def _moved(self, side, weights, q):
-        """Weighted sum of the displacements of a side's nodes over frames q (frames, n), (frames, 2); weights may be complex."""
-        u = q.reshape(len(q), -1, 2)[:, self.nodes_of(side)]
-        moved = (u[..., 0] + 1j * u[..., 1]) @ weights
-        return np.stack([moved.real, moved.imag], axis=1)
+    def _moved(self, side, part, q, w=1.0):
+        """w times the change of an attachment's "point" or "direction" over frames q (frames, n), (frames, 2); w complex."""
+        pairs, weights = self.held(side, part)
+        return pairs_of(complex_of_pairs(q.reshape(len(q), -1, 2)[:, pairs]) @ (w * weights))
 
     def _side(self, name):
         """The attachment that is meant: itself, or of a part, or of the part of a name."""
@@ -78,5 +77,5 @@ class NamedPoints(Model):
         """A vector of a joint's formula, its profiles at zero, over frames q (frames, n): (frames, 2)."""
         values = np.full((len(q), 2), [vector.rest.real, vector.rest.imag])
         for side, part, w in (term for piece in vector.pieces for term in piece.terms):
-            values += self._moved(side, w * (side.weights if part == "point" else side.turn_weights), q)
+            values += self._moved(side, part, q, w)
         return values

@@ -6,10 +6,10 @@ import numpy as np
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import bilinear, concatenated
-from polyida.assembly.build import assemble, bodies_of, extent_of, first_nodes, of_kind
-from polyida.assembly.constraints import Constraints
+from polyida.assembly.bodies.own import Elastic, uneven_mass
+from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
 from polyida.assembly.damping import add_damping, damped_blocks
-from polyida.assembly.own.bodies import Elastic, own_bodies_of, own_mass
+from polyida.assembly.drawn import Drawn, deepest
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows.increments import Increments
@@ -17,56 +17,66 @@ from polyida.assembly.rows.mass_system import MassSystem, at_rest
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.assembly.told.momenta import Momenta
 from polyida.assembly.told.powers import Powers
-from polyida.body.force_element import ForceElement
-from polyida.element import kernels
+from polyida.force.force_element import ForceElement
+from polyida.given import on_pairs, pairs_of
 from polyida.linear.lu import LU
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
 
 
-class SceneModel(Constraints):
-    """Plates, joints, masses and forces as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are nodal displacements, (x, y) a node, in m.
+class SceneModel(Drawn):
+    """Bodies, joints, masses and forces as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are displacements of pairs (x, y): of the plates'
+    nodes, m, then of the complex coordinates of bodies that have few.
 
-    bodies: the plates in order, each with its slice of the nodes; own_bodies: those of a user's own, whose coordinates are pairs behind
-    the nodes. arrays: all that the compiled kernels read; own_forces: the force elements and bodies' elastic forces, which are
-    Python; laws: these by number where all of them are compiled. compiled: whether there is nothing of one's own, so that kernels
-    take whole steps. `rows` names the slice of phi and lam that belongs to each joint or body. Matrices are scipy.sparse.
+    bodies: the plates in order, each with its slice of the nodes; few: the other bodies; places: all by id. arrays: all that the compiled
+    kernels read; own_forces: the force elements and bodies' elastic forces that are Python; laws: the elements by number where all of them
+    are compiled. compiled: whether there is no Python in it, so that kernels take whole steps. `rows` names the slice of phi and lam that
+    belongs to each joint or body. Matrices are scipy.sparse.
     """
 
-    is_scene = alike = carries = compiled = True
+    is_scene = carries = True
     looks_apart = 1024  # its joints hold on to points of their own, only motors turn rows
 
     def __init__(self, parts, gravity):
         self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
-        self.bodies, self._kept, self._driven = bodies_of(parts), {}, (None, None)
-        n_plates = self.bodies[-1].nodes.stop if self.bodies else 0
-        self.own_bodies = own_bodies_of(parts, n_plates)
-        self.first_node, self.extent = first_nodes(self.bodies, self.own_bodies), extent_of(self.bodies, self.own_bodies)
-        self.arrays, points, table, drives, self.laws = assemble(self.bodies, self.own_bodies, parts, gravity)
+        self.bodies, self._kept, self._driven = plates_of(parts), {}, (None, None)
+        self.few = few_of(parts, self.bodies[-1].nodes.stop if self.bodies else 0)
+        self.places = {id(body.plate): body for body in self.bodies} | {id(placed.user): placed for placed in self.few}
+        self.extent = extent_of(self.bodies, self.few)
+        self.arrays, points, table, drives, self.laws = assemble(self.bodies, self.few, self.places, parts, gravity, self.extent)
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
-        self.n_nodes = self.own_bodies[-1].nodes.stop if self.own_bodies else n_plates
-        self.n, self.m = 2 * self.n_nodes, len(self.labels)
-        self.n_points = len(points.nodes)
+        self.n_nodes = [*self.bodies, *self.few][-1].pairs.stop
+        self.n, self.m, self.n_points = 2 * self.n_nodes, len(self.labels), len(points.nodes)
         links = self.arrays.links
         self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
-        elements, deforming = of_kind(parts, ForceElement), [own for own in self.own_bodies if own.elastic]
-        self.damped, self.flexible = any(body.plate.material.damped for body in self.bodies), bool(self.bodies or deforming)
+        elements, elastic = of_kind(parts, ForceElement), [placed for placed in self.few if placed.elastic]
+        self.damped = any(placed.damped for placed in (*self.bodies, *self.few))
+        self.flexible = bool(self.bodies) or any(placed.deforms for placed in self.few)
         self.needs = Needs(
             mass_varies=False,
             velocity_forces=self.damped or bool(elements),
             driven=bool((links.product_drive >= 0).any()),
             phi_q_varies=bool(bilinear(links).any()),
         )
-        self.reference = np.concatenate([body.points for body in self.bodies] + [own.pairs for own in self.own_bodies])
+        self.reference = np.concatenate([body.points for body in self.bodies] + [pairs_of(placed.rest) for placed in self.few])
         self.own_forces = OwnForces(
-            [*(OwnForce(name, element, self) for name, element in elements.items()), *(Elastic(own, self.n_nodes) for own in deforming)],
+            [*(OwnForce(name, element, self) for name, element in elements.items()), *(Elastic(own, self.n_nodes) for own in elastic)],
             self.n,
         )
-        self.own_mass = own_mass(self.own_bodies, parts, self.first_node, self.n) if self.own_bodies else None
-        python = dict.fromkeys([own.name for own in (*self.own_bodies, *self.own_forces.each)] if self.laws is None else [])
-        self.compiled, self.alike, self.looks_apart = not python, not self.own_bodies, 1 if self.own_bodies else self.looks_apart
-        self.remark = f"plain paths for the Python of {', '.join(map(repr, python))}" if python else ""
+        self.uneven_mass = uneven_mass(self.few, self.n)
+        python = [placed.name for placed in self.few if placed.python] + ([] if self.laws else [*elements])
+        massless = [placed.name for placed in self.few if placed.massless]
+        self.solid = not massless and self.uneven_mass is None
+        self.compiled, self.alike, self.looks_apart = self.solid and not python, not self.few, 1 if self.few else self.looks_apart
+        why = (("the Python of", python), ("the massless coordinates of", massless))
+        self.remark = " and ".join(f"plain paths for {what} {', '.join(map(repr, names))}" for what, names in why if names)
+
+    @property
+    def lightest(self):
+        """Mass of its lightest body, kg."""
+        plates = [body.plate.material.rho * body.plate.thickness * body.mesh.area for body in self.bodies]
+        return min([*plates, *(placed.whole_mass for placed in self.few)])
 
     @property
     def free_fall(self):
@@ -89,12 +99,12 @@ class SceneModel(Constraints):
     def residual(self, t, q, v, a, lam):
         """`r = M a + g + phi_q^T lam`, (n,)."""
         r = self._with_forces(t, q, v, self.evaluate(t, q, a, lam)[0])
-        return r if self.own_mass is None else r + self.own_mass @ a
+        return r if self.uneven_mass is None else r + self.uneven_mass @ a
 
     def _with_forces(self, t, q, v, r):
         """r with what `evaluate` leaves out: damping and force elements."""
         if self.damped:
-            add_damping(self.arrays.plates, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
+            add_damping(self.arrays, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
         if self.laws is None:
             self.own_forces.take_from(r, t, q, v)
             return r
@@ -122,29 +132,35 @@ class SceneModel(Constraints):
 
     @cached_property
     def _mass(self):
-        from scipy.sparse import kron
-
-        nodal = kron(self._nodal_mass, np.eye(2), format="csc")
-        return nodal if self.own_mass is None else nodal + self.own_mass
+        even = on_pairs(self._even_mass).tocsc()
+        return even if self.uneven_mass is None else even + self.uneven_mass
 
     @cached_property
-    def _nodal_mass(self):
-        """The mass matrix of one direction, (nodes, nodes), without bodies of one's own: x and y carry the same."""
+    def _even_mass(self):
+        """The mass that x and y of pairs carry alike, Hermitian, (pairs, pairs); real where it can be."""
         from scipy.sparse import csr_array, diags_array
 
         (indptr, indices), s = self.pattern, self.arrays
         values = [body.operator.mass * density for body, density in zip(self.bodies, s.plates.body_density)]
-        mass = csr_array((concatenated(values, float), indices, indptr), shape=(self.n_nodes, self.n_nodes))
-        return (mass + self._points_s.T @ diags_array(s.links.point_mass) @ self._points_s).tocsc()
+        values = np.concatenate([concatenated(values, float), s.compact.mass @ (1, 1j)])
+        weights = self.point_weights
+        mass = csr_array((values, indices, indptr), shape=(self.n_nodes, self.n_nodes))
+        mass = (mass + weights.conj().T @ diags_array(s.links.point_mass) @ weights).tocsc()
+        if not mass.data.imag.any():
+            mass.data = mass.data.real.copy()
+        return mass
 
     def mass_inverse(self, b):
-        """M^-1 b, b (n,) or (n, k); M is factored once."""
-        pairs = b.reshape(self.n_nodes, -1)
-        return self._mass_factor.solve(np.ascontiguousarray(pairs)).reshape(b.shape)
+        """M^-1 b, b (n,) or (n, k), of a `solid` scene; M is factored once."""
+        pairs = b.reshape(self.n_nodes, 2, -1)
+        if np.isrealobj(self._even_mass.data):
+            return self._mass_factor.solve(np.ascontiguousarray(pairs.reshape(self.n_nodes, -1))).reshape(b.shape)
+        found = self._mass_factor.solve(pairs[:, 0] + 1j * pairs[:, 1])
+        return np.stack([found.real, found.imag], axis=1).reshape(b.shape)
 
     @cached_property
     def _mass_factor(self):
-        return LU(self._nodal_mass)
+        return LU(self._even_mass)
 
     def force_q(self, t, q, v):
         """dg/dq, (n, n) sparse."""
@@ -170,7 +186,7 @@ class SceneModel(Constraints):
 
     def mass_system(self, t, q):
         """The system of M and phi_q through the points of the joints; without motors made once."""
-        if self.own_bodies:
+        if not self.solid:
             return super().mass_system(t, q)
         return MassSystem(self, t, q) if self.needs.driven or self.needs.phi_q_varies else self.once(at_rest)
 
@@ -192,7 +208,7 @@ class SceneModel(Constraints):
         """Why a state cannot be accepted, or None: an element turned inside out, or a motor on the wrong half-turn."""
         _, _, _, det, cosine = self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))
         if not det > 0:
-            where = _deepest(self.bodies, self._nodal(q))
+            where = deepest(self.bodies, self._nodal(q))
             return f"{where} is turned inside out (least det F {det:.3g}); St. Venant-Kirchhoff has collapsed in compression"
         return (
             None if cosine > 0 else f"motor {self._flipped(t, q)!r} stands on the wrong half-turn (cosine of its angle error {cosine:.3g})"
@@ -208,7 +224,7 @@ class SceneModel(Constraints):
 
     def strain_energy(self, q):
         """Elastic energy of all bodies, J."""
-        return compiled.strain_energy(self.arrays.plates, self._nodal(q)) + self.own_forces.energy(q, strain=True)
+        return compiled.strain_energy(self.arrays, self._nodal(q)) + self.own_forces.energy(q, strain=True)
 
     def gravity_potential(self, q):
         """Potential of gravity on bodies and masses, J, zero at q = 0."""
@@ -230,71 +246,45 @@ class SceneModel(Constraints):
 
     @cached_property
     def pattern(self):
-        """(indptr, indices) of the nodal block pattern of all plates, int32; rows of other bodies' pairs are empty."""
+        """(indptr, indices) of the pairs' block pattern, int32: of the plates' nodes, and of all pairs of each other body."""
         s, indptr, indices = self.arrays.plates, [np.zeros(1, np.int32)], []
         for body, first in zip(self.bodies, s.body_block):
             indptr.append(body.operator.indptr[1:] + np.int32(first))
             indices.append(body.operator.indices + np.int32(body.nodes.start))
-        indptr = np.concatenate(indptr)
-        return np.pad(indptr, (0, self.n_nodes + 1 - len(indptr)), mode="edge"), concatenated(indices, np.int32)
+        for placed, first in zip(self.few, self.arrays.compact.block):
+            pairs = np.arange(placed.pairs.start, placed.pairs.stop)
+            indptr.append((first + len(pairs) * np.arange(1, len(pairs) + 1)).astype(np.int32))
+            indices.append(np.tile(pairs, len(pairs)))
+        return np.concatenate(indptr), concatenated(indices, np.int32)
+
+    @cached_property
+    def translation(self):
+        """By how much each pair of q moves where all bodies move by one, (pairs,), complex."""
+        return np.concatenate([np.ones(len(body.points), complex) for body in self.bodies] + [placed.translation for placed in self.few])
+
+    @cached_property
+    def first_pairs(self):
+        """The first pair of every body, and the end, (bodies + 1,)."""
+        return np.concatenate([self.arrays.plates.body_node, self.arrays.compact.pair[1:]])
 
     def _forces_q(self, t, q, v, c_v, c_q):
         """`c_v dg/dv + c_q dg/dq`, (n, n) sparse."""
-        plates = self._plates_q(q, v, c_v, c_q)
-        return plates if not self.own_forces else (plates + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
+        bodies = self._bodies_q(q, v, c_v, c_q)
+        return bodies if not self.own_forces else (bodies + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
 
-    def _plates_q(self, q, v, c_v, c_q):
+    def _bodies_q(self, q, v, c_v, c_q):
         from scipy.sparse import bsr_array
 
         indptr, indices = self.pattern
         blocks = np.empty((len(indices), 2, 2))
         if self.damped:
-            damped_blocks(self.arrays.plates, self._nodal(q), self._nodal(v), c_v, c_q, blocks)
+            damped_blocks(self.arrays, self._nodal(q), self._nodal(v), c_v, c_q, blocks)
         else:
-            compiled.tangent_blocks(self.arrays.plates, self._nodal(q), 0.0, c_q, blocks)
+            compiled.tangent_blocks(self.arrays, self._nodal(q), 0.0, c_q, blocks)
         return bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
-
-    def stress(self, q):
-        """Cauchy stress of every element, (cells, 3): xx, yy, xy in Pa, plate after plate."""
-        parts = [np.zeros((0, 3))]
-        for body in self.bodies:
-            modulus, nu = body.plate.material.in_plane
-            out, operator = np.empty((body.mesh.n_cells, 3)), body.operator
-            kernels.stress(
-                *operator.force_arrays,
-                operator.lane_cells,
-                operator.areas,
-                body.nodes.start,
-                modulus / (1 - nu**2),
-                nu,
-                self._nodal(q),
-                out,
-            )
-            parts.append(out)
-        return np.concatenate(parts)
-
-    def stress_across(self, stress):
-        """Stress zz across the plane, (cells,), Pa, from that of every element: nu (xx + yy) in plane strain, 0 in plane stress."""
-        ratio = [body.plate.material.across for body in self.bodies]
-        return np.repeat(ratio, [body.mesh.n_cells for body in self.bodies]) * (stress[:, 0] + stress[:, 1])
 
     def once(self, make):
         """make(self), kept: what other layers derive from the model once."""
         if make not in self._kept:
             self._kept[make] = make(self)
         return self._kept[make]
-
-
-def _deepest(bodies, u):
-    """ "cell 3 of 'upper' at (x, y)": that of the least mean det F at displacements u (nodes, 2), and its centre at rest, m."""
-    found = []
-    for body in bodies:
-        operator = body.operator
-        outer = u[body.nodes][operator.nodes][:, :, None] * operator.mean_gradients[:, None, :]
-        gradient = np.eye(2) + np.add.reduceat(outer, operator.offsets[:-1])
-        det = np.linalg.det(gradient)
-        cell = int(np.argmin(det))
-        found.append((det[cell], cell, body))
-    _, cell, body = min(found, key=lambda entry: entry[0])
-    x, y = body.points[body.mesh.cell(cell)].mean(axis=0)
-    return f"cell {cell} of {body.name!r} at ({x:.6g}, {y:.6g})"

@@ -15,12 +15,13 @@ from polyida.assembly import corotated
 from polyida.assembly.equilibrium import momentum
 from polyida.assembly.rows import joints
 from polyida.compiled import leaf, pack, part
+from polyida.given import on_pairs
 from polyida.linear.dense import clear, solve_small
 
 
 @pack
 class StabilisedRoom(NamedTuple):
-    """Scratch of the border, in the numbers of c; overlap: A A^T of one direction; place: the unknowns' order; swing: Bz^T dmu, left there."""
+    """Scratch of the border, in the numbers of c; overlap: A A^T; place: the unknowns' order; swing: Bz^T dmu, left there."""
 
     overlap: np.ndarray
     place: np.ndarray
@@ -39,7 +40,7 @@ def stabilised_room(model, dtype=float):
     links, wide = model.arrays.links, 2 * model.n_points
     place = order_along_joints(corotated.active_components(links, model.laws), links)
     return StabilisedRoom(
-        overlap(links, model.n_points, model.n_nodes),
+        on_pairs((model.point_weights @ model.point_weights.conj().T).toarray()),
         place,
         np.zeros((model.n_points, 2), dtype),
         np.empty((model.n_points, 2), dtype),
@@ -60,15 +61,6 @@ def order_along_joints(active, links):
     return np.concatenate([place, place[len(active) :] + 1]) if m else place
 
 
-def overlap(links, points, nodes):
-    """A A^T of one direction, (points, points)."""
-    dense = np.zeros((points, nodes))
-    for f in range(points):
-        part = slice(links.point_ptr[f], links.point_ptr[f + 1])
-        dense[f, links.point_nodes[part]] = links.point_weights[part]
-    return dense @ dense.T
-
-
 def massive(model, system, damping=None):
     """The Corotated `system` with columns `S^-1 (M + damping) A^T`, M of the plates.
 
@@ -77,7 +69,7 @@ def massive(model, system, damping=None):
 
     def product(a):
         result = np.zeros_like(a)
-        momentum(model.arrays.plates, a, result)
+        momentum(model.arrays, a, result)
         return result if damping is None else result + (damping @ a.ravel()).reshape(a.shape)
 
     result = system._replace(reach=np.zeros_like(system.reach))
@@ -105,11 +97,10 @@ def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, dq, r1, r3, r4,
     for i in range(wide):
         for j in range(wide):
             h[i, j] *= c_v
-        for f in range(w.overlap.shape[0]):
-            if s.point_mass[f] != 0.0:
-                for k in range(2):
-                    for e in range(w.overlap.shape[0]):
-                        h[i, 2 * e + k] += c_v * g[i, 2 * f + k] * s.point_mass[f] * w.overlap[f, e]
+        for p in range(wide):
+            if s.point_mass[p // 2] != 0.0:
+                for e in range(wide):
+                    h[i, e] += c_v * g[i, p] * s.point_mass[p // 2] * w.overlap[p, e]
     times_jacobian(s, cr, g, cr.gb)
     times_jacobian(s, cr, h, w.hb)
     fill_stabilised(s, c, cr, w, c_v, dq, r3.shape[0])
@@ -182,8 +173,7 @@ def close_stabilised(s, c, cr, w, r1, r3, r4):
             for o in range(m):
                 for i in range(s.row_start[o], s.row_start[o + 1]):
                     q = s.row_columns[i]
-                    if q % 2 == p % 2:
-                        w.small[at, w.place[count + m + o]] -= value * w.overlap[p // 2, q // 2] * cr.slopes[i]
+                    w.small[at, w.place[count + m + o]] -= value * w.overlap[p, q] * cr.slopes[i]
 
 
 @part
@@ -201,11 +191,10 @@ def apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu):
             p = s.row_columns[e]
             cr.pull[p] += cr.slopes[e] * dlam[k]
             w.swing[p // 2, p % 2] += cr.slopes[e] * dmu[k]
-    for f in range(w.overlap.shape[0]):
-        if s.point_mass[f] != 0.0:
+    for p in range(w.overlap.shape[0]):
+        if s.point_mass[p // 2] != 0.0:
             for e in range(w.overlap.shape[0]):
-                cr.pull[2 * f] += c_v * s.point_mass[f] * w.overlap[f, e] * w.swing[e, 0]
-                cr.pull[2 * f + 1] += c_v * s.point_mass[f] * w.overlap[f, e] * w.swing[e, 1]
+                cr.pull[p] += c_v * s.point_mass[p // 2] * w.overlap[p, e] * w.swing[e // 2, e % 2]
     corotated.pull_points(s, c, cr, dq)
     for p in range(cr.pull.shape[0]):
         cr.pull[p] = c_v * w.swing[p // 2, p % 2]

@@ -1,6 +1,7 @@
 """What every body of one's own is: coordinates that are points of the complex plane, a constant mass, an elastic force, named points."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.body.material import vector2
 from polyida.body.own_part import OwnPart, require_whole, writes
 from polyida.errors import InputError
-from polyida.given import complexes, is_one_of
+from polyida.given import complexes, floats, is_one_of, on_pairs, pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.joint.formula import Row, Vector
 
@@ -20,9 +21,14 @@ class Body(OwnPart):
 
     `M z'' + elastic(z) = forces`, M constant; each of its points is `x = sum w_k z_k` with constant complex weights w, so that joints,
     masses, loads and forces hold on to it by `body.at(name)`. In q stand the displacements of its pairs from `coordinates()`, after the
-    nodes of the plates. Gravity acts as `M T g`, T its `translation()`. What is constant is asked for once; z is to read only. Its
-    functions are Python, so a scene with it goes through the integrators' plain paths, which its summaries say.
+    nodes of the plates. Gravity acts as `M T g`, T its `translation()`. What is constant is asked for once, and kernels take it from there;
+    z is to read only. A scene with a body whose `elastic` is written, in Python, goes through the integrators' plain paths, which its
+    summaries say, as does one of a body whose x and y carry different masses.
     """
+
+    turns_only = False  # whether it keeps the directions of its sections of constant length; of its points it may
+    plate: Any = None  # whose mesh shows it; `nodal` then tells of its nodes
+    left_out: Any = None  # of a reduced plate: what its modes leave out
 
     def coordinates(self) -> ArrayLike:
         """z in the reference configuration, (pairs,), complex: places in m, or numbers without unit such as a direction's."""
@@ -66,6 +72,43 @@ class Body(OwnPart):
         """The multipliers of its own constraints."""
         return lam.copy()
 
+    def form(self) -> tuple[ArrayLike, ArrayLike] | None:
+        """(form, shift) of a body of K vectors z_i, its pairs from the second on, whose elastic energy is `d^T form d / 2 + shift^T d`
+        (K^2, K^2) and (K^2,), d the gain of y = (Re conj(z_i) z_j, i <= j; Im conj(z_i) z_j, i < j) from rest, J; None where it has none.
+        Kernels then take it, in place of `elastic`.
+        """
+        return None
+
+    def damping(self) -> tuple[float, float]:
+        """(drag, 1/s, viscosity, s) as of a plate's material: forces `drag M z'` and, of a form, `viscosity (dy/dz)^T form y'`."""
+        return 0.0, 0.0
+
+    def settled(self, held: list[Attachment]) -> "Body":
+        """The body as a scene takes it, whose parts hold on to these of its attachments: itself, unless its coordinates depend on them."""
+        return self
+
+    def weights_of(self, side: Attachment, part: str) -> NDArray:
+        """Weights (pairs,), complex, of which an attachment's "point" or "direction" is the sum."""
+        return side.weights if part == "point" else side.turn_weights  # type: ignore[return-value]
+
+    def shares_of(self, side: Attachment, forces: NDArray) -> NDArray:
+        """What of forces, complex, on the nodes of an attachment, here its pairs, acts on each pair, (pairs,)."""
+        return forces
+
+    def nodal(self, moved: NDArray) -> NDArray:
+        """Displacements (nodes, 2), m, of the nodes of its plate from those of its pairs, complex."""
+        raise NotImplementedError
+
+    def require(self) -> None:
+        """Raise InputError unless its class is whole and gives what it must."""
+        require_whole(self, Body, ("coordinates", "mass_matrix", "attachments"))
+        if writes(self, Body, "elastic") != writes(self, Body, "energy"):
+            raise InputError(f"{self.label}: elastic(z) is the slope of energy(z); its class must give both, or none where it is rigid")
+        named = self.attachments()
+        if not isinstance(named, dict) or not named or not all(isinstance(name, str) and name for name in named):
+            raise InputError(f"{self.label}: attachments() gave {str(named)[:80]}; it must give {{name: weights}}, one at least")
+        mass_of(self), translation_of(self), form_of(self)
+
     def at(self, name: str, direction: ArrayLike | None = None) -> "BodyPoint":
         """A point by name. direction: of any length, in the axes of the body at rest turned with its x axis; that axis where it is None.
 
@@ -100,17 +143,16 @@ class BodyPoint(Attachment):
     @property
     def point(self) -> NDArray:
         """Reference position of the point, (2,), m."""
-        return _pair(self.weights @ rest_of(self.body))
+        return pairs_of(self.weights @ rest_of(self.body))
 
     @property
     def direction(self) -> NDArray | None:
         """Reference direction, (2,), of length one, or None."""
-        return None if self.turn_weights is None else _pair(self.turn_weights @ rest_of(self.body))
+        return None if self.turn_weights is None else pairs_of(self.turn_weights @ rest_of(self.body))
 
     def share(self, force: ArrayLike) -> NDArray:
         """What of a force (2,) at the point acts on each pair, (pairs, 2)."""
-        shares = self.weights.conj() * (np.asarray(force, float) @ [1.0, 1j])
-        return np.stack([shares.real, shares.imag], axis=1)
+        return pairs_of(self.weights.conj() * (np.asarray(force, float) @ [1.0, 1j]))
 
 
 def _turned(body, name, way, direction):
@@ -132,10 +174,6 @@ def _finite(given):
     return array if array is not None and np.isfinite(array).all() else None
 
 
-def _pair(number):
-    return np.array([number.real, number.imag])
-
-
 def rest_of(body):
     """The coordinates of a body at rest, (pairs,) complex. Raises InputError naming it."""
     given = body.coordinates()
@@ -146,7 +184,10 @@ def rest_of(body):
 
 
 def mass_of(body):
-    """Its mass matrix on (x_0, y_0, x_1, ...), (2 pairs, 2 pairs), real. Raises InputError where it is no mass."""
+    """(M, None), M (pairs, pairs) Hermitian, or where x and y carry different masses (None, M), real, on (x_0, y_0, x_1, ...).
+
+    Raises InputError where it is no mass.
+    """
     pairs, matrix = len(rest_of(body)), _finite(body.mass_matrix())
     shape = "nothing of the kind" if matrix is None else matrix.shape
     if matrix is None or matrix.shape not in ((pairs, pairs), (2 * pairs, 2 * pairs)):
@@ -157,16 +198,26 @@ def mass_of(body):
     size = np.abs(matrix).max()
     if np.abs(matrix - matrix.conj().T).max() > SAME * size:
         raise InputError(f"{body.label}: mass_matrix() is not Hermitian (symmetric where it is real)")
-    if len(matrix) == pairs:
-        matrix = on_pairs(matrix)
-    if np.any(matrix.imag) or np.linalg.eigvalsh(matrix.real)[0] < -SAME * size:
+    whole = on_pairs(matrix) if len(matrix) == pairs else matrix
+    if np.any(whole.imag) or np.linalg.eigvalsh(whole.real)[0] < -SAME * size:
         raise InputError(f"{body.label}: mass_matrix() must be positive semidefinite, and real where it is on both of each pair")
-    return matrix.real
+    if len(matrix) == pairs:
+        return matrix, None
+    xx, xy, yx, yy = (matrix.real[i::2, k::2] for i in range(2) for k in range(2))
+    alike = max(np.abs(xx - yy).max(), np.abs(xy + yx).max()) <= SAME * size
+    return (xx + 1j * yx, None) if alike else (None, matrix.real)
 
 
-def on_pairs(matrix):
-    """A complex matrix as it acts on (x, y) pairs, real: each entry w becomes ((Re w, -Im w), (Im w, Re w))."""
-    return np.kron(matrix.real, np.eye(2)) + np.kron(matrix.imag, [[0.0, -1.0], [1.0, 0.0]])
+def form_of(body):
+    """(form, shift) of a body as arrays, or None. Raises InputError for what is none."""
+    given = body.form()
+    if given is None:
+        return None
+    form, shift = (floats(part) for part in given)
+    size = (len(rest_of(body)) - 1) ** 2
+    if form is None or shift is None or form.shape != (size, size) or shift.shape != (size,):
+        raise InputError(f"{body.label}: form() must give finite numbers ({size}, {size}) and ({size},)")
+    return form, shift
 
 
 def translation_of(body):
@@ -188,14 +239,3 @@ def translation_of(body):
 def points_of(body):
     """All of its named points."""
     return [body.at(name) for name in body.attachments()]
-
-
-def require_body(body):
-    """Raise InputError unless a body of one's own is whole."""
-    require_whole(body, Body, ("coordinates", "mass_matrix", "attachments"))
-    if writes(body, Body, "elastic") != writes(body, Body, "energy"):
-        raise InputError(f"{body.label}: elastic(z) is the slope of energy(z); its class must give both, or none where it is rigid")
-    named = body.attachments()
-    if not isinstance(named, dict) or not named or not all(isinstance(name, str) and name for name in named):
-        raise InputError(f"{body.label}: attachments() gave {str(named)[:80]}; it must give {{name: weights}}, one at least")
-    mass_of(body), translation_of(body)

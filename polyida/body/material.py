@@ -1,5 +1,6 @@
 """St. Venant-Kirchhoff material of a plate."""
 
+import math
 from dataclasses import dataclass
 
 from polyida.errors import InputError
@@ -71,6 +72,14 @@ def positive(part, name, value, unit):
     """The value as a float; raises InputError naming part and value where it is not a finite number above zero."""
     if not is_number(value) or value <= 0:
         raise InputError(f"{part}: {name} = {value!r} must be a positive number of {unit}")
+    return float(value)
+
+
+def number(part, name, value, unit, least=-math.inf):
+    """The value as a float; raises InputError naming part and value where it is not a finite number of `least` or more."""
+    if not (is_number(value) and value >= least):
+        least = "" if least == -math.inf else f", {least:g} or more"
+        raise InputError(f"{part}: {name} = {value!r} must be a number of {unit}{least}")
     return float(value)
 
 

@@ -12,9 +12,11 @@ class OwnPart:
 
     name: str | None = None
 
-    def __init_subclass__(cls, **options):
+    def __init_subclass__(cls, part: bool = True, **options):
+        """part: whether the class is of parts that files find by its name, not of what parts are made of."""
         super().__init_subclass__(**options)
-        registry.parts[registry.name_of(cls)] = cls
+        if part:
+            registry.parts[registry.name_of(cls)] = cls
 
     @property
     def label(self) -> str:

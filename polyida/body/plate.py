@@ -44,6 +44,7 @@ class Plate:
     element: str = "wachspress"
     tau: float = 0.1
     label: str = field(init=False, repr=False)
+    turns_only = False
 
     def __post_init__(self):
         label = labelled("Plate", self.name)
@@ -93,7 +94,11 @@ class Plate:
         return of_section(self, self._of_mesh(self.mesh.section, selector), _called(selector))
 
     def rim(self, hole: int | str = 0) -> Attachment:
-        """The mean of the rim of a hole of the mesh, by number or section name."""
+        """The rim of a hole of the mesh, by number or section name; its point is the hole's centre.
+
+        That is the circle's where the rim's corners, four or more, are on one, in `pi.mesh.Link` and in meshes from files alike; the
+        centroid of the area of any other hole.
+        """
         return self.section(f"hole {hole}" if isinstance(hole, (int, np.integer)) else hole)
 
     def node(self, where: int | ArrayLike) -> Attachment:

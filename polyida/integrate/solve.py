@@ -2,6 +2,7 @@
 
 import math
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.errors import InputError
+from polyida.assembly.bodies import left_out
+from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.running.recorder import Recorder, require_sensors
 from polyida.integrate.running.run import Run, constant_step
@@ -99,7 +101,10 @@ def solve(
         store = FrameStore(model.n, model.m, memory_limit, file, precision == "single", _expected(plan, begin, integrator))
         run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
-        return run.go(state)
+        found = run.go(state)
+    if model.few and (left := left_out.hint(model, found.q, found.a)):
+        warnings.warn(f"solve: {left}", ReductionWarning, stacklevel=3)
+    return found
 
 
 def _first(model, t0, state, q0, v0):

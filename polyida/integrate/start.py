@@ -32,13 +32,13 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
     require_functions(model, float(t0), q, v)
     if model.m:
         require_independent(model, model.phi_q(t0, q), q)
-        _require_near(model, "q0", True, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
+        require_near(model, "q0", True, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
         q = _project_position(model, t0, q)
     if objection := model.objection(t0, q):
         raise InputError(f"the start cannot be accepted: {objection}")
     if model.m:
         rate = model.phi_rate(t0, q, v)
-        _require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
+        require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
         v = on_velocity(model, t0, q, v)
     a, lam = consistent_acceleration(model, t0, q, v)
     return State(float(t0), q, v, a, lam)
@@ -136,7 +136,8 @@ def require_state(part, model, state):
     return State(float(state.t), **arrays, memory=dict(getattr(state, "memory", {})), restart=getattr(state, "restart", True))
 
 
-def _require_near(model, name, required, violation, size):
+def require_near(model, name, required, violation, size):
+    """Raise InputError, in the name of a start, where its constraints are not finite or, if required, violated by VIOLATION of its size."""
     worst = int(np.argmax(np.abs(violation)))
     if not np.isfinite(violation).all():
         raise InputError(f"{name}: {model.constraint_name(worst)} is not finite at the start")

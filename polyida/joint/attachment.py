@@ -69,7 +69,6 @@ class Attachment:
     turn_weights: np.ndarray | None
     length: float
     name: str
-    turns_only = False  # whether the length of its direction may be held by its body
     advice = "use a section of two nodes or more"  # where it has no direction
 
     @property
@@ -81,6 +80,11 @@ class Attachment:
     def direction(self) -> NDArray | None:
         """Reference direction, (2,), of length one, or None: the same wherever the body lies."""
         return None if self.turn_weights is None else self.turn_weights @ _arms(self.body, self.nodes)
+
+    @property
+    def turns_only(self) -> bool:
+        """Whether its body may hold the length of its direction."""
+        return self.body.turns_only
 
     @property
     def has_direction(self) -> bool:
@@ -123,18 +127,15 @@ def _arms(body, nodes):
 
 
 def of_section(body, section, name):
-    """Mean of a section: weights by tributary length l; `w'_i = l_i (eta_i - mean) / sum l (eta - mean)^2`, eta along its main axis.
+    """Mean of a section by its weights w; `w'_i = w_i (eta_i - mean) / sum w (eta - mean)^2`, eta along its main axis.
 
+    They are tributary lengths, of the rim of a hole such that the mean is the hole's centre.
     The main axis is that of the largest second moment, x where the two are one but for round-off, so that the direction has length
     one on straight and round sections alike.
     """
-    nodes, lengths = np.asarray(section.nodes, np.int32), np.asarray(section.lengths, float)
-    total = lengths.sum()
-    if len(nodes) == 1 or not total > 0:
-        if len(nodes) == 1:
-            return of_node(body, int(nodes[0]))
-        lengths, total = np.ones(len(nodes)), 0.0
-    weights = lengths / lengths.sum()
+    nodes, weights = np.asarray(section.nodes, np.int32), np.asarray(section.weights, float)
+    if len(nodes) == 1:
+        return of_node(body, int(nodes[0]))
     offset = _arms(body, nodes)
     offset = offset - weights @ offset
     axis = _main_axis((weights[:, None] * offset).T @ offset)
@@ -142,7 +143,7 @@ def of_section(body, section, name):
     eta = eta - weights @ eta
     moment = weights @ eta**2
     turn = weights * eta / moment if moment > 0 else None
-    return Attachment(body, nodes, weights, None if turn is None else turn - turn.mean(), float(total), name)
+    return Attachment(body, nodes, weights, None if turn is None else turn - turn.mean(), section.length, name)
 
 
 def _main_axis(moments):

@@ -7,8 +7,9 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.joint.attachment import Ground, ground, labelled
-from polyida.joint.formula import Row, Vector, cross
+from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
+from polyida.joint.shared_rows import held
 from polyida.keywords import named_keywords
 
 
@@ -46,7 +47,7 @@ class Clamp(Joint):
     def rows(self) -> list[Row | Vector]:
         """`x_i - X_i` of every node, or `(x_A - x_B, d_A - Q d_B)`, or where a body keeps its directions' length `(x_A - x_B, Q d_A x d_B)`."""
         if self.a.turns_only or self.b.turns_only:
-            return [self.a.x - self.b.x, cross(self.a.d.onto(self.b.d), self.b.d).one_way().named("angle", "N m")]
+            return [self.a.x - self.b.x, held(self.a, self.b)]
         if isinstance(self.b, Ground):
             return [node.x - ground.at(node.point).x for node in self.a.each()]
         if isinstance(self.a, Ground):

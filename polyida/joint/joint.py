@@ -27,6 +27,7 @@ class Joint:
     b: Any
     name: str | None = field(default=None, kw_only=True)
     kind: ClassVar[str | None] = None  # what a joint without a name is called with a number; the class's name where None
+    placing: ClassVar[str] = "place the bodies so that they meet"  # what to do where it is not closed at rest
 
     def __init_subclass__(cls, **options):
         super().__init_subclass__(**options)
@@ -43,12 +44,15 @@ class Joint:
         """What it does to its side b, (frames, rows), from its multipliers (frames, rows); `values(vector)` gives (frames, 2)."""
         return lam.copy()
 
-    def require_directions(self) -> None:
-        """Raise InputError unless both sides have a direction."""
-        for side in (self.a, self.b):
+    def require_directions(self, *sides: Any) -> None:
+        """Raise InputError unless these sides have a direction, or both where none are given."""
+        for side in sides or (self.a, self.b):
             if not side.has_direction:
                 label = labelled(type(self).__name__, self.name)
                 raise InputError(f"{label}: {side!r} has no direction; {side.advice}")
+
+    def keep_drawing(self) -> None:
+        """Called before `scene.assemble()` moves bodies: keep of the drawing what rows() would take from another one otherwise."""
 
     def facing(self) -> Self:
         """The joint with plain `ground` put where its other side is in the reference configuration."""

@@ -18,7 +18,7 @@ def falling(tangent, phi_q):
 
     Raises SingularSystem where the sparse factor breaks down.
     """
-    if not _symmetric(tangent):
+    if not symmetric(tangent):
         return None
     m = phi_q.shape[0]
     if not hasattr(tangent, "tocsc"):
@@ -36,7 +36,8 @@ def falling(tangent, phi_q):
     return negative + int(np.sum(np.linalg.eigvalsh((schur + schur.T) / 2) > 0)) - m
 
 
-def _symmetric(matrix):
+def symmetric(matrix):
+    """Whether a matrix is its transpose, but for what derivatives by differences explain."""
     return abs(matrix - matrix.T).max() <= SYMMETRIC * abs(matrix).max()
 
 

@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.mesh import checks
+from polyida.mesh import checks, topology
+
+ON_CIRCLE = 4  # corners that make a circle where they are on one: three always are
+ROUND = 1e-6  # of the radius, by which corners may miss their circle, as those of meshes in single precision do
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,24 +16,20 @@ class Section:
     """Nodes ordered along the section; lengths: half of each adjacent boundary edge whose two ends are in it, m.
 
     Open chains run towards growing x or y, whichever they span more; closed ones (rims) counter-clockwise around
-    their own middle. Nodes without such an edge have length 0.
+    their own middle. Nodes without such an edge have length 0. weights: of the section's mean, they sum to 1: its lengths over
+    their sum, equal where it has no length. Of the rim of a hole they are changed by as little, in parts of themselves, as makes its
+    mean the hole's centre, which the corners of a polygon do not have as theirs; see `centre`.
     """
 
     nodes: np.ndarray
     lengths: np.ndarray
     name: str
+    weights: np.ndarray
 
     @property
     def length(self) -> float:
         """Length of the section, m; 0 for single nodes."""
         return float(self.lengths.sum())
-
-    @property
-    def weights(self) -> NDArray:
-        """lengths / length; equal weights where the section has no length. They sum to 1."""
-        if self.length > 0.0:
-            return self.lengths / self.length
-        return np.full(len(self.nodes), 1.0 / len(self.nodes))
 
 
 def select(mesh, selector):
@@ -45,8 +43,10 @@ def select(mesh, selector):
     else:
         nodes, name = _by_index(mesh, selector), "nodes"
     edges = _edges_within(mesh, nodes)
-    order = ordered(mesh.points, nodes, edges)
-    return Section(order, _tributary_lengths(mesh.points, order, edges, mesh.n_nodes), name)
+    found = chains(nodes, edges)
+    order = ordered(mesh.points, nodes, found)
+    lengths = _tributary_lengths(mesh.points, order, edges, mesh.n_nodes)
+    return Section(order, lengths, name, _weights(mesh.points[order], lengths, len(found) == 1 and _is_rim(mesh.points, *found[0])))
 
 
 def _known(mesh):
@@ -86,10 +86,10 @@ def _edges_within(mesh, nodes):
     return mesh.boundary_edges[inside[mesh.boundary_edges].all(axis=1)]
 
 
-def ordered(points, nodes, edges):
-    """The nodes along the directed edges, chain by chain; chains follow each other along the longer axis."""
+def ordered(points, nodes, found):
+    """The nodes along the chains of directed edges that were found, chain by chain; they follow each other along the longer axis."""
     axis = int(np.argmax(np.ptp(points[nodes], axis=0)))
-    found = [_oriented(points, chain, closed) for chain, closed in chains(nodes, edges)]
+    found = [_oriented(points, chain, closed) for chain, closed in found]
     found.sort(key=lambda chain: points[chain, axis].min())
     return np.array([node for chain in found for node in chain], dtype=np.int32)
 
@@ -132,6 +132,30 @@ def _tributary_lengths(points, order, edges, n_nodes):
     return np.bincount(edges.ravel(), weights=np.repeat(half, 2), minlength=n_nodes)[order]
 
 
+def _weights(points, lengths, rim):
+    """Weights of the section's mean; points in its order."""
+    if not lengths.sum() > 0.0:
+        return np.full(len(points), 1.0 / len(points))
+    weights = lengths / lengths.sum()
+    if not rim:
+        return weights
+    arms = points - points[0]
+    arms = arms - weights @ arms
+    share = np.linalg.solve((weights[:, None] * arms).T @ arms, centre(arms))
+    return weights * (1.0 + arms @ share)
+
+
+def centre(rim):
+    """Centre of a hole, (2,), from the corners of its rim in order: of their circle where four or more are on one, else of its area."""
+    middle = rim.mean(axis=0)
+    arms = rim - middle
+    solution = np.linalg.lstsq(np.column_stack([2.0 * arms, np.ones(len(arms))]), (arms**2).sum(axis=1), rcond=None)[0]
+    radii = np.hypot(*(arms - solution[:2]).T)
+    if len(rim) >= ON_CIRCLE and np.ptp(radii) <= ROUND * radii.mean():
+        return middle + solution[:2]
+    return topology.centroids(rim, np.arange(len(rim)), np.array([0, len(rim)]))[0]
+
+
 def automatic(points, boundary):
     """Sections any mesh has: left, right, top, bottom where boundary edges lie on the bounding box; the rims
     'hole 0', 'hole 1', ... ordered by x, then y."""
@@ -146,8 +170,12 @@ def automatic(points, boundary):
     return found | {f"hole {i}": rim for i, rim in enumerate(_rims(points, boundary))}
 
 
+def _is_rim(points, chain, closed):
+    """Whether it is the rim of a hole: around one the boundary runs clockwise."""
+    return closed and signed_area(points[chain]) < 0
+
+
 def _rims(points, boundary):
     """Nodes of the closed boundary chains that run clockwise."""
-    loops = [np.array(chain) for chain, closed in chains(np.unique(boundary), boundary) if closed]
-    rims = [loop for loop in loops if signed_area(points[loop]) < 0]
+    rims = [np.array(chain) for chain, closed in chains(np.unique(boundary), boundary) if _is_rim(points, chain, closed)]
     return sorted(rims, key=lambda rim: tuple(np.round(points[rim].mean(axis=0), 9)))

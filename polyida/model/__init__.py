@@ -55,7 +55,8 @@ class Model:
     extent = None  # size in space, m, that does not depend on the state
     free_fall = 0.0  # acceleration of gravity, m/s^2, of a model that has an extent
     reference = None  # places of its nodes at q = 0, (nodes, 2), m
-    bodies = ()  # its plates
+    bodies = drawn = ()  # its full plates, and all that have a mesh: reduced and rigid ones behind them
+    few = ()  # its bodies of few coordinates
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
     labels = units = ()  # of the rows of phi: what each is called, and the unit of its multiplier
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)

@@ -34,7 +34,8 @@ def within(function, room, step, order=1):
     first = min(max(-SPACES / 2 * step, low + step / 8), high - step / 8 - SPACES * step)
     at = first / step + np.arange(SPACES + 1)
     weights = order * np.linalg.solve(np.vander(at, increasing=True).T, np.arange(SPACES + 1.0) == order) / step**order
-    return sum(weight * np.asarray(function(step * s)) for weight, s in zip(weights, at))
+    values = [np.array(function(step * s)) for s in at]
+    return sum(weight * (value - values[0]) for weight, value in zip(weights, values))  # the weights' sum is zero, but for round-off
 
 
 def around(kinks, t):

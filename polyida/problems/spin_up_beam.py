@@ -8,9 +8,9 @@ height = 1.17e7 N); at a slenderness of 129 that hardly matters.
 import numpy as np
 
 from polyida import profile
-from polyida.body.loads import PointLoad
 from polyida.body.material import Material
 from polyida.body.plate import Plate
+from polyida.force.loads import PointLoad
 from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.attachment import ground
 from polyida.joint.revolute import Revolute

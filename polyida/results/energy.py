@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.body.force_element import ForceElement
 from polyida.body.own_part import writes
+from polyida.force.force_element import ForceElement
 from polyida.io.frames import each
 from polyida.results.work import works
 

@@ -10,9 +10,9 @@ from polyida.assembly.scene_model import SceneModel
 from polyida.body.material import vector2
 from polyida.body.plate import Plate
 from polyida.errors import InputError
+from polyida.given import complex_of_pairs, pairs_of
 from polyida.io.frames import each
 from polyida.mesh import PolygonMesh
-from polyida.results.drawn import drawn, nodal
 from polyida.results.slivers import ROUND, Slivers
 
 
@@ -62,26 +62,26 @@ class Cut:
             raise InputError(f"{label}: normal = {normal!r} must not be zero")
         turn = np.exp(1j * body.plate.angle)
         place, way = turn * complex(*at) + complex(*body.plate.origin), turn * complex(*way) / np.hypot(*way)
-        ahead = _ahead(mesh, (mesh.points + body.plate.origin - _pair(place)) @ _pair(way))
+        ahead = _ahead(mesh, (mesh.points + body.plate.origin - pairs_of(place)) @ pairs_of(way))
         self.nodes, part = _part(body.plate.mesh, ahead)
         self.cut = np.flatnonzero(np.isin(self.nodes, mesh.nodes[np.repeat(~ahead, np.diff(mesh.offsets))]))
         if not self.cut.size:
             raise InputError(f"{label}: a cut at {at.tolist()} across {normal!r} does not part the plate")
-        self.model, self.body, self.place, self.way = model, body, place, way
+        self.body, self.place, self.way = body, place, way
         self.ahead = SceneModel({body.name: replace(body.plate, mesh=part)}, model.gravity)
-        self.rest = _complex(self.ahead.reference[self.cut])
-        self.slivers = Slivers(body, model.gravity, _pair(place), _pair(way), ahead)
+        self.rest = complex_of_pairs(self.ahead.reference[self.cut])
+        self.slivers = Slivers(body, model.gravity, pairs_of(place), pairs_of(way), ahead)
 
     def __call__(self, t, q, v, a):
         """normal, shear, moment, point x and y, direction x and y at an instant."""
-        u, v, a = (nodal(self.model, x)[self.body.nodes] for x in (q, v, a))
+        u, v, a = (x.reshape(-1, 2)[self.body.nodes] for x in (q, v, a))
         left = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, v, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
-        x = self.rest + _complex(u[self.nodes][self.cut])
+        x = self.rest + complex_of_pairs(u[self.nodes][self.cut])
         turn = np.vdot(self.rest - self.rest.mean(), x - x.mean())
         turn /= abs(turn) or 1.0
         point, way = x.mean() + turn * (self.place - self.rest.mean()), turn * self.way
-        forces = -_complex(np.concatenate([left, self.slivers.forces(v, a)]))
-        arms = np.concatenate([x, _complex(self.slivers.places(u))]) - point
+        forces = -complex_of_pairs(np.concatenate([left, self.slivers.forces(v, a)]))
+        arms = np.concatenate([x, complex_of_pairs(self.slivers.places(u))]) - point
         through = way.conjugate() * forces.sum()
         return through.real, through.imag, np.vdot(arms, forces).imag, point.real, point.imag, way.real, way.imag
 
@@ -104,18 +104,10 @@ def _part(mesh, chosen):
 
 
 def _body(model, plate: Any):
-    """The plate that is meant, in its scene."""
-    known = {body.name: body for body in drawn(model)}
+    """The full plate that is meant, in its scene."""
+    known = {body.name: body for body in model.bodies}
     name = next((name for name, body in known.items() if body.plate is plate), plate)
     if isinstance(name, str) and name in known:
         return known[name]
-    given = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no plate is called {plate!r:.100}"
-    raise InputError(f"section_forces: {given}; known: {', '.join(map(repr, known))}")
-
-
-def _complex(pairs):
-    return pairs[:, 0] + 1j * pairs[:, 1]
-
-
-def _pair(number):
-    return np.array([number.real, number.imag])
+    given = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no full plate is called {plate!r:.100}"
+    raise InputError(f"section_forces: {given}; known: {', '.join(map(repr, known)) or 'none'}")

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from polyida import problems, profile
-from polyida.body.loads import PointLoad
+from polyida.force.loads import PointLoad
 from polyida.problems import plates
 from polyida.study.families import PARTS, by_energy_momentum, by_explicit, by_radau, distance
 

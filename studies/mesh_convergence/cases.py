@@ -6,9 +6,9 @@ reference.
 
 import numpy as np
 
-from polyida.body.loads import PointLoad
 from polyida.body.material import Material
 from polyida.body.plate import Plate
+from polyida.force.loads import PointLoad
 from polyida.integrate.static import static
 from polyida.joint.clamp import Clamp
 from polyida.linear.kkt import KKT, scaling_factors

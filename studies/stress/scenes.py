@@ -3,10 +3,10 @@
 import numpy as np
 
 from polyida import mesh, profile
-from polyida.body.loads import EdgeTraction, PointLoad
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.attachment import ground
 from polyida.joint.clamp import Clamp

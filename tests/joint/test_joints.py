@@ -131,9 +131,25 @@ def test_hole_rims(scenes):
     link = scenes.plate("link", mesh=pi.mesh.polygonize(pi.mesh.Link(1.0, 0.2, 0.05), cells=120, seed=2), angle=0.7)
     for hole, place in ((0, (0.0, 0.0)), (1, (1.0, 0.0))):
         rim = link.rim(hole)
-        assert np.allclose(rim.point, scenes.rotation(0.7) @ place, atol=2e-3)
+        assert np.allclose(rim.point, scenes.rotation(0.7) @ place, atol=1e-15)
+        assert rim.turn_weights.sum() == pytest.approx(0.0, abs=1e-13)
         assert np.linalg.norm(rim.direction) == pytest.approx(1.0)
         assert rim.length == pytest.approx(2 * np.pi * 0.05, rel=0.05)
+
+
+def test_a_loop_of_links_that_is_drawn_exactly_closes(scenes):
+    """The pin of each link is where its hole is, so a rhombus needs no `assemble`; a constant traction on a rim pulls at all of it evenly."""
+    mesh, scene = pi.mesh.polygonize(pi.mesh.Link(1.0, 0.2, 0.05), cells=60, seed=2), pi.Scene()
+    corners = np.cumsum([[0, 0], [1, 0], [np.cos(1.2), np.sin(1.2)], [-1, 0]], axis=0)
+    angles = [0.0, 1.2, np.pi, np.pi + 1.2]
+    links = [scene.add(scenes.plate(f"link {k}", mesh=mesh, origin=at, angle=angle)) for k, (at, angle) in enumerate(zip(corners, angles))]
+    for link, other in zip(links, links[1:] + links[:1]):
+        scene.add(pi.Revolute(link.rim(1), other.rim(0)))
+    scene.add(pi.EdgeTraction(links[0].rim(0), (0.0, 1e3), name="pull"))
+    model = scene.build()
+    assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
+    force = scene.parts["pull"].nodal()
+    assert np.allclose(force[:, 1], 1e3 * scenes.THICKNESS * mesh.section("hole 0").lengths, rtol=1e-14)
 
 
 def test_a_clamp_is_where_its_section_is_at_rest(scenes):

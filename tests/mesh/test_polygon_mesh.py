@@ -6,15 +6,26 @@ import numpy as np
 import pytest
 
 from polyida.errors import InputError
-from polyida.mesh import PolygonMesh, quads, triangles
+from polyida.mesh import Link, PolygonMesh, polygonize, quads, triangles
+from polyida.mesh.sections import automatic
 
 SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 RING = np.array([[0, 0], [3, 0], [3, 3], [0, 3], [1, 1], [2, 1], [2, 2], [1, 2]], dtype=float)
+LINK = polygonize(Link(1.0, 0.2, 0.05), cells=60, seed=2)
 RING_NODES = [0, 1, 5, 4, 1, 2, 6, 5, 2, 3, 7, 6, 3, 0, 4, 7]
 
 
 def ring():
     return PolygonMesh(RING, RING_NODES, [0, 4, 8, 12, 16], {"rim": [4, 5, 6, 7]})
+
+
+def around(inner, outer):
+    """A mesh of quadrilaterals between two rings of as many corners."""
+    n = len(inner)
+    ahead = np.roll(np.arange(n), -1)
+    cells = np.stack([np.arange(n), n + np.arange(n), n + ahead, ahead], axis=1)
+    mesh = PolygonMesh(np.vstack([inner, outer]), cells.ravel(), 4 * np.arange(n + 1))
+    return PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, automatic(mesh.points, mesh.boundary_edges))
 
 
 class TestGeometry:
@@ -109,6 +120,34 @@ class TestSections:
         x, y = corner.T
         assert 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) == pytest.approx(1.0)
         assert section.length == pytest.approx(4.0)
+
+    @pytest.mark.parametrize("corners", [4, 5, 12])
+    def test_the_rim_of_a_hole_has_the_centre_of_its_circle(self, corners):
+        angles = np.sort(np.random.default_rng(corners).uniform(0.0, 2 * np.pi, corners))
+        inner = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        mesh = around(0.2 * inner + [3.0, -2.0], 0.5 * inner + [3.0, -2.0])
+        section = mesh.section("hole 0")
+        places = mesh.points[section.nodes]
+        assert section.weights.sum() == pytest.approx(1.0, abs=1e-14)
+        assert np.allclose(section.weights @ places, [3.0, -2.0], atol=1e-14)
+        assert np.abs(section.lengths @ places / section.length - [3.0, -2.0]).max() > 1e-4
+
+    def test_the_change_of_its_weights_is_the_least_in_parts_of_themselves(self):
+        section = LINK.section("hole 0")
+        parts, places = section.weights / section.lengths, LINK.points[section.nodes]
+        linear = np.column_stack([places, np.ones(len(places))])  # of all changes with this sum and mean: the stationary one
+        assert np.allclose(linear @ np.linalg.lstsq(linear, parts, rcond=None)[0], parts, rtol=1e-12)
+
+    def test_the_rim_of_any_other_hole_has_the_centroid_of_its_area(self):
+        ell = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [0, 2]], float)
+        mesh = around(ell, 3 * ell - 1.0)
+        section = mesh.section("hole 0")
+        assert np.allclose(section.weights @ mesh.points[section.nodes], [(3 * 1.5 + 0.5) / 4, (3 * 0.5 + 1.5) / 4], atol=1e-14)
+
+    def test_open_sections_and_outer_boundaries_keep_their_lengths(self):
+        for selector in ("left", np.unique(quads(2.0, 1.0, 3, 2).boundary_edges)):
+            section = quads(2.0, 1.0, 3, 2).section(selector)
+            assert np.array_equal(section.weights, section.lengths / section.length)
 
     def test_function_keeps_boundary_nodes_only(self):
         mesh = quads(1.0, 1.0, 4, 4)

@@ -97,8 +97,8 @@ def test_files_and_frames(run, file):
 @pytest.mark.parametrize(
     "given, match",
     [
-        (("nobody", (0.5, 0.0)), "no plate is called 'nobody'; known: 'upper', 'lower'"),
-        ((None, (0.5, 0.0)), "no plate is called None"),
+        (("nobody", (0.5, 0.0)), "no full plate is called 'nobody'; known: 'upper', 'lower'"),
+        ((None, (0.5, 0.0)), "no full plate is called None"),
         (("upper", (2.0, 0.0)), "upper: a cut at .* does not part the plate"),
         (("upper", (np.nan, 0.0)), "upper: at = "),
         (("upper", (0.5, 0.0), (0.0, 0.0)), "upper: normal = .* must not be zero"),

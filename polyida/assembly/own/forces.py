@@ -2,19 +2,20 @@
 
 import numpy as np
 
-from polyida.body.force_element import sides_of
 from polyida.errors import InputError
-from polyida.given import complexes, is_number, read_only, reals
+from polyida.force.force_element import sides_of
+from polyida.given import complexes, is_number, on_pairs, read_only, reals
 from polyida.model import differences
 
 SORT = {reals: "real", complexes: "complex"}
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imaginary unit does to (x, y)
+NEAR = 1e-3  # of the size of what is varied: forces of contact change within that
 
 
 class OwnForce:
     """A force element in its scene: its sides are at `x = rest + A q`, A (2 sides, n) sparse; the ground's rows are zero.
 
-    extent: the scene's size, m, over which derivatives are taken. strain: whether its energy is that of a body's strain.
+    sizes: of what each side says, (sides, 1): the scene's, m, or one of a direction; derivatives are taken over NEAR of them. strain:
+    whether its energy is that of a body's strain.
     not_finite: in words, which of its functions last gave what is not finite for arguments that are; else empty.
     """
 
@@ -23,9 +24,9 @@ class OwnForce:
     def __init__(self, name, element, model):
         self.name, self.element, self.not_finite = name, element, ""
         sides = sides_of(name, element)
-        self.rest = np.array([side.point for side in sides])
+        self.rest = np.array([side.rest for side in sides])
         self.A = _places(sides, model)
-        self.extent = model.extent
+        self.sizes = np.array([[side.size(model.extent)] for side in sides])
 
     def places(self, q):
         """Places of the sides, (sides, 2), m."""
@@ -67,8 +68,9 @@ class OwnForce:
 
     def _differences(self, x, moved):
         """Derivative of `moved(d)`, d the size of x, (2 sides, 2 sides)."""
-        change, size = (lambda s: moved(self.extent * s.reshape(x.shape)).ravel()), x.size
-        return differences.jacobian(change, np.zeros(size), size) / self.extent
+        reach = NEAR * self.sizes
+        change, size = (lambda s: moved(reach * s.reshape(x.shape)).ravel()), x.size
+        return differences.jacobian(change, np.zeros(size), size) / np.broadcast_to(reach, x.shape).ravel()
 
     def _call(self, name, shape, *given, numbers=reals):
         try:
@@ -83,8 +85,13 @@ class OwnForce:
             what = f"{type(result).__name__} of shape {_shape(result)}"
             raise InputError(f"{self.name}: {name} must return {SORT[numbers]} numbers of shape {shape}, not {what}")
         bad = not np.isfinite(found).all() and all(np.isfinite(x).all() for x in given)
-        self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite" if bad else ""
+        self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite{self._why(given)}" if bad else ""
         return found
+
+    def _why(self, given):
+        """What the element says of places where its forces are not finite."""
+        why = self.element.undefined(given[1]) if len(given) == 3 else ""
+        return f": {why}" if why else ""
 
 
 class OwnForces:
@@ -122,14 +129,12 @@ class OwnForces:
 
 def _places(sides, model):
     """A: displacements of the sides from q, (2 sides, n)."""
-    from scipy.sparse import csr_array, kron
+    from scipy.sparse import csr_array
 
-    held = [(k, side) for k, side in enumerate(sides) if side.body is not None]
-    rows = np.concatenate([np.full(len(side.nodes), k) for k, side in held])
-    columns = np.concatenate([model.nodes_of(side) for _, side in held])
-    weights = np.concatenate([side.weights for _, side in held]).astype(complex)
-    whole = csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes))
-    return csr_array(kron(whole.real, np.eye(2)) + kron(whole.imag, TURN))
+    held = [(k, *model.held(side.at, side.part)) for k, side in enumerate(sides) if side.at is not None]
+    rows = np.concatenate([np.full(len(pairs), k) for k, pairs, _ in held])
+    columns, weights = (np.concatenate([entry[i] for entry in held]) for i in (1, 2))
+    return on_pairs(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)))
 
 
 def _shape(given):

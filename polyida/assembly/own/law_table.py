@@ -5,30 +5,39 @@ from numba.core.errors import NumbaError
 
 from polyida.assembly.arrays import starts
 from polyida.assembly.own.laws import Laws, callback_of
-from polyida.body.force_element import numbers_of, sides_of
 from polyida.errors import InputError
-from polyida.profile import polynomial
+from polyida.force.force_element import numbers_of, sides_of
+from polyida.profile import Profile, polynomial
 
 
 def laws_of(elements, points, drives, size):
     """The Laws of {name: force element}, or None where there are none or one is Python. Their sides become points of links.
 
+    Profiles among the numbers of elements become drives in any case, so that steps end at their kinks.
     Raises InputError, naming the element, for a law that numba does not compile.
     """
-    if not elements or not all(type(element).law for element in elements.values()):
+    numbers = [[_number(value, drives, name) for value in numbers_of(element)] for name, element in elements.items()]
+    if not elements or not all(element.compiled_law for element in elements.values()):
         return None
     sides = [sides_of(name, element) for name, element in elements.items()]
-    numbers = [numbers_of(element) for element in elements.values()]
-    addresses = [_address(name, type(element).law) for name, element in elements.items()]
+    addresses = [_address(name, element.compiled_law) for name, element in elements.items()]
     each = [side for group in sides for side in group]
+    values = np.array([value for group in numbers for value in group], float).reshape(-1, 2)
+    driven = np.flatnonzero(values[:, 1] >= 0)
     return Laws(
         parts=np.stack([np.array([*addresses, 0], np.int64), starts(sides), starts(numbers)], axis=1),
-        points=np.array([-1 if side.body is None else points.add(side) for side in each], np.int64),
-        rest=np.array([side.point for side in each], float),
-        numbers=np.concatenate(numbers),
+        points=np.array([-1 if side.at is None else points.add(side.at, side.part) for side in each], np.int64),
+        rest=np.array([side.rest for side in each], float),
+        sizes=np.array([side.size(size) for side in each], float),
+        numbers=np.ascontiguousarray(values[:, 0]),
+        driven=np.stack([driven, values[driven, 1].astype(np.int64)], axis=1),
         clock=drives.add(polynomial([0.0, 1.0]), next(iter(elements))),
-        size=size,
     )
+
+
+def _number(value, drives, name):
+    """(value, -1) of a number, (0, its drive) of a profile."""
+    return (0.0, drives.add(value, name)) if isinstance(value, Profile) else (float(value), -1)
 
 
 def _address(name, law):

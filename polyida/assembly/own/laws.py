@@ -1,6 +1,7 @@
 """Forces of one's own that are compiled: C functions, called by their addresses, so that no kernel is made anew for a user's formula."""
 
-from functools import cache
+from functools import cache, update_wrapper
+from types import FunctionType
 from typing import NamedTuple
 
 import numba
@@ -10,42 +11,49 @@ from numba import types
 from numba.extending import intrinsic
 
 from polyida.assembly.rows.joints import point_values, spread
+from polyida.compiled import cache as kernel_cache
 from polyida.compiled import entry, pack, part
 
 NUMBERS = types.CPointer(types.float64)
 CALLED = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS, types.int64, types.int64)  # t, x, v, data, f, sides, len(data)
-STEP = np.finfo(float).eps ** (1 / 3)  # of the size of what is varied: balances truncation against round-off of central differences
+STEP = 1e-7  # of the size of what is varied, in central differences: short, for forces of contact change within little
 
 
 @pack
 class Laws(NamedTuple):
     """A scene's force elements by number: address, first side and first of its `numbers`, (laws + 1, 3), the last row the ends.
 
-    points: the point of links of each side, -1 where it is a place of the ground; rest: places of the sides, (sides, 2), m. clock: the
-    drive that is the time. size: of the scene, m.
+    points: the point of links of each side, -1 where it stays with the ground; rest: places of the sides, (sides, 2), m; sizes: of what
+    each says, (sides,). driven: which of the numbers are a drive's value, and which drive, (values, 2). clock: the drive that is the time.
     """
 
     parts: np.ndarray
     points: np.ndarray
     rest: np.ndarray
+    sizes: np.ndarray
     numbers: np.ndarray
+    driven: np.ndarray
     clock: int
-    size: float
 
 
 @cache
 def callback_of(law):
-    """`law(t, x, v, data, f)`, a function of numba's, as a C function; kept, for its address is in use."""
+    """`law(t, x, v, data, f)`, a function of numba's, as a C function; kept, for its address is in use, polyida's own in files too."""
+    own, at = law.py_func.__module__.startswith("polyida."), law.py_func.__code__
+    code = _called.__code__.replace(co_filename=at.co_filename, co_firstlineno=at.co_firstlineno)
+    called = update_wrapper(FunctionType(code, {"law": law, "numba": numba, "np": np}), law.py_func)
+    del called.__wrapped__
+    with kernel_cache.kept() as cached:
+        return numba.cfunc(CALLED, cache=own and cached)(called)
 
-    def called(t, x, v, data, f, sides, count):
-        shape = (sides, 2)
-        forces = numba.carray(f, shape)
-        try:
-            law(t, numba.carray(x, shape).copy(), numba.carray(v, shape).copy(), numba.carray(data, (count,)).copy(), forces)
-        except Exception:  # noqa: BLE001 which kernels cannot hand on: the motion is not finite
-            forces[:] = np.nan
 
-    return numba.cfunc(CALLED)(called)
+def _called(t, x, v, data, f, sides, count):
+    shape = (sides, 2)
+    forces = numba.carray(f, shape)
+    try:
+        law(t, numba.carray(x, shape).copy(), numba.carray(v, shape).copy(), numba.carray(data, (count,)).copy(), forces)  # noqa: F821
+    except Exception:  # noqa: BLE001 which kernels cannot hand on: the motion is not finite
+        forces[:] = np.nan
 
 
 @intrinsic
@@ -65,18 +73,20 @@ def call(typing, address, t, x, v, data, f, sides, count):
 
 
 @part
-def evaluate(laws, k, t, x, v, f):
+def numbers_at(laws, drives):
+    """The numbers of all laws at a time."""
+    numbers = laws.numbers.copy()
+    for i in range(laws.driven.shape[0]):
+        numbers[laws.driven[i, 0]] = drives[laws.driven[i, 1], 0]
+    return numbers
+
+
+@part
+def evaluate(laws, k, t, numbers, x, v, f):
     """Fill f (sides, 2), N, with the forces of law k at the places x and velocities v; nan where it writes nothing."""
     f[:] = np.nan
     call(
-        laws.parts[k, 0],
-        t,
-        x,
-        v,
-        laws.numbers[laws.parts[k, 2] : laws.parts[k + 1, 2]],
-        f,
-        x.shape[0],
-        laws.parts[k + 1, 2] - laws.parts[k, 2],
+        laws.parts[k, 0], t, x, v, numbers[laws.parts[k, 2] : laws.parts[k + 1, 2]], f, x.shape[0], laws.parts[k + 1, 2] - laws.parts[k, 2]
     )
 
 
@@ -100,9 +110,10 @@ def add_own_forces(laws, links, drives, u, v, r):
     dz, vz, forces = np.zeros((3, links.point_mass.shape[0], 2))
     point_values(links, u, dz)
     point_values(links, v, vz)
+    numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
         x, speeds, f = place(laws, k, dz, vz)
-        evaluate(laws, k, drives[laws.clock, 0], x, speeds, f)
+        evaluate(laws, k, drives[laws.clock, 0], numbers, x, speeds, f)
         for i in range(f.shape[0]):
             p = laws.points[laws.parts[k, 1] + i]
             if p >= 0:
@@ -114,27 +125,28 @@ def add_own_forces(laws, links, drives, u, v, r):
 @entry
 def add_own_curvature(laws, drives, dz, vz, c_q, c_v, curvature):
     """curvature (2 points, 2 points) -= `c_q df/dx + c_v df/dv` of all laws; dz, vz (points, 2) move the points."""
+    numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
         x, v, ahead = place(laws, k, dz, vz)
         behind = np.empty_like(ahead)
         if c_q != 0.0:
-            add_slopes(laws, k, drives[laws.clock, 0], x, v, x, c_q, ahead, behind, curvature)
+            add_slopes(laws, k, drives[laws.clock, 0], numbers, x, v, x, c_q, ahead, behind, curvature)
         if c_v != 0.0:
-            add_slopes(laws, k, drives[laws.clock, 0], x, v, v, c_v, ahead, behind, curvature)
+            add_slopes(laws, k, drives[laws.clock, 0], numbers, x, v, v, c_v, ahead, behind, curvature)
 
 
 @part
-def add_slopes(laws, k, t, x, v, varied, c, ahead, behind, curvature):
+def add_slopes(laws, k, t, numbers, x, v, varied, c, ahead, behind, curvature):
     """curvature -= c times the derivative of the forces of law k in `varied`, which is x or v, by central differences."""
-    first, step = laws.parts[k, 1], STEP * laws.size
+    first = laws.parts[k, 1]
     for j in range(x.shape[0]):
-        q = laws.points[first + j]
+        q, step = laws.points[first + j], STEP * laws.sizes[first + j]
         for e in range(2 if q >= 0 else 0):
             middle = varied[j, e]
             varied[j, e] = middle + step
-            evaluate(laws, k, t, x, v, ahead)
+            evaluate(laws, k, t, numbers, x, v, ahead)
             varied[j, e] = middle - step
-            evaluate(laws, k, t, x, v, behind)
+            evaluate(laws, k, t, numbers, x, v, behind)
             varied[j, e] = middle
             for i in range(x.shape[0]):
                 p = laws.points[first + i]

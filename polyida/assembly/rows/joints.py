@@ -17,9 +17,9 @@ def point_values(s, u, dz):
     for f in range(dz.shape[0]):
         x = y = 0.0
         for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-            w, i = s.point_weights[k], s.point_nodes[k]
-            x += w * u[i, 0]
-            y += w * u[i, 1]
+            c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
+            x += c * u[i, 0] - n * u[i, 1]
+            y += c * u[i, 1] + n * u[i, 0]
         dz[f, 0] = x
         dz[f, 1] = y
 
@@ -31,9 +31,9 @@ def spread(s, forces, r):
         x, y = forces[f, 0], forces[f, 1]
         if x != 0.0 or y != 0.0:
             for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
-                w, i = s.point_weights[k], s.point_nodes[k]
-                r[i, 0] += w * x
-                r[i, 1] += w * y
+                c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
+                r[i, 0] += c * x + n * y
+                r[i, 1] += c * y - n * x
 
 
 @leaf

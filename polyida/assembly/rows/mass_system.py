@@ -2,15 +2,17 @@
 
 import numpy as np
 
+from polyida.given import on_pairs
+
 
 class MassSystem:
     """The system at (t, q); `solve` any number of right-hand sides."""
 
     def __init__(self, model, t, q):
         self.model, self.n = model, model.n
-        self._reach, g = model.once(point_columns)
+        self._reach, self._across, g = model.once(point_columns)
         self._border = model.phi_z(t, q)
-        self._schur = sum(self._border[:, axis::2] @ g @ self._border[:, axis::2].T for axis in range(2))
+        self._schur = self._border @ g @ self._border.T
 
     def solve(self, r, phi):
         """(dq, dlam) for the residuals r (n,) and phi (m,): `M dq + B^T dlam = -r`, `B dq = -phi`."""
@@ -19,7 +21,10 @@ class MassSystem:
             return y, np.zeros(0)
         dlam = np.linalg.solve(self._schur, self._border @ self.model.dz(y).ravel() + phi)
         pull = (dlam @ self._border).reshape(-1, 2)
-        return y - (self._reach @ pull).ravel(), dlam
+        moved = self._reach @ pull
+        if len(self._across):
+            moved += self._across @ (pull[:, ::-1] * (-1.0, 1.0))
+        return y - moved.ravel(), dlam
 
 
 def at_rest(model):
@@ -28,11 +33,12 @@ def at_rest(model):
 
 
 def point_columns(model):
-    """`M^-1 A^T` (nodes, points) and `A M^-1 A^T` (points, points) of one direction; the other's are the same."""
-    points, s = model.n_points, model.arrays.links
-    both, parts = np.zeros((model.n_nodes, 2, points)), list(zip(s.point_ptr[:-1], s.point_ptr[1:]))
-    for f, (a, b) in enumerate(parts):
-        both[s.point_nodes[a:b], 0, f] = s.point_weights[a:b]
-    reach = np.ascontiguousarray(model.mass_inverse(both.reshape(model.n, points)).reshape(both.shape)[:, 0])
-    g = np.array([s.point_weights[a:b] @ reach[s.point_nodes[a:b]] for a, b in parts]).reshape(points, points)
-    return reach, g
+    """`M^-1 A^T`, the real parts (pairs, points) of complex numbers and their imaginary parts, (0, points) where all are zero, and
+    `A M^-1 A^T` (2 points, 2 points).
+    """
+    weights = model.point_weights
+    columns = weights.conj().T.toarray()
+    both = np.stack([columns.real, columns.imag], axis=1).reshape(model.n, model.n_points)
+    found = model.mass_inverse(both).reshape(model.n_nodes, 2, model.n_points)
+    reach, across = (np.ascontiguousarray(found[:, axis]) for axis in range(2))
+    return reach, across if across.any() else across[:0], on_pairs(weights @ (reach + 1j * across))

@@ -60,8 +60,8 @@ class RowTable:
     def _weights(self, piece):
         weights = {}
         for side, part, w in piece.terms:
-            for point, share in self._points.parts(side, part):
-                weights[point] = weights.get(point, 0j) + w * share
+            point = self._points.add(side, part)
+            weights[point] = weights.get(point, 0j) + w
         return weights
 
     def arrays(self):
@@ -125,10 +125,9 @@ def _apart(part):
     if not isinstance(part, Joint):
         return "its coordinates() must be on the rows that it gives"
     a, b = part.a, part.b
-    return (
-        f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}, {np.linalg.norm(a.point - b.point):.3g} m apart; "
-        "place the bodies so that they meet"
-    )
+    apart = np.linalg.norm(a.point - b.point)
+    sides = f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}"
+    return f"{sides}, {apart:.3g} m apart; {part.placing}, or let scene.assemble() move them"
 
 
 def _called(name, labels):

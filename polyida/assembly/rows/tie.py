@@ -12,9 +12,12 @@ from polyida.linear.dense import solve_small
 
 @pack
 class Tie(NamedTuple):
-    """M^-1 A^T (nodes, points) and A M^-1 A^T of one direction, and scratch."""
+    """M^-1 A^T, real parts (pairs, points) of complex numbers and imaginary ones, (0, points) where there are none, A M^-1 A^T
+    (2 points, 2 points), and scratch.
+    """
 
     reach: np.ndarray
+    across: np.ndarray
     g: np.ndarray
     matrix: np.ndarray
     eta: np.ndarray
@@ -54,8 +57,7 @@ def project(s, t, wanted, x):
                 p = s.row_columns[e]
                 for o in range(s.row_start[j], s.row_start[j + 1]):
                     q = s.row_columns[o]
-                    if p % 2 == q % 2:
-                        t.matrix[i, j] += t.slopes[e] * t.g[p // 2, q // 2] * t.slopes[o]
+                    t.matrix[i, j] += t.slopes[e] * t.g[p, q] * t.slopes[o]
     if not solve_small(t.matrix, t.eta, t.last):
         return False
     t.pull[:] = 0.0
@@ -69,4 +71,7 @@ def project(s, t, wanted, x):
             for i in range(x.shape[0]):
                 x[i, 0] -= t.reach[i, f] * px
                 x[i, 1] -= t.reach[i, f] * py
+            for i in range(t.across.shape[0]):
+                x[i, 0] += t.across[i, f] * py
+                x[i, 1] -= t.across[i, f] * px
     return True

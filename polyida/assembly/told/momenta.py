@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from polyida.given import complex_of_pairs
+
 
 class Momenta:
     """`p = T^H M z'` and, about the origin, `L = Im(z^H M z')` of the pairs z (complex) of all bodies, masses at points included.
@@ -10,16 +12,9 @@ class Momenta:
     """
 
     def __init__(self, model):
-        own = [body.translation for body in model.own_bodies]
-        n_plates = model.n_nodes - sum(map(len, own))
-        self.mass, self.rest = model.mass(), model.reference
-        self.translation = np.concatenate([np.ones(n_plates), *own])
+        self.mass, self.rest, self.translation = model.mass(), model.reference, model.translation
 
     def __call__(self, q, v):
-        z, momentum = _complex(self.rest.ravel() + q), _complex(self.mass @ v)
-        p = self.translation.conj() @ momentum
+        z, momentum = (complex_of_pairs(x.reshape(-1, 2)) for x in (self.rest.ravel() + q, self.mass @ v))
+        p = np.vdot(self.translation, momentum)
         return np.array([p.real, p.imag, np.vdot(z, momentum).imag])
-
-
-def _complex(pairs):
-    return pairs[0::2] + 1j * pairs[1::2]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.assembly.damping import add_damping
-from polyida.body.loads import EdgeTraction, PointLoad
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.formula import Row, rows_of
 from polyida.model.differences import along
 
@@ -22,7 +22,7 @@ class Powers:
         self._loads = {name: _Load(part, model) for name, part in model.parts.items() if isinstance(part, (PointLoad, EdgeTraction))}
         self._driven = {name: model.rows[name] for name, part in model.joints.items() if _driven(part)}
         self._elements = [own for own in model.own_forces.each if not own.strain]
-        self._damped = [body for body in model.bodies if body.plate.material.damped]
+        self._damped = [placed for placed in (*model.bodies, *model.few) if placed.damped]
         self.dissipating = (
             *(own.name for own in self._elements if getattr(own.element, "dissipates", False)),
             *(body.name for body in self._damped),
@@ -39,19 +39,20 @@ class Powers:
     def _damping(self, q, v):
         u, speeds = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
         force = np.zeros_like(u)
-        add_damping(self.model.arrays.plates, u, speeds, np.empty_like(u), force)
-        return {body.name: -float(np.vdot(force[body.nodes], speeds[body.nodes])) for body in self._damped}
+        add_damping(self.model.arrays, u, speeds, np.empty_like(u), force)
+        return {body.name: -float(np.vdot(force[body.pairs], speeds[body.pairs])) for body in self._damped}
 
 
 class _Load:
     """A dead load in its scene."""
 
     def __init__(self, part, model):
-        self.profile, self.nodes, self.forces = part.profile, model.nodes_of(part.at), part.nodal()
+        self.profile = part.profile
+        self.pairs, self.forces = model.places[id(part.at.body)].loaded(part.at, part.nodal())
 
     def power(self, t, v):
         """W, of velocities v (n,)."""
-        return float(self.profile.value(t) * np.vdot(self.forces, v.reshape(-1, 2)[self.nodes]))
+        return float(self.profile.value(t) * np.vdot(self.forces, v.reshape(-1, 2)[self.pairs]))
 
 
 def _driven(part):
@@ -64,4 +65,4 @@ def _beyond_energy(own, t, x, v):
     power, speed = float(np.vdot(own.forces(t, x, v), v)), float(np.linalg.norm(v))
     if not speed:
         return 0.0
-    return power + speed * float(along(lambda s: own.energy(x + s / speed * v), NEAR * own.extent))
+    return power + speed * float(along(lambda s: own.energy(x + s / speed * v), NEAR * float(own.sizes.min())))

@@ -88,7 +88,7 @@ def newton(s, c, room, p, tie, damp, laws, before, drives, gains, y, x, w, count
         if not det > 0.0:
             return (INVERTED if det <= 0.0 else NOT_FINITE), last
         if damp is not None:
-            add_damping(s.plates, u, step.pairs(now[step.V]), damp, r)
+            add_damping(s, u, step.pairs(now[step.V]), damp, r)
         if laws is not None:
             add_own_forces(laws, s.links, drives, u, step.pairs(now[step.V]), r)
         if p.incremental:

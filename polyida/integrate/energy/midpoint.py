@@ -10,6 +10,7 @@ import numpy as np
 
 from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
+from polyida.assembly.bodies import compact
 from polyida.assembly.damping import damped_blocks
 from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack, part
@@ -60,7 +61,8 @@ def middle(scene, drives, h, w):
             w.um[i, k] = 0.5 * (w.u0[i, k] + w.u1[i, k])
             w.r[i, k] = -s.weight[i, k]
     w.rotation[:] = 0.0
-    least = plates_middle(s, h, w)
+    few = compact.forces_middle(scene.compact, h, w.u0, w.u1, w.um, w.vm, w.a, w.r, w.rotation)
+    least = compact.lesser(plates_middle(s, h, w), few)
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
         for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
@@ -98,8 +100,7 @@ def plates_middle(s, h, w):
             w.r,
             w.rotation,
         )
-        if not det >= least:
-            least = det
+        least = compact.lesser(least, det)
         elements.mass_product(indptr, indices, mass, s.body_density[b], n0, w.a, w.r)
         if s.body_drag[b] != 0.0:
             elements.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w.vm, w.r)
@@ -175,14 +176,14 @@ class Midpoint(Steps):
 
     def _damping(self):
         blocks, still = np.empty((len(self.model.pattern[1]), 2, 2)), np.zeros_like(self.room.um)
-        damped_blocks(self.model.arrays.plates, self.room.um, still, 1.0 / self.h, 0.0, blocks)
+        damped_blocks(self.model.arrays, self.room.um, still, 1.0 / self.h, 0.0, blocks)
         return blocks
 
     def _factor(self, drives, t):
         model, w, h = self.model, self.room, self.h
         middle(model.arrays, drives, h, w)
         blocks = np.empty((len(model.pattern[1]), 2, 2))
-        kernels.tangent_blocks(model.arrays.plates, w.um, 2.0 / (h * h), 0.5, blocks)
+        kernels.tangent_blocks(model.arrays, w.um, 2.0 / (h * h), 0.5, blocks)
         if model.damped:
             blocks += self._damping()
         self.counts.residuals += 1

@@ -191,9 +191,8 @@ def _callbacks(settings, model, counts):
 
 
 def _top_heavy(model):
-    """Whether a mass at a point is so far above its plates' that the border drowns in the single precision of their factor."""
-    lightest = min(body.plate.material.rho * body.plate.thickness * body.mesh.area for body in model.bodies)
-    return model.arrays.links.point_mass.max(initial=0.0) > HEAVY * lightest
+    """Whether a mass at a point is so far above its bodies' that the border drowns in the single precision of their factor."""
+    return model.arrays.links.point_mass.max(initial=0.0) > HEAVY * model.lightest
 
 
 class _Run:

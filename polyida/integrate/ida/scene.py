@@ -65,7 +65,7 @@ def residual(s, w, drives, y, yp, integrated, damp, laws, res):
     for i in range(n // 2):
         w.dq[i, 0], w.dq[i, 1] = y[n + 2 * i], y[n + 2 * i + 1]
     if damp is not None:
-        add_damping(s.plates, w.u, w.dq, damp, w.right)
+        add_damping(s, w.u, w.dq, damp, w.right)
     if laws is not None:
         add_own_forces(laws, s.links, drives, w.u, w.dq, w.right)
     for i in range(n // 2):
@@ -95,10 +95,10 @@ def solve(s, c, cm, cr, w, drives, cj, integrated, damp, r, z):
     for i in range(n // 2):
         w.dq[i, 0], w.dq[i, 1] = cj * r1[i, 0], cj * r1[i, 1]
         w.right[i, 0], w.right[i, 1] = r[n + 2 * i], r[n + 2 * i + 1]
-    kernels.momentum(s.plates, w.dq, w.right)
+    kernels.momentum(s, w.dq, w.right)
     joints.point_values(s.links, w.dq, w.moved)
     if damp is not None:
-        add_damping(s.plates, w.u, r1, damp, w.right)
+        add_damping(s, w.u, r1, damp, w.right)
     for f in range(w.moved.shape[0]):
         w.moved[f, 0] *= s.links.point_mass[f]
         w.moved[f, 1] *= s.links.point_mass[f]

@@ -17,7 +17,7 @@ from polyida.mesh.make.domains import Domain, Moved
 from polyida.mesh.make.walls import meet, project
 from polyida.mesh.numbering import renumber
 from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.mesh.sections import automatic
+from polyida.mesh.sections import ON_CIRCLE, automatic
 
 ATTEMPTS = 8  # with other seeds, where cells leave a part of the boundary without any
 FARTHEST = 1e6  # sizes from the origin: beyond, the walls' round-off is that of the mesher's tolerances
@@ -113,9 +113,9 @@ def _require_resolved(polygons, domain, area, corners):
 
 
 def _needed(wall, domain):
-    """Least number of nodes on a wall: none where it is not part of the boundary, 3 on a full circle, else 2."""
+    """Least number of nodes on a wall: none where it is not part of the boundary, 4 on a full circle, which tell it, else 2."""
     part = np.mean(domain.on_boundary(wall.samples(domain.lower, domain.upper)))
-    return 0 if part == 0.0 else (3 if part == 1.0 and wall.closed else 2)
+    return 0 if part == 0.0 else (ON_CIRCLE if part == 1.0 and wall.closed else 2)
 
 
 def snapped(seeds, diagram, domain, spacing):

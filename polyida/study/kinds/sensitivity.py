@@ -9,7 +9,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from polyida import profile
-from polyida.body.loads import PointLoad
+from polyida.force.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve

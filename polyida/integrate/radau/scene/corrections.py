@@ -170,7 +170,7 @@ def iterate(s, t, h, real, pair, damp, laws, drives, gains, x, w):
 @part
 def whole_momentum(s, b, w, r):
     """r += M b."""
-    kernels.momentum(s.plates, b, r)
+    kernels.momentum(s, b, r)
     joints.point_values(s.links, b, w.points[DX])
     for f in range(w.forces.shape[0]):
         w.forces[f, 0] = s.links.point_mass[f] * w.points[DX, f, 0]
@@ -192,7 +192,7 @@ def off(s, t, h, damp, x, w, r):
         r[i, 0] = r[i, 1] = 0.0
     whole_momentum(s, pairs(w.past[SPEED]), w, r)
     if damp is not None:
-        add_damping(s.plates, pairs(w.past[Q]), pairs(w.past[MOVE]), damp, r)
+        add_damping(s, pairs(w.past[Q]), pairs(w.past[MOVE]), damp, r)
 
 
 @entry

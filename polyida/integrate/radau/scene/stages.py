@@ -187,7 +187,7 @@ def residuals(s, t, h, damp, laws, drives, gains, x, w):
         if not cosine > 0.0:
             return HALF_TURN
         if damp is not None:
-            add_damping(s.plates, u, v, damp, r)
+            add_damping(s, u, v, damp, r)
         if laws is not None:
             add_own_forces(laws, s.links, drives[k + 1], u, v, r)
         carry(s, t, h, drives, gains, x, w, k)

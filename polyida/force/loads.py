@@ -54,5 +54,7 @@ class EdgeTraction:
 
     def nodal(self) -> NDArray:
         """Nodal forces on the section's nodes at profile value 1, (k, 2), N: exact for the elements' linear edges."""
-        area = self.at.weights * self.at.length * self.at.body.thickness
-        return np.outer(area, np.asarray(self.traction, float))
+        section = self.at.body.mesh.section(self.at.nodes)
+        lengths = np.empty(len(self.at.nodes))
+        lengths[np.argsort(self.at.nodes)] = section.lengths[np.argsort(section.nodes)]
+        return np.outer(lengths * self.at.body.thickness, np.asarray(self.traction, float))

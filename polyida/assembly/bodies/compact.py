@@ -1,0 +1,342 @@
+"""Bodies of few coordinates in compiled code: mass, elastic force and tangent on pairs of q that are points of the complex plane.
+
+Elastic ones, of K vectors z_i, are exact St. Venant-Kirchhoff in a subspace that is closed under rotation: Green's strain is linear in
+y = (Re conj(z_i) z_j, i <= j; Im conj(z_i) z_j, i < j), so that `W = d^T form d / 2 + shift^T d`, d = y - y_0, and `s = form d + shift`,
+
+    dW/dz_i += (s_R - i s_I) z_j,   dW/dz_j += (s_R + i s_I) z_i      for each pair i <= j
+
+(Gerstmayr and Ambrosio 2008; Pechstein, Reischl, Gerstmayr 2013). Nothing here grows with the cells of a body.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.compiled import entry, leaf, pack, part
+
+fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
+
+
+@pack
+class Compact(NamedTuple):
+    """The bodies: `pair` (bodies + 1,) their first pair of q, `block` their first block of the tangent, which is full on a body's pairs.
+
+    rest (pairs, 2): z at rest, from the first of these bodies on. mass: Hermitian matrices, rows of entries (re, im), from `mass_start`. axis
+    (pairs, 2): complex weights of the vector that turns with its body, zero where there is none. form, shift: of elastic bodies, from `form_start`, `shift_start`; their vectors z_i are the pairs from
+    the second on. drag (1/s), viscosity (s): as of a plate's material.
+    """
+
+    pair: np.ndarray
+    block: np.ndarray
+    rest: np.ndarray
+    mass_start: np.ndarray
+    mass: np.ndarray
+    axis: np.ndarray
+    form_start: np.ndarray
+    form: np.ndarray
+    shift_start: np.ndarray
+    shift: np.ndarray
+    drag: np.ndarray
+    viscosity: np.ndarray
+
+
+@leaf
+def vectors(c, b):
+    """(first pair of the vectors z_i, how many they are, how many numbers y has); no vectors where the body is not elastic."""
+    size = c.shift_start[b + 1] - c.shift_start[b]
+    return c.pair[b] + 1, (c.pair[b + 1] - c.pair[b] - 1 if size else 0), size
+
+
+@leaf
+def lesser(a, b):
+    """The smaller of two, nan where one is nan."""
+    return a if a < b or a != a else b
+
+
+@part
+def add_mass(c, b, factor, a, r):
+    """r += factor M a of body b."""
+    first, count, at = c.pair[b], c.pair[b + 1] - c.pair[b], c.mass_start[b]
+    for i in range(count):
+        x = y = 0.0
+        for j in range(count):
+            p, n = c.mass[at + i * count + j, 0], c.mass[at + i * count + j, 1]
+            x += p * a[first + j, 0] - n * a[first + j, 1]
+            y += p * a[first + j, 1] + n * a[first + j, 0]
+        r[first + i, 0] += factor * x
+        r[first + i, 1] += factor * y
+
+
+@part
+def place(c, first, count, u, z):
+    """z (count, 2) of a body's vectors at displacements u."""
+    for i in range(count):
+        for k in range(2):
+            z[i, k] = c.rest[first - c.pair[0] + i, k] + u[first + i, k]
+
+
+@part
+def quadratic(count, x, w, y):
+    """y = half of (conj(x_i) w_j + conj(w_i) x_j): of x = w its products, of x = z and w = z' half their rates."""
+    at = 0
+    for i in range(count):
+        for j in range(i, count):
+            y[at] = 0.5 * (x[i, 0] * w[j, 0] + x[i, 1] * w[j, 1] + w[i, 0] * x[j, 0] + w[i, 1] * x[j, 1])
+            at += 1
+    for i in range(count):
+        for j in range(i + 1, count):
+            y[at] = 0.5 * (x[i, 0] * w[j, 1] - x[i, 1] * w[j, 0] + w[i, 0] * x[j, 1] - w[i, 1] * x[j, 0])
+            at += 1
+
+
+@part
+def strained(c, b, u, d):
+    """d = y - y_0 at displacements u: as 2 of z_0 and u and 1 of u alone, so that nothing cancels."""
+    first, count, _ = vectors(c, b)
+    rest, moved, more = np.empty((count, 2)), np.empty((count, 2)), np.empty(d.shape[0])
+    for i in range(count):
+        for k in range(2):
+            rest[i, k], moved[i, k] = c.rest[first - c.pair[0] + i, k], u[first + i, k]
+    quadratic(count, rest, moved, more)
+    quadratic(count, moved, moved, d)
+    for e in range(d.shape[0]):
+        d[e] += 2.0 * more[e]
+
+
+@fast
+def stresses(c, b, d, s):
+    """s += form d."""
+    at, size = c.form_start[b], d.shape[0]
+    for e in range(size):
+        total = 0.0
+        for f in range(size):
+            total += c.form[at + e * size + f] * d[f]
+        s[e] += total
+
+
+@part
+def push(count, first, s, z, r):
+    """r += (dy/dz)^T s on the vectors z (count, 2) of a body."""
+    at = 0
+    for i in range(count):
+        for j in range(i, count):
+            for k in range(2):
+                r[first + i, k] += s[at] * z[j, k]
+                r[first + j, k] += s[at] * z[i, k]
+            at += 1
+    for i in range(count):
+        for j in range(i + 1, count):
+            r[first + i, 0] += s[at] * z[j, 1]
+            r[first + i, 1] -= s[at] * z[j, 0]
+            r[first + j, 0] -= s[at] * z[i, 1]
+            r[first + j, 1] += s[at] * z[i, 0]
+            at += 1
+
+
+@leaf
+def turn(c, b, u, rotation):
+    """Fill rotation on a body's pairs with the vector that turns with it, (1, 0) where there is none; its square, nan where u is."""
+    x = y = some = 0.0
+    for i in range(c.pair[b], c.pair[b + 1]):
+        k = i - c.pair[0]
+        p, n, zx, zy = c.axis[k, 0], c.axis[k, 1], c.rest[k, 0] + u[i, 0], c.rest[k, 1] + u[i, 1]
+        x += p * zx - n * zy
+        y += p * zy + n * zx
+        some += abs(p) + abs(n)
+    if some == 0.0:
+        x += 1.0
+    if rotation.shape[0]:
+        for i in range(c.pair[b], c.pair[b + 1]):
+            rotation[i, 0], rotation[i, 1] = x, y
+    return x * x + y * y
+
+
+@part
+def forces(c, u, a, r, rotation):
+    """r += M a + dW/dz of all; rotation as `turn` has it. Returns the least square of a frame's vector, 1e300 without bodies."""
+    least = 1e300
+    for b in range(c.drag.shape[0]):
+        add_mass(c, b, 1.0, a, r)
+        least = lesser(least, turn(c, b, u, rotation))
+        first, count, size = vectors(c, b)
+        if size:
+            d, s, z = np.empty(size), np.empty(size), np.empty((count, 2))
+            strained(c, b, u, d)
+            for e in range(size):
+                s[e] = c.shift[c.shift_start[b] + e]
+            stresses(c, b, d, s)
+            place(c, first, count, u, z)
+            push(count, first, s, z, r)
+    return least
+
+
+@part
+def forces_middle(c, h, u0, u1, um, vm, a, r, rotation):
+    """The same at the middle of a step of h, with s from the mean strain of its ends, which keeps the energy, and damping."""
+    least = 1e300
+    for b in range(c.drag.shape[0]):
+        add_mass(c, b, 1.0, a, r)
+        if c.drag[b] != 0.0:
+            add_mass(c, b, c.drag[b], vm, r)
+        least = lesser(least, lesser(turn(c, b, u1, rotation), turn(c, b, um, rotation)))
+        first, count, size = vectors(c, b)
+        if size:
+            before, d, s, z = np.empty(size), np.empty(size), np.empty(size), np.empty((count, 2))
+            strained(c, b, u0, before)
+            strained(c, b, u1, d)
+            for e in range(size):
+                s[e] = c.shift[c.shift_start[b] + e]
+                d[e] = 0.5 * (before[e] + d[e]) + c.viscosity[b] / h * (d[e] - before[e])
+            stresses(c, b, d, s)
+            place(c, first, count, um, z)
+            push(count, first, s, z, r)
+    return least
+
+
+@part
+def momentum(c, a, r):
+    """r += M a of all."""
+    for b in range(c.drag.shape[0]):
+        add_mass(c, b, 1.0, a, r)
+
+
+@part
+def damping(c, u, v, r):
+    """r += `drag M v + viscosity (dy/dz)^T form y'` of all."""
+    for b in range(c.drag.shape[0]):
+        if c.drag[b] != 0.0:
+            add_mass(c, b, c.drag[b], v, r)
+        first, count, size = vectors(c, b)
+        if size and c.viscosity[b] != 0.0:
+            rate, s, z = np.empty(size), np.zeros(size), np.empty((count, 2))
+            place(c, first, count, u, z)
+            quadratic(count, z, v[first : first + count], rate)
+            for e in range(size):
+                rate[e] *= 2.0 * c.viscosity[b]
+            stresses(c, b, rate, s)
+            push(count, first, s, z, r)
+
+
+@part
+def energy(c, u):
+    """Elastic energy of all, J."""
+    total = 0.0
+    for b in range(c.drag.shape[0]):
+        size = vectors(c, b)[2]
+        if size:
+            d, s = np.empty(size), np.zeros(size)
+            strained(c, b, u, d)
+            stresses(c, b, d, s)
+            for e in range(size):
+                total += d[e] * (0.5 * s[e] + c.shift[c.shift_start[b] + e])
+    return total
+
+
+@part
+def blocks(c, u, v, c_m, c_v, c_q, out):
+    """out (nnz, 2, 2) += `c_m M + c_v dg/dv + c_q dg/dq` of all, where it is made anew: zero before on their blocks."""
+    for b in range(c.drag.shape[0]):
+        count = c.pair[b + 1] - c.pair[b]
+        factor = c_m + c_v * c.drag[b]
+        for i in range(count):
+            for j in range(count):
+                x, y = factor * c.mass[c.mass_start[b] + i * count + j, 0], factor * c.mass[c.mass_start[b] + i * count + j, 1]
+                at = c.block[b] + i * count + j
+                out[at, 0, 0] += x
+                out[at, 1, 1] += x
+                out[at, 0, 1] -= y
+                out[at, 1, 0] += y
+        if vectors(c, b)[2] and (c_q != 0.0 or c_v * c.viscosity[b] != 0.0):
+            elastic_blocks(c, b, u, v, c_v, c_q, out)
+
+
+@part
+def elastic_blocks(c, b, u, v, c_v, c_q, out):
+    """The elastic and viscous part of `blocks`: curvature of y under s, and (dy/dz)^T form (...)."""
+    first, count, size = vectors(c, b)
+    s, d, z = np.zeros(size), np.empty(size), np.empty((count, 2))
+    here, ahead = np.zeros((size, 2 * count)), np.zeros((size, 2 * count))
+    place(c, first, count, u, z)
+    slopes(count, z, 1.0, here)
+    slopes(count, z, c_q + c_v * c.viscosity[b], ahead)
+    if c_q != 0.0:
+        strained(c, b, u, d)
+        if c.viscosity[b] != 0.0:
+            rate, moving = np.empty(size), v[first : first + count]
+            quadratic(count, z, moving, rate)
+            for e in range(size):
+                d[e] += 2.0 * c.viscosity[b] * rate[e]
+            slopes(count, moving, c_q * c.viscosity[b], ahead)
+        stresses(c, b, d, s)
+        for e in range(size):
+            s[e] = c_q * (s[e] + c.shift[c.shift_start[b] + e])
+        curve(count, s, c.block[b], out)
+    stiff = np.zeros((2 * count, size))
+    product(c.form[c.form_start[b] : c.form_start[b + 1]].reshape((size, size)), ahead, stiff)
+    project(count, here, stiff, c.block[b], out)
+
+
+@part
+def slopes(count, z, factor, out):
+    """out (numbers of y, 2 count) += factor dy/dz; of z' instead of z that of y'."""
+    at = 0
+    for i in range(count):
+        for j in range(i, count):
+            for k in range(2):
+                out[at, 2 * i + k] += factor * z[j, k]
+                out[at, 2 * j + k] += factor * z[i, k]
+            at += 1
+    for i in range(count):
+        for j in range(i + 1, count):
+            out[at, 2 * i] += factor * z[j, 1]
+            out[at, 2 * i + 1] -= factor * z[j, 0]
+            out[at, 2 * j] -= factor * z[i, 1]
+            out[at, 2 * j + 1] += factor * z[i, 0]
+            at += 1
+
+
+@part
+def curve(count, s, first, out):
+    """The blocks' part of s d2y/dz2; a body's vectors are its pairs from the second on."""
+    at, wide = 0, count + 1
+    for i in range(count):
+        for j in range(i, count):
+            for k in range(2):
+                out[first + (i + 1) * wide + j + 1, k, k] += s[at]
+                out[first + (j + 1) * wide + i + 1, k, k] += s[at]
+            at += 1
+    for i in range(count):
+        for j in range(i + 1, count):
+            one, other = first + (i + 1) * wide + j + 1, first + (j + 1) * wide + i + 1
+            out[one, 0, 1] += s[at]
+            out[one, 1, 0] -= s[at]
+            out[other, 1, 0] += s[at]
+            out[other, 0, 1] -= s[at]
+            at += 1
+
+
+@fast
+def product(form, slopes, out):
+    """out += (form slopes)^T, slopes with few entries in a row."""
+    for f in range(slopes.shape[0]):
+        for i in range(slopes.shape[1]):
+            if slopes[f, i] != 0.0:
+                for e in range(form.shape[0]):
+                    out[i, e] += form[f, e] * slopes[f, i]
+
+
+@part
+def project(count, here, stiff, first, out):
+    """The blocks' part of here^T stiff^T."""
+    for e in range(here.shape[0]):
+        for i in range(2 * count):
+            if here[e, i] != 0.0:
+                for j in range(2 * count):
+                    out[first + (i // 2 + 1) * (count + 1) + j // 2 + 1, i % 2, j % 2] += here[e, i] * stiff[j, e]
+
+
+@entry
+def elastic_energy(c, u):
+    """`energy` for Python."""
+    return energy(c, u)

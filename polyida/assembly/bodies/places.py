@@ -1,0 +1,121 @@
+"""Bodies in their places among the scene's pairs of q: what of q their attachments are made of, and what loads on these do there."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from polyida.body.body import Body, form_of, mass_of, rest_of, translation_of
+from polyida.body.own_part import writes
+from polyida.body.plate import Plate
+from polyida.given import complex_of_pairs, pairs_of
+
+NOTHING = 1e-12  # of the largest mass of a body: that is none
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPlate:
+    """A plate: `nodes` is its slice of the pairs, or of the nodes that are drawn; operator: its element's on its mesh."""
+
+    name: str
+    plate: Plate
+    operator: object
+    nodes: slice
+
+    @property
+    def pairs(self):
+        """Its slice of the pairs of q."""
+        return self.nodes
+
+    @property
+    def damped(self):
+        """Whether its material brakes motion."""
+        return self.plate.material.damped
+
+    @property
+    def mesh(self):
+        """The plate's mesh, turned by its angle."""
+        return self.plate.placed
+
+    @property
+    def points(self):
+        """Reference positions, (N, 2), m."""
+        return self.plate.points
+
+    def held(self, side, part):
+        """(pairs of q, complex weights) of which an attachment's "point" or "direction" is the sum."""
+        weights = side.weights if part == "point" else side.turn_weights
+        return side.nodes + self.nodes.start, weights.astype(complex)
+
+    def loaded(self, side, forces):
+        """(pairs of q, forces (., 2) on them) of forces on an attachment's nodes."""
+        return side.nodes + self.nodes.start, forces
+
+
+class PlacedBody:
+    """A body of few coordinates: `pairs` is its slice of the pairs of q; rest (pairs,) complex.
+
+    user: the body as it was given, which attachments know; body: as `settled` by what the scene's parts hold on to. mass: Hermitian, or
+    None where x and y carry different ones: `uneven`, (2 pairs, 2 pairs), then.
+    """
+
+    def __init__(self, name, user, first, held):
+        self.name, self.user, self.body = name, user, user.settled(held)
+        self.rest = rest_of(self.body)
+        self.pairs = slice(first, first + len(self.rest))
+        self.mass, self.uneven = mass_of(self.body)
+        self.translation, self.form = translation_of(self.body), form_of(self.body)
+
+    @property
+    def python(self):
+        """Whether kernels cannot do without its class."""
+        return self.uneven is not None or self.elastic
+
+    @cached_property
+    def massless(self):
+        """Whether some of its coordinates have no mass."""
+        matrix = self.mass if self.uneven is None else self.uneven
+        sizes = np.linalg.eigvalsh(matrix)
+        return bool(sizes[0] <= NOTHING * sizes[-1])
+
+    @property
+    def whole_mass(self):
+        """Its mass, kg: `T^H M T`."""
+        return float(abs(np.vdot(self.translation, complex_of_pairs(self.weight((1.0, 0.0))))))
+
+    @property
+    def elastic(self):
+        """Whether its elastic force is Python."""
+        return writes(self.body, Body, "elastic")
+
+    @property
+    def damped(self):
+        """Whether its material brakes motion."""
+        return any(self.body.damping())
+
+    @property
+    def deforms(self):
+        """Whether it deforms at all."""
+        return self.elastic or self.form is not None
+
+    @cached_property
+    def axis(self):
+        """Weights (pairs,) of the vector that turns with it."""
+        given = self.body.x_axis()
+        return np.zeros(len(self.rest), complex) if given is None else np.asarray(given, complex)
+
+    def weight(self, gravity):
+        """Gravity on its pairs, `M T g`, (pairs, 2), N."""
+        pull = self.translation * complex(*gravity)
+        return pairs_of(self.mass @ pull) if self.uneven is None else (self.uneven @ pairs_of(pull).ravel()).reshape(-1, 2)
+
+    def held(self, side, part):
+        """(pairs of q, complex weights) of which an attachment's "point" or "direction" is the sum."""
+        weights = self.body.weights_of(side, part)
+        used = np.flatnonzero(weights)
+        return (used + self.pairs.start).astype(np.int32), weights[used]
+
+    def loaded(self, side, forces):
+        """(pairs of q, forces (., 2) on them) of forces on an attachment's nodes."""
+        shares = self.body.shares_of(side, complex_of_pairs(forces))
+        return np.arange(self.pairs.start, self.pairs.stop, dtype=np.int32), pairs_of(shares)

@@ -1,0 +1,74 @@
+"""The bodies of a scene as they are drawn: full plates, and those whose few coordinates give the motion of every node of a mesh."""
+
+from functools import cached_property
+
+import numpy as np
+
+from polyida.assembly.bodies.places import PlacedPlate
+from polyida.assembly.constraints import Constraints
+from polyida.element import kernels
+
+
+class Drawn(Constraints):
+    """What is drawn of a scene with `bodies` and `few`."""
+
+    @cached_property
+    def drawn(self):
+        """Every body that has a mesh, full plates first; `nodes` is its slice of the nodes that are drawn."""
+        return [*self.bodies, *(plate for plate, _ in self._of_fields)]
+
+    @cached_property
+    def _of_fields(self):
+        """(PlacedPlate, PlacedBody) of those that have few coordinates."""
+        found, first = [], self.bodies[-1].nodes.stop if self.bodies else 0
+        for placed in self.few:
+            if (plate := placed.body.plate) is not None:
+                found.append((PlacedPlate(placed.name, plate, placed.body.operator, slice(first, first + plate.mesh.n_nodes)), placed))
+                first = found[-1][0].nodes.stop
+        return found
+
+    @cached_property
+    def drawn_points(self):
+        """Reference positions of the nodes that are drawn, (nodes, 2), m."""
+        return np.concatenate([np.zeros((0, 2)), *(body.points for body in self.drawn)])
+
+    def nodal(self, q):
+        """Displacements of the nodes that are drawn, (nodes, 2), m, or, of a v, their velocities."""
+        pairs = self._nodal(q)
+        parts = [pairs[body.nodes] for body in self.bodies]
+        parts += [placed.body.nodal(pairs[placed.pairs] @ (1, 1j)) for _, placed in self._of_fields]
+        return np.concatenate([np.zeros((0, 2)), *parts])
+
+    def stress(self, q):
+        """Cauchy stress of every element, (cells, 3): xx, yy, xy in Pa, plate after plate."""
+        parts, nodal = [np.zeros((0, 3))], self.nodal(q)
+        for body in self.drawn:
+            modulus, nu = body.plate.material.in_plane
+            out, operator = np.empty((body.mesh.n_cells, 3)), body.operator
+            kernels.stress(
+                *operator.force_arrays, operator.lane_cells, operator.areas, body.nodes.start, modulus / (1 - nu**2), nu, nodal, out
+            )
+            parts.append(out)
+        return np.concatenate(parts)
+
+    def stress_across(self, stress):
+        """Stress zz across the plane, (cells,), Pa, from that of every element: nu (xx + yy) in plane strain, 0 in plane stress."""
+        ratio = [body.plate.material.across for body in self.drawn]
+        return np.repeat(ratio, [body.mesh.n_cells for body in self.drawn]) * (stress[:, 0] + stress[:, 1])
+
+
+def deepest(bodies, u):
+    """ "cell 3 of 'upper' at (x, y)": that of the least mean det F at displacements u (nodes, 2), and its centre at rest, m."""
+    if not bodies:
+        return "a body"
+    found = []
+    for body in bodies:
+        operator = body.operator
+        outer = u[body.nodes][operator.nodes][:, :, None] * operator.mean_gradients[:, None, :]
+        gradient = np.eye(2) + np.add.reduceat(outer, operator.offsets[:-1])
+        det = np.linalg.det(gradient)
+        cell = int(np.argmin(det))
+        found.append((det[cell], cell, body))
+    _, cell, body = min(found, key=lambda entry: entry[0])
+    x, y = body.points[body.mesh.cell(cell)].mean(axis=0)
+    return f"cell {cell} of {body.name!r} at ({x:.6g}, {y:.6g})"

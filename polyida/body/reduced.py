@@ -1,0 +1,121 @@
+"""A plate reduced to few modes that may turn and move by any amount."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.body.field_body import FieldBody
+from polyida.body.plate import Plate
+from polyida.body.reduction.basis import basis_of
+from polyida.body.reduction.form import form_of_fields
+from polyida.body.reduction.plate_matrices import PlateMatrices
+from polyida.errors import InputError
+from polyida.given import complex_of_pairs, is_whole, pairs_of, reals, settle
+from polyida.joint.attachment import Attachment
+from polyida.keywords import named_keywords
+
+MOST = 40  # modes: the form has (modes + 1)^4 numbers
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Reduced(FieldBody):
+    """A plate in `x = c + z (X - X_S) + sum zeta_k f_k`, few complex coordinates (n = 4 + 2 modes a body), whatever the number of its cells.
+
+    modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
+    normal modes of the plate with these held together, by their frequencies. fields: of one's own beside them, displacements of the nodes
+    in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run.
+
+    The complex span of the fields holds every turned copy of each, so rigid turns cost nothing and are exact; the elastic energy is that of the
+    plate's own elements and St. Venant-Kirchhoff law, exactly, in that span: no co-rotated frame, no geometric stiffness to add, M
+    constant. Stress, pictures and files are those of the plate. What it cannot do: modes of small vibrations do not bend far (a plate whose tip turns by half a
+    radian is off by a hundredth of its length with any number of them); take fields of a run of the full plate then. A run's summary warns.
+
+    Generalised component mode synthesis (Gerstmayr and Ambrosio 2008; Pechstein, Reischl and Gerstmayr 2013). Raises InputError for what is
+    no plate, a wrong number of modes (0 to 40, one field at least) and fields of another shape.
+    """
+
+    plate: Plate
+    modes: int = 5
+    fields: Any = None
+    name: str | None = None
+
+    def __post_init__(self):
+        self.require_plate()
+        if not is_whole(self.modes, 0, MOST):
+            raise InputError(f"{self.label}: modes = {self.modes!r} must be a whole number from 0 to {MOST}")
+        if self.fields is not None:
+            settle(self, fields=self._checked(self.fields))
+        if not self.modes and self.fields is None:
+            raise InputError(f"{self.label}: modes = 0 leaves no field; give modes, fields, or take Rigid(plate)")
+
+    def _checked(self, given):
+        """The fields as (count, N, 2)."""
+        array, nodes = reals(given), self.plate.mesh.n_nodes
+        if array is None or array.ndim != 3 or array.shape[1:] != (nodes, 2) or not len(array) or not np.isfinite(array).all():
+            shape = type(given).__name__ if array is None else array.shape
+            raise InputError(f"{self.label}: fields of shape {shape} must be finite displacements of its nodes, (count, {nodes}, 2)")
+        return array
+
+    def settled(self, held: list[Attachment]) -> FieldBody:
+        """The plate with its modes, told what holds it."""
+        own = np.zeros((self.plate.mesh.n_nodes, 0)) if self.fields is None else complex_of_pairs(self.fields).T
+        matrices = PlateMatrices.of(self.plate)
+        return _InModes(self.plate, self.name, matrices, basis_of(matrices, held, self.modes, own))
+
+
+class _InModes(FieldBody, part=False):
+    """The same in a scene."""
+
+    def __init__(self, plate, name, matrices, basis):
+        self.plate, self.name, self.matrices, self.basis = plate, name, matrices, basis
+        self.operator = matrices.operator
+
+    def shapes(self) -> NDArray:
+        """1, X - X_S and the modes at the nodes, (N, pairs), complex."""
+        return self.basis.shapes
+
+    def coordinates(self) -> NDArray:
+        """(X_S, 1, 0, 0 ...)."""
+        rest = np.zeros(self.shapes().shape[1], complex)
+        rest[:2] = self.basis.centre, 1.0
+        return rest
+
+    def mass_matrix(self) -> NDArray:
+        """diag(mass, inertia, mass, mass ...), the fields being of the plate's own mass."""
+        sizes = np.full(self.shapes().shape[1], self.basis.mass)
+        sizes[1] = self.basis.inertia
+        return np.diag(sizes)
+
+    def form(self) -> tuple[NDArray, NDArray]:
+        """The exact energy of the span."""
+        return form_of_fields(self.matrices, self.shapes()[:, 1:])
+
+    def strain_energy(self, moved: NDArray) -> float:
+        """Elastic energy, J, where its pairs have moved by this, complex."""
+        return self.matrices.energy(self._deformed(moved))
+
+    def left_out(self, moved: NDArray, pulled: NDArray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
+        """(strain energy, J, displacement, m) that the modes leave out where its pairs have moved by `moved` and are accelerated by `pulled`,
+        complex: `-d^T r / 2` and the largest of d, by which the residual r of the full plate would move it with what holds it kept.
+        """
+        turn = self._turn(moved)
+        pull = (self.shapes() @ pulled - gravity) * turn.conjugate()
+        r = self.matrices.force(self._deformed(moved)) + self.matrices.mass @ pairs_of(pull)
+        d = self.basis.hold.still(r.ravel())
+        return float(-0.5 * d @ r.ravel()), float(np.abs(d).max())
+
+    def _turn(self, moved):
+        z = 1.0 + moved[1]
+        return z / abs(z)
+
+    def _deformed(self, moved):
+        """Displacements (N, 2) of the nodes in the plate's frame."""
+        z, arms = self.coordinates() + moved, self.shapes()[:, 1]
+        return pairs_of((self.shapes()[:, 1:] @ z[1:]) * self._turn(moved).conjugate() - arms)
+
+    def damping(self) -> tuple[float, float]:
+        """The material's."""
+        return self.plate.material.mass_damping, self.plate.material.viscosity

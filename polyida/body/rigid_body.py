@@ -1,0 +1,129 @@
+"""Rigid body in the complex coordinates (c, z)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from polyida.body.body import Body
+from polyida.body.material import Material, positive, vector2
+from polyida.errors import InputError
+from polyida.given import is_number, settle
+from polyida.joint.formula import Row, Vector, dot
+from polyida.keywords import named_keywords
+from polyida.mesh import PolygonMesh
+from polyida.mesh.moments import area_moments
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class RigidBody(Body):
+    """A rigid body: `x = c + z (X - X_S)` for each of its points X, c the place of its centre of mass X_S and z its direction, |z| = 1.
+
+    mass: kg. inertia: about the centre of mass, kg m2. points: {name: (x, y)}, m, in the body's own axes. origin: where the own (0, 0)
+    lies, m. angle: turn of its axes about it, rad. center: the centre of mass in its own axes, m. velocity of the centre of mass, m/s, and
+    spin, rad/s: at the start.
+
+    q holds the displacements of c and z from rest; M = diag(mass, mass, inertia, inertia) is constant, and `phi = s (|z|^2 - 1) / 2`
+    (1 row, m, s the radius of gyration) keeps z of length one, so that there are no gyroscopic terms. `body.at(name)` is a point, with the body's x axis
+    as its direction or the one that is given. Raises InputError for a mass or inertia that is not positive, and for what is no point.
+    """
+
+    mass: float
+    inertia: float
+    points: Mapping
+    origin: tuple = (0.0, 0.0)
+    angle: float = 0.0
+    center: tuple = (0.0, 0.0)
+    velocity: tuple = (0.0, 0.0)
+    spin: float = 0.0
+    name: str | None = None
+
+    def __post_init__(self):
+        settle(
+            self, mass=positive(self.label, "mass", self.mass, "kilograms"), inertia=positive(self.label, "inertia", self.inertia, "kg m2")
+        )
+        for key in ("origin", "center", "velocity"):
+            settle(self, **{key: tuple(vector2(self.label, key, getattr(self, key)).tolist())})
+        for key, unit in (("angle", "rad"), ("spin", "rad/s")):
+            if not is_number(getattr(self, key)):
+                raise InputError(f"{self.label}: {key} = {getattr(self, key)!r} must be a finite number of {unit}")
+            settle(self, **{key: float(getattr(self, key))})
+        if not isinstance(self.points, Mapping) or not self.points or not all(isinstance(name, str) and name for name in self.points):
+            raise InputError(
+                f"{self.label}: points = {str(self.points)[:80]} must be a dictionary {{name: (x, y)}}, with one point at least"
+            )
+        settle(self, points={name: tuple(vector2(self.label, f"point {name!r}", at).tolist()) for name, at in self.points.items()})
+
+    @classmethod
+    def bar(
+        cls,
+        length: float,
+        mass: float,
+        origin: ArrayLike = (0.0, 0.0),
+        angle: float = 0.0,
+        velocity: ArrayLike = (0.0, 0.0),
+        spin: float = 0.0,
+        name: str | None = None,
+    ) -> "RigidBody":
+        """A slender bar along its x axis from its origin: points "left", "center", "right", inertia m l^2 / 12."""
+        given = cls.__name__ if name is None else f"{cls.__name__} {name!r}"
+        length, mass = positive(given, "length", length, "metres"), positive(given, "mass", mass, "kilograms")
+        points = {"left": (0.0, 0.0), "center": (length / 2, 0.0), "right": (length, 0.0)}
+        pose = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
+        return cls(mass, mass * length**2 / 12, points, center=points["center"], **pose)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        mesh: PolygonMesh,
+        material: Material,
+        thickness: float,
+        points: Mapping | None = None,
+        origin: ArrayLike = (0.0, 0.0),
+        angle: float = 0.0,
+        velocity: ArrayLike = (0.0, 0.0),
+        spin: float = 0.0,
+        name: str | None = None,
+    ) -> "RigidBody":
+        """A body of a mesh's shape: mass, centre and inertia by exact integrals over its polygons; points: further ones beside "center"
+        and the mean point of each section of the mesh.
+        """
+        given = cls.__name__ if name is None else f"{cls.__name__} {name!r}"
+        if not isinstance(mesh, PolygonMesh) or not isinstance(material, Material):
+            raise InputError(f"{given}: from_mesh takes a polyida mesh and a polyida.Material, not {mesh!r:.60} and {material!r:.60}")
+        area, centre, second = area_moments(mesh)
+        density = material.rho * positive(given, "thickness", thickness, "metres")
+        known = {section: _mean(mesh, section) for section in mesh.sections} | {"center": tuple(centre.tolist())}
+        pose = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
+        return cls(density * area, density * second, {**known, **(points or {})}, center=known["center"], **pose)
+
+    def coordinates(self) -> list[complex]:
+        """(c, z) at rest."""
+        z = np.exp(1j * self.angle)
+        return [complex(*self.origin) + z * complex(*self.center), z]
+
+    def mass_matrix(self) -> NDArray:
+        """diag(mass, inertia)."""
+        return np.diag([self.mass, self.inertia])
+
+    def attachments(self) -> dict[str, list[complex]]:
+        """{name: (1, X - X_S)}."""
+        return {name: [1.0, complex(*at) - complex(*self.center)] for name, at in self.points.items()}
+
+    def x_axis(self) -> list[float]:
+        """z."""
+        return [0.0, 1.0]
+
+    def rows(self) -> list[Row | Vector]:
+        """`s (|z|^2 - 1) / 2`."""
+        z = self.point_of("z", [[1.0, 0.0], [0.0, 1.0]]).d
+        return [((dot(z, z) - 1.0) * (0.5 * np.sqrt(self.inertia / self.mass))).named("length", "N")]
+
+
+def _mean(mesh, section):
+    """The mean point of a section of a mesh."""
+    found = mesh.section(section)
+    weights = found.lengths if found.lengths.sum() > 0 else np.ones(len(found.nodes))
+    return tuple((weights @ mesh.points[found.nodes] / weights.sum()).tolist())

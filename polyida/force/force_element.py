@@ -1,0 +1,141 @@
+"""What every force of one's own is: sides, and the forces on them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from polyida.body.own_part import OwnPart, require_whole, writes
+from polyida.errors import InputError
+from polyida.given import floats, is_number
+from polyida.joint.attachment import Attachment, Ground
+from polyida.joint.formula import Vector
+from polyida.profile import Profile
+
+
+class ForceElement(OwnPart):
+    """A force on attachments, written in Python: a frozen dataclass with a field `name`, `sides()` and `forces(t, x, v)`.
+
+    Its fields (numbers, profiles, attachments) are its data and are saved with it. Its functions get the places x, m, and
+    velocities v, m/s, of its sides, (sides, 2) each, to read only. A side is a point, or the direction of an attachment, `at.d`: its
+    "place" is then the direction d, and the force on it the generalised one, J: `M i d / |d|^2` is a moment M. What it does not
+    write of the rest is taken by differences, or is not there. A scene with such forces goes through the integrators' plain paths,
+    which its summaries say.
+    Instead of `forces` it may have `law`, a function decorated with `numba.njit`: `law(t, x, v, data, f)` fills f (sides, 2), N, where
+    data are the element's `numbers()`. Kernels call it by its address, and take its slopes by differences; where all force elements of
+    a scene have one, generalized-alpha, Radau IIA and IDA keep their compiled loops.
+    dissipates: whether what its forces do beyond its energy is reported as dissipated, and not as work.
+    """
+
+    law: Any = None
+    dissipates = False
+
+    @property
+    def compiled_law(self) -> Any:
+        """The law that kernels call, None where its forces are Python. A class with a law and `forces` says by it which of them holds."""
+        return type(self).law
+
+    def sides(self) -> Sequence:
+        """What it acts on: attachments, places of the ground (`ground.at`), directions of both (`.d`)."""
+        raise NotImplementedError
+
+    def forces(self, t: float, x: NDArray, v: NDArray) -> NDArray:
+        """Forces on the sides, (sides, 2), N; on a direction J."""
+        return by_law(self.compiled_law, self, t, x, v)
+
+    def numbers(self) -> ArrayLike | Sequence[float | Profile]:
+        """What `law` gets as data: the numbers among its fields, and of profiles among them the values at the time."""
+        found: list[float | Profile] = []
+        for value in (getattr(self, field.name) for field in fields(self)):  # type: ignore[arg-type]
+            given = floats(value)
+            found += [value] if isinstance(value, Profile) else [] if given is None else given.ravel().tolist()
+        return found
+
+    def forces_x(self, t: float, x: NDArray, v: NDArray) -> NDArray | None:
+        """Derivatives of the forces in the places, (sides, 2, sides, 2), N/m; None: by differences."""
+        return None
+
+    def forces_v(self, t: float, x: NDArray, v: NDArray) -> NDArray | None:
+        """Derivatives of the forces in the velocities, (sides, 2, sides, 2), N s/m; None: by differences."""
+        return None
+
+    def energy(self, x: NDArray) -> float | None:
+        """Potential energy at the places x, J, of which `forces` are the falling slope, as far as they have one; None: they have none."""
+        return None
+
+    def undefined(self, x: NDArray) -> str:
+        """Why the forces are not finite at the places x, in words; empty where it cannot say."""
+        return ""
+
+
+@dataclass(frozen=True)
+class Side:
+    """What a force acts on: the "point" or "direction" of an attachment, None where it stays at `rest` (2,) with the ground."""
+
+    at: Any
+    part: str
+    rest: NDArray
+
+    def size(self, extent: float) -> float:
+        """Of what it says of itself: a scene's extent, m, or that of a direction, one."""
+        return extent if self.part == "point" else 1.0
+
+
+def require_element(element):
+    """Raise InputError unless the class of a force element is whole."""
+    law = element.compiled_law
+    require_whole(element, ForceElement, ("sides",) if law else ("sides", "forces"))
+    if law and not hasattr(law, "py_func"):
+        raise InputError(f"{element.label}: its law is {law!r:.80}; it must be a function decorated with numba.njit")
+    if law and writes(element, ForceElement, "forces") and not writes(element, ForceElement, "compiled_law"):
+        raise InputError(f"{element.label}: its class gives forces() and a law; it must give one of them")
+
+
+def by_law(law, element, t, x, v):
+    """What a law gives with the numbers of an element, (sides, 2)."""
+    f = np.full(x.shape, np.nan)
+    law(float(t), np.array(x), np.array(v), data_at(element, t), f)
+    return f
+
+
+def numbers_of(element):
+    """The numbers and profiles of an element's law as one list, or those of an element without one. Raises InputError."""
+    given = element.numbers() if type(element).law else ForceElement.numbers(element)
+    found = list(given) if isinstance(given, (list, tuple, np.ndarray)) else [given]
+    if not all(isinstance(value, Profile) or is_number(value) for value in found):
+        raise InputError(f"{element.label}: numbers() must give a list of finite numbers and profiles")
+    return found
+
+
+def data_at(element, t):
+    """What an element's law gets as data at time t."""
+    return np.array([value.value(t) if isinstance(value, Profile) else value for value in numbers_of(element)], float)
+
+
+def sides_of(name, element):
+    """The Sides of a force element, looked at. Raises InputError naming it."""
+    given = element.sides()
+    found = [(side, _side(side)) for side in given] if isinstance(given, (tuple, list)) else []
+    for side, known in found:
+        if known is None:
+            hint = "use plate.section(...), plate.node(...), body.at(...) or ground.at(point), or the .d of one of them"
+            raise InputError(f"{name}: the side {str(side)[:80]} is no attachment; {hint}")
+    if not any(side.at for _, side in found):
+        wanted = "a tuple of attachments, like (self.at,), one at least of a body"
+        raise InputError(f"{name}: sides() gave {str(given)[:80]}; it must give {wanted}")
+    return tuple(side for _, side in found)
+
+
+def _side(given):
+    """The Side that an attachment, a place of the ground, or the x or d of one of them is; None for anything else."""
+    if isinstance(given, Attachment) or (isinstance(given, Ground) and given.point is not None):
+        given = given.x
+    if not (isinstance(given, Vector) and len(given.pieces) == 1):
+        return None
+    (piece,) = given.pieces
+    if piece.profile is not None or [w for _, _, w in piece.terms] not in ([], [1.0]) or (piece.terms and piece.constant):
+        return None
+    at, part = piece.terms[0][:2] if piece.terms else (None, "point")
+    return Side(at, part, np.array([piece.rest.real, piece.rest.imag]))

@@ -1,0 +1,1 @@
+"""Small motions about a state: modes, state space, frequency response."""

@@ -1,0 +1,270 @@
+"""Loops that are drawn nearly closed: `scene.assemble()` closes them to round-off, moves little, and says what cannot close."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import polyida as pi
+
+PLACES = {"A": (0.0, 0.0), "B": (0.1, 0.3), "C": (0.6, 0.5), "D": (0.7, 0.0)}
+LINKS = {"crank": "AB", "coupler": "BC", "rocker": "CD"}
+STEEL = pi.Material(E=2e9, nu=0.3, rho=1200.0)
+AS_IS = np.zeros((3, 3))
+DRAWN = {name: np.subtract(PLACES[b], PLACES[a]) for name, (a, b) in LINKS.items()}
+MESHES = {name: pi.mesh.rectangle(float(np.hypot(*way)), 0.02, cells=12, seed=1) for name, way in DRAWN.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Bar(pi.RigidBody):
+    """A rigid bar whose ends are called as a plate's sections are."""
+
+    def section(self, name):
+        return self.at(name)
+
+
+@dataclass(frozen=True, eq=False)
+class Point(pi.Body):
+    """A mass that cannot be placed."""
+
+    name: str | None = None
+
+    def coordinates(self):
+        return [0.3]
+
+    def mass_matrix(self):
+        return np.eye(1)
+
+    def attachments(self):
+        return {"here": [1.0]}
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed(Bar):
+    """One whose coordinates do not follow its angle."""
+
+    def coordinates(self):
+        return [complex(*self.origin), 1.0]
+
+
+def plate(name, origin, angle):
+    return pi.Plate(MESHES[name], STEEL, 0.01, origin=origin, angle=angle, name=name)
+
+
+def bar(name, origin, angle, kind=Bar, length=None):
+    return kind.bar(length or float(np.hypot(*DRAWN[name])), 1.0, origin=origin, angle=angle, name=name)
+
+
+def rigid(name, origin, angle):
+    return pi.Rigid(plate(name, origin, angle))
+
+
+def too_long(name, origin, angle):
+    return bar(name, origin, angle, length=1.6)
+
+
+def fixed(name, origin, angle):
+    return bar(name, origin, angle, Fixed)
+
+
+def four_bar(errors=AS_IS, make=plate, at=0.0, **others):
+    """A four-bar on the ground whose links are drawn with errors (m, m, rad); others: {name: link} in the place of one."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    sides = {}
+    for (name, (a, _)), (x, y, turn) in zip(LINKS.items(), errors):
+        origin, angle = np.add(PLACES[a], (at + x, y)), np.arctan2(*DRAWN[name][::-1]) + turn
+        link = scene.add(others.get(name, make)(name, origin, angle))
+        sides |= {f"{name} {end}": link.section(end) for end in ("left", "right")}
+    ground = [pi.ground.at(np.add(PLACES[end], (at, 0.0))) for end in "AD"]
+    pins = [ground[0], *sides.values(), ground[1]]
+    for name, a, b in zip("ABCD", pins[::2], pins[1::2]):
+        scene.add(pi.Revolute(a, b, name=name))
+    return scene
+
+
+def apart(scene):
+    """The widest gap of its pins, m."""
+    return max(np.linalg.norm(pin.a.point - pin.b.point) for pin in scene.parts.values() if isinstance(pin, pi.Revolute))
+
+
+@pytest.mark.parametrize("make", [plate, bar, rigid])
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9), st.sampled_from([1e-6, 1e-3, 2e-2]))
+def test_a_four_bar_closes_and_its_links_move_by_as_little_as_they_were_off(make, errors, size):
+    scene = four_bar(size * np.reshape(errors, (3, 3)), make)
+    drawn = apart(scene)
+    report = scene.assemble()
+    assert apart(scene) < 1e-14
+    assert report.gap <= drawn * (1 + 1e-9) <= report.gap * 1.5 + 1e-13
+    assert report.largest <= 3.0 * size
+    assert max(report.turn.values()) <= 10 * size
+    assert scene.assemble().summary() == "all joints are closed as drawn; nothing moved"
+
+
+def test_of_all_ways_to_close_the_shortest_is_taken():
+    for step in (1e-3, 1e-4):
+        scene = pi.Scene()
+        link = scene.add(bar("coupler", (step, 2 * step), 0.0))
+        scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), link.at("left")))
+        report = scene.assemble()
+        # least x^2 + y^2 + s^2 turn^2 with x = -step, y - half turn = -2 step: s^2 = 2/3 half^2 of the bar's two ends and its middle
+        half = np.hypot(*DRAWN["coupler"]) / 2
+        assert report.turn["coupler"] == pytest.approx(1.2 * step / half, rel=3 * step)
+        assert report.shift["coupler"] == pytest.approx(np.hypot(1.0, 0.8) * step, rel=3 * step)
+
+
+def test_a_stretched_four_bar_closes_where_its_rows_depend_on_each_other():
+    scene = pi.Scene()
+    ends = [bar("coupler", (0.0, 1e-3), 0.02), bar("coupler", (np.hypot(*DRAWN["coupler"]), 0.0), -0.01)]
+    first, second = (scene.add(replace(link, name=name)) for link, name in zip(ends, ("first", "second")))
+    scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), first.at("left")))
+    scene.add(pi.Revolute(first.at("right"), second.at("left")))
+    scene.add(pi.Revolute(second.at("right"), pi.ground.at((2 * np.hypot(*DRAWN["coupler"]), 0.0))))
+    scene.assemble()
+    assert apart(scene) < 1e-12
+    assert abs(first.angle) < 1e-6 > abs(second.angle)
+
+
+def test_what_holds_on_to_a_body_goes_with_it(scenes):
+    scene = four_bar(np.full((3, 3), 4e-3))
+    coupler = scene.parts["coupler"]
+    held = {name: coupler.section(name) for name in ("left", "right", "top")} | {"node": coupler.node(3)}
+    before = {name: (side.point, side.direction) for name, side in held.items()}
+    origin, angle = np.array(coupler.origin), coupler.angle
+    report = scene.assemble()
+    turn = scenes.rotation(coupler.angle - angle)
+    for name, side in held.items():
+        assert np.allclose(side.point, turn @ (before[name][0] - origin) + coupler.origin, atol=1e-14)
+        assert before[name][1] is None or np.allclose(side.direction, turn @ before[name][1], atol=1e-13)
+    assert report.turn["coupler"] == pytest.approx(coupler.angle - angle, rel=1e-9)
+    model = scene.build()
+    assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
+    assert np.array_equal(model.bodies[1].points, coupler.points)
+    assert max(pi.check_derivatives(model).values()) < 1e-6
+
+
+def test_a_closed_scene_runs_and_comes_back_from_its_file(tmp_path):
+    scene = four_bar(np.full((3, 3), 2e-3))
+    with pytest.raises(pi.InputError, match=r"A: it does not hold at rest.*or let scene.assemble\(\) move them"):
+        scene.build()
+    scene.assemble()
+    run = pi.solve(scene.build(), 0.02, pi.GeneralizedAlpha(h=1e-3))
+    assert run.success and run.drift.max() < 1e-10
+    run.save(tmp_path / "run.h5")
+    again = pi.load(tmp_path / "run.h5")
+    assert np.array_equal(again.q, run.q) and np.array_equal(again.position("C"), run.position("C"))
+
+
+def test_far_from_the_origin_it_closes_to_the_digits_of_a_place():
+    scene = four_bar(np.full((3, 3), 2e-3), at=1e6)
+    scene.assemble()
+    assert apart(scene) < 4 * np.spacing(1e6)
+    scene.build()
+
+
+def test_what_is_clamped_stays_and_plain_ground_is_where_it_was_drawn():
+    scene = pi.Scene()
+    base, arm = scene.add(plate("crank", (0.2, 0.1), 0.3)), scene.add(plate("coupler", (0.5, 0.21), 0.1))
+    before, root = base.points, base.section("left")
+    scene.add(pi.Clamp(root))
+    scene.add(pi.Revolute(base.section("right"), arm.section("left"), name="elbow"))
+    scene.add(pi.Revolute(pi.ground, arm.section("right"), name="end"))
+    end, wide = arm.section("right").point, np.linalg.norm(base.section("right").point - arm.section("left").point)
+    with pytest.raises(pi.InputError, match="'elbow' by .* m.* stay open"):
+        scene.assemble()  # both of its ends are held where they were drawn, which are too far apart for it
+    assert np.array_equal(base.points, before) and np.array_equal(arm.section("right").point, end)
+    del scene.parts["end"]
+    report = scene.assemble()
+    assert report.shift["crank"] == 0.0 and np.array_equal(base.points, before)
+    assert report.shift["coupler"] < wide < report.largest * 2
+
+
+def test_a_body_that_cannot_be_placed_stays():
+    scene = pi.Scene()
+    mass, link = scene.add(Point(name="mass")), scene.add(bar("crank", (0.0, 0.0), 0.1))
+    scene.add(pi.Revolute(mass.at("here"), link.at("right")))
+    report = scene.assemble()
+    assert report.shift["mass"] == 0.0 < report.shift["crank"]
+    assert np.allclose(link.at("right").point, [0.3, 0.0], atol=1e-15)
+    assert "moved 'crank' by" in report.summary() and "'mass'" not in report.summary()
+
+
+def test_a_weld_keeps_the_angle_that_was_drawn():
+    scene = pi.Scene()
+    one, other = scene.add(plate("crank", (0.0, 0.0), 0.2)), scene.add(plate("coupler", (0.31, 0.07), -0.4))
+    scene.add(pi.Clamp(one.section("right"), other.section("left")))
+    scene.assemble()
+    assert one.angle - other.angle == pytest.approx(0.6, abs=1e-14)
+    scene.build()
+
+
+@pytest.mark.parametrize("offset", [0.4, -0.2])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_motor_begins_where_its_profile_does(offset, swapped):
+    scene = four_bar(np.full((3, 3), 1e-3), bar)
+    crank = scene.parts["crank"]
+    drawn, sides = crank.angle, (pi.ground, crank.at("left"))
+    motor = scene.add(pi.AngleMotor(*sides[:: -1 if swapped else 1], angle=pi.profile.sine(0.5, 0.5, np.arcsin(2 * offset)), name="drive"))
+    begin = motor.angle(0.0)
+    assert begin == pytest.approx(offset)
+    scene.assemble()
+    assert crank.angle - drawn == pytest.approx(-begin if swapped else begin, abs=1e-12)
+    model = scene.build()
+    assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-13
+    assert pi.solve(model, 0.01, pi.GeneralizedAlpha(h=1e-3)).success
+
+
+@dataclass(frozen=True, eq=False)
+class Turning(pi.Joint):
+    """A motor of one's own that does not keep the drawing."""
+
+    angle: pi.profile.Profile = pi.profile.constant(0.2)
+
+    def rows(self):
+        return [pi.cross(self.a.d.onto(self.b.d).turned(self.angle), self.b.d)]
+
+
+def with_joint(make):
+    scene = pi.Scene()
+    link = scene.add(bar("crank", (0.0, 0.0), 0.1))
+    scene.add(make(link))
+    return scene
+
+
+def half_a_turn():
+    scene = with_joint(lambda link: pi.AngleMotor(pi.ground, link.at("left"), angle=pi.profile.constant(2.8), name="drive"))
+    scene.assemble()
+
+
+def built():
+    scene = with_joint(lambda link: pi.PointMass(link.at("left"), 1.0))
+    scene.build()
+    scene.add(pi.Revolute(pi.ground.at((0.1, 0.0)), scene.parts["crank"].at("left")))
+    scene.assemble()
+
+
+@pytest.mark.parametrize(
+    "call, told",
+    [
+        (lambda: four_bar(coupler=too_long).assemble(), "'[ABCD]' by 0.0.* m.* stay open .* as drawn"),
+        (lambda: four_bar(np.full((3, 3), 0.01), coupler=fixed).assemble(), "'coupler' has origin and"),
+        (lambda: with_joint(lambda link: Turning(pi.ground.at((0.0, 0.0)), link.at("left"), name="own")).assemble(), "'own' is open again"),
+        (half_a_turn, "'drive' would close on the wrong half-turn"),
+        (built, "'crank' would have to move, but there is a model"),
+        (lambda: pi.Scene().assemble(), "Scene.assemble: the scene has no plate"),
+        (lambda: pi.AngleMotor(pi.ground, bar("crank", (0, 0), 0).at("left"), 1.0, zero="x"), "zero = 'x' must be a finite number"),
+    ],
+)
+def test_what_cannot_be(call, told):
+    with pytest.raises(pi.InputError, match=told):
+        call()
+
+
+def test_nothing_has_moved_where_it_was_refused():
+    scene = four_bar(np.full((3, 3), 0.01), coupler=fixed)
+    before = {name: (part.origin, part.angle) for name, part in scene.parts.items() if hasattr(part, "origin")}
+    with pytest.raises(pi.InputError):
+        scene.assemble()
+    assert {name: (scene.parts[name].origin, scene.parts[name].angle) for name in before} == before
