@@ -88,8 +88,9 @@ class Trajectory:
 
     @cached_property
     def drift(self) -> NDArray:
-        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints)."""
+        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints), rows that were left out as redundant too."""
         model = self._known_model("drift")
+        model = model.redundant.whole if model.redundant else model
         return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, each(self.q))])
 
     @cached_property
@@ -136,13 +137,17 @@ class Trajectory:
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name: str) -> NDArray:
-        """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""
-        model = self._known_model("reaction")
-        if not is_one_of(name, model.rows):
-            raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
-        lam, first, found = np.asarray(self.lam[:, model.rows[name]], float), 0, []
+        """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor).
+
+        Of redundant constraints it is that with the least sum of squares of all multipliers; see `unique`.
+        """
+        model = self._of_joint("reaction", name)
+        rows, first, found = (model.redundant or model).rows[name], 0, []
         for q in blocks(self.q):
-            found.append(model.reactions(name, q, lam[first : first + len(q)]))
+            part = slice(first, first + len(q))
+            lam = np.asarray(self.lam[part], float)
+            lam = model.redundant.multipliers(self.t[part], q, lam) if model.redundant else lam
+            found.append(model.reactions(name, q, lam[:, rows]))
             first += len(q)
         return np.concatenate(found)
 
@@ -153,6 +158,18 @@ class Trajectory:
         -pi and pi. Raises InputError for what is no joint of the scene, and where a side has no direction.
         """
         return angle_of(self._motion("angle"), joint)
+
+    def unique(self, name: str) -> bool:
+        """Whether the reaction of a joint is the only one with which the bodies move so: always, unless constraints are redundant."""
+        model = self._of_joint("unique", name)
+        return model.redundant is None or model.redundant.unique(name)
+
+    def _of_joint(self, what, name):
+        """The model, which has a joint of this name."""
+        model = self._known_model(what)
+        if not is_one_of(name, model.rows):
+            raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
+        return model
 
     def node_positions(self, frame: int) -> NDArray:
         """Positions of the nodes of all plates in a frame, reduced and rigid ones too, (nodes, 2), m."""

@@ -314,6 +314,21 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "max_iterations": COUNT,
         },
     ),
+    "equilibrium_path": (
+        made(pi.equilibrium_path, model=build(pi.Clamp(LEFT)), load=[1e-3] * 30, count=2),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "load": [value for value in ARRAY if not isinstance(value, type)] + ["push"],
+            "t": NUMBER,
+            "q0": ARRAY,
+            "first": POSITIVE,
+            "until": NUMBER + [-1.0],
+            "count": COUNT[:-3],
+            "start": NUMBER,
+            "tolerance": SHARE,
+            "max_iterations": COUNT,
+        },
+    ),
     "modes": (
         made(pi.modes, model=build(pi.Clamp(LEFT))),
         {
@@ -321,6 +336,27 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "state": [value for value in NOTHING if value is not None] + LISTS,
             "count": COUNT[:-3] + [10**6],
             "damped": NOTHING + LISTS + [1, "yes"],
+        },
+    ),
+    "linearise": (
+        made(pi.linearise, model=build(pi.Clamp(LEFT)), modes=1),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "inputs": [value for value in ARRAY if not isinstance(value, type) and not isinstance(value, (dict, list))],
+            "outputs": [value for value in ARRAY if not isinstance(value, (dict, list))],
+            "modes": [value for value in COUNT[:-3] if value is not None] + [10**6],
+        },
+    ),
+    "frequency_response": (
+        made(pi.frequency_response, model=build(pi.Clamp(LEFT)), state=None, input=np.ones(30), output=np.ones(30), frequencies=[1.0]),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "input": [value for value in ARRAY if not isinstance(value, type)] + [None],
+            "output": [value for value in ARRAY if not isinstance(value, (dict, list))],
+            "frequencies": NOTHING + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab"],
+            "modes": [value for value in COUNT[:-3] if value is not None] + [10**6],
         },
     ),
     "consistent_state": (

@@ -30,6 +30,9 @@ class Body(OwnPart):
     plate: Any = None  # whose mesh shows it; `nodal` then tells of its nodes
     left_out: Any = None  # of a reduced plate: what its modes leave out
 
+    velocity: Any = (0.0, 0.0)  # of its centre of mass at the start, m/s; a class may make it a field
+    spin: Any = 0.0  # about it, rad/s
+
     def coordinates(self) -> ArrayLike:
         """z in the reference configuration, (pairs,), complex: places in m, or numbers without unit such as a direction's."""
         raise NotImplementedError

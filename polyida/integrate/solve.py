@@ -58,7 +58,8 @@ def solve(
 ) -> "Trajectory":
     """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
 
-    q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.
+    q0, v0: initial coordinates and velocities; those left out are zero, v0 those of the bodies' velocity and spin, moved onto the
+    constraints where they must be (see consistent_state).
     every: keep each `every`-th accepted step (the first and last always). output: increasing times; the frames are then
     exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a and lam linear).
     until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the

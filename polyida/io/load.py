@@ -104,7 +104,7 @@ def model_of(stored, drives):
     scene = Scene(gravity)
     for part in parts.values():
         scene.add(part)
-    model = scene.build()
+    model = scene.build(stored.about.get("redundant", "refuse"))
     if (model.n, model.m) != (stored.n, stored.m):
         raise InputError(
             f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; the file is damaged"

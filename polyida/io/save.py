@@ -76,7 +76,9 @@ def create(path, model, integrator, n, m, plan, machine, single=False, sensors=N
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "plan": plan, "machine": machine}
     about |= {SENSORS: dict(sensors)} if sensors else {}
     scene, arrays, drives = to_data(model.parts, model.gravity) if model.parts else (None, {}, {})
-    about |= ({"scene": scene} if scene else {}) | {"drives": {key: name for key, (name, _) in drives.items()}}
+    about |= ({"scene": scene, "redundant": getattr(model, "treats_redundant", "refuse")} if scene else {}) | {
+        "drives": {key: name for key, (name, _) in drives.items()}
+    }
     profiles = {key: profile for key, (_, profile) in drives.items()}
     arrays = {f"scene/{key}": array for key, array in arrays.items()}
     return Writer.create(path, n, m, about, arrays, profiles, bool(plan.get("fsync")), single, sensed_width(sensors))

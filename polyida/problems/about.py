@@ -5,6 +5,8 @@ COMPUTED = (
     "(python studies/digits.py)"
 )
 TIP = '"tip" in m, its velocity in m/s, lam in N and N m, at t = 1 s; largest absolute error'
+AT_POINT = '"{}" in m, its velocity in m/s, at t = {} s; largest absolute error'
+MECHANISM = "computed"
 
 ABOUT = {
     "pendulum": {
@@ -31,4 +33,8 @@ ABOUT = {
         "quantity": "nodal q in m, v in m/s, joint forces lam in N, at t_end; largest absolute error",
         "source": "equation of two rigid bodies by DOP853; the flexible plates come near as 1 / E",
     },
+    "slider-crank": {"quantity": AT_POINT.format("slider", "0.4"), "source": MECHANISM},
+    "four-bar": {"quantity": AT_POINT.format("pin", "0.5"), "source": MECHANISM},
+    "two-link-arm": {"quantity": AT_POINT.format("tip", "0.5"), "source": MECHANISM},
+    "peaucellier": {"quantity": AT_POINT.format("pen", "0.5"), "source": MECHANISM},
 }

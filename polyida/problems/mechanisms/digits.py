@@ -1,0 +1,3 @@
+"""Digits."""
+def of(name, level):
+    return {}, {}
