@@ -80,7 +80,7 @@ class Cut:
         turn = np.vdot(self.rest - self.rest.mean(), x - x.mean())
         turn /= abs(turn) or 1.0
         point, way = x.mean() + turn * (self.place - self.rest.mean()), turn * self.way
-        forces = -complex_of_pairs(np.concatenate([left, self.slivers.forces(v, a)]))
+        forces = -complex_of_pairs(np.concatenate([left, self.slivers.forces(t, v, a)]))
         arms = np.concatenate([x, complex_of_pairs(self.slivers.places(u))]) - point
         through = way.conjugate() * forces.sum()
         return through.real, through.imag, np.vdot(arms, forces).imag, point.real, point.imag, way.real, way.imag
