@@ -102,7 +102,7 @@ def reactions(runs, names, limit=8):
 
 
 def energy(runs):
-    """Kinetic, potential, strain and total energy, and what is gained or lost beside the work of motors."""
+    """Kinetic, potential, strain and total energy, and what is gained or lost beside the work of parts and what they dissipate."""
     with settings():
         made, axes = figure(6.4, 3.0, ncols=2, width_ratios=[1.25, 1])
         first_label, first = next(iter(runs.items()))

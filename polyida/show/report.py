@@ -76,7 +76,7 @@ def _curves(job, runs, comparison):
     if model.rows:
         caption = "What each joint does to the body on its far side."
         found["reactions"] = lambda: plots.reactions(runs, list(model.rows)), caption
-    found["energy"] = lambda: plots.energy(runs), "Energy, and what is gained or lost beside the work of motors."
+    found["energy"] = lambda: plots.energy(runs), "Energy, and what is gained or lost beside the work of parts and what they dissipate."
     if model.m:
         found["drift"] = lambda: plots.drift(runs), "How well the constraints hold."
     return found

@@ -28,9 +28,8 @@ def problem_of(name, scene, t_end, point, level, default):
         reference, known_to = digits.of(name, level)
     else:
         about = about | {"source": "no reference for these options; measure against a refined run"}
-    measures = {
-        "point": lambda run: run.position(point)[-1],
-        "velocity": lambda run: run.model.displacement(point, run.v[-1]),
-    }
+    measures = {"point": lambda run: run.position(point)[-1], "velocity": lambda run: run.model.displacement(point, run.v[-1])}
     model = scene.build()
-    return Problem(name=name, model=model, q0=None, v0=None, t_end=t_end, reference=reference, known_to=known_to, measures=measures, **about)
+    return Problem(
+        name=name, model=model, q0=None, v0=None, t_end=t_end, reference=reference, known_to=known_to, measures=measures, **about
+    )
