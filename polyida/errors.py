@@ -12,5 +12,9 @@ class InputError(ValueError):
         super().__init__(line if len(line) <= 600 else f"{line[:300]} ... {line[-295:]}")
 
 
+class ReductionWarning(UserWarning):
+    """The modes of a reduced plate leave much of its motion out."""
+
+
 class LockingWarning(UserWarning):
     """Elements that are far too stiff for their material: the answer converges, but slowly."""

@@ -21,8 +21,14 @@ parts: dict[str, Any] = {
     "Clamp": "polyida.joint.clamp:Clamp",
     "Prismatic": "polyida.joint.prismatic:Prismatic",
     "Slot": "polyida.joint.slot:Slot",
+    "Distance": "polyida.joint.distance:Distance",
+    "Weld": "polyida.joint.weld:Weld",
+    "Path": "polyida.joint.path:Path",
     "SpringDamper": "polyida.force.spring_damper:SpringDamper",
+    "TorsionSpring": "polyida.force.torsion_spring:TorsionSpring",
     "Torque": "polyida.force.torque:Torque",
+    "Force": "polyida.force.force:Force",
+    "Contact": "polyida.force.contact:Contact",
 }
 integrators: dict[str, Any] = {
     "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",

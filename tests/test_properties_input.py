@@ -114,6 +114,9 @@ def state(**changed):
     return pi.solve(MODEL, 0.01, ALPHA, state=State(**(good | changed)))
 
 
+INDEX = NOTHING[1:] + [0.5, 1, -2, True, [0]]  # of a run with one frame
+STANDING = pi.Trajectory(build(), "by hand", np.zeros(1), *np.zeros((3, 1, 2 * MESH.n_nodes)), np.zeros((1, 0)))
+
 CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "Material": (
         made(pi.Material, E=1.0, nu=0.3, rho=1.0),
@@ -293,6 +296,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "state": [value for value in NOTHING if value is not None] + LISTS,
             "out": FILE[1:5] + FILE[6:8] + FILE[9:10],
             "progress": ["text", 1.0, [], Odd()],
+            "sensors": without(NOTHING[1:], dict) + [{"x": value} for value in without(NOTHING, type, type(len))] + [{1: abs}],
         },
     ),
     "solve from a state": (
@@ -310,6 +314,21 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "max_iterations": COUNT,
         },
     ),
+    "equilibrium_path": (
+        made(pi.equilibrium_path, model=build(pi.Clamp(LEFT)), load=[1e-3] * 30, count=2),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "load": [value for value in ARRAY if not isinstance(value, type)] + ["push"],
+            "t": NUMBER,
+            "q0": ARRAY,
+            "first": POSITIVE,
+            "until": NUMBER + [-1.0],
+            "count": COUNT[:-3],
+            "start": NUMBER,
+            "tolerance": SHARE,
+            "max_iterations": COUNT,
+        },
+    ),
     "modes": (
         made(pi.modes, model=build(pi.Clamp(LEFT))),
         {
@@ -317,6 +336,27 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "state": [value for value in NOTHING if value is not None] + LISTS,
             "count": COUNT[:-3] + [10**6],
             "damped": NOTHING + LISTS + [1, "yes"],
+        },
+    ),
+    "linearise": (
+        made(pi.linearise, model=build(pi.Clamp(LEFT)), modes=1),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "inputs": [value for value in ARRAY if not isinstance(value, type) and not isinstance(value, (dict, list))],
+            "outputs": [value for value in ARRAY if not isinstance(value, (dict, list))],
+            "modes": [value for value in COUNT[:-3] if value is not None] + [10**6],
+        },
+    ),
+    "frequency_response": (
+        made(pi.frequency_response, model=build(pi.Clamp(LEFT)), state=None, input=np.ones(30), output=np.ones(30), frequencies=[1.0]),
+        {
+            "model": NOTHING + LISTS + [BOARD, pi.Scene()],
+            "state": [value for value in NOTHING if value is not None] + LISTS,
+            "input": [value for value in ARRAY if not isinstance(value, type)] + [None],
+            "output": [value for value in ARRAY if not isinstance(value, (dict, list))],
+            "frequencies": NOTHING + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab"],
+            "modes": [value for value in COUNT[:-3] if value is not None] + [10**6],
         },
     ),
     "consistent_state": (
@@ -329,6 +369,12 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     ),
     "load": (pi.load, {"path": FILE}),
     "resume": (pi.resume, {"path": FILE}),
+    "Trajectory.angle": (STANDING.angle, {"joint": PART}),
+    "Trajectory.strain": (STANDING.strain, {"frame": INDEX + [None]}),
+    "Trajectory.section_forces": (
+        made(STANDING.section_forces, plate="board", at=(0.5, 0.0)),
+        {"plate": [part for part in PART if part is not BOARD], "at": PAIR + [(5.0, 0.0)], "normal": PAIR + [(0.0, 0.0)], "frame": INDEX},
+    ),
     "problems.get": (pi.problems.get, {"name": CHOICE}),
     "double_plate": (plates.double_plate, {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE}),
     "plate_chain": (plates.plate_chain, {"links": COUNT}),

@@ -23,6 +23,13 @@ class Constraints(NamedPoints):
             self._driven = t, table
         return table.copy()
 
+    def pushed(self, t, number, by):
+        """This model with the value of profile `number` at time t greater by `by`, its rates as they are."""
+        table, other = self.drives(t), object.__new__(type(self))
+        table[number, 0] += by
+        other.__dict__.update(self.__dict__, _driven=(t, table))
+        return other
+
     def kinks(self, t0, t1):
         """Times in (t0, t1) at which a profile is not smooth, sorted."""
         first, end = np.searchsorted(self._kinks, t0, side="right"), np.searchsorted(self._kinks, t1)

@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.body.body import Body, BodyPoint
 from polyida.body.plate import Plate
 from polyida.element.choose import operator_of
+from polyida.element.operator import ReferenceOperator
 from polyida.errors import InputError
 from polyida.given import pairs_of
 from polyida.joint.attachment import Attachment
+from polyida.mesh import PolygonMesh
 from polyida.mesh.moments import area_moments
 
 
@@ -25,12 +27,12 @@ class FieldBody(Body, part=False):
     plate: Plate
 
     @property
-    def mesh(self):
+    def mesh(self) -> PolygonMesh:
         """The plate's mesh."""
         return self.plate.mesh
 
     @property
-    def placed(self):
+    def placed(self) -> PolygonMesh:
         """The plate's mesh, turned by its angle."""
         return self.plate.placed
 
@@ -45,7 +47,7 @@ class FieldBody(Body, part=False):
         return self.plate.thickness
 
     @cached_property
-    def operator(self):
+    def operator(self) -> ReferenceOperator:
         """The reference operator of the plate's element on its mesh."""
         return operator_of(self.plate)
 

@@ -12,7 +12,8 @@ from polyida.body.reduction.basis import basis_of
 from polyida.body.reduction.form import form_of_fields
 from polyida.body.reduction.plate_matrices import PlateMatrices
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, is_whole, reals, settle
+from polyida.given import complex_of_pairs, is_whole, pairs_of, reals, settle
+from polyida.joint.attachment import Attachment
 from polyida.keywords import named_keywords
 
 MOST = 40  # modes: the form has (modes + 1)^4 numbers
@@ -58,7 +59,7 @@ class Reduced(FieldBody):
             raise InputError(f"{self.label}: fields of shape {shape} must be finite displacements of its nodes, (count, {nodes}, 2)")
         return array
 
-    def settled(self, held):
+    def settled(self, held: list[Attachment]) -> FieldBody:
         """The plate with its modes, told what holds it."""
         own = np.zeros((self.plate.mesh.n_nodes, 0)) if self.fields is None else complex_of_pairs(self.fields).T
         matrices = PlateMatrices.of(self.plate)
@@ -91,6 +92,29 @@ class _InModes(FieldBody, part=False):
     def form(self) -> tuple[NDArray, NDArray]:
         """The exact energy of the span."""
         return form_of_fields(self.matrices, self.shapes()[:, 1:])
+
+    def strain_energy(self, moved: NDArray) -> float:
+        """Elastic energy, J, where its pairs have moved by this, complex."""
+        return self.matrices.energy(self._deformed(moved))
+
+    def left_out(self, moved: NDArray, pulled: NDArray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
+        """(strain energy, J, displacement, m) that the modes leave out where its pairs have moved by `moved` and are accelerated by `pulled`,
+        complex: `-d^T r / 2` and the largest of d, by which the residual r of the full plate would move it with what holds it kept.
+        """
+        turn = self._turn(moved)
+        pull = (self.shapes() @ pulled - gravity) * turn.conjugate()
+        r = self.matrices.force(self._deformed(moved)) + self.matrices.mass @ pairs_of(pull)
+        d = self.basis.hold.still(r.ravel())
+        return float(-0.5 * d @ r.ravel()), float(np.abs(d).max())
+
+    def _turn(self, moved):
+        z = 1.0 + moved[1]
+        return z / abs(z)
+
+    def _deformed(self, moved):
+        """Displacements (N, 2) of the nodes in the plate's frame."""
+        z, arms = self.coordinates() + moved, self.shapes()[:, 1]
+        return pairs_of((self.shapes()[:, 1:] @ z[1:]) * self._turn(moved).conjugate() - arms)
 
     def damping(self) -> tuple[float, float]:
         """The material's."""

@@ -9,7 +9,7 @@ from polyida.errors import InputError
 from polyida.joint.attachment import Ground, ground, labelled
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
-from polyida.joint.shared_rows import held
+from polyida.joint.weld import welded
 from polyida.keywords import named_keywords
 
 
@@ -45,11 +45,9 @@ class Clamp(Joint):
             )
 
     def rows(self) -> list[Row | Vector]:
-        """`x_i - X_i` of every node, or `(x_A - x_B, d_A - Q d_B)`, or where a body keeps its directions' length `(x_A - x_B, Q d_A x d_B)`."""
-        if self.a.turns_only or self.b.turns_only:
-            return [self.a.x - self.b.x, held(self.a, self.b)]
+        """`x_i - X_i` of every node, or those of a Weld."""
+        if self.a.turns_only or self.b.turns_only or not (isinstance(self.a, Ground) or isinstance(self.b, Ground)):
+            return welded(self.a, self.b)
         if isinstance(self.b, Ground):
             return [node.x - ground.at(node.point).x for node in self.a.each()]
-        if isinstance(self.a, Ground):
-            return [ground.at(node.point).x - node.x for node in self.b.each()]
-        return [self.a.x - self.b.x, self.a.d - self.b.d.onto(self.a.d)]
+        return [ground.at(node.point).x - node.x for node in self.b.each()]

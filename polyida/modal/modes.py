@@ -93,7 +93,7 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
         values, X = eigen.undamped(system, count)
         roots = np.where(values < 0, 1.0, 1j) * np.sqrt(np.abs(values))
     X = normalised(system.M, X)
-    found = Modes(system.model, system.state, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
+    found = Modes(model, system.state, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
     if found.unstable.any():
         warnings.warn(f"modes: UNSTABLE, {found.unstable.sum()} of the modes grow: see .unstable", stacklevel=2)
     return found

@@ -55,13 +55,16 @@ class Model:
     extent = None  # size in space, m, that does not depend on the state
     free_fall = 0.0  # acceleration of gravity, m/s^2, of a model that has an extent
     reference = None  # places of its nodes at q = 0, (nodes, 2), m
-    bodies = ()  # its plates
+    bodies = drawn = ()  # its full plates, and all that have a mesh: reduced and rigid ones behind them
+    few = ()  # its bodies of few coordinates
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
     labels = units = ()  # of the rows of phi: what each is called, and the unit of its multiplier
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
-    motor_profiles = ()  # which of them turn rows of phi
+    motor_profiles = ()  # which of them turn rows of phi, rad
+    path_profiles = ()  # which of them are added to rows of phi, m
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
     dissipating = ()  # names in `powers` of what only takes
+    redundant: Any = None  # rows of phi that it leaves out, as assembly/rows/redundant.py has them
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
     def mass(self, q: NDArray) -> Matrix:
@@ -126,9 +129,17 @@ class Model:
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
 
+    def momenta(self, q: NDArray, v: NDArray) -> NDArray | None:
+        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s, or None where the model does not say."""
+        return None
+
     def powers(self, t: float, q: NDArray, v: NDArray, lam: NDArray) -> dict[str, float]:
         """{name: power, W} of what works on it from outside, or without a part in `potential`; `run.energy.work` holds its integrals."""
         return {}
+
+    def initial_velocity(self, t: float, q: NDArray) -> NDArray:
+        """Velocities (n,) at the start of runs that are given none; they need not be consistent."""
+        return np.zeros(self.n)
 
     def objection(self, t: float, q: NDArray) -> str | None:
         """Why a state cannot be accepted, or None."""

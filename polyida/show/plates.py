@@ -19,10 +19,10 @@ def require_run(part, run, overwrite):
 
 
 def bodies(model):
-    """The plates of a scene's model; raises InputError for a model that has none (one of a user's own)."""
-    if model is None or not model.bodies:
-        raise InputError(f"{type(model).__name__} has no plates to draw: only the model of a scene has")
-    return model.bodies
+    """The plates of a scene's model, reduced and rigid ones too; raises InputError for a model that has none."""
+    if model is None or not model.drawn:
+        raise InputError(f"{type(model).__name__} has no plates to draw: only the model of a scene with plates has")
+    return model.drawn
 
 
 def connectivity(model):

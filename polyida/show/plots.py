@@ -18,7 +18,7 @@ def mesh(model):
 
     plates.bodies(model)
     with settings():
-        cells = plates.polygons(model, model.reference)
+        cells = plates.polygons(model, model.drawn_points)
         low, high = box(np.concatenate(cells))
         made, axes = figure(6.4, height_for(low, high, 6.4, 0.75))
         nodes, offsets = plates.connectivity(model)

@@ -84,5 +84,5 @@ def _curves(job, runs, comparison):
 
 def _drawable(runs):
     """The first run whose plates can be drawn, or None."""
-    shown = [run for run in runs.values() if len(run.t) > 1 and run.model.bodies]
+    shown = [run for run in runs.values() if len(run.t) > 1 and run.model.drawn]
     return shown[0] if shown else None

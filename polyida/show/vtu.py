@@ -88,7 +88,7 @@ class _Blocks:
         import meshio
 
         positions, stress = run.node_positions(k), run.stress(k)
-        displacement, velocity = (np.asarray(frames[k])[: positions.size].reshape(-1, 2) for frames in (run.q, run.v))
+        displacement, velocity = (run.model.nodal(np.asarray(frames[k], float)) for frames in (run.q, run.v))
         cell_data = {"von Mises": run.von_mises(k), "stress": stress, "plate": self.plate}
         return meshio.Mesh(
             _flat(positions),

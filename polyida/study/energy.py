@@ -2,20 +2,18 @@
 
 import numpy as np
 
+from polyida.io.frames import each
+
 
 def motor_work(run):
-    """Work of all angle motors up to every frame, `sum int torque theta' dt`, (frames,), J.
+    """Work of all that drives phi, motors and paths, up to every frame, `int lam . phi_t dt`, (frames,), J.
 
     By the trapezoidal rule.
     """
-    from polyida.joint.angle_motor import AngleMotor
-
     work = np.zeros(len(run.t))
-    for name, joint in run.model.joints.items():
-        if isinstance(joint, AngleMotor):
-            torque = run.reaction(name)[:, 0]
-            power = torque * [joint.angle.d1(t) for t in run.t]
-            work[1:] += np.cumsum(np.diff(run.t) * (power[1:] + power[:-1]) / 2)
+    if run.model.needs.driven:
+        power = np.array([lam @ run.model.phi_t(t, q) for t, q, lam in zip(run.t, each(run.q), each(run.lam))])
+        work[1:] = np.cumsum(np.diff(run.t) * (power[1:] + power[:-1]) / 2)
     return work
 
 

@@ -147,7 +147,7 @@ class WholeJacobian:
 
     def __call__(self, t, y, yp, res, cj, JJ):
         n = self.model.n
-        equilibrium.tangent_blocks(self.model.arrays.plates, np.array(y[:n]).reshape(-1, 2), 0.0, 1.0, self.blocks)
+        equilibrium.tangent_blocks(self.model.arrays, np.array(y[:n]).reshape(-1, 2), 0.0, 1.0, self.blocks)
         (minus, borders), stiffness = self.fixed, self.blocks.ravel()[self.of_block]
         JJ[:] = np.concatenate([np.full(n, cj), minus, stiffness, cj * self.mass, borders])[self.order]
         self.calls += 1

@@ -9,7 +9,7 @@ import numpy as np
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.force.loads import PointLoad
-from polyida.integrate.static import static
+from polyida.integrate.statics.static import static
 from polyida.joint.clamp import Clamp
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.mesh import PolygonMesh, quads, rectangle, triangles

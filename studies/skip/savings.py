@@ -41,7 +41,7 @@ class Wasteful(SceneModel):
 
     def mass(self, q=None):
         if self.again == "mass":
-            for name in ("_mass", "_nodal_mass"):
+            for name in ("_mass", "_even_mass"):
                 self.__dict__.pop(name, None)
         self.calls["mass"] += "_mass" not in self.__dict__
         return super().mass(q)
@@ -188,7 +188,7 @@ def single_precision(cells, t_end, repeats):
     """Ten solves with the factor kept in single precision, against in double; counted: bytes of the factor."""
     model = plates.double_plate(cells).build()
     known, blocks = model.once(symbolic_of), np.empty((len(model.pattern[1]), 2, 2))
-    equilibrium.tangent_blocks(model.arrays.plates, np.zeros((model.n_nodes, 2)), 4.0 / H**2, 1.0, blocks)
+    equilibrium.tangent_blocks(model.arrays, np.zeros((model.n_nodes, 2)), 4.0 / H**2, 1.0, blocks)
 
     def side(dtype):
         panels, x = factorize(known, blocks, dtype=dtype), np.empty(model.n, np.float32)

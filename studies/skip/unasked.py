@@ -8,7 +8,7 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, on_velocity
 from polyida.integrate.state import Counts, State
-from polyida.integrate.static import static
+from polyida.integrate.statics.static import static
 from polyida.joint.attachment import ground
 from polyida.joint.clamp import Clamp
 from polyida.joint.formula import cross

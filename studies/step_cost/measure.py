@@ -105,7 +105,7 @@ def kernels_ms(model):
     r, phi, rotation, dz, forces = (np.empty(shape) for shape in (nodal, model.m, nodal, points, points))
     drives, blocks = model.drives(state.t), np.empty((len(model.pattern[1]), 2, 2))
     residual = (model.arrays, drives, u, a, state.lam.copy(), r, phi, rotation, dz, forces)
-    tangent = (model.arrays.plates, u, c_m, blocks)
+    tangent = (model.arrays, u, c_m, blocks)
     _residuals(1, *residual)
     _tangents(1, *tangent)
     system, _ = corotated.corotated(model, blocks, rotation)
@@ -173,7 +173,7 @@ def floor_row(dof, backend, repeats):
     model = model_of("scene 1", dof)
     state, c_m = moved(model, 2)
     blocks = np.empty((len(model.pattern[1]), 2, 2))
-    equilibrium.tangent_blocks(model.arrays.plates, state.q.reshape(-1, 2).copy(), c_m, 1.0, blocks)
+    equilibrium.tangent_blocks(model.arrays, state.q.reshape(-1, 2).copy(), c_m, 1.0, blocks)
     with one_blas_thread():
         factor, solved = BACKENDS[backend](model, blocks)
         factor()

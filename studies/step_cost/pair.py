@@ -37,7 +37,7 @@ def blocks_of(model):
     state, made = moved(model, 2)[0], []
     for c_m in (0.0, 1.0):
         made.append(np.empty((len(model.pattern[1]), 2, 2)))
-        equilibrium.tangent_blocks(model.arrays.plates, state.q.reshape(-1, 2).copy(), c_m, 1.0, made[-1])
+        equilibrium.tangent_blocks(model.arrays, state.q.reshape(-1, 2).copy(), c_m, 1.0, made[-1])
     K, M = made[0], made[1] - made[0]
     rates = [mode.value / RADAU_H for mode in radau(3).modes]
     return [(K + c * c * M, abs(c) / c if np.iscomplexobj(c) else 1.0) for c in rates]

@@ -105,7 +105,7 @@ def rigid_tip(model, t_end):
     """Place of the tip of the double plate as two rigid bodies that fall from rest, masses and inertias from the mass matrix."""
     from scipy.integrate import solve_ivp
 
-    mass, first = model._nodal_mass, model.bodies[0].nodes
+    mass, first = model._even_mass, model.bodies[0].nodes
     x = model.reference[:, 0]
     upper = (np.arange(len(x)) < first.stop).astype(float)
     lower, y = 1 - upper, model.reference[:, 1]
@@ -140,7 +140,7 @@ def one_element(corners, name, element="wachspress"):
     model = scenes.one_polygon(corners, element)
     run = solve(model, 0.5, integrator(name))
     arm = model.reference - model.reference[np.argmin(model.reference[:, 0])]
-    mass = model._nodal_mass
+    mass = model._even_mass
     inertia = sum(arm[:, k] @ (mass @ arm[:, k]) for k in (0, 1))
     pull = np.ones(len(arm)) @ (mass @ arm)
     angle = solve_ivp(
@@ -240,8 +240,8 @@ def blow(duration, name):
     run = solve(model, 0.013 + duration, integrator(name))
     ones, x = np.ones(model.n_nodes), model.reference + run.q[-1].reshape(-1, 2)
     v = run.v[-1].reshape(-1, 2)
-    momentum = ones @ (model._nodal_mass @ v)
-    spin = np.sum(x[:, 0] * (model._nodal_mass @ v[:, 1]) - x[:, 1] * (model._nodal_mass @ v[:, 0]))
+    momentum = ones @ (model._even_mass @ v)
+    spin = np.sum(x[:, 0] * (model._even_mass @ v[:, 1]) - x[:, 1] * (model._even_mass @ v[:, 0]))
     exact = 1e-8 if name == "energy" else 5e-3
     return run, [
         Check("linear momentum", float(np.hypot(momentum[0], momentum[1] - 1.0)), exact),

@@ -161,6 +161,47 @@ def test_load_steps_do_not_change_the_answer(scenes):
     assert np.allclose(one, many, atol=1e-9)
 
 
+def bent(load):
+    """(model, state) of a cantilever, L / h = 50, under a dead tip load in units of E I / L^2, asked for in one part."""
+    scene = pi.Scene()
+    plate = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.02, cells=150, seed=1), pi.Material(1e9, 0.0, 1000.0), 0.01))
+    scene.add(pi.Clamp(plate.section("left")))
+    scene.add(pi.PointLoad(plate.section("right"), (0.0, -load * 1e9 * 0.01 * 0.02**3 / 12), name="tip"))
+    model = scene.build()
+    return model, pi.static(model)
+
+
+def test_the_load_is_put_on_in_parts_where_newton_s_method_fails():
+    model, state = bent(30.0)
+    assert state.halved > 0 and f"load in {state.parts} parts, halved {state.halved} times" in state.summary()
+    steps = pi.static(model, steps=8)
+    assert steps.halved == 0 and steps.parts == 8 and np.abs(steps.q - state.q).max() < 1e-9
+
+
+def test_what_needs_no_parts_has_none():
+    _, state = bent(3.0)
+    assert (state.parts, state.halved) == (1, 0) and "parts" not in state.summary()
+
+
+def test_a_load_beyond_the_greatest_ends_with_what_was_borne(scenes):
+    """St. Venant-Kirchhoff's material collapses in compression."""
+    model = scenes.cantilever((0.0, -9.81), material={"E": 2e4})[0].build()
+    with pytest.raises(StepFailure, match="of the load is borne: if that is the most, pi.equilibrium_path"):
+        pi.static(model)
+
+
+class Nowhere(Rod):
+    """Its force has no value at q = 0."""
+
+    def force(self, t, q, v):
+        return np.array([0.0, 9.81]) + 0.0 / np.hypot(*q)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_a_model_that_is_singular_at_zero_has_its_load_on_at_once():
+    assert pi.static(Nowhere(), q0=[0.0, -1.0]).lam == pytest.approx(-9.81 / -2)
+
+
 def test_static_is_where_motion_would_rest(scenes):
     model = scenes.cantilever((0.0, -9.81))[0].build()
     state = pi.static(model)

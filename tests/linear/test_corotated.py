@@ -23,7 +23,7 @@ class Point:
 
     def factored(self, backend="auto"):
         blocks = np.empty((len(self.model.pattern[1]), 2, 2))
-        equilibrium.tangent_blocks(self.model.arrays.plates, self.q.reshape(-1, 2), C_M, 1.0, blocks)
+        equilibrium.tangent_blocks(self.model.arrays, self.q.reshape(-1, 2), C_M, 1.0, blocks)
         return corotated.corotated(self.model, blocks, self.rotation, backend)
 
     def solve(self, system, r, phi):
@@ -109,7 +109,7 @@ def test_without_joints(scenes):
 def test_indefinite_gives_way_to_the_other_factor(scenes, backend):
     model = scenes.single()[0].build()
     blocks = np.empty((len(model.pattern[1]), 2, 2))
-    equilibrium.tangent_blocks(model.arrays.plates, np.zeros((model.n_nodes, 2)), -C_M, 1.0, blocks)
+    equilibrium.tangent_blocks(model.arrays, np.zeros((model.n_nodes, 2)), -C_M, 1.0, blocks)
     assert "SuperLU" in factor(model, blocks, backend)[1]
 
 

@@ -31,7 +31,7 @@ class Made:
 def factored(scene, c=1e4):
     model = scene.build()
     s, blocks = model.once(symbolic_of), np.empty((len(model.pattern[1]), 2, 2))
-    equilibrium.tangent_blocks(model.arrays.plates, np.zeros((model.n_nodes, 2)), abs(c), 1.0, blocks)
+    equilibrium.tangent_blocks(model.arrays, np.zeros((model.n_nodes, 2)), abs(c), 1.0, blocks)
     panels = factorize(s, c / abs(c) * blocks)
     return Made(s, panels), model.n
 

@@ -118,8 +118,8 @@ class Loops:
         return self.scale * phi / self.size, self.scale[:, None] * slope
 
     def _row(self, row, x):
-        """Value and slope, m, of `constant + sum E . F`."""
-        value, slope = row.constant, np.zeros(x.size)
+        """Value and slope, m, of `constant + sum f p(0) + sum E . F`."""
+        value, slope = row.constant + sum(factor * profile(0.0) for factor, profile in row.drives), np.zeros(x.size)
         for product in row.products:
             (e, e_x), (f, f_x) = self._piece(product.turning, x), self._piece(product.still, x)
             value += (e.conjugate() * f).real

@@ -1,7 +1,6 @@
 """The fields of a reduced plate: static modes of what holds it, fixed-interface normal modes, and fields of a user's own."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -16,14 +15,30 @@ SAME = 1e-6  # of a field, that the others do not give: as good as nothing
 class Basis:
     """shapes (N, pairs) complex: 1, X - X_S and fields with `f_i^H M f_k = mass delta_ik`; mass (kg) and inertia (kg m2) of the plate's M.
 
-    hold: the factor of `[[K, C^T], [C, 0]]`, C being what holds the plate.
+    hold: what keeps it where it is held.
     """
 
     shapes: np.ndarray
     centre: complex
     mass: float
     inertia: float
-    hold: Any
+    hold: "Hold"
+
+
+class Hold:
+    """The factor of `[[K, C^T], [C, 0]]` with `rows` in C, and further rows (k, 2N) that are held beside, in `still`."""
+
+    def __init__(self, factor, rows, further):
+        self.factor, self.rows, self.further, self._reach = factor, rows, further, None
+
+    def still(self, r):
+        """d with `K d + forces on what is held = -r`, C d = 0 and the further rows too, (2N,)."""
+        d, none = self.factor.solve(r, np.zeros(self.rows))[0], np.zeros(self.rows)
+        if not len(self.further):
+            return d
+        if self._reach is None:
+            self._reach = np.stack([self.factor.solve(-row, none)[0] for row in self.further], axis=1)
+        return d - self._reach @ np.linalg.solve(self.further @ self._reach, self.further @ d)
 
 
 def basis_of(matrices, sides, count, own):
@@ -40,7 +55,8 @@ def basis_of(matrices, sides, count, own):
     arms = complex_of_pairs(places - middle)
     inertia = float(np.vdot(arms, M @ arms).real)
     K = matrices.stiffness
-    C = _independent(_completed(rows_of(plate, sides), M, arms))
+    rows, longer = rows_of(plate, sides)
+    C = _independent(_completed(rows, M, arms))
     hold = KKT(K, C, scaling_factors("physical", 1.0, K))
     fields = [own] if own.shape[1] else []
     if count:
@@ -49,7 +65,7 @@ def basis_of(matrices, sides, count, own):
     kept = _orthogonal(M, [ones.astype(complex), arms], np.concatenate([np.zeros((len(arms), 0)), *fields], axis=1))
     scaled = [np.sqrt(mass) * field for field in kept]
     shapes = np.stack([ones.astype(complex), arms, *scaled], axis=1)
-    return Basis(shapes, complex(*(middle + plate.origin)), mass, inertia, hold)
+    return Basis(shapes, complex(*(middle + plate.origin)), mass, inertia, Hold(hold, len(C), longer))
 
 
 def _completed(rows, M, arms):

@@ -66,20 +66,31 @@ class PlateMatrices:
             virtual.force(o.indptr, o.indices, o.stabilisation, stabilisation_factor(self.plate, o), 0, np.ascontiguousarray(moved), f)
         return f
 
+    def energy(self, moved):
+        """Elastic energy, J, at displacements (N, 2), m."""
+        o, u = self.operator, np.ascontiguousarray(moved)
+        total = kernels.strain_energy(*o.force_arrays, 0, *self.c1, u)
+        if self.stabilisation is not None:
+            total += virtual.energy(o.indptr, o.indices, o.stabilisation, stabilisation_factor(self.plate, o), 0, u)
+        return total
+
 
 def rows_of(plate, sides):
-    """What the attachments hold of a plate at rest, (rows, 2N) dense: mean x, mean y and, where they have a direction, rotation."""
-    rows, n, seen = [], plate.mesh.n_nodes, set()
-    for side in sides:
-        key = (side.nodes.tobytes(), side.weights.tobytes())
-        if key in seen:
-            continue
-        seen.add(key)
-        held = np.zeros((2 if side.turn_weights is None else 3, n, 2))
-        for axis in range(2):
-            held[axis, side.nodes, axis] = side.weights
+    """What the attachments hold of a plate at rest, (rows, 2N) dense: mean x, mean y and, where they have a direction, rotation; and
+    how these directions grow longer, which nothing holds.
+    """
+    n = plate.mesh.n_nodes
+    held, longer = [np.zeros((0, 2 * n))], [np.zeros((0, 2 * n))]
+    for side in {(side.nodes.tobytes(), side.weights.tobytes()): side for side in sides}.values():
+        held += [_row(n, side.nodes, side.weights, *way) for way in ((1.0, 0.0), (0.0, 1.0))]
         if side.turn_weights is not None:
             x, y = side.direction
-            held[2, side.nodes, 0], held[2, side.nodes, 1] = -y * side.turn_weights, x * side.turn_weights
-        rows.append(held.reshape(len(held), -1))
-    return np.concatenate([np.zeros((0, 2 * n)), *rows])
+            held.append(_row(n, side.nodes, side.turn_weights, -y, x))
+            longer.append(_row(n, side.nodes, side.turn_weights, x, y))
+    return np.concatenate(held), np.concatenate(longer)
+
+
+def _row(n, nodes, weights, x, y):
+    row = np.zeros((1, n, 2))
+    row[0, nodes, 0], row[0, nodes, 1] = x * weights, y * weights
+    return row.reshape(1, -1)

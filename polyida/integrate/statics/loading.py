@@ -1,0 +1,125 @@
+"""The equations of equilibrium under a part of the loads, and Newton's method on them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.integrate.state import State, StepFailure
+from polyida.integrate.stepping.rest import equilibrium
+from polyida.linear.inertia import falling
+from polyida.linear.kkt import KKT, require_independent, scaling_factors
+from polyida.linear.lu import SingularSystem
+from polyida.linear.matrix import dense
+from polyida.model import Model
+
+FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
+FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
+
+
+@dataclass(frozen=True)
+class Equilibrium(State):
+    """A State at rest in equilibrium, and what it is worth.
+
+    falling: number of independent directions that the constraints allow and in which the potential energy falls; None where there
+    is no potential (dr/dq is not symmetric) or its matrix breaks down. parts, halved: parts in which the load was put on, and how many
+    times a part was halved because Newton's method failed.
+    """
+
+    falling: int | None = None
+    parts: int = 1
+    halved: int = 0
+
+    @property
+    def stable(self) -> bool | None:
+        """True where the energy is least here, False where the structure would leave at a touch, None where it cannot be told."""
+        return None if self.falling is None else self.falling == 0
+
+    def summary(self) -> str:
+        """The time, the kind of equilibrium and how the load was put on, in one line."""
+        unknown = "of unknown stability: its forces have no potential, or its matrix breaks down"
+        ways = f"{self.falling} direction{'s' if self.falling != 1 else ''}"
+        kinds = {True: "stable", False: f"UNSTABLE: the energy falls in {ways}", None: unknown}
+        how = f"; load in {self.parts} parts, halved {self.halved} times" if self.halved else ""
+        return f"equilibrium at t = {self.t:.9g} s, {kinds[self.stable]}{how}"
+
+
+@dataclass(frozen=True, eq=False)
+class Loading:
+    """`g(t, q, 0) + phi_q^T lam = base + factor slope`, `phi(t, q) = 0`; base and slope (n,), N. Converged: |dq| <= tolerance max(1, |q|)."""
+
+    model: Model
+    t: float
+    base: np.ndarray
+    slope: np.ndarray
+    tolerance: float
+    max_iterations: int
+
+    def residuals(self, q, lam, factor):
+        """r (n,) and phi (m,). Raises StepFailure where they are not finite."""
+        still = np.zeros(self.model.n)
+        r = self.model.residual(self.t, q, still, still, lam) - self.base - factor * self.slope
+        phi = self.model.phi(self.t, q)
+        if not (np.isfinite(r).all() and np.isfinite(phi).all()):
+            raise StepFailure("not finite", "r or phi is not finite; use more load steps", self.t)
+        return r, phi
+
+    def stiffness(self, q, lam):
+        """`K = d(g + phi_q^T lam)/dq`, (n, n)."""
+        still = np.zeros(self.model.n)
+        return self.model.tangent(self.t, q, still, still, lam, 0.0, 0.0, 1.0)
+
+    def multipliers(self, q, factor):
+        """lam (m,) that best balance the forces at q: they may be all that gives stiffness. Raises InputError for redundant constraints."""
+        model = self.model
+        if not model.m:
+            return np.zeros(0)
+        B = model.phi_q(self.t, q)
+        require_independent(model, B, q)
+        missing = self.base + factor * self.slope - model.force(self.t, q, np.zeros(model.n))
+        return np.linalg.solve(dense(B @ B.T), B @ missing)
+
+    def solve(self, q, lam, factor):
+        """(q, lam, the factored system) in equilibrium, from a guess. Raises StepFailure."""
+        for iteration in range(self.max_iterations):
+            r, phi = self.residuals(q, lam, factor)
+            matrix = self.stiffness(q, lam)
+            try:
+                system = KKT(matrix, self.model.phi_q(self.t, q), scaling_factors("physical", 1.0, matrix))
+            except SingularSystem:
+                raise StepFailure("singular", FREE, self.t) from None
+            dq, dlam = system.solve(r, phi)
+            self.require_near(q, dq, iteration)
+            q, lam = q + dq, lam + dlam
+            if self.converged(q, dq):
+                return q, lam, system
+        moved = float(np.abs(dq).max())
+        reason = "static equilibrium not found; use more load steps"
+        raise StepFailure("newton", reason, self.t, iterations=self.max_iterations, moved=moved)
+
+    def require_near(self, q, dq, iteration):
+        """Raise StepFailure for a step that is a mechanism's."""
+        moved = np.abs(dq).max()
+        if not moved <= FAR * (np.abs(q).max() + (self.model.extent or 1.0)):
+            raise StepFailure("singular", FREE, self.t, iteration=iteration, **{"|dq|": float(moved)})
+
+    def converged(self, q, dq):
+        """Whether a step is no more than the tolerance."""
+        return np.abs(dq).max() <= self.tolerance * max(1.0, np.abs(q).max())
+
+    def require_accepted(self, q):
+        """Raise StepFailure for what the model objects to."""
+        if objection := self.model.objection(self.t, q):
+            raise StepFailure("objection", objection, self.t)
+
+    def found(self, q, lam, solve, **told):
+        """The Equilibrium at (q, lam); solve: of the system factored there."""
+        model, t, rest = self.model, self.t, np.zeros(self.model.n)
+        left = model.residual(t, q, rest, rest, lam)
+        return Equilibrium(t, q, rest, rest.copy(), lam, equilibrium(model, t, q, lam, left, solve), falling=self.falls(q, lam), **told)
+
+    def falls(self, q, lam):
+        """Number of directions in which the energy falls, or None."""
+        try:
+            return falling(self.stiffness(q, lam), self.model.phi_q(self.t, q))
+        except SingularSystem:
+            return None
