@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.rigidity import deformation
+from polyida.assembly.told.rigidity import deformation
 from polyida.body.material import Material
 from polyida.problems import plates
 
