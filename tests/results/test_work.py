@@ -118,6 +118,7 @@ def test_loads_pay_for_the_energy(scenes, profile, integrator, every, share):
         (pi.profile.quintic(0.0, 0.5, 0.05), pi.GeneralizedAlpha(h=5e-4), 1e-3),
         (pi.profile.sine(0.3, 2.0), RADAU, 2e-4),  # begins with a jump of the acceleration
         (pi.profile.linear(0.0, 0.1, 0.02, 0.0213), pi.RadauIIA(h=2.5e-4), 1e-3),  # blows at both ends
+        (pi.profile.linear(0.0, 0.1, 0.02), pi.RadauIIA(h=2.5e-4), 1e-3),  # the first of them where the run begins
     ],
 )
 def test_motors_pay_for_the_energy(scenes, angle, integrator, share):
