@@ -189,7 +189,9 @@ def test_welded_bodies_are_one():
     """Two free bodies welded at an angle: they turn about their common centre with the spin of the whole."""
     scene = pi.Scene()
     one = scene.add(pi.RigidBody(1.0, 0.1, {"end": (0.5, 0.0)}, name="one"))
-    other = scene.add(pi.RigidBody(1.0, 0.1, {"end": (-0.5, 0.0)}, origin=(0.5 + 0.5 * np.cos(0.7), 0.5 * np.sin(0.7)), angle=0.7, name="other"))
+    other = scene.add(
+        pi.RigidBody(1.0, 0.1, {"end": (-0.5, 0.0)}, origin=(0.5 + 0.5 * np.cos(0.7), 0.5 * np.sin(0.7)), angle=0.7, name="other")
+    )
     scene.add(pi.Weld(one.at("end"), other.at("end"), name="weld"))
     model = scene.build()
     apart = np.array([0.5 + 0.5 * np.cos(0.7), 0.5 * np.sin(0.7)])
