@@ -21,8 +21,14 @@ parts: dict[str, Any] = {
     "Clamp": "polyida.joint.clamp:Clamp",
     "Prismatic": "polyida.joint.prismatic:Prismatic",
     "Slot": "polyida.joint.slot:Slot",
+    "Distance": "polyida.joint.distance:Distance",
+    "Weld": "polyida.joint.weld:Weld",
+    "Path": "polyida.joint.path:Path",
     "SpringDamper": "polyida.force.spring_damper:SpringDamper",
+    "TorsionSpring": "polyida.force.torsion_spring:TorsionSpring",
     "Torque": "polyida.force.torque:Torque",
+    "Force": "polyida.force.force:Force",
+    "Contact": "polyida.force.contact:Contact",
 }
 integrators: dict[str, Any] = {
     "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",
@@ -34,11 +40,18 @@ problems: dict[str, Any] = {
     "pendulum": "polyida.problems.pendulum:problem",
     "car-axis": "polyida.problems.car_axis:problem",
     "andrews": "polyida.problems.andrews:problem",
+    "andrews-parts": "polyida.problems.mechanisms.andrews_parts:problem",
     "double-plate": "polyida.problems.plates:double_plate_problem",
     "double-plate-motors": "polyida.problems.plates:double_plate_motors_problem",
     "plate-chain": "polyida.problems.plates:plate_chain_problem",
     "spin-up-beam": "polyida.problems.spin_up_beam:problem",
     "rigid-limit": "polyida.problems.rigid_limit:problem",
+    "rigid-pendulum": "polyida.problems.mechanisms.rigid_pendulum:problem",
+    "n-four-bar": "polyida.problems.mechanisms.n_four_bar:problem",
+    "slider-crank": "polyida.problems.mechanisms.slider_crank:problem",
+    "four-bar": "polyida.problems.mechanisms.four_bar:problem",
+    "two-link-arm": "polyida.problems.mechanisms.two_link_arm:problem",
+    "peaucellier": "polyida.problems.mechanisms.peaucellier:problem",
 }
 studies: dict[str, Any] = {}  # those of the repository are the scripts of ./studies
 

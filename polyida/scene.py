@@ -1,24 +1,28 @@
 """What a user writes: parts that are added to a scene, which is then built into one model."""
 
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from numpy.typing import ArrayLike
 
 from polyida.assembly.build import sides_held
-from polyida.assembly.closing.loops import Assembly, close
+from polyida.assembly.closing.close import Assembly, close
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.body import Body
-from polyida.body.material import vector2
+from polyida.body.material import number, vector2
 from polyida.body.own_part import OwnPart
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, require_element
 from polyida.force.loads import EdgeTraction, PointLoad
+from polyida.given import is_one_of
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
+from polyida.profile import Profile, as_profile
 
 Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | Joint | OwnPart)
+REDUNDANT = ("refuse", "least-norm")
 KINDS = {Plate: "plate", PointMass: "mass", PointLoad: "load", EdgeTraction: "traction"}
 KINDS_AND_BASES = (*KINDS, Joint, ForceElement, Body)
 
@@ -27,11 +31,11 @@ KINDS_AND_BASES = (*KINDS, Joint, ForceElement, Body)
 class Scene:
     """Flexible plates, joints, motors, masses, loads, bodies and forces of one's own in the x-y plane.
 
-    gravity: acceleration (gx, gy), m/s2. `add` parts in any order, then `build` a model; a scene can be added to and built again.
+    gravity: acceleration (gx, gy), m/s2; each a number, or a profile or function of time where it is switched or turned. `add` parts in any order, then `build` a model; a scene can be added to and built again.
     """
 
-    def __init__(self, gravity: ArrayLike = (0.0, 0.0)) -> None:
-        self.gravity = vector2("Scene", "gravity", gravity)
+    def __init__(self, gravity: "ArrayLike | Sequence[float | Profile | Callable[[float], float]]" = (0.0, 0.0)) -> None:
+        self.gravity = _gravity(gravity)
         self.parts: dict[str, Any] = {}
         self._built: set[str] = set()  # names of the parts that models hold on to
 
@@ -74,10 +78,18 @@ class Scene:
         self._require_sides("assemble")
         return close(self.parts, self._built)
 
-    def build(self) -> SceneModel:
-        """The model of the scene as it is now. Raises InputError naming the part that is wrong."""
+    def build(self, redundant: str = "refuse") -> SceneModel:
+        """The model of the scene as it is now. Raises InputError naming the part that is wrong.
+
+        redundant: what becomes of rows of joints that follow from others, as those of a second hinge on one axis. "refuse": runs do not
+        start, and the message names them. "least-norm": they are left out, `model.redundant.labels` names them, and reactions are those
+        of all rows with the least sum of squares; `run.unique(name)` says which of them are the only ones. Rows that are independent
+        elsewhere, or contradict others, are refused.
+        """
+        if not is_one_of(redundant, REDUNDANT):
+            raise InputError(f"Scene.build: redundant = {redundant!r} must be one of {', '.join(map(repr, REDUNDANT))}")
         self._require_sides("build")
-        model = SceneModel(self.parts, self.gravity)
+        model = SceneModel(self.parts, self.gravity, redundant)
         self._built |= set(self.parts)
         return model
 
@@ -90,6 +102,13 @@ class Scene:
             for side in sides_held(name, part):
                 if not any(side.body is body for body in bodies):
                     raise InputError(f"{name}: {side!r} is of a body that is not in the scene; add it with scene.add")
+
+
+def _gravity(given):
+    """Two floats, (2,), or a tuple of floats and profiles. Raises InputError."""
+    if not (isinstance(given, (tuple, list)) and len(given) == 2 and any(map(callable, given))):
+        return vector2("Scene", "gravity", given)
+    return tuple(as_profile(g, "Scene: gravity") if callable(g) else number("Scene", "gravity", g, "m/s2") for g in given)
 
 
 def kind_of(part):

@@ -8,17 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.assembly.bodies import left_out
-from polyida.assembly.rigidity import hint
+from polyida.assembly.told import left_out
+from polyida.assembly.told.rigidity import hint
 from polyida.errors import InputError
-from polyida.given import floats, is_one_of, is_whole
+from polyida.given import is_one_of, is_whole
 from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks, each
 from polyida.io.save import save
-from polyida.keywords import named_keywords
 from polyida.model.guarded import guard
+from polyida.results.angle import angle_of
 from polyida.results.energy import Energy, energy_of
+from polyida.results.momentum import momenta_of
 from polyida.results.motion import Motion
+from polyida.results.section_forces import SectionForces, section_forces
+from polyida.results.sensors import Sensors
+from polyida.results.strain import strains
+from polyida.results.stress import von_mises
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +33,7 @@ class Trajectory:
     status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "damaged" (a
     file; the frames before the damage), "error" (in a user's function), "disk full", or the kind of failure; message:
     where and why; success: it reached its end.
-    counts: exact work. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
+    counts: exact work. sensors: {name: what it gave at every step}, with the steps' times `sensors.t`. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
     read when asked for; those of a run with precision="single" are float32. Energies, drift, positions, reactions and stresses are computed from the motion when they are
     asked for, frame by frame.
     """
@@ -49,6 +54,7 @@ class Trajectory:
     restart: Restart | None = None
     plan: dict = field(default_factory=dict)
     missing: str = "no file holds a model of a user's own"
+    sensors: Sensors = field(default_factory=Sensors)
 
     @property
     def state(self) -> State:
@@ -82,8 +88,9 @@ class Trajectory:
 
     @cached_property
     def drift(self) -> NDArray:
-        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints)."""
+        """Largest |phi| of every frame, (frames,), in phi's unit (m for joints), rows that were left out as redundant too."""
         model = self._known_model("drift")
+        model = model.redundant.whole if model.redundant else model
         return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, each(self.q))])
 
     @cached_property
@@ -97,6 +104,20 @@ class Trajectory:
     def energy(self) -> Energy:
         """Kinetic, potential (gravity, force elements) and strain energy of every frame; when asked, work of parts and what they dissipate."""
         return energy_of(self._motion("energy"))
+
+    @property
+    def momentum(self) -> NDArray:
+        """Momentum of all bodies, (frames, 2), N s. Raises InputError where a model of one's own does not say it."""
+        return self._momenta[:, :2]
+
+    @property
+    def angular_momentum(self) -> NDArray:
+        """Angular momentum of all bodies about the origin, (frames,), N m s. Raises InputError as `momentum` does."""
+        return self._momenta[:, 2]
+
+    @cached_property
+    def _momenta(self):
+        return momenta_of(self._motion("momentum"))
 
     def _motion(self, what):
         """The run with its model as it is called."""
@@ -116,15 +137,39 @@ class Trajectory:
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name: str) -> NDArray:
-        """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor)."""
-        model = self._known_model("reaction")
-        if not is_one_of(name, model.rows):
-            raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
-        lam, first, found = np.asarray(self.lam[:, model.rows[name]], float), 0, []
+        """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor).
+
+        Of redundant constraints it is that with the least sum of squares of all multipliers; see `unique`.
+        """
+        model = self._of_joint("reaction", name)
+        rows, first, found = (model.redundant or model).rows[name], 0, []
         for q in blocks(self.q):
-            found.append(model.reactions(name, q, lam[first : first + len(q)]))
+            part = slice(first, first + len(q))
+            lam = np.asarray(self.lam[part], float)
+            lam = model.redundant.multipliers(self.t[part], q, lam) if model.redundant else lam
+            found.append(model.reactions(name, q, lam[:, rows]))
             first += len(q)
         return np.concatenate(found)
+
+    def angle(self, joint: object) -> NDArray:
+        """By how much side b of a joint, by name or itself, has turned against side a since the reference configuration, (frames,), rad.
+
+        Counter-clockwise, of the directions of both; unwrapped, so frames are to be less than half a turn apart; the first is between
+        -pi and pi. Raises InputError for what is no joint of the scene, and where a side has no direction.
+        """
+        return angle_of(self._motion("angle"), joint)
+
+    def unique(self, name: str) -> bool:
+        """Whether the reaction of a joint is the only one with which the bodies move so: always, unless constraints are redundant."""
+        model = self._of_joint("unique", name)
+        return model.redundant is None or model.redundant.unique(name)
+
+    def _of_joint(self, what, name):
+        """The model, which has a joint of this name."""
+        model = self._known_model(what)
+        if not is_one_of(name, model.rows):
+            raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
+        return model
 
     def node_positions(self, frame: int) -> NDArray:
         """Positions of the nodes of all plates in a frame, reduced and rigid ones too, (nodes, 2), m."""
@@ -134,6 +179,27 @@ class Trajectory:
     def stress(self, frame: int) -> NDArray:
         """Cauchy stress of every element in a frame, (cells, 3): xx, yy, xy in Pa, plate after plate."""
         return self._scene("stress").stress(self._frame("stress", frame))
+
+    def strain(self, frame: int) -> NDArray:
+        """Green's strain of every element in a frame, (cells, 3): Exx, Eyy, 2 Exy, its mean over the element, plate after plate.
+
+        `E = (F^T F - I) / 2` in the axes of the scene at rest: zero under any rigid motion.
+        """
+        return strains(self._scene("strain"), self._frame("strain", frame))
+
+    def section_forces(self, plate: object, at: ArrayLike, normal: ArrayLike = (1.0, 0.0), frame: int | None = None) -> SectionForces:
+        """Normal force, shear force and bending moment through a straight cut across a full plate, over all frames or in one.
+
+        plate: by name or itself. at (x, y), m: a point of the cut, and normal: the direction it is crossed in, both in the axes of the
+        plate's mesh, where the plate is at rest. Its SectionForces are those of the part ahead on the part behind: nodal forces of cells
+        with inertia, damping and weight, in exact equilibrium with loads, joints and inertia, not stresses at points. What holds on
+        to nodes between the cells of both parts acts behind. Raises InputError for another plate, one of few coordinates (whose modes
+        leave forces out), and where the cut does not part it.
+        """
+        self._scene("section_forces")
+        if frame is not None:
+            self._frame("section_forces", frame)
+        return section_forces(self._motion("section_forces"), plate, at, normal, frame)
 
     def von_mises(self, frame: int) -> NDArray:
         """Von Mises stress of every element in a frame, (cells,), Pa, with the stress across the plane where a plate is in plane strain."""
@@ -176,20 +242,3 @@ class Trajectory:
 
 def _largest(values):
     return float(np.abs(values).max(initial=0.0))
-
-
-@named_keywords
-def von_mises(stress: ArrayLike, zz: ArrayLike = 0.0) -> NDArray:
-    """Von Mises stress of Cauchy components (..., 3), xx, yy, xy, and zz (...), same unit:
-
-        sqrt(((xx - yy)^2 + (yy - zz)^2 + (zz - xx)^2) / 2 + 3 xy^2)
-
-    zz is 0 in plane stress; in plane strain it is not, `run.von_mises(frame)` knows it.
-    """
-    given, out = floats(stress), floats(zz)
-    if given is None or not given.ndim or given.shape[-1] != 3:
-        raise InputError(f"von_mises: stress = {stress!r} must be finite numbers (..., 3): xx, yy, xy")
-    if out is None or out.shape not in ((), given.shape[:-1]):
-        raise InputError(f"von_mises: zz = {zz!r} must be a finite number, or one for each of the stresses {given.shape[:-1]}")
-    xx, yy, xy = np.moveaxis(given, -1, 0)
-    return np.sqrt(((xx - yy) ** 2 + (yy - out) ** 2 + (out - xx) ** 2) / 2 + 3 * xy * xy)

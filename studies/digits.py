@@ -1,15 +1,18 @@
 """The digits of the problems that are computed, made anew and printed: `python studies/digits.py [problem ...]`.
 
 Two families a problem, DOP853 and Radau IIA; the digits are the former's, `known_to` their distance. They stand in
-problems/plate_digits.py and problems/andrews_digits.py; of the pendulum and the car axis the published digits stand, and
-it is printed how far the former is from them. Seconds each, the plates some minutes; `--cells 8 --time 0.1` takes seconds.
+problems/plate_digits.py, problems/andrews_digits.py and, of all levels, problems/mechanisms/digits.py; of the pendulum and the car axis
+the published digits stand, and it is printed how far the former is from them. Seconds each, the plates and mechanisms some minutes;
+`--cells 8 --time 0.1` takes seconds.
 """
 
 import argparse
+from types import SimpleNamespace
 from typing import NamedTuple
 
 from polyida import problems
 from polyida.integrate.start import consistent_acceleration
+from polyida.problems.mechanisms.levels import LEVELS
 from polyida.problems.plate_digits import DIGITS
 from polyida.study.families import by_explicit, by_radau, distance
 
@@ -23,14 +26,17 @@ class Tolerances(NamedTuple):
 
 CLASSICAL = {"pendulum": Tolerances(2.3e-14, 1e-12), "car-axis": Tolerances(2.3e-14, 1e-12), "andrews": Tolerances(2.3e-14, 1e-13)}
 PLATES = Tolerances(1e-11, 1e-13)
+MECHANISMS = dict.fromkeys(("slider-crank", "four-bar", "two-link-arm", "peaucellier"), Tolerances(1e-9, 1e-12))
 
 
 def parts_of(problem, t_end, end):
     """What the problem compares, of a state {"q", "v", "lam"}."""
     if problem.name in CLASSICAL:
         return end | {"a": consistent_acceleration(problem.model, t_end, end["q"], end["v"])[0]}
-    tip, move = problem.model.attachment("tip").point, lambda x: problem.model.displacement("tip", x)
-    return {"tip": tip + move(end["q"]), "tip_velocity": move(end["v"]), "lam": end["lam"]}
+    frames = {part: value[None] for part, value in end.items()}
+    run = SimpleNamespace(model=problem.model, position=lambda name: problem.model.position(name, frames["q"]), **frames)
+    found = {part: measure(run) for part, measure in problem.measures.items()}
+    return found if problem.name in MECHANISMS else found | {"lam": end["lam"]}
 
 
 def digits(problem, t_end, tolerances):
@@ -44,19 +50,26 @@ def digits(problem, t_end, tolerances):
 
 def main(arguments=None):
     """Print the digits of the problems that are named, or of all, with how well each is known."""
+    names = [*CLASSICAL, *DIGITS, *MECHANISMS]
     made = argparse.ArgumentParser(prog="python studies/digits.py", description=__doc__.split("\n")[0])
-    made.add_argument("problem", nargs="*", default=[*CLASSICAL, *DIGITS], help=", ".join([*CLASSICAL, *DIGITS]))
+    made.add_argument("problem", nargs="*", default=names, help=", ".join(names))
     made.add_argument("--cells", type=int, help="of a plate, where it is not the default mesh")
     made.add_argument("--time", type=float, help="s, where it is not the problem's")
     given = made.parse_args(arguments)
     options = {"cells": given.cells} if given.cells else {}
     for name in given.problem:
-        problem = problems.get(name, **({} if name in CLASSICAL else options))
-        found, known_to = digits(problem, given.time or problem.t_end, CLASSICAL.get(name, PLATES))
-        stored = {} if given.time else problem.reference
-        for part, value in found.items():
-            away = f", {problem.errors(**{part: value})[part]:.1e} from those that are stored" if part in stored else ""
-            print(f"{name} {part} {[float(f'{x:.16g}') for x in value]} known to {known_to[part]:.1e}{away}", flush=True)
+        for level in LEVELS if name in MECHANISMS else ("",):
+            tell(level, problems.get(name, **({} if name in CLASSICAL else options), **({"level": level} if level else {})), given.time)
+
+
+def tell(level, problem, time):
+    """Print the digits of a problem, at its end or a time before, s."""
+    found, known_to = digits(problem, time or problem.t_end, (CLASSICAL | MECHANISMS).get(problem.name, PLATES))
+    stored = {} if time else problem.reference
+    for part, value in found.items():
+        away = f", {problem.errors(**{part: value})[part]:.1e} from those that are stored" if part in stored else ""
+        called = f"{problem.name} {level} {part}" if level else f"{problem.name} {part}"
+        print(f"{called} {[float(f'{x:.16g}') for x in value]} known to {known_to[part]:.1e}{away}", flush=True)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,31 @@ JOINTS = {  # kind: what holds the upper plate, what holds the lower one to it; 
         pi.Revolute(a[1], b),
     ],
     "motor between": lambda a, b, angle: [pi.Revolute(pi.ground, a[0]), pi.Revolute(a[1], b), pi.AngleMotor(a[1], b, angle, name="joint")],
+    "prismatic": lambda a, b, angle: [pi.Revolute(pi.ground, a[0]), pi.Prismatic(a[1], b, name="joint")],
+    "prismatic to ground": lambda a, b, angle: [pi.Prismatic(guide(a[0]), a[0], name="joint"), pi.Revolute(a[1], b)],
+    "slot": lambda a, b, angle: [pi.Revolute(pi.ground, a[0]), pi.Slot(a[1], b, name="joint")],
+    "distance": lambda a, b, angle: [
+        pi.Revolute(pi.ground, a[0]),
+        pi.Revolute(a[1], b),
+        pi.Distance(pi.ground.at(a[0].point + (1.0, 0.8)), b.body.section("right"), name="joint"),
+    ],
+    "weld": lambda a, b, angle: [pi.Revolute(pi.ground, a[0]), pi.Weld(a[1], b, name="joint")],
+    "weld to ground": lambda a, b, angle: [pi.Weld(a[0], pi.ground, name="joint"), pi.Revolute(a[1], b)],
+    "path": lambda a, b, angle: [pi.Path(a[0], *way(a[0], angle), name="joint"), pi.Revolute(a[1], b)],
 }
+
+
+def guide(side):
+    """A place of the ground from which a straight line at 30 degrees leads through a side."""
+    along = np.array([np.cos(np.pi / 6), 0.5])
+    return pi.ground.at(side.point - 0.7 * along, along)
+
+
+def way(side, profile, share=(0.1, -0.05)):
+    """Profiles of the places that a side goes to from where it is drawn, following shares of a profile."""
+    moves = [[lambda t, f=f, s=s: s * f(t) for f in (profile.value, profile.d1, profile.d2)] for s in share]
+    places = [lambda t, x=x, move=move: x + move[0](t) for x, move in zip(side.point, moves)]
+    return [pi.profile.from_function(place, *move[1:], profile.kinks, profile.shortest) for place, move in zip(places, moves)]
 
 
 def jointed(kind, angle=None, bend=0.4, gravity=GRAVITY, cells=20, mass=0.5, **options):

@@ -98,11 +98,15 @@ def made(kind, **good):
     return lambda **changed: kind(**(good | changed))
 
 
-def build(*parts, gravity=(0.0, 0.0)):
+def made_scene(*parts, gravity=(0.0, 0.0)):
     scene = pi.Scene(gravity)
     for part in (BOARD, *parts):
         scene.add(part)
-    return scene.build()
+    return scene
+
+
+def build(*parts, gravity=(0.0, 0.0)):
+    return made_scene(*parts, gravity=gravity).build()
 
 
 def run(**changed):
@@ -113,6 +117,9 @@ def state(**changed):
     good = {"t": 0.0, "q": np.array([-1.0, 0.0]), "v": np.zeros(2), "a": np.zeros(2), "lam": np.zeros(1)}
     return pi.solve(MODEL, 0.01, ALPHA, state=State(**(good | changed)))
 
+
+INDEX = NOTHING[1:] + [0.5, 1, -2, True, [0]]  # of a run with one frame
+STANDING = pi.Trajectory(build(), "by hand", np.zeros(1), *np.zeros((3, 1, 2 * MESH.n_nodes)), np.zeros((1, 0)))
 
 CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "Material": (
@@ -137,6 +144,8 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "name": TEXT,
             "element": CHOICE,
             "tau": POSITIVE,
+            "velocity": PAIR,
+            "spin": NUMBER + [True],
         },
     ),
     "Plate.section": (
@@ -153,7 +162,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "Clamp": (made(pi.Clamp, a=LEFT), {"a": SIDE + [pi.ground], "b": SIDE + [RIGHT, LEFT], "name": TEXT}),
     "AngleMotor": (
         made(pi.AngleMotor, a=pi.ground, b=LEFT, angle=0.0),
-        {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "name": TEXT},
+        {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "zero": without(NUMBER, type(None)) + [True], "name": TEXT},
     ),
     "PointMass": (made(pi.PointMass, at=LEFT, mass=1.0), {"at": SIDE + [pi.ground], "mass": POSITIVE, "name": TEXT}),
     "PointLoad": (
@@ -165,6 +174,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
         {"at": SIDE + [pi.ground, BOARD.node(0)], "traction": PAIR, "profile": PROFILE},
     ),
     "Scene": (pi.Scene, {"gravity": PAIR}),
+    "Scene.build": (made_scene().build, {"redundant": CHOICE}),
     "Scene.add": (lambda part: pi.Scene().add(part), {"part": NOTHING + LISTS + SCALARS + [LEFT, MESH, pi.ground, pi.Plate, MATERIAL]}),
     "mesh.rectangle": (
         made(pi.mesh.rectangle, length=1.0, height=0.1, cells=4),
@@ -293,6 +303,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "state": [value for value in NOTHING if value is not None] + LISTS,
             "out": FILE[1:5] + FILE[6:8] + FILE[9:10],
             "progress": ["text", 1.0, [], Odd()],
+            "sensors": without(NOTHING[1:], dict) + [{"x": value} for value in without(NOTHING, type, type(len))] + [{1: abs}],
         },
     ),
     "solve from a state": (
@@ -365,6 +376,12 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     ),
     "load": (pi.load, {"path": FILE}),
     "resume": (pi.resume, {"path": FILE}),
+    "Trajectory.angle": (STANDING.angle, {"joint": PART}),
+    "Trajectory.strain": (STANDING.strain, {"frame": INDEX + [None]}),
+    "Trajectory.section_forces": (
+        made(STANDING.section_forces, plate="board", at=(0.5, 0.0)),
+        {"plate": [part for part in PART if part is not BOARD], "at": PAIR + [(5.0, 0.0)], "normal": PAIR + [(0.0, 0.0)], "frame": INDEX},
+    ),
     "problems.get": (pi.problems.get, {"name": CHOICE}),
     "double_plate": (plates.double_plate, {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE}),
     "plate_chain": (plates.plate_chain, {"links": COUNT}),

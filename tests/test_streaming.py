@@ -225,9 +225,9 @@ def test_a_flush_waits_for_a_whole_block_where_it_is_near(tmp_path, monkeypatch)
 
     seen, commit = [], Writer.commit
 
-    def noted(file, record, numbers, tail, last=False):
+    def noted(file, record, numbers, tail, *rest):
         seen.append((file.count, len(tail[0])))
-        commit(file, record, numbers, tail, last)
+        commit(file, record, numbers, tail, *rest)
 
     monkeypatch.setattr("polyida.integrate.running.run.FLUSH_SECONDS", 1e9)
     monkeypatch.setattr(Writer, "commit", noted)

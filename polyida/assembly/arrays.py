@@ -49,7 +49,8 @@ class Links(NamedTuple):
     """The points that joints and masses hold on to, and the rows of phi.
 
     Points: weighted sums of pairs of q in CSR form (`dz = A u`), weights complex numbers (., 2); the mass they carry.
-    Rows: constant; the components of the points that each touches, in CSR form, and the slopes of its linear part. Products
+    Rows: constant; the components of the points that each touches, in CSR form, and the slopes of its linear part. Shifts: a factor
+    times a drive that is added to a row. Products
     `R(theta) E . F`: their row, the vectors E and F, the drive of theta (-1: none), whether only one of two positions half a turn apart
     is accepted. Vectors: value at rest, and in CSR form their points with a complex weight each.
     """
@@ -63,6 +64,9 @@ class Links(NamedTuple):
     row_start: np.ndarray
     row_columns: np.ndarray
     row_slopes: np.ndarray
+    shift_row: np.ndarray
+    shift_drive: np.ndarray
+    shift_factor: np.ndarray
     product_row: np.ndarray
     product_first: np.ndarray
     product_second: np.ndarray
@@ -87,6 +91,16 @@ def bilinear(links):
     """Which products have points in both of their vectors, (products,): those that make phi_q vary with q."""
     size = np.diff(links.vector_start)
     return (size[links.product_first] > 0) & (size[links.product_second] > 0)
+
+
+def turning_drives(links):
+    """The drives that turn vectors of rows, sorted: angles, rad."""
+    return np.unique(links.product_drive[links.product_drive >= 0])
+
+
+def shifting_drives(links):
+    """The drives that are added to rows, sorted: lengths, m."""
+    return np.unique(links.shift_drive)
 
 
 def concatenated(arrays, dtype, tail=()):

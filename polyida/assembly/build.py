@@ -7,6 +7,7 @@ import numpy as np
 from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
 from polyida.assembly.bodies.compact import Compact
 from polyida.assembly.bodies.places import PlacedBody, PlacedPlate
+from polyida.assembly.gravity import NAME, pulls_of, steady
 from polyida.assembly.own.law_table import laws_of
 from polyida.assembly.rows.points import Points
 from polyida.assembly.rows.row_table import Drives, RowTable
@@ -87,10 +88,12 @@ def extent_of(plates, few):
     return float(np.ptp(concatenated(places, float, (2,)), axis=0).max(initial=0.0)) or 1.0
 
 
-def assemble(plates, few, places, parts, gravity, size):
-    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts."""
+def assemble(plates, few, places, parts, gravity, size, left_out=()):
+    """(SceneArrays, Points, RowTable, Drives, Laws or None) of the parts, without the rows of phi `left_out`, by number; gravity: numbers
+    and profiles.
+    """
     points, drives = Points(places), Drives()
-    table = RowTable(points, drives, size)
+    table = RowTable(points, drives, size, left_out)
     for name, joint in of_kind(parts, Joint).items():
         table.add(name, joint.facing())
     for placed in few:
@@ -99,10 +102,10 @@ def assemble(plates, few, places, parts, gravity, size):
     for mass in of_kind(parts, PointMass).values():
         points.mass[points.add(mass.at)] += mass.mass
     loads = of_kind(parts, PointLoad, EdgeTraction)
-    fields = operator_arrays(plates) | body_arrays(plates, gravity) | load_arrays(loads, drives, places)
-    fields["weight"] = np.concatenate([fields["weight"], *(placed.weight(gravity) for placed in few)])
+    fields = operator_arrays(plates) | body_arrays(plates) | load_arrays(loads, pulls_of(gravity, parts, places), drives, places)
+    fields["weight"] = np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few)])
     laws = laws_of(of_kind(parts, ForceElement), points, drives, size)
-    links = Links(**points.arrays(), **table.arrays(), gravity=np.array(gravity, float))
+    links = Links(**points.arrays(), **table.arrays(), gravity=np.array(steady(gravity)))
     first = plates[-1].nodes.stop if plates else 0
     arrays = SceneArrays(Plates(**fields), links, compact_of(few, first, int(fields["body_block"][-1])))
     return arrays, points, table, drives, laws
@@ -155,9 +158,9 @@ def operator_arrays(bodies):
     }
 
 
-def body_arrays(bodies, gravity):
-    """Per-body coefficients and the nodal weight."""
-    c1, ratio, density, weight, factor = [], [], [], [], []
+def body_arrays(bodies):
+    """Per-body coefficients."""
+    c1, ratio, density, factor = [], [], [], []
     for body in bodies:
         plate, operator = body.plate, body.operator
         modulus, nu = plate.material.in_plane
@@ -165,8 +168,6 @@ def body_arrays(bodies, gravity):
         ratio.append(nu)
         factor.append(stabilisation_factor(plate, operator))
         density.append(plate.material.rho * plate.thickness)
-        lumped = np.add.reduceat(operator.mass, operator.indptr[:-1]) * density[-1]
-        weight.append(np.outer(lumped, gravity))
     return {
         "body_node": starts([range(body.mesh.n_nodes) for body in bodies]),
         "body_block": starts([body.operator.indices for body in bodies]),
@@ -176,16 +177,17 @@ def body_arrays(bodies, gravity):
         "body_drag": np.array([body.plate.material.mass_damping for body in bodies]),
         "body_viscosity": np.array([body.plate.material.viscosity for body in bodies]),
         "body_stabilisation": np.array(factor),
-        "weight": concatenated(weight, float, (2,)),
     }
 
 
-def load_arrays(loads, drives, places):
-    """Forces of the loads on pairs of q and the number of the profile that scales each."""
+def load_arrays(loads, pulls, drives, places):
+    """Forces of the loads on pairs of q, and of gravity's pulls, and the number of the profile that scales each."""
     loaded = [places[id(load.at.body)].loaded(load.at, load.nodal()) for load in loads.values()]
+    loaded += [(np.arange(len(pull.forces)), pull.forces) for pull in pulls]
+    profiles = [(load.profile, name) for name, load in loads.items()] + [(pull.profile, NAME) for pull in pulls]
     return {
         "load_ptr": starts([pairs for pairs, _ in loaded]),
         "load_nodes": concatenated([pairs for pairs, _ in loaded], np.int32),
         "load_values": concatenated([values for _, values in loaded], float, (2,)),
-        "load_drive": np.array([drives.add(load.profile, name) for name, load in loads.items()], np.int64),
+        "load_drive": np.array([drives.add(*named) for named in profiles], np.int64),
     }

@@ -63,6 +63,16 @@ class NamedPoints(Model):
         """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""
         return self.joints[name].reaction(lam, lambda vector: self._values(vector, q))
 
+    def turn(self, name, q):
+        """How far side b of a joint has turned against side a since rest, over frames q (frames, n): (frames,), rad in [-pi, pi].
+
+        Raises InputError where a side has no direction.
+        """
+        joint = self.joints[name]
+        joint.require_directions()
+        a, b = (self._values(side.d, q) @ [1.0, 1j] / side.d.rest for side in (joint.a, joint.b))
+        return np.angle(b * a.conj())
+
     def _values(self, vector, q):
         """A vector of a joint's formula, its profiles at zero, over frames q (frames, n): (frames, 2)."""
         values = np.full((len(q), 2), [vector.rest.real, vector.rest.imag])

@@ -5,22 +5,27 @@ from functools import cached_property
 import numpy as np
 
 from polyida.assembly import equilibrium as compiled
-from polyida.assembly.arrays import bilinear, concatenated
+from polyida.assembly.arrays import bilinear, concatenated, shifting_drives, turning_drives
+from polyida.assembly.bodies.motion import velocity_at
 from polyida.assembly.bodies.own import Elastic, uneven_mass
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
 from polyida.assembly.damping import add_damping, damped_blocks
 from polyida.assembly.drawn import Drawn, deepest
+from polyida.assembly.gravity import largest
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces
-from polyida.assembly.powers import Powers
 from polyida.assembly.rows.increments import Increments
 from polyida.assembly.rows.mass_system import MassSystem, at_rest
+from polyida.assembly.rows.redundant import Redundant
 from polyida.assembly.step_matrix import SceneStepMatrix
+from polyida.assembly.told.momenta import Momenta
+from polyida.assembly.told.powers import Powers
 from polyida.force.force_element import ForceElement
 from polyida.given import on_pairs, pairs_of
 from polyida.linear.lu import LU
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
+from polyida.profile import Profile
 
 
 class SceneModel(Drawn):
@@ -36,26 +41,24 @@ class SceneModel(Drawn):
     is_scene = carries = True
     looks_apart = 1024  # its joints hold on to points of their own, only motors turn rows
 
-    def __init__(self, parts, gravity):
-        self.parts, self.gravity = dict(parts), tuple(map(float, gravity))
+    def __init__(self, parts, gravity, redundant="refuse"):
+        self.parts, self.treats_redundant = dict(parts), redundant
+        self.gravity = tuple(g if isinstance(g, Profile) else float(g) for g in gravity)
         self.bodies, self._kept, self._driven = plates_of(parts), {}, (None, None)
         self.few = few_of(parts, self.bodies[-1].nodes.stop if self.bodies else 0)
         self.places = {id(body.plate): body for body in self.bodies} | {id(placed.user): placed for placed in self.few}
         self.extent = extent_of(self.bodies, self.few)
-        self.arrays, points, table, drives, self.laws = assemble(self.bodies, self.few, self.places, parts, gravity, self.extent)
-        self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
-        self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
         self.n_nodes = [*self.bodies, *self.few][-1].pairs.stop
-        self.n, self.m, self.n_points = 2 * self.n_nodes, len(self.labels), len(points.nodes)
+        self.n = 2 * self.n_nodes
+        self._assemble()
         links = self.arrays.links
-        self.motor_profiles = np.unique(links.product_drive[links.product_drive >= 0])
         elements, elastic = of_kind(parts, ForceElement), [placed for placed in self.few if placed.elastic]
         self.damped = any(placed.damped for placed in (*self.bodies, *self.few))
         self.flexible = bool(self.bodies) or any(placed.deforms for placed in self.few)
         self.needs = Needs(
             mass_varies=False,
             velocity_forces=self.damped or bool(elements),
-            driven=bool((links.product_drive >= 0).any()),
+            driven=bool(len(self.motor_profiles) or len(self.path_profiles)),
             phi_q_varies=bool(bilinear(links).any()),
         )
         self.reference = np.concatenate([body.points for body in self.bodies] + [pairs_of(placed.rest) for placed in self.few])
@@ -64,12 +67,30 @@ class SceneModel(Drawn):
             self.n,
         )
         self.uneven_mass = uneven_mass(self.few, self.n)
-        python = [placed.name for placed in self.few if placed.python] + ([] if self.laws else [*elements])
+        python = [placed.name for placed in self.few if placed.python] + [
+            name for name, element in elements.items() if not element.compiled_law
+        ]
         massless = [placed.name for placed in self.few if placed.massless]
         self.solid = not massless and self.uneven_mass is None
         self.compiled, self.alike, self.looks_apart = self.solid and not python, not self.few, 1 if self.few else self.looks_apart
         why = (("the Python of", python), ("the massless coordinates of", massless))
         self.remark = " and ".join(f"plain paths for {what} {', '.join(map(repr, names))}" for what, names in why if names)
+        if redundant == "least-norm":
+            whole = object.__new__(type(self))
+            whole.__dict__.update(self.__dict__)
+            self.redundant = Redundant(whole)
+            self._assemble(self.redundant.left_out)
+            self.remark = " and ".join(filter(None, (self.remark, self.redundant.remark())))
+
+    def _assemble(self, left_out=()):
+        """Take arrays and rows of phi from the parts, without the rows `left_out`, by number."""
+        found = assemble(self.bodies, self.few, self.places, self.parts, self.gravity, self.extent, left_out)
+        self.arrays, points, table, drives, self.laws = found
+        self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
+        self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
+        self.m, self.n_points, self._kept = len(self.labels), len(points.nodes), {}
+        links = self.arrays.links
+        self.motor_profiles, self.path_profiles = turning_drives(links), shifting_drives(links)
 
     @property
     def lightest(self):
@@ -80,10 +101,10 @@ class SceneModel(Drawn):
     @property
     def free_fall(self):
         """|g|, m/s^2."""
-        return float(np.hypot(*self.gravity))
+        return largest(self.gravity)
 
     def __reduce__(self):
-        return type(self), (self.parts, self.gravity)
+        return type(self), (self.parts, self.gravity, self.treats_redundant)
 
     def evaluate(self, t, q, a, lam, rotation=None):
         """(r (n,), phi (m,), rotation, least det F, least motor cosine) in one compiled pass."""
@@ -124,6 +145,10 @@ class SceneModel(Drawn):
     def force(self, t, q, v):
         """g = g_int - g_ext, (n,)."""
         return self._with_forces(t, q, v, self.evaluate(t, q, np.zeros(self.n), np.zeros(self.m))[0])
+
+    def initial_velocity(self, t, q):
+        """What the bodies were given, as far as their joints let them, (n,)."""
+        return velocity_at(self, t, q)
 
     def mass(self, q=None):
         """Mass matrix, constant, (n, n) sparse."""
@@ -226,9 +251,13 @@ class SceneModel(Drawn):
         return compiled.strain_energy(self.arrays, self._nodal(q)) + self.own_forces.energy(q, strain=True)
 
     def gravity_potential(self, q):
-        """Potential of gravity on bodies and masses, J, zero at q = 0."""
+        """Potential of steady gravity on bodies and masses, J, zero at q = 0; of what follows a profile there is work."""
         at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
         return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
+
+    def momenta(self, q, v):
+        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s."""
+        return self.once(Momenta)(q, v)
 
     @property
     def dissipating(self):

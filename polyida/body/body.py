@@ -26,9 +26,13 @@ class Body(OwnPart):
     summaries say, as does one of a body whose x and y carry different masses.
     """
 
+    few = True  # its points are made of few coordinates
     turns_only = False  # whether it keeps the directions of its sections of constant length; of its points it may
     plate: Any = None  # whose mesh shows it; `nodal` then tells of its nodes
     left_out: Any = None  # of a reduced plate: what its modes leave out
+
+    velocity: Any = (0.0, 0.0)  # of its centre of mass at the start, m/s; a class may make it a field
+    spin: Any = 0.0  # about it, rad/s
 
     def coordinates(self) -> ArrayLike:
         """z in the reference configuration, (pairs,), complex: places in m, or numbers without unit such as a direction's."""

@@ -31,6 +31,8 @@ class Plate:
     that a cell's constant F does not see. Larger is stiffer and smaller softer in bending, most on coarse meshes (a
     cantilever of 2 cells through the thickness: its tip moves 3.5 % too far with 0.1 and 43 % too little with 0.5).
     The limit under mesh refinement is the same for every tau.
+    velocity: of its centre of mass at the start, m/s, and spin about it, rad/s, as of a rigid body; `pi.consistent_state` says what joints
+    make of them.
     Numbers are kept as floats. Raises InputError for a thickness or tau that is not positive, an unknown element, a
     cell that is a sliver; for wachspress, a cell that is not strictly convex or of more than 16 corners.
     """
@@ -43,8 +45,10 @@ class Plate:
     name: str | None = None
     element: str = "wachspress"
     tau: float = 0.1
+    velocity: tuple = (0.0, 0.0)
+    spin: float = 0.0
     label: str = field(init=False, repr=False)
-    turns_only = False
+    few = turns_only = False
 
     def __post_init__(self):
         label = labelled("Plate", self.name)
@@ -57,12 +61,14 @@ class Plate:
             self,
             thickness=positive(label, "thickness", self.thickness, "metres"),
             origin=tuple(vector2(label, "origin", self.origin).tolist()),
+            velocity=tuple(vector2(label, "velocity", self.velocity).tolist()),
         )
-        if not is_number(self.angle):
-            raise InputError(f"{label}: angle = {self.angle!r} must be a finite number of rad")
+        for key, unit in (("angle", "rad"), ("spin", "rad/s")):
+            if not is_number(getattr(self, key)):
+                raise InputError(f"{label}: {key} = {getattr(self, key)!r} must be a finite number of {unit}")
         if not is_one_of(self.element, ELEMENTS):
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
-        settle(self, angle=float(self.angle), tau=positive(label, "tau", self.tau, "no unit"))
+        settle(self, angle=float(self.angle), spin=float(self.spin), tau=positive(label, "tau", self.tau, "no unit"))
         self._require_thick_cells()
         if self.element == "wachspress":
             self._of_mesh(self.mesh.require_convex)

@@ -41,6 +41,7 @@ from polyida.element.material import (
     add_product,
     add_rotation,
     add_stiffness,
+    add_strain,
     add_times,
     difference,
     first_piola,
@@ -208,6 +209,25 @@ def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, 
         for p in range(layout[b, 1]):
             h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
             state = add_cauchy(state, h, load(weights, layout[b, 4] + p * LANES), c * nu, c * (1.0 - nu))
+        for k in range(LANES):
+            cell = lane_cells[b * LANES + k]
+            out[cell, 0] += lane(state[0], k) / areas[cell]
+            out[cell, 1] += lane(state[1], k) / areas[cell]
+            out[cell, 2] += lane(state[2], k) / areas[cell]
+
+
+@entry
+def green_strain(layout, corners, gradients, weights, lane_cells, areas, node_offset, u, out):
+    """Green's strain (Exx, Eyy, 2 Exy), mean over the reference area of each cell, into out (cells, 3)."""
+    out[:] = 0.0
+    room = _room(layout, 2, 0)
+    for b in range(layout.shape[0]):
+        m = layout[b, 0] - 1
+        _differences(u, corners, layout[b, 2], node_offset, m, room)
+        state = zeros3()
+        for p in range(layout[b, 1]):
+            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
+            state = add_strain(state, h, load(weights, layout[b, 4] + p * LANES))
         for k in range(LANES):
             cell = lane_cells[b * LANES + k]
             out[cell, 0] += lane(state[0], k) / areas[cell]

@@ -87,6 +87,13 @@ def add_energy(state, h, w, spherical, deviatoric):
 
 
 @traced(3)
+def add_strain(state, h, w):
+    """state + w (E11, E22, 2 E12)."""
+    e11, e12, e22 = strain(h)
+    return state[0] + w * e11, state[1] + w * e22, state[2] + w * (e12 + e12)
+
+
+@traced(3)
 def add_cauchy(state, h, w, spherical, deviatoric):
     """state + w (sigma_xx, sigma_yy, sigma_xy) with sigma = F S F^T / det F."""
     p11, p12, p21, p22 = first_piola(h, w / determinant(h), spherical, deviatoric)

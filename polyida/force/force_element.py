@@ -101,8 +101,8 @@ def by_law(law, element, t, x, v):
 
 
 def numbers_of(element):
-    """The numbers and profiles of an element's law as one list, or those of an element without one. Raises InputError."""
-    given = element.numbers() if type(element).law else ForceElement.numbers(element)
+    """The numbers and profiles of an element's law as one list. Raises InputError."""
+    given = element.numbers()
     found = list(given) if isinstance(given, (list, tuple, np.ndarray)) else [given]
     if not all(isinstance(value, Profile) or is_number(value) for value in found):
         raise InputError(f"{element.label}: numbers() must give a list of finite numbers and profiles")

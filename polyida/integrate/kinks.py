@@ -9,7 +9,7 @@ from polyida.integrate.state import StepFailure
 
 PULSE = 4  # steps in which a piece is taken at least where its loads are no straight lines
 INSIDE = (0.29, 0.5, 0.62)  # where they are looked at, and not only in the middle, where a whole sine is zero too
-TURN = 1e-3  # rad: a motor that turns by less than STRAIGHT of it stands
+STANDS = 1e-3  # rad, or of the scene's size: a motor or path that moves by less than STRAIGHT of it stands
 STRAIGHT = 1e-6  # distance from a straight line, over the forces' size, that is none
 
 
@@ -79,7 +79,8 @@ def inner_side(model, t, h):
 def _bent(model, state, begin, end):
     if _curved(lambda t: model.force(t, state.q, state.v), begin, end):
         return True
-    return bool(len(model.motor_profiles)) and _curved(lambda t: model.drives(t)[model.motor_profiles, 0], begin, end, TURN)
+    driving = (model.motor_profiles, STANDS), (model.path_profiles, STANDS * (model.extent or 1.0))
+    return any(len(k) and _curved(lambda t, k=k: model.drives(t)[k, 0], begin, end, least) for k, least in driving)
 
 
 def _curved(function, begin, end, least=0.0):

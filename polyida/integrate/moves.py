@@ -31,11 +31,16 @@ class Part(NamedTuple):
 
 
 class Look(NamedTuple):
-    """A profile that is looked at."""
+    """A profile that is looked at. unit: "rad" where it turns rows of phi, "m" where it shifts them, empty where it is a load's."""
 
     name: str
     profile: Profile
-    motor: bool
+    unit: str
+
+    @property
+    def motor(self):
+        """Whether it drives phi."""
+        return bool(self.unit)
 
     def values(self, times):
         """Its values at an array of times."""
@@ -97,9 +102,9 @@ def unseen(model, h):
 
 
 def _profiles(model):
-    """(name, profile, whether it turns a row of phi) of all joints and loads of a scene, each profile once."""
-    turning = set(model.motor_profiles)
-    return [(name, profile, k in turning) for k, (name, profile) in enumerate(model.named_profiles)]
+    """(name, profile, unit) of all joints and loads of a scene, as of a Look, each profile once."""
+    units = {k: "m" for k in model.path_profiles} | {k: "rad" for k in model.motor_profiles}
+    return [(name, profile, units.get(k, "")) for k, (name, profile) in enumerate(model.named_profiles)]
 
 
 def _looks(model, h):
@@ -144,7 +149,7 @@ def _sharp(look, values, scale):
     at = np.linspace(0.0, 1.0, values.shape[1])
     chord = values[:, :1] + (values[:, -1:] - values[:, :1]) * at
     sharp = np.abs(values - chord).max(axis=1) > SHARP * scale
-    return sharp | (np.abs(np.diff(values)).sum(axis=1) > TURN) if look.motor else sharp
+    return sharp | (np.abs(np.diff(values)).sum(axis=1) > TURN) if look.unit == "rad" else sharp
 
 
 def _split(looks, scales, begin, end, fine, inside, depth):
@@ -162,8 +167,8 @@ def _split(looks, scales, begin, end, fine, inside, depth):
 
 
 def _jump(look, values, t):
-    advice = "give it a move that takes time, like profile.quintic"
-    return f"the angle of motor {look.name!r} jumps by {np.ptp(values):.3g} rad at t = {t:.6g} s: {advice}; the run stops"
+    what, advice = "angle of motor" if look.unit == "rad" else "way of", "give it a move that takes time, like profile.quintic"
+    return f"the {what} {look.name!r} jumps by {np.ptp(values):.3g} {look.unit} at t = {t:.6g} s: {advice}; the run stops"
 
 
 def _merged(found):

@@ -5,24 +5,26 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.given import is_number
+from polyida.integrate.running.recorder import Recorder, require_sensors
 from polyida.integrate.running.run import Run
 from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
 from polyida.io.file.layout import FRAMES
 from polyida.io.file.reader import naming, read
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
-from polyida.io.load import integrator_of, model_of
-from polyida.io.save import commit, create, free
+from polyida.io.load import integrator_of, model_of, sensors_of
+from polyida.io.save import behind_blocks, commit, create, free
 from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore
 from polyida.keywords import named_keywords
 from polyida.machine import one_blas_thread
 from polyida.model import Model
 from polyida.model.guarded import guard
+from polyida.results.sensors import Sensors
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -37,6 +39,7 @@ def resume(
     integrator: object = None,
     until: Callable[[float, NDArray, NDArray], float] | bool | None = None,
     progress: Callable[[float], object] | None = None,
+    sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike]] | bool | None = None,
     memory_limit: float = MEMORY_LIMIT,
 ) -> "Trajectory":
     """Go on with the run in a file of `solve(..., out=path)` or `save`, to its t_end or another; the whole Trajectory.
@@ -45,21 +48,26 @@ def resume(
     the same t_end give the frames of a run that was never interrupted, bit by bit on the same machine; IDA starts anew
     at order 1 there and agrees to its tolerance. The file is replaced by a copy that goes on, whole or not at all.
     model: needed for a model of a user's own, and where a motor or load follows a user's own function; the scene in
-    the file otherwise. until: as in `solve`, needed where the run had one (False: go on without). Raises InputError
+    the file otherwise. until: as in `solve`, needed where the run had one (False: go on without); sensors too,
+    with the same names (False: what they gave so far is kept). Raises InputError
     for a file that cannot be read or is being written, has nothing to go on from, or has reached t_end.
     """
     _require(t_end, until, progress, memory_limit)
+    if sensors is not False:
+        require_sensors("resume", sensors)
     stored = read(path)
     with naming(path, everything=False):
         try:
             model, integrator, plan = _asked(stored, t_end, model, integrator, until)
-            store = _continued(stored, model, integrator, plan, memory_limit)
+            recorder = _recorder(stored, sensors)
+            store = _continued(stored, model, integrator, plan, recorder, memory_limit)
         finally:
             stored.file.close()
     restart, (cpu, wall) = stored.restart, stored.seconds
     clocks = time.perf_counter() - wall, time.process_time() - cpu
-    run = Run(model, integrator, plan, store, Counts(**restart.counts), clocks, until or None, progress)
+    run = Run(model, integrator, plan, store, recorder, Counts(**restart.counts), clocks, until or None, progress)
     run.restart = run.flushed = restart
+    run.sensed = recorder.count
     with one_blas_thread():
         return run.go(restart.state)
 
@@ -118,12 +126,28 @@ def _plan(stored, t_end, until):
     return plan
 
 
-def _continued(stored, model, integrator, plan, memory_limit):
+def _recorder(stored, sensors):
+    """A Recorder with what sensors gave up to where the run goes on."""
+    known, given = ", ".join(map(repr, stored.sensors)), sensors or {}
+    if sensors is None and known:
+        raise InputError(
+            f"the run had the sensors {known}, functions which no file holds; give sensors=, or sensors=False to go on without"
+        )
+    if sensors is not False and list(given) != list(stored.sensors):
+        raise InputError(
+            f"the run had {f'the sensors {known}' if known else 'no sensors'}; it cannot go on with {', '.join(map(repr, given))}"
+        )
+    found = sensors_of(stored)
+    return Recorder(given, Sensors(found.shapes, found.rows[found.t <= stored.restart.state.t]))
+
+
+def _continued(stored, model, integrator, plan, recorder, memory_limit):
     """A FrameStore with a file in the place of the stored one, which has its frames up to where the run goes on."""
     restart = stored.restart
-    file = create(free(stored.path, True), model, integrator, stored.n, stored.m, plan, dict(stored.about["machine"]), stored.single)
+    path, machine = free(stored.path, True), dict(stored.about["machine"])
+    file = create(path, model, integrator, stored.n, stored.m, plan, machine, stored.single, recorder.shapes)
     with file.publishing(True):
         store = FrameStore(stored.n, stored.m, memory_limit, file, stored.single)
         store.extend([stored.columns[name] for name in FRAMES], restart.frames)
-        commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart)
+        commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, behind_blocks(file, recorder.rows))
     return store

@@ -14,11 +14,12 @@ def typical_sizes(model, state, span):
 
     length: a scene's extent, m; of a model of one's own |q|, or, where q is zero, the way to where its stiffness turns it round.
     speed: the largest of |v|, `sqrt(|a| length)` and, in a scene, `sqrt(g length)`; length/span where there is no weight and
-    nothing of these moves it at first; where motors turn, the length times their largest rate too. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
+    nothing of these moves it at first; where motors turn, the length times their largest rate too, and that of paths. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
     """
     q, v, a = _rms(state.q), _rms(state.v), _rms(state.a)
     length = model.extent or (q if q > NOTHING else _way(model, state, span, v, a))
-    speed = max(v, np.sqrt(max(a, model.free_fall) * length), length * _fastest_turn(model, state.t, span))
+    driven = max(length * _fastest(model, model.motor_profiles, state.t, span), _fastest(model, model.path_profiles, state.t, span))
+    speed = max(v, np.sqrt(max(a, model.free_fall) * length), driven)
     return np.array([length, speed if model.free_fall or speed > MOVES * length / span else length / span])
 
 
@@ -55,10 +56,9 @@ def chosen(rtol, ways):
     return f"rtol {rtol:.1e} for a way of {ways:.2g} times the model's length{enough}"
 
 
-def _fastest_turn(model, t, span):
-    """The largest angular speed of a scene's motors in the run, at 32 times of it, rad/s."""
-    motors = model.motor_profiles
-    return max(float(np.abs(model.drives(at)[motors, 1]).max(initial=0.0)) for at in t + span * AT) if len(motors) else 0.0
+def _fastest(model, profiles, t, span):
+    """The largest rate of profiles of a scene in the run, at 32 times of it, rad/s or m/s."""
+    return max(float(np.abs(model.drives(at)[profiles, 1]).max(initial=0.0)) for at in t + span * AT) if len(profiles) else 0.0
 
 
 def _way(model, state, span, v, a):

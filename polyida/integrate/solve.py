@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.assembly.bodies import left_out
+from polyida.assembly.told import left_out
 from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole
+from polyida.integrate.running.recorder import Recorder, require_sensors
 from polyida.integrate.running.run import Run, constant_step
 from polyida.integrate.start import consistent_state, require_state, restarted
 from polyida.integrate.state import Counts, Integrator, State
@@ -47,6 +48,7 @@ def solve(
     output: ArrayLike | None = None,
     until: Callable[[float, NDArray, NDArray], float] | None = None,
     progress: Callable[[float], object] | None = None,
+    sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike]] | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
     flush_every: int = 100,
@@ -56,11 +58,14 @@ def solve(
 ) -> "Trajectory":
     """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
 
-    q0, v0: initial coordinates and velocities; those left out are zero, moved onto the constraints where they must be.
+    q0, v0: initial coordinates and velocities; those left out are zero, v0 those of the bodies' velocity and spin, moved onto the
+    constraints where they must be (see consistent_state).
     every: keep each `every`-th accepted step (the first and last always). output: increasing times; the frames are then
     exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a and lam linear).
     until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the
-    last frame is there. progress: called with t at every accepted step.
+    last frame is there. progress: called with t at every accepted step. sensors: {name: f(t, q, v)}, each giving a number or an array of
+    one shape; called at the start and at every accepted step, whatever becomes a frame: `run.sensors[name]` (steps, ...) at
+    `run.sensors.t`, kept in memory and in files.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
     process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, or up
@@ -80,6 +85,7 @@ def solve(
     _require_start(model, t0, state, q0, v0)
     if progress is not None and not callable(progress):
         raise InputError(f"solve: progress = {progress!r} must be a function of t")
+    require_sensors("solve", sensors)
     begin = t0 if state is None else state.t
     require_run(model, t_end, begin, integrator)
     plan = _plan(begin, t_end, every, output, until, flush_every, fsync, precision)
@@ -89,11 +95,12 @@ def solve(
     with one_blas_thread():
         state = _first(model, t0, state, q0, v0)
         getattr(integrator, "require_reach", lambda *run: None)(guard(model), state, t_end)
-        file = None
+        recorder, file = Recorder(sensors or {}), None
+        recorder.step(state)
         if path is not None:
-            file = create(path, model, integrator, model.n, model.m, plan, machine_info(), precision == "single")
+            file = create(path, model, integrator, model.n, model.m, plan, machine_info(), precision == "single", recorder.shapes)
         store = FrameStore(model.n, model.m, memory_limit, file, precision == "single", _expected(plan, begin, integrator))
-        run = Run(model, integrator, plan, store, Counts(), clocks, until, progress)
+        run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
         found = run.go(state)
     if model.few and (left := left_out.hint(model, found.q, found.a)):

@@ -12,6 +12,7 @@ from polyida.io.file.reader import naming, read
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.scene_data import UnknownPart, from_data
 from polyida.keywords import named_keywords
+from polyida.results.sensors import Sensors
 from polyida.trajectory import Trajectory
 
 STILL = "another process is still writing it; these are the frames up to its last flush"
@@ -47,7 +48,7 @@ def _trajectory(stored, memory_limit, check):
     about, record = stored.about, stored.record
     damage = stored.check() if check else ""
     model, missing = _model(stored)
-    status, message = str(record["status"]), str(record["message"])
+    status, message, sensors = str(record["status"]), str(record["message"]), sensors_of(stored)
     if status == "running":
         status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
     if damage:
@@ -65,7 +66,13 @@ def _trajectory(stored, memory_limit, check):
         restart=stored.restart,
         plan=dict(about["plan"]),
         missing=missing,
+        sensors=sensors,
     )
+
+
+def sensors_of(stored):
+    """The Sensors in a file."""
+    return Sensors(stored.sensors, np.asarray(stored.sensed)) if stored.sensors else Sensors()
 
 
 def _model(stored):
@@ -97,7 +104,7 @@ def model_of(stored, drives):
     scene = Scene(gravity)
     for part in parts.values():
         scene.add(part)
-    model = scene.build()
+    model = scene.build(stored.about.get("redundant", "refuse"))
     if (model.n, model.m) != (stored.n, stored.m):
         raise InputError(
             f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; the file is damaged"

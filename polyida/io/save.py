@@ -9,23 +9,25 @@ import numpy as np
 from polyida import registry
 from polyida.errors import InputError
 from polyida.given import is_flag
-from polyida.io.file.layout import FRAMES
+from polyida.io.file.layout import FRAMES, SENSORS, sensed_width
 from polyida.io.file.lock import require_unwritten
 from polyida.io.file.writer import Writer
 from polyida.io.scene_data import to_data
 from polyida.io.store import FrameStore
+from polyida.model import NONE
 
 
 def save(run, path, overwrite=False):
     """Write a trajectory; the file appears whole or not at all. Raises InputError where it must not be overwritten."""
     path, n, m = free(path, overwrite), run.q.shape[1], run.lam.shape[1]
     single = run.q.dtype == np.float32
-    file = create(path, run.model, run.integrator, n, m, run.plan, run.machine, single)
+    file = create(path, run.model, run.integrator, n, m, run.plan, run.machine, single, run.sensors.shapes)
     with file.publishing(overwrite):
         store = FrameStore(n, m, 0, file, single)
         store.extend([getattr(run, name) for name in FRAMES], len(run))
         store.put_away()
-        commit(store, run.status, run.message, run.counts, (run.cpu_seconds, run.wall_seconds), run.restart, last=True)
+        seconds, sensed = (run.cpu_seconds, run.wall_seconds), behind_blocks(file, run.sensors.rows)
+        commit(store, run.status, run.message, run.counts, seconds, run.restart, sensed, last=True)
         file.close()
     os.close(file.descriptor)
 
@@ -56,21 +58,34 @@ def free(given, overwrite):
     return path
 
 
-def create(path, model, integrator, n, m, plan, machine, single=False):
-    """A Writer with what is known before the run: integrator, scene, what was asked for, on what machine; see FrameStore."""
+def behind_blocks(file, rows):
+    """The rows of sensors that a file does not have in whole blocks, which it gets."""
+    table = file.sensors
+    while len(rows) - table.count >= table.rows:
+        file.append([rows[table.count : table.count + table.rows]], table)
+    return rows[table.count :]
+
+
+def create(path, model, integrator, n, m, plan, machine, single=False, sensors=NONE):
+    """A Writer with what is known before the run: integrator, scene, what was asked for, on what machine; see FrameStore.
+
+    sensors: {name: shape of what it gives}.
+    """
     kind = integrator if isinstance(integrator, str) else registry.name_of(type(integrator))
     settings = asdict(integrator) if is_dataclass(integrator) else {}
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "plan": plan, "machine": machine}
+    about |= {SENSORS: dict(sensors)} if sensors else {}
     scene, arrays, drives = to_data(model.parts, model.gravity) if model.parts else (None, {}, {})
-    about |= ({"scene": scene} if scene else {}) | {"drives": {key: name for key, (name, _) in drives.items()}}
+    about |= ({"scene": scene, "redundant": model.treats_redundant} if scene else {}) | {
+        "drives": {key: name for key, (name, _) in drives.items()}
+    }
     profiles = {key: profile for key, (_, profile) in drives.items()}
-    return Writer.create(
-        path, n, m, about, {f"scene/{key}": array for key, array in arrays.items()}, profiles, bool(plan.get("fsync")), single
-    )
+    arrays = {f"scene/{key}": array for key, array in arrays.items()}
+    return Writer.create(path, n, m, about, arrays, profiles, bool(plan.get("fsync")), single, sensed_width(sensors))
 
 
-def commit(store, status, message, counts, seconds, restart, last=False):
-    """Make the frames so far hold, with how the run stands and where it goes on. last: for good."""
+def commit(store, status, message, counts, seconds, restart, sensed, last=False):
+    """Make the frames so far hold, with how the run stands and where it goes on; sensed: rows behind the blocks. last: for good."""
     record = {
         "status": status,
         "message": message,
@@ -89,4 +104,4 @@ def commit(store, status, message, counts, seconds, restart, last=False):
             "memory": [[name, list(value.shape)] for name, value in memory.items()],
         }
         numbers = [s.t, s.q, s.v, s.a, s.lam, *memory.values()]
-    store.file.commit(record, numbers, store.waiting(), last)
+    store.file.commit(record, numbers, store.waiting(), sensed, last)

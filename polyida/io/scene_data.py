@@ -1,7 +1,9 @@
 """A scene as plain data and back, so that a result file holds the scene that made it: numbers and names, never code.
 
 A part is its kind and its fields. A field is plain, or one of: {"side": an attachment}, {"ground": [point, direction] or null},
-{"complex": [real, imaginary]}, {"array": key}, {"named": {name: a field}}, {"part": a part of its own, such as the plate of a reduced body}, {"profile": formula}, {"drive": key} for a profile without a formula, {"mesh": key}, {"material": numbers}, {"unknown": type}.
+{"complex": [real, imaginary]}, {"array": key}, {"named": {name: a field}}, {"part": a part of its own, such as the plate of a reduced
+body}, {"each": list of profiles and numbers}, {"profile": formula}, {"drive": key} for a profile without a formula, {"mesh": key},
+{"material": numbers}, {"unknown": type}.
 """
 
 from collections.abc import Mapping
@@ -14,7 +16,7 @@ from polyida.body.body import BodyPoint, rest_of
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.errors import InputError
-from polyida.given import is_number
+from polyida.given import is_number, is_whole
 from polyida.joint.attachment import Attachment, Ground
 from polyida.mesh import PolygonMesh
 
@@ -32,7 +34,7 @@ def to_data(parts, gravity):
         {"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, f"part {number}", part)}
         for number, (name, part) in enumerate(parts.items())
     ]
-    return {"gravity": _plain(gravity), "parts": entries}, book.arrays, book.drives
+    return {"gravity": book.value("gravity", "gravity", gravity), "parts": entries}, book.arrays, book.drives
 
 
 class _Book:
@@ -44,15 +46,18 @@ class _Book:
     def fields(self, name, key, part):
         """{field: data} of a part, its name left out; key: what its arrays are called by."""
         values = {field.name: getattr(part, field.name) for field in fields(part) if field.init and field.name != "name"}
-        return {field: self._value(name, f"{key} {field}", value) for field, value in values.items()}
+        return {field: self.value(name, f"{key} {field}", value) for field, value in values.items()}
 
-    def _value(self, name, key, value):
+    def value(self, name, key, value):
+        """The data of a value of the part of that name."""
         if isinstance(value, Attachment):
             return {"side": self._side(key, value)}
         if isinstance(value, Ground):
             return {"ground": None if value.point is None else [_plain(value.point), _plain(value.direction)]}
         if isinstance(value, profile.Profile):
             return {"profile": list(value.formula)} if value.formula else {"drive": self._drive(name, value)}
+        if isinstance(value, tuple) and any(isinstance(item, profile.Profile) for item in value):
+            return {"each": [self.value(name, key, item) for item in value]}
         if isinstance(value, PolygonMesh):
             return {"mesh": self._mesh(value), "sections": list(value.sections)}
         if isinstance(value, Material):
@@ -61,14 +66,14 @@ class _Book:
             fields = self.fields(name, key, value)
             return {"part": {"kind": registry.name_of(type(value)), "name": value.name, "fields": fields}}
         if isinstance(value, Mapping):
-            return {"named": {str(known): self._value(name, f"{key} {known}", one) for known, one in value.items()}}
+            return {"named": {str(known): self.value(name, f"{key} {known}", one) for known, one in value.items()}}
         if isinstance(value, np.ndarray) and value.dtype.kind in "iufb":
             self.arrays[key] = value
             return {"array": key}
         if value is None or isinstance(value, (str, bool)):
             return value
         if is_number(value):
-            return float(value)
+            return int(value) if is_whole(value, -(2**62)) else float(value)
         if _numbers(value, "c"):
             return {"complex": [_plain(np.real(value)), _plain(np.imag(value))]}
         return _plain(value) if _numbers(value, "iuf") else {"unknown": type(value).__name__}
@@ -111,7 +116,7 @@ def from_data(description, arrays, drives=None):
     try:
         for entry in description["parts"]:
             reader.parts[entry["name"]] = reader.part(entry)
-        return reader.parts, tuple(map(float, description["gravity"]))
+        return reader.parts, reader.value({"name": "gravity"}, "gravity", description["gravity"])
     except (InputError, UnknownPart):
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
@@ -129,10 +134,11 @@ class _Reader:
         kind = registry.find(registry.parts, entry["kind"])
         if kind is None:
             raise UnknownPart(f"its part {entry['name']!r} is a {entry['kind']}; define or import that class before loading")
-        values = {key: self._value(entry, key, value) for key, value in entry["fields"].items()}
+        values = {key: self.value(entry, key, value) for key, value in entry["fields"].items()}
         return kind(**values, name=entry["name"])
 
-    def _value(self, entry, key, value):
+    def value(self, entry, key, value):
+        """The value that data describe, of a key of an entry."""
         if not isinstance(value, dict):
             return tuple(value) if isinstance(value, list) else value
         if "unknown" in value:
@@ -141,6 +147,8 @@ class _Reader:
             return Ground() if value["ground"] is None else Ground().at(*value["ground"])
         if "profile" in value:
             return profile.from_formula(tuple(value["profile"]))
+        if "each" in value:
+            return tuple(self.value(entry, key, item) for item in value["each"])
         if "drive" in value:
             return self.drives(value["drive"]) or profile.constant(0.0)
         if "complex" in value:
@@ -151,7 +159,7 @@ class _Reader:
         if "array" in value:
             return self.arrays[value["array"]]
         if "named" in value:
-            return {known: self._value(entry, key, one) for known, one in value["named"].items()}
+            return {known: self.value(entry, key, one) for known, one in value["named"].items()}
         if "part" in value:
             return self.part(value["part"])
         return self._mesh(value["mesh"], value["sections"]) if "mesh" in value else self._side(value["side"])

@@ -1,6 +1,6 @@
 """The formula language of joints: vectors of points and directions, and rows of phi made of their products.
 
-A `Vector` is linear in the coordinates, parts of it turned in time; `cross`, `dot`, sums and numbers make `Row`s of vectors.
+A `Vector` is linear in the coordinates, parts of it turned in time; `cross`, `dot`, sums, numbers and profiles make `Row`s of vectors.
 Everything here is data: the assembly compiles it, and one set of kernels evaluates it.
 """
 
@@ -108,25 +108,28 @@ class Product:
 
 @dataclass(frozen=True)
 class Row:
-    """One row of phi: a constant and a sum of products. label, unit: of its multiplier, as in "angle", "N m"."""
+    """One row of phi: a constant, a sum of products, and profiles of time, (factor, profile) each, in `drives`.
+
+    label, unit: of its multiplier, as in "angle", "N m".
+    """
 
     products: tuple
     constant: float = 0.0
+    drives: tuple = ()
     label: str = ""
     unit: str = ""
 
-    def __add__(self, other: "Row | float") -> "Row":
-        if is_number(other):
-            return replace(self, constant=self.constant + other)  # type: ignore[arg-type]
+    def __add__(self, other: "Row | Profile | float") -> "Row":
         row = _row(other)
-        return replace(self, products=self.products + row.products, constant=self.constant + row.constant)
+        products, drives = self.products + row.products, self.drives + row.drives
+        return replace(self, products=products, constant=self.constant + row.constant, drives=drives)
 
     __radd__ = __add__
 
-    def __sub__(self, other: "Row | float") -> "Row":
-        return self + (-other)
+    def __sub__(self, other: "Row | Profile | float") -> "Row":
+        return self + -_row(other)
 
-    def __rsub__(self, other: "Row | float") -> "Row":
+    def __rsub__(self, other: "Row | Profile | float") -> "Row":
         return -self + other
 
     def __neg__(self) -> "Row":
@@ -138,7 +141,8 @@ class Row:
                 f"a row of a joint is multiplied by {number!r}, which is no number; products of three vectors are not bilinear"
             )
         scaled = tuple(replace(p, still=p.still.times(complex(number))) for p in self.products)
-        return replace(self, products=scaled, constant=number * self.constant)
+        drives = tuple((number * factor, profile) for factor, profile in self.drives)
+        return replace(self, products=scaled, constant=number * self.constant, drives=drives)
 
     __rmul__ = __mul__
 
@@ -147,8 +151,8 @@ class Row:
 
     @property
     def driven(self):
-        """Whether a profile turns a vector in it."""
-        return any(product.turning.profile is not None for product in self.products)
+        """Whether a profile turns a vector in it, or is a part of it."""
+        return bool(self.drives) or any(product.turning.profile is not None for product in self.products)
 
     def named(self, label: str, unit: str = "") -> "Row":
         """The row with the name and unit of its multiplier."""
@@ -212,4 +216,8 @@ def _vector(given):
 def _row(given):
     if isinstance(given, Row):
         return given
-    raise InputError(f"a row of a joint is added to {given!r}; use pi.cross, pi.dot and numbers")
+    if isinstance(given, Profile):
+        return Row((), drives=((1.0, given),))
+    if is_number(given):
+        return Row((), constant=float(given))
+    raise InputError(f"a row of a joint is added to {given!r}; use pi.cross, pi.dot, numbers and profiles")

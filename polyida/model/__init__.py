@@ -60,9 +60,12 @@ class Model:
     parts = rows = joints = NONE  # by name: its parts, their slices of phi and lam, the joints among them
     labels = units = ()  # of the rows of phi: what each is called, and the unit of its multiplier
     named_profiles = ()  # (name, profile) of its loads and motors, the k-th that of row k of drives(t)
-    motor_profiles = ()  # which of them turn rows of phi
+    motor_profiles = ()  # which of them turn rows of phi, rad
+    path_profiles = ()  # which of them are added to rows of phi, m
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
     dissipating = ()  # names in `powers` of what only takes
+    treats_redundant = "refuse"  # what a scene was told to do with redundant constraints
+    redundant: Any = None  # rows of phi that it leaves out, as assembly/rows/redundant.py has them
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
     def mass(self, q: NDArray) -> Matrix:
@@ -127,13 +130,25 @@ class Model:
         value = self.potential(q)
         return np.nan if value is None else value, 0.0
 
+    def momenta(self, q: NDArray, v: NDArray) -> NDArray | None:
+        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s, or None where the model does not say."""
+        return None
+
     def powers(self, t: float, q: NDArray, v: NDArray, lam: NDArray) -> dict[str, float]:
         """{name: power, W} of what works on it from outside, or without a part in `potential`; `run.energy.work` holds its integrals."""
         return {}
 
+    def initial_velocity(self, t: float, q: NDArray) -> NDArray:
+        """Velocities (n,) at the start of runs that are given none; they need not be consistent."""
+        return np.zeros(self.n)
+
     def objection(self, t: float, q: NDArray) -> str | None:
         """Why a state cannot be accepted, or None."""
         return None
+
+    def sticks(self, q: NDArray) -> NDArray:
+        """Segments (segments, 2, 2), m, that show bodies without a mesh."""
+        return np.zeros((0, 2, 2))
 
     def attachment(self, name: Any) -> Any:
         """What a part of this name holds on to; raises InputError where there is none."""

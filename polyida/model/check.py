@@ -11,7 +11,8 @@ from polyida.model import Model, differences
 from polyida.model.guarded import guard
 
 ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of what it is taken of
-OF_FORCES = ("force_v", "tangent, v")
+TRIES = 8  # states that are drawn until forces are finite
+ONE_SIDED = 8  # by how much more of it a difference beside a kink has
 
 
 @named_keywords
@@ -26,7 +27,7 @@ def check_derivatives(
 ) -> dict[str, float]:
     """Compare every derivative of a model with differences of what it is the derivative of.
 
-    States that are not given are drawn at random (q of size 1, v of size 1). Returns {name: relative error}, the largest
+    States that are not given are drawn at random (q of size 1, v of size 1), where forces are finite. Returns {name: relative error}, the largest
     deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong. What round-off of the
     force leaves of its differences is none: where forces are large, as of plates bent at random, small slopes are seen less sharply.
     """
@@ -34,10 +35,11 @@ def check_derivatives(
     if not (is_number(t) and is_whole(seed, 0)):
         raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
     random = np.random.default_rng(seed)
-    q, v, a = (random.standard_normal(model.n) if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a)))
+    q, v, a = _drawn(model, t, random, [None if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a))])
     lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
     n, m = model.n, model.m
-    blur = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
+    force = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
+    blur = {"force_v": force, "tangent, v": force, "phi_t": ONE_SIDED * ROUND_OFF * np.abs(model.phi(t, q)).max(initial=0.0)}
     pairs = {
         "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
         "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
@@ -58,7 +60,16 @@ def check_derivatives(
             "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), room=model._smooth(t))),
             "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
         }
-    return {name: _deviation(*pair, blur if name in OF_FORCES else 0.0) for name, pair in pairs.items()}
+    return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
+
+
+def _drawn(model, t, random, given):
+    """q, v and a, those that are None drawn at random until forces are finite."""
+    for _ in range(TRIES):
+        q, v, a = (random.standard_normal(model.n) if x is None else x for x in given)
+        if np.isfinite(model.force(t, q, v)).all():
+            break
+    return q, v, a
 
 
 def _deviation(exact, difference, blur):

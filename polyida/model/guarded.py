@@ -18,7 +18,7 @@ FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias")
-PASSED = ("rows", "joints", "attachment", "position", "constraint_name")
+PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "initial_velocity")
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
 
@@ -124,6 +124,7 @@ class Guarded(Model):
             raise InputError(f"{self.name}: needs = {model.needs!r} must be a polyida.Needs")
         self.n, self.m, self.needs, self._calls, self._constant = int(n), int(m), model.needs, 0, None
         self.flexible, self.alike, self.carries = model.flexible, model.alike, model.carries
+        self.dissipating = model.dissipating
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         for name, shape in _shapes(self.n, self.m).items():
             if _written(model, name) and (self.m or name not in OF_CONSTRAINTS):
@@ -218,6 +219,13 @@ class Guarded(Model):
         if value is not None and not is_number(value):
             raise InputError(f"{self.name}.potential must return a finite number or None, not {value!r}")
         return value
+
+    def momenta(self, q, v):
+        """As the model says, (3,) or None."""
+        found = self.user.momenta(read_only(q), read_only(v))
+        if found is not None and getattr(floats(found), "shape", None) != (3,):
+            raise InputError(f"{self.name}.momenta must return three finite numbers px, py, L, or None, not {found!r:.100}")
+        return found
 
     def powers(self, t, q, v, lam):
         """As the model says, {name: W}."""

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.body.own_part import writes
+from polyida.force.force_element import ForceElement
 from polyida.io.frames import each
 from polyida.results.work import works
 
@@ -39,9 +41,9 @@ class Energy:
     @cached_property
     def elements(self) -> dict[str, NDArray]:
         """{name: potential energy of a force element that has one}; with `gravity` they make up `potential`."""
-        found = {own.name: own for own in self._motion.model.own_forces.each if not own.strain} if self._motion.model.is_scene else {}
-        values = np.array([[own.energy(own.places(q)) for own in found.values()] for q in each(self._motion.q)])
-        return dict(zip(found, values.reshape(-1, len(found)).T))
+        forces, q = self._motion.model.own_forces, self._motion.q
+        found = [own for own in (forces.each if forces else ()) if not own.strain and writes(own.element, ForceElement, "energy")]
+        return {own.name: np.array([own.energy(own.places(frame)) for frame in each(q)]) for own in found}
 
     @property
     def work(self) -> dict[str, NDArray]:

@@ -30,7 +30,16 @@ def ring(shift=(0.0, 0.0), sectors=12):
     return pi.mesh.PolygonMesh(points + shift, corners.ravel(), np.arange(0, 4 * sectors + 1, 4), {"rim": k})
 
 
-@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=2e-3), pi.IDA(rtol=1e-9), pi.RadauIIA()], ids=["alpha", "ida", "radau"])
+LINEAR_OR_TURNED = ("revolute", "revolute, ground as b", "clamp to ground", "clamp, ground as a", "clamp between")
+LINEAR_OR_TURNED += ("motor to ground", "motor, ground as b", "motor between")
+ALPHA = pi.GeneralizedAlpha(h=2e-3)
+CASES = [(kind, method) for kind in LINEAR_OR_TURNED for method in (ALPHA, pi.IDA(rtol=1e-9), pi.RadauIIA())]
+CASES += [(kind, ALPHA) for kind in ("prismatic", "prismatic to ground", "slot", "distance", "weld", "weld to ground", "path")]
+
+
+@pytest.mark.parametrize(
+    "kind, integrator", CASES, indirect=["kind"], ids=lambda case: case if isinstance(case, str) else type(case).__name__
+)
 def test_a_scene_far_away_moves_as_one_at_the_origin(kind, integrator, scenes, uneven):
     angle = pi.profile.quintic(0.0, 0.3, duration=0.1)
 

@@ -43,14 +43,19 @@ def expected(model, name, t, q, rotation):
         held, sign = (joint.a, 1.0) if joint.b is pi.ground else (joint.b, -1.0)
         start = next(body.nodes.start for body in model.bodies if body.plate is held.body)
         return sign * q.reshape(-1, 2)[held.nodes + start].ravel()
-    points = [other.point if s is pi.ground else side(model, s, q, s.weights) for s, other in ((joint.a, joint.b), (joint.b, joint.a))]
+    sides = (joint.a, joint.b), (joint.b, joint.a)
+    points = [side(model, s, q, s.weights) if s.body else other.point if s is pi.ground else s.point for s, other in sides]
     result = points[0] - points[1]
-    if isinstance(joint, pi.Clamp):
-        a, b = (side(model, s, q, s.turn_weights) for s in (joint.a, joint.b))
-        ra, rb = joint.a.direction, joint.b.direction
-        back = rotation(np.arctan2(rb[0] * ra[1] - rb[1] * ra[0], rb @ ra))
-        result = np.concatenate([result, a - back @ b])
-    return result
+    if isinstance(joint, (pi.Clamp, pi.Weld, pi.Prismatic, pi.Slot)):
+        rest = [other.direction if s is pi.ground else s.direction for s, other in ((joint.a, joint.b), (joint.b, joint.a))]
+        a, b = (r if s.body is None else side(model, s, q, s.turn_weights) for s, r in zip((joint.a, joint.b), rest))
+        back = rotation(np.arctan2(rest[1][0] * rest[0][1] - rest[1][1] * rest[0][0], rest[1] @ rest[0]))
+        if isinstance(joint, pi.Slot):
+            return a @ J @ -result
+        result = [a @ J @ -result, (back.T @ a) @ J @ b] if isinstance(joint, pi.Prismatic) else np.concatenate([result, a - back @ b])
+    if isinstance(joint, pi.Distance):
+        return (result @ result - joint.length**2) / (2 * joint.length)
+    return points[1] - [joint.x(t), joint.y(t)] if isinstance(joint, pi.Path) else result
 
 
 def test_formula(model, scenes, draw):
@@ -87,12 +92,12 @@ def test_virtual_work(model, draw):
     assert np.allclose(force, model.phi_q(T, q).T @ lam, atol=1e-9 * np.abs(model.residual(T, q, v, still, lam)).max())
 
 
-@pytest.mark.parametrize("kind", ["revolute", "clamp between", "motor between"], indirect=True)
+@pytest.mark.parametrize("kind", ["revolute", "clamp between", "motor between", "prismatic", "slot", "weld"], indirect=True)
 def test_joints_between_bodies_turn_with_the_whole_scene(model, scenes, draw):
     q = draw()
     rows = model.rows["joint"]
     before, after = (model.phi(T, x)[rows] for x in (q, scenes.turned(model, q, 2.1, (0.4, -3.0))))
-    if len(before) > 1:
+    if model.labels[rows.start].endswith("x"):
         before = (before.reshape(-1, 2) @ scenes.rotation(2.1).T).ravel()
     assert np.allclose(after, before, atol=1e-13)
 
@@ -135,6 +140,7 @@ def test_hole_rims(scenes):
         assert rim.turn_weights.sum() == pytest.approx(0.0, abs=1e-13)
         assert np.linalg.norm(rim.direction) == pytest.approx(1.0)
         assert rim.length == pytest.approx(2 * np.pi * 0.05, rel=0.05)
+        assert np.allclose(pi.RigidBody.from_mesh(link.mesh, link.material, 0.01).at(f"hole {hole}").point, place, atol=1e-15)
 
 
 def test_a_loop_of_links_that_is_drawn_exactly_closes(scenes):

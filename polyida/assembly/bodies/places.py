@@ -42,6 +42,11 @@ class PlacedPlate:
         """Reference positions, (N, 2), m."""
         return self.plate.points
 
+    def weight(self, gravity):
+        """Gravity on its nodes, (nodes, 2), N."""
+        lumped = np.add.reduceat(self.operator.mass, self.operator.indptr[:-1]) * self.plate.material.rho * self.plate.thickness
+        return np.outer(lumped, gravity)
+
     def held(self, side, part):
         """(pairs of q, complex weights) of which an attachment's "point" or "direction" is the sum."""
         weights = side.weights if part == "point" else side.turn_weights

@@ -6,7 +6,7 @@ from numba.core.errors import NumbaError
 from polyida.assembly.arrays import starts
 from polyida.assembly.own.laws import Laws, callback_of
 from polyida.errors import InputError
-from polyida.force.force_element import numbers_of, sides_of
+from polyida.force.force_element import ForceElement, numbers_of, sides_of
 from polyida.profile import Profile, polynomial
 
 
@@ -16,7 +16,8 @@ def laws_of(elements, points, drives, size):
     Profiles among the numbers of elements become drives in any case, so that steps end at their kinks.
     Raises InputError, naming the element, for a law that numba does not compile.
     """
-    numbers = [[_number(value, drives, name) for value in numbers_of(element)] for name, element in elements.items()]
+    given = {name: numbers_of(e) if e.compiled_law else ForceElement.numbers(e) for name, e in elements.items()}
+    numbers = [[_number(value, drives, name) for value in values] for name, values in given.items()]
     if not elements or not all(element.compiled_law for element in elements.values()):
         return None
     sides = [sides_of(name, element) for name, element in elements.items()]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from polyida.assembly.arrays import shifting_drives, turning_drives
 from polyida.assembly.rows import joints
 
 EPS = np.finfo(float).eps
@@ -12,20 +13,25 @@ def drive_table(model, times, ends):
     """Values and two derivatives of every profile at the times, (times, profiles, 3).
 
     ends: the first and the last time, or one beside it within the steps where there is a kink: loads and all derivatives are of
-    that side. A motor's angle is continuous.
+    that side. What drives phi is continuous.
     """
-    links = model.arrays.links
-    motors = set(links.product_drive.tolist())
+    driving = _driving(model)
     table = np.empty((len(times), len(model.profiles), 3))
     if not table.size:
         return table
     inner = np.array(times)
     inner[[0, -1]] = ends
     for k, profile in enumerate(model.profiles):
-        value = (profile.value, times if k in motors else inner)
+        value = (profile.value, times if k in driving else inner)
         for column, (function, at) in enumerate((value, (profile.d1, inner), (profile.d2, inner))):
             table[:, k, column] = function(at) if profile.formula else [function(t) for t in at]
     return table
+
+
+def _driving(model):
+    """The profiles that drive rows of phi."""
+    links = model.arrays.links
+    return {*turning_drives(links).tolist(), *shifting_drives(links).tolist()}
 
 
 def gain_table(model, times, drives, h):
@@ -47,12 +53,11 @@ def stage_tables(model, starts, times, edge, h):
 
 
 def _gains(model, begin, times, before, after, h):
-    """Differences; of a motor, where the integrals of its second derivative are the same to round-off, those, which are sharper."""
-    links = model.arrays.links
+    """Differences; of what drives phi, where the integrals of its second derivative are the same to round-off, those, which are sharper."""
     gains = np.empty(before.shape)
     gains[:, :, 0], gains[:, :, 2] = after[:, :, 0] - before[:, :, 0], after[:, :, 1] - before[:, :, 1]
     gains[:, :, 1] = gains[:, :, 0] - h[:, None] * before[:, :, 1]
-    for k in np.unique(links.product_drive[links.product_drive >= 0]):
+    for k in _driving(model):
         ends = after[:, k]
         size = np.abs(before[:, k, :2]) + np.abs(ends[:, :2]) + np.abs(times[:, None] * ends[:, 1:])
         lost = np.flatnonzero((np.abs(gains[:, k, ::2]) < 1e-5 * size).any(axis=1))

@@ -1,7 +1,7 @@
 """Rows of phi on the values dz of the scene's points: values, derivatives, and the forces of the multipliers.
 
-`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. A row is `constant + L dz + sum R(theta) E . F`; E and F are
-vectors `rest + sum_j W_j dz_j`, W_j a turn with a stretch, written as a complex number (2,). The chain rule with the constant A gives
+`z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. A row is `constant + L dz + sum f p(t) + sum R(theta) E . F`; p is
+a profile, the shift of the row; E and F are vectors `rest + sum_j W_j dz_j`, W_j a turn with a stretch, written as a complex number (2,). The chain rule with the constant A gives
 everything in q: `phi_q = phi_z A`. `slopes` holds phi_z at the columns (component `2 point + axis`) that each row touches,
 `row_columns[row_start[k]:row_start[k + 1]]`.
 """
@@ -118,6 +118,7 @@ def joint_forces(s, drives, dz, lam, phi, forces):
         for e in range(s.row_start[k], s.row_start[k + 1]):
             i = s.row_columns[e]
             forces[i // 2, i % 2] += lam[k] * s.row_slopes[e]
+    add_shifts(s, drives, 0, phi)
     for p in range(s.product_row.shape[0]):
         k = s.product_row[p]
         c, n, _, _ = turn(s, p, drives)
@@ -128,6 +129,13 @@ def joint_forces(s, drives, dz, lam, phi, forces):
         push(s, s.product_first[p], lam[k] * (c * fx + n * fy), lam[k] * (c * fy - n * fx), forces)
         push(s, s.product_second[p], lam[k] * ex, lam[k] * ey, forces)
     return least
+
+
+@part
+def add_shifts(s, values, column, x):
+    """Add a column of a table (profiles, 3) to the rows that these profiles shift."""
+    for i in range(s.shift_row.shape[0]):
+        x[s.shift_row[i]] += s.shift_factor[i] * values[s.shift_drive[i], column]
 
 
 @entry
@@ -187,6 +195,9 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
     for k in range(rate.shape[0]):
         phi_t[k] = bias[k] = 0.0
         rate[k] = along_row(s, k, vz)
+    add_shifts(s, drives, 1, phi_t)
+    add_shifts(s, drives, 1, rate)
+    add_shifts(s, drives, 2, bias)
     for p in range(s.product_row.shape[0]):
         k = s.product_row[p]
         c, n, speed, second = turn(s, p, drives)
@@ -224,13 +235,15 @@ def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
     alone.
 
     Points move by `h vz + dd`, their velocities by dv. drives: at the start of the step; gains (profiles, 3):
-    increments of the angle, of the angle less h times its rate, of its rate. `phi += h rate + ...`: rate takes the
+    increments of the profile, of it less h times its rate, of its rate. `phi += h rate + ...`: rate takes the
     place of terms that cancel in it. With e = R E, `e_0 . f_0` becomes
     `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`.
     """
     for k in range(phi.shape[0]):
         phi[k] += h * rate[k] + along_row(s, k, dd)
         rate[k] += along_row(s, k, dv)
+    add_shifts(s, gains, 1, phi)
+    add_shifts(s, gains, 2, rate)
     for p in range(s.product_row.shape[0]):
         k, f = s.product_row[p], s.product_second[p]
         c, n, speed, _ = turn(s, p, drives)

@@ -14,25 +14,28 @@ CLOSED = 1e-6  # of the scene's size: sides that are apart by less at rest are t
 class RowTable:
     """Collects rows of phi; `labels` says what to call each, `rows` which rows are whose, `joints` holds the joints.
 
-    points, drives: where attachments and profiles get their numbers. size: of the scene, m.
+    points, drives: where attachments and profiles get their numbers. size: of the scene, m. left_out: numbers of rows, of all that are
+    given, that it has not.
     """
 
-    def __init__(self, points, drives, size):
-        self._points, self._drives, self._size = points, drives, size
-        self._products, self._vectors, self._constants, self._slopes = [], [], [], []
+    def __init__(self, points, drives, size, left_out=()):
+        self._points, self._drives, self._size, self._left_out, self._given = points, drives, size, frozenset(left_out), 0
+        self._products, self._vectors, self._constants, self._slopes, self._shifts = [], [], [], [], []
         self.labels, self.units, self.rows, self.joints = [], [], {}, {}
 
     def add(self, name, part):
         """Append the rows of a joint or body. Raises InputError where they are no rows, or do not hold at rest."""
-        first = len(self.labels)
-        for row in rows_of(_given(name, part)):
+        first, rows = len(self.labels), given_rows(name, part)
+        for row, label in zip(rows, _called(name, [row.label for row in rows])):
+            self._given += 1
+            if self._given - 1 in self._left_out:
+                continue
             if not row.driven and abs(_at_rest(row)) > CLOSED * self._size:
                 raise InputError(f"{name}: it does not hold at rest, phi = {_at_rest(row):.3g}; {_apart(part)}")
             self._row(name, row)
-            self.labels.append(row.label)
+            self.labels.append(label)
             self.units.append(row.unit)
         self.rows[name], self.joints[name] = slice(first, len(self.labels)), part
-        self.labels[first:] = _called(name, self.labels[first:])
 
     def _row(self, name, row):
         """Append a row; one that only moves the vectors' rest by round-off of the places starts at exactly zero."""
@@ -46,6 +49,7 @@ class RowTable:
         number = len(self._constants)
         self._constants.append(row.constant + sum(map(_value_at_rest, linear)) - (_at_rest(row) if small or not row.driven else 0.0))
         self._slopes.append(slopes)
+        self._shifts += [(number, self._drives.add(profile, name), factor) for factor, profile in row.drives]
         for product in row.products:
             if not product.linear:
                 profile = product.turning.profile
@@ -67,6 +71,7 @@ class RowTable:
     def arrays(self):
         """The fields of Links that describe the rows."""
         row, first, second, drive, one_way = zip(*self._products) if self._products else [()] * 5
+        shifted, shift, factor = zip(*self._shifts) if self._shifts else [()] * 3
         rest = np.array([value for value, _ in self._vectors], complex)
         points = [list(weights) for _, weights in self._vectors]
         weights = np.array([w for _, weights in self._vectors for w in weights.values()], complex)
@@ -78,6 +83,9 @@ class RowTable:
             "row_start": starts(columns),
             "row_columns": np.array([c for row in columns for c in row], np.int64),
             "row_slopes": _pairs(slopes).ravel(),
+            "shift_row": np.array(shifted, np.int64),
+            "shift_drive": np.array(shift, np.int64),
+            "shift_factor": np.array(factor, float),
             "product_row": np.array(row, np.int64),
             "product_first": np.array(first, np.int64),
             "product_second": np.array(second, np.int64),
@@ -113,11 +121,12 @@ class Drives:
         return len(self.profiles) - 1
 
 
-def _given(name, part):
+def given_rows(name, part):
+    """The Rows of a part, a list. Raises InputError where it gives none."""
     rows = part.rows()
     if not isinstance(rows, (list, tuple)) or not rows:
         raise InputError(f"{name}: rows() of {type(part).__name__} must give a list of rows, not {rows!r}")
-    return rows
+    return list(rows_of(rows))
 
 
 def _apart(part):

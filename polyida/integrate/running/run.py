@@ -14,9 +14,10 @@ from polyida.integrate.running.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, StepFailure
 from polyida.io.file.writer import NotWritten
-from polyida.io.save import commit
+from polyida.io.save import behind_blocks, commit
 from polyida.machine import machine_info
 from polyida.model.guarded import guard
+from polyida.results.sensors import Sensors
 from polyida.trajectory import Trajectory
 
 FLUSH_SECONDS = 2.0
@@ -32,15 +33,15 @@ class Run:
     """A run on its way.
 
     plan: what was asked for, as plain data. store: a FrameStore; where it has a file, that is flushed as the plan
-    says. clocks: wall and CPU time at the start. until, progress: the user's functions or None.
+    says. recorder: of sensors. clocks: wall and CPU time at the start. until, progress: the user's functions or None.
     """
 
-    def __init__(self, model, integrator, plan, store, counts, clocks, until=None, progress=None):
+    def __init__(self, model, integrator, plan, store, recorder, counts, clocks, until=None, progress=None):
         self.model, self.integrator, self.plan, self.store, self.counts = model, integrator, plan, store, counts
-        self.clocks, self.until, self.progress = clocks, until, progress
+        self.recorder, self.clocks, self.until, self.progress = recorder, clocks, until, progress
         self.streams, done = store.file is not None, store.count
         self.sampler = Sampler(store, counts, plan["every"], plan["output"], done)
-        self.last = self.restart = self.flushed = self.watch = None
+        self.last = self.restart = self.flushed = self.watch = self.sensed = None
         self.flushed_steps, self.flushed_at = counts.steps, time.monotonic()
 
     def begin(self, state, overwrite):
@@ -80,6 +81,7 @@ class Run:
         for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts, self.sampler.rows):
             self.watch.step(after)
             at_zero = until.crossing(state, after) if until else None
+            self.recorder.step(after if at_zero is None else at_zero)
             if at_zero is not None:
                 self.sampler.step(state, at_zero)
                 self.last = at_zero
@@ -111,8 +113,9 @@ class Run:
         self.flushed_steps, self.flushed_at = self.counts.steps, time.monotonic()
 
     def _commit(self, status, message, restart, last=False):
-        commit(self.store, status, message, self.counts, self._seconds(), restart, last)
-        self.flushed = restart
+        sensed = behind_blocks(self.store.file, self.recorder.rows)
+        commit(self.store, status, message, self.counts, self._seconds(), restart, sensed, last)
+        self.flushed, self.sensed = restart, self.recorder.count
 
     def _seconds(self):
         wall, cpu = self.clocks
@@ -180,6 +183,7 @@ class Run:
             machine=machine_info(),
             restart=_own(restart) if restart and restart.frames <= len(frames["t"]) else None,
             plan=self.plan,
+            sensors=Sensors(self.recorder.shapes, self.recorder.rows[: self.sensed].copy()),
         )
 
 

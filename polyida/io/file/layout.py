@@ -2,13 +2,13 @@
 
 `format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t` (frames,), `q`, `v`,
 `a` (frames, n), `lam` (frames, m), these four in single precision where that was asked for, and `drive i` (frames, 3) of
-profiles that have no formula. All of them are chunked
+profiles that have no formula; `sensors` (steps, 1 + numbers), the time and what sensors gave, whose names and shapes `about` holds. All of them are chunked
 with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). Frames come in
 blocks, a chunk or a row of chunks of each name, written once and never again, so that none is torn where the process
 ends; the frames behind the last whole block are in the slots.
 
 Two datasets `slot i`, written in turn, the other one whole meanwhile: HEAD, then a record (JSON: how many frames hold,
-how the run stands), the state to go on from and the frames behind the last block, one name after the other.
+how the run stands), the state to go on from, the frames behind the last block, one name after the other, and the steps of sensors there.
 """
 
 import struct
@@ -18,6 +18,7 @@ import numpy as np
 FORMAT = "polyida trajectory 4"
 HEAD = struct.Struct("<QII")  # of a slot: bytes behind it, their CRC-32, bytes of the record
 FRAMES = ("t", "q", "v", "a", "lam")
+SENSORS = "sensors"
 BLOCK_BYTES = 1_000_000  # of frames that are read or written at once
 FEW, BLOCK_FRAMES = 16, 1024  # frames of a block: single ones are slow to write, however long they are
 COLUMNS = 1024  # numbers of a frame in a chunk: with FEW frames one coordinate's history, and one frame, are a small part of the file
@@ -46,3 +47,8 @@ def dtypes_of(shapes, single=False):
 def width_of(shapes):
     """How many numbers make a frame."""
     return sum(int(np.prod(shape)) for shape in shapes.values())
+
+
+def sensed_width(sensors):
+    """How many numbers make a step of sensors, {name: shape of what it gives}: the time and theirs; 0 where there are none."""
+    return 1 + width_of(sensors) if sensors else 0

@@ -12,7 +12,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State
-from polyida.io.file.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, dtypes_of, frames_at_once, shapes_of, width_of
+from polyida.io.file.layout import BLOCK_BYTES, FORMAT, FRAMES, HEAD, SENSORS, dtypes_of, frames_at_once, sensed_width, shapes_of, width_of
 from polyida.io.file.lock import being_written
 from polyida.io.file.source import Source
 from polyida.io.frames import StoredFrames
@@ -65,7 +65,8 @@ class Stored:
     """An open file, checked: plain data `about`, the last whole `record`, `restart`, where the run goes on, or None.
 
     torn: whether a slot is not whole. counts; seconds: (CPU, wall). n, m: of the model. count: frames that hold.
-    single: whether frames are in single precision. columns: {name: StoredFrames} of t, q, v, a, lam and the drives. Raises InputError, or whatever a damaged file makes fail.
+    single: whether frames are in single precision. columns: {name: StoredFrames} of t, q, v, a, lam and the drives; sensed: the same of the
+    rows of sensors. Raises InputError, or whatever a damaged file makes fail.
     """
 
     def __init__(self, file, path, size, live=False):
@@ -77,6 +78,7 @@ class Stored:
             self.record, numbers = self._newest()
             self.n, self.m = (self._dataset(name, None, None).shape[1] if name in file else 0 for name in ("q", "lam"))
             self.shapes = shapes_of(self.n, self.m, dict.fromkeys(self.about["drives"]))
+            self.sensors = {str(name): tuple(map(int, shape)) for name, shape in self.about.get(SENSORS, {}).items()}
             self.seconds = float(self.record["cpu_seconds"]), float(self.record["wall_seconds"])
             self.counts = counts_of(self.record["counts"])
             self._unpack(numbers)
@@ -155,26 +157,34 @@ class Stored:
     def _unpack(self, numbers):
         """Split the numbers of a slot into the state to go on from and the frames behind the last block."""
         record, n, m = self.record, self.n, self.m
-        self.count, rows = int(record["frames"]), int(record["tail"])
-        found = {name: self._dataset(name, None, *shape) for name, shape in self.shapes.items() if shape != (0,)}
-        least = min(map(len, found.values()))
-        if not 0 <= rows <= self.count <= least + rows:
-            raise InputError(f"it holds {least} frames, {self.count - rows} are stated; the file is damaged")
         memory = [(str(name), tuple(map(int, shape))) for name, shape in record["memory"]]
         shapes = [(), (n,), (n,), (n,), (m,), *(shape for _, shape in memory)] if record["restart"] else []
-        shapes += [(rows, *shape) for shape in self.shapes.values()]
+        self.count, rows = int(record["frames"]), int(record["tail"])
+        steps, sensed, width = int(record.get(SENSORS, 0)), int(record.get("sensors tail", 0)), (sensed_width(self.sensors),)
+        found = self._found("frames", self.shapes, self.count, rows)
+        shapes += [*((rows, *shape) for shape in self.shapes.values()), (sensed, *width)]
         sizes = [int(np.prod(shape)) for shape in shapes]
         if min(sizes) < 0 or sum(sizes) != len(numbers) or not np.isfinite(numbers).all():
             raise InputError("the last frames, or the state to go on from, are damaged")
         parts = [part.reshape(shape) for part, shape in zip(np.split(numbers, np.cumsum(sizes)), shapes)]
-        tails = dict(zip(self.shapes, parts[-len(self.shapes) :]))
+        tails = dict(zip(self.shapes, parts[-len(self.shapes) - 1 :]))
         self.single = found["q"].dtype == np.float32
         none = np.zeros((self.count, 0))  # of no width: lam without constraints
         self.columns = {
             name: StoredFrames(found.get(name, none), tails[name].astype(dtype), self.count, self.path)
             for name, dtype in dtypes_of(self.shapes, self.single).items()
         }
+        found = self._found("steps of sensors", {SENSORS: width}, steps, sensed)
+        self.sensed = StoredFrames(found.get(SENSORS, none[:0]), parts[-1], steps, self.path)
         self.restart = self._restart([name for name, _ in memory], parts) if record["restart"] else None
+
+    def _found(self, what, shapes, count, rows):
+        """{name: dataset} of columns of which `count` rows hold, the last `rows` of these not in it."""
+        found = {name: self._dataset(name, None, *shape) for name, shape in shapes.items() if shape != (0,)}
+        least = min(map(len, found.values()), default=count)
+        if not 0 <= rows <= count <= least + rows:
+            raise InputError(f"it holds {least} {what}, {count - rows} are stated; the file is damaged")
+        return found
 
     def _restart(self, names, parts):
         told, state = self.record["restart"], State(float(parts[0]), *parts[1:5], dict(zip(names, parts[5:])))
@@ -183,27 +193,32 @@ class Stored:
         return Restart(state, int(told["frames"]), counts_of(told["counts"]).as_dict())
 
     def check(self):
-        """Look through all frames; those behind the first that is damaged are given up. Returns what is wrong, or "".
+        """Look through all frames, and all that sensors gave; those behind the first that is damaged are given up. Returns what is wrong, or "".
 
         Raises InputError where no frame is whole.
         """
         good, why = min((self._whole(name, frames) for name, frames in self.columns.items()), key=lambda found: found[0])
-        if good == self.count:
-            return ""
-        if good == 0:
+        sensed, fault = self._whole(SENSORS, self.sensed)
+        wrong = []
+        if good == 0 < self.count:
             raise InputError(f"all its frames are damaged: {why}")
-        message = f"frames {good} to {self.count - 1} are damaged ({why}); these are the ones before"
-        self.count, self.restart = good, None
-        for frames in self.columns.values():
-            frames.cut(good)
-        return message
+        if good < self.count:
+            wrong.append(f"frames {good} to {self.count - 1} are damaged ({why}); these are the ones before")
+        if sensed < len(self.sensed):
+            wrong.append(f"of sensors, steps {sensed} to {len(self.sensed) - 1} are damaged ({fault})")
+        if wrong:
+            self.count, self.restart = good, None
+            for frames in self.columns.values():
+                frames.cut(good)
+            self.sensed.cut(sensed)
+        return "; ".join(wrong)
 
     def _whole(self, name, frames):
         """(how many frames of a column come before the first that is damaged, what that is)."""
-        step, last = frames_at_once(width_of(self.shapes)), -np.inf
-        for first in range(0, self.count, step):
+        step, last, count = frames_at_once(width_of(self.shapes)), -np.inf, len(frames)
+        for first in range(0, count, step):
             try:
-                values = frames.rows(first, min(first + step, self.count))
+                values = frames.rows(first, min(first + step, count))
             except OSError as error:
                 return first, f"{name}: {'its checksum does not fit' if 'filter' in str(error) else error}"
             wrong = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
@@ -213,7 +228,7 @@ class Stored:
                     "values that are not finite" if wrong.any() else "the times do not increase"
                 )
             last = values[-1]
-        return self.count, ""
+        return count, ""
 
     def frames(self, limit):
         """{name: frames} of t, q, v, a and lam: arrays, but StoredFrames where all are over `limit` bytes and they not small beside it.

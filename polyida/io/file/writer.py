@@ -11,13 +11,12 @@ from uuid import uuid4
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.io.file.checksum import fletcher32
-from polyida.io.file.layout import FORMAT, HEAD, chunk_of, dtypes_of, frames_at_once, shapes_of, width_of
+from polyida.io.file.layout import FORMAT, HEAD, SENSORS, dtypes_of, shapes_of
 from polyida.io.file.lock import CAN_TELL, being_written, lock, require_unwritten
+from polyida.io.file.table import Table
 
 ABOVE = 1 << 18  # bytes that are reserved on the disk beyond what is known to be needed
 SLOT_CHUNK = 1 << 16
-CHECK = 4  # bytes of a chunk's checksum
 YOUNG = 60.0  # s: a file of that age that nobody has locked may be about to be
 FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
@@ -43,20 +42,18 @@ def taken(path):
 class Writer:
     """A file under construction, held open by its descriptor: beside `shown`, where `publishing` brings it. Methods raise NotWritten.
 
-    path: where it lies. single: see FrameStore. count: frames in whole blocks; held: frames of the last commit. drives: {name: profile}.
+    path: where it lies. single: see FrameStore. frames, sensors: Tables; held: frames of the last commit. drives: {name: profile}; width: of a
+    row of sensors, 0 where there are none.
     """
 
-    def __init__(self, shown, n, m, about, arrays, drives, fsync=False, single=False):
+    def __init__(self, shown, n, m, about, arrays, drives, fsync=False, single=False, width=0):
         import h5py
 
         self.shown, self.path, self.commits = shown, shown.with_name(f".polyida-{uuid4().hex}.part"), 0
-        self.count = self.held = 0
-        self.drives, self.fsync, self.shapes = drives, fsync, shapes_of(n, m, drives)
-        self.rows = frames_at_once(width_of(self.shapes))
-        shapes, dtypes = self.shapes.items(), dtypes_of(self.shapes, single)
-        self._packs = {name: _pack(chunk_of(self.rows, shape), dtypes[name]) for name, shape in shapes if shape != (0,)}
-        self._block = sum(len(stored) * -(-self._size(name) // numbers.size) for name, (stored, numbers) in self._packs.items())
-        self._reserved, self._slots, self._datasets = 0, 2 * (self._block + SLOT_CHUNK), {}
+        self.held, self.drives, self.fsync, shapes = 0, drives, fsync, shapes_of(n, m, drives)
+        self.frames, self.sensors = Table(shapes, dtypes_of(shapes, single)), Table({SENSORS: (width,)}, {SENSORS: np.dtype("f8")})
+        self._tables = self.frames, self.sensors
+        self._reserved, self._slots = 0, 2 * (sum(table.block_bytes for table in self._tables) + SLOT_CHUNK)
         with taken(shown):
             self.descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         try:
@@ -80,10 +77,8 @@ class Writer:
             raise InputError(f"no file can be written there: {error}") from None
 
     def _make(self, about, arrays):
-        for name, (_, numbers) in self._packs.items():
-            shape = self.shapes[name]
-            options = {"maxshape": (None, *shape), "chunks": numbers.shape, "fletcher32": True}
-            self._datasets[name] = self._file.create_dataset(name, (0, *shape), numbers.dtype, **options)
+        for table in self._tables:
+            table.make(self._file)
         self._file.attrs["format"] = FORMAT
         text = np.frombuffer(json.dumps(about, default=_listed).encode(), np.uint8)
         for key, values in {"about": text, **arrays}.items():
@@ -94,45 +89,38 @@ class Writer:
         self._file.flush()
         self._file.swmr_mode = True
 
-    def _size(self, name):
-        """Numbers of a block."""
-        return self.rows * int(np.prod(self.shapes[name]))
+    @property
+    def rows(self):
+        """Frames of a block."""
+        return self.frames.rows
 
-    def append(self, block):
-        """Append frames, a list of arrays in the order of `shapes`: as many as a chunk holds, or the run's last ones."""
-        end = self.count + len(block[0])
+    @property
+    def count(self):
+        """Frames in whole blocks."""
+        return self.frames.count
+
+    def append(self, block, table=None):
+        """Append a block of frames, a list of arrays in the order of their shapes, or of the rows of another table."""
+        table = table or self.frames
         with taken(self.shown):
-            self._reserve(end)
-            for name, values in zip(self.shapes, block):
-                if name in self._datasets:
-                    self._put(self._datasets[name].id, *self._packs[name], values)
-        self.count = end
+            self._reserve(table, len(block[0]))
+            table.append(block)
 
-    def _put(self, dataset, stored, numbers, values):
-        """Write chunks as they are stored, past the library: with our own checksum, and copied once."""
-        rows, flat, place = len(values), values.reshape(len(values), -1), numbers.reshape(len(numbers), -1)
-        dataset.set_extent((self.count + rows, *values.shape[1:]))
-        place[rows:] = 0.0
-        for first in range(0, flat.shape[1], place.shape[1]):
-            part = flat[:, first : first + place.shape[1]]
-            place[:rows, : part.shape[1]], place[:, part.shape[1] :] = part, 0.0
-            stored[-CHECK:] = np.frombuffer(fletcher32(stored[:-CHECK]).to_bytes(CHECK, "little"), np.uint8)
-            dataset.write_direct_chunk((self.count, first)[: values.ndim], stored)
-
-    def commit(self, record, numbers, tail, last=False):
-        """Make all frames so far hold: flush them, then `record` (plain data), the state `numbers` and the frames `tail`.
+    def commit(self, record, numbers, tail, sensed, last=False):
+        """Make all so far hold: flush it, then `record` (plain data), the state `numbers`, the frames `tail`, the rows of sensors `sensed`.
 
         last: into both slots, so that damage to one of them does no harm.
         """
-        record |= {"frames": self.count + len(tail[0]), "tail": len(tail[0])}
-        numbers = np.concatenate([np.ravel(x) for x in (*numbers, *tail)]).tobytes()
+        record |= {"frames": self.frames.count + len(tail[0]), "tail": len(tail[0])}
+        record |= {"sensors": self.sensors.count + len(sensed), "sensors tail": len(sensed)}
+        numbers = np.concatenate([np.ravel(x) for x in (*numbers, *tail, sensed)]).tobytes()
         for _ in range(1 + last):
             text = json.dumps(record | {"commit": self.commits}, default=_listed).encode()
             body = text + numbers
             content = np.frombuffer(HEAD.pack(len(body), zlib.crc32(body), len(text)) + body, np.uint8)
             with taken(self.shown):
                 self._slots = max(self._slots, 2 * (len(content) + SLOT_CHUNK))
-                self._reserve(self.count)
+                self._reserve()
                 self._flush()
                 slot = self._file[f"slot {self.commits % 2}"]
                 slot.resize(max(len(slot), len(content)), axis=0)
@@ -145,12 +133,12 @@ class Writer:
         if self.fsync:
             os.fsync(self.descriptor)
 
-    def _reserve(self, count):
-        """Have the disk promise room for `count` frames before HDF5 gets them: a file that it could not write it cannot close.
+    def _reserve(self, growing=None, rows=0):
+        """Have the disk promise room for `rows` more before HDF5 gets them: a file that it could not write it cannot close.
 
         HDF5 gives chunks their place late, so what is needed is counted here: whole chunks, their checksums and index.
         """
-        chunks = -(-count // self.rows) * self._block
+        chunks = sum(table.bytes(rows if table is growing else 0) for table in self._tables)
         need = self._start + chunks + chunks // 32 + self._slots + ABOVE
         if need > self._reserved and hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self.descriptor, 0, need)
@@ -228,12 +216,6 @@ def _move_new(source, target):
     except OSError:  # a file system without links
         target.touch(exist_ok=False)
         os.replace(source, target)
-
-
-def _pack(chunk, dtype):
-    """(the bytes of a chunk as it is stored, its numbers in them)."""
-    stored = np.empty(dtype.itemsize * int(np.prod(chunk)) + CHECK, np.uint8)
-    return stored, stored[:-CHECK].view(dtype).reshape(chunk)
 
 
 def _trim(descriptor):

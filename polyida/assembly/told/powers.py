@@ -3,23 +3,25 @@
 import numpy as np
 
 from polyida.assembly.damping import add_damping
+from polyida.assembly.gravity import NAME, pulls_of
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.formula import Row, rows_of
 from polyida.model.differences import along
 
-NEAR = 1e-3  # of the scene's size, over which an element's energy is differentiated: contacts are that shallow
+NEAR = 1e-3  # of the size of its sides' places, over which an element's energy is differentiated: contacts are that shallow
 
 
 class Powers:
     """{name: W} at an instant, of loads, of joints whose rows a profile drives, of force elements beyond their energy, of damping.
 
-    A load gives `f . v`, a joint `lam . phi_t` of its rows (the force `-phi_q^T lam` on `v`, and `phi_q v = -phi_t`), an element
+    A load gives `f . v`, alike gravity that follows a profile, a joint `lam . phi_t` of its rows (the force `-phi_q^T lam` on `v`, and `phi_q v = -phi_t`), an element
     `sum f . v + dE/dt`, a plate minus what its damping takes. dissipating: names of those that only take.
     """
 
     def __init__(self, model):
         self.model = model
         self._loads = {name: _Load(part, model) for name, part in model.parts.items() if isinstance(part, (PointLoad, EdgeTraction))}
+        self._pulls = pulls_of(model.gravity, model.parts, model.places)
         self._driven = {name: model.rows[name] for name, part in model.joints.items() if _driven(part)}
         self._elements = [own for own in model.own_forces.each if not own.strain]
         self._damped = [placed for placed in (*model.bodies, *model.few) if placed.damped]
@@ -30,6 +32,8 @@ class Powers:
 
     def __call__(self, t, q, v, lam):
         found = {name: load.power(t, v) for name, load in self._loads.items()}
+        if self._pulls:
+            found[NAME] = sum(pull.power(t, v.reshape(-1, 2)) for pull in self._pulls)
         if self._driven:
             power = lam * self.model.phi_t(t, q)
             found |= {name: float(power[rows].sum()) for name, rows in self._driven.items()}
@@ -62,7 +66,7 @@ def _driven(part):
 
 def _beyond_energy(own, t, x, v):
     """`sum f . v + dE/dt` of a force element, W: zero where its forces are those of its energy E."""
-    power, speed = float(np.vdot(own.forces(t, x, v), v)), float(np.linalg.norm(v))
-    if not speed:
+    power, pace = float(np.vdot(own.forces(t, x, v), v)), float(np.abs(v / own.sizes).max())
+    if not pace:
         return 0.0
-    return power + speed * float(along(lambda s: own.energy(x + s / speed * v), NEAR * float(own.sizes.min())))
+    return power + pace * float(along(lambda s: own.energy(x + s / pace * v), NEAR))

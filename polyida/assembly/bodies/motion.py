@@ -1,0 +1,101 @@
+"""How bodies move at the start: as rigid, by the velocity and spin that they were given, as far as their joints let them."""
+
+import warnings
+
+import numpy as np
+
+from polyida.assembly.bodies.places import PlacedPlate
+from polyida.body.material import vector2
+from polyida.errors import InputError
+from polyida.given import complex_of_pairs, is_number, pairs_of
+
+NOTHING = 1e-12  # of the largest: masses and inertias of a motion that are none
+CHANGED = 0.1  # of the root of the kinetic energy, by which joints may change a motion before it is told
+TOLD = 3  # bodies that a warning names
+
+
+def motion_of(body):
+    """(velocity, complex, m/s, spin, rad/s) that a body was given, or the plate that it is made of. Raises InputError."""
+    given = getattr(body, "plate", None) or body
+    if not is_number(given.spin):
+        raise InputError(f"{given.label}: spin = {given.spin!r} must be a finite number of rad/s")
+    return complex(*vector2(given.label, "velocity", given.velocity)), float(given.spin)
+
+
+def rigid_velocity(pull, translation, z, velocity, spin):
+    """Velocities (pairs,), complex, of coordinates z that move as one rigid body: `T V + i spin (z - T x_G)`, V that of its centre of mass.
+
+    translation: T (pairs,). pull: M T, so that `x_G = T^H M z / T^H M T`, zero of a body without mass.
+    """
+    centre = np.vdot(pull, z) / (np.vdot(pull, translation) or 1.0)
+    return translation * velocity + 1j * spin * (z - translation * centre)
+
+
+def velocity_at(model, t, q):
+    """Velocities (n,) of a scene at (t, q) whose bodies move as they were given, changed by what joints ask of bodies that stay rigid.
+
+    The change has the least kinetic energy, `min (w - w_0)^T R^T M R (w - w_0)`, `phi_q R w + phi_t = 0`: R (n, 3 bodies), w velocity and
+    spin of each; where these rows contradict each other they are met in the least-squares sense. A warning says where it is large.
+    """
+    bodies = [*model.bodies, *model.few]
+    wanted = np.array([[v.real, v.imag, spin] for v, spin in (motion_of(_user(placed)) for placed in bodies)]).ravel()
+    if not wanted.any():
+        return np.zeros(model.n)
+    R = _motions(model, bodies, q)
+    changed = wanted + _change(model, t, q, R, wanted)
+    _warn_of_change(model, [placed.name for placed in bodies], R, wanted, changed)
+    return R @ changed
+
+
+def _user(placed):
+    return getattr(placed, "plate", None) or placed.user
+
+
+def _motions(model, bodies, q):
+    """R, (n, 3 bodies), sparse: the velocities of q for a unit of velocity along x, along y, and of spin, of each body."""
+    from scipy.sparse import block_diag
+
+    z = complex_of_pairs(model.reference + q.reshape(-1, 2))
+    columns = []
+    for placed in bodies:
+        pull, translation = _pull(placed)
+        units = [rigid_velocity(pull, translation, z[placed.pairs], *unit) for unit in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
+        columns.append(np.stack([pairs_of(unit).ravel() for unit in units], axis=1))
+    return block_diag(columns, format="csr")
+
+
+def _pull(placed):
+    """(M T, T), (pairs,) each."""
+    if isinstance(placed, PlacedPlate):
+        return np.add.reduceat(placed.operator.mass, placed.operator.indptr[:-1]), np.ones(placed.mesh.n_nodes)
+    return complex_of_pairs(placed.weight((1.0, 0.0))), placed.translation
+
+
+def _change(model, t, q, R, wanted):
+    """The least change of the motions that `phi_q R w + phi_t = 0` asks for, (3 bodies,)."""
+    if not model.m:
+        return np.zeros_like(wanted)
+    metric = (R.T @ model.mass(q) @ R).toarray()
+    units = 1.0 / np.sqrt(np.maximum(np.diag(metric), NOTHING * np.diag(metric).max()))
+    sizes, axes = np.linalg.eigh(units[:, None] * metric * units)
+    roots = units[:, None] * axes[:, sizes > NOTHING] / np.sqrt(sizes[sizes > NOTHING])
+    rows = (model.phi_q(t, q) @ R).toarray()
+    rate = rows @ wanted + model.phi_t(t, q)
+    return -roots @ np.linalg.lstsq(rows @ roots, rate, rcond=NOTHING)[0]
+
+
+def _warn_of_change(model, names, R, wanted, changed):
+    """Warn where joints change the motion that bodies were given by much."""
+    M, parts = model.mass(np.zeros(model.n)), np.eye(len(names)).repeat(3, axis=1) * (changed - wanted)
+    energies, given, change = ([part @ (M @ part) for part in moved] for moved in ((R @ parts.T).T, [R @ wanted], [R @ (changed - wanted)]))
+    if not change[0] > CHANGED**2 * given[0] > 0.0:
+        return
+    share, told = np.sqrt(change[0] / given[0]), []
+    for k in np.argsort(energies)[::-1][:TOLD]:
+        (vx, vy, spin), (ux, uy, turn) = wanted[3 * k : 3 * k + 3], changed[3 * k : 3 * k + 3]
+        told.append(f"{names[k]!r} from ({vx:.3g}, {vy:.3g}) m/s, {spin:.3g} rad/s to ({ux:.3g}, {uy:.3g}) m/s, {turn:.3g} rad/s")
+    warnings.warn(
+        f"the joints do not let the bodies move as given: they change the start by {100 * share:.0f} % (root of its kinetic energy), "
+        f"{'; '.join(told)}; velocity is that of the centre of mass",
+        stacklevel=2,
+    )

@@ -1,0 +1,116 @@
+"""Contact of a point with a line or a circle."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.body.material import number, positive
+from polyida.compiled import entry, part
+from polyida.errors import InputError
+from polyida.force.force_element import ForceElement
+from polyida.given import settle
+from polyida.joint.attachment import require_sides
+from polyida.keywords import named_keywords
+
+
+@part
+def hunt_crossley(depth, rate, data):
+    """`k depth^n (1 + 3/2 c rate)`, N, zero where that pulls or there is no contact."""
+    if depth <= 0.0:
+        return 0.0
+    return max(0.0, data[0] * depth ** data[2] * (1.0 + 1.5 * data[1] * rate))
+
+
+@entry
+def on_line(t, x, v, data, f):
+    """`n F` on the point, the first side, and what that is on the line's point and direction d, the others; n = i d/|d|.
+
+    With w from the line's point to the point: depth `delta = -w . n`, and `F d(delta)/dd = F (i w - delta d/|d|) / |d|` is minus the force on d.
+    """
+    wx, wy, dx, dy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1], x[2, 0], x[2, 1]
+    size = np.sqrt(dx * dx + dy * dy)
+    nx, ny = -dy / size, dx / size
+    depth = -(wx * nx + wy * ny)
+    ax, ay = (-wy - depth * dx / size) / size, (wx - depth * dy / size) / size
+    rate = -((v[0, 0] - v[1, 0]) * nx + (v[0, 1] - v[1, 1]) * ny) + ax * v[2, 0] + ay * v[2, 1]
+    force = hunt_crossley(depth, rate, data)
+    f[0, 0], f[0, 1] = force * nx, force * ny
+    f[1, 0], f[1, 1] = -force * nx, -force * ny
+    f[2, 0], f[2, 1] = -force * ax, -force * ay
+
+
+@entry
+def on_circle(t, x, v, data, f):
+    """`n F` on the point, the first side, the opposite on the centre; n from the centre to the point, depth r - |w|."""
+    wx, wy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1]
+    size = np.sqrt(wx * wx + wy * wy)
+    nx, ny = wx / size, wy / size
+    rate = -((v[0, 0] - v[1, 0]) * nx + (v[0, 1] - v[1, 1]) * ny)
+    force = hunt_crossley(data[3] - size, rate, data)
+    f[0, 0], f[0, 1] = force * nx, force * ny
+    f[1, 0], f[1, 1] = -force * nx, -force * ny
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Contact(ForceElement):
+    """A point against a line, or against a circle from outside, by a smooth penalty: `F = k delta^n (1 + 3/2 c delta')`, N, which never pulls.
+
+    delta: how deep the point a is in what b bounds, m. Without a radius that is the half-plane to the right of the line through b along its
+    direction (below `ground.at(point)`, whose direction is the x axis); with a radius, m, the circle about the point b. stiffness k, N/m^n;
+    exponent n, 1 or more, 3/2 of Hertz; damping c, s/m: slow blows at a speed v come back with (1 - c v) v. There is no friction. Energy
+    `k delta^(n + 1) / (n + 1)`; `3/2 c k delta^n delta'^2` is dissipated.
+    Raises InputError for wrong values, and for a line whose side has no direction.
+    Source: Hunt, Crossley, J. Appl. Mech. 42 (1975) 440-445.
+    """
+
+    a: Any
+    b: Any
+    stiffness: float
+    damping: float = 0.0
+    exponent: float = 1.5
+    radius: float | None = None
+    name: str | None = None
+    law = on_line
+    dissipates = True
+
+    def __post_init__(self):
+        require_sides(self.label, self.a, self.b)
+        for side in (self.a, self.b):
+            if side.point is None:
+                raise InputError(f"{self.label}: ground has no place by itself; use ground.at(point)")
+        if self.radius is None and not self.b.has_direction:
+            raise InputError(f"{self.label}: {self.b!r} has no direction, and there is no radius; give a radius, or {self.b.advice}")
+        settle(
+            self,
+            stiffness=positive(self.label, "stiffness", self.stiffness, "N/m^exponent"),
+            damping=number(self.label, "damping", self.damping, "s/m", 0.0),
+            exponent=number(self.label, "exponent", self.exponent, "no unit", 1.0),
+            radius=None if self.radius is None else positive(self.label, "radius", self.radius, "metres"),
+        )
+
+    @property
+    def compiled_law(self) -> Any:
+        """Against a line or a circle."""
+        return on_line if self.radius is None else on_circle
+
+    def sides(self) -> tuple:
+        """The point, the point of the line or circle, and the line's direction."""
+        return (self.a, self.b, self.b.d) if self.radius is None else (self.a, self.b)
+
+    def numbers(self) -> list:
+        """k, c, n and the radius, of a line none."""
+        return [self.stiffness, self.damping, self.exponent, *([] if self.radius is None else [self.radius])]
+
+    def depth(self, x: NDArray) -> float:
+        """delta at the places of the sides, m; negative where there is no contact."""
+        w = x[0] - x[1]
+        if self.radius is not None:
+            return float(self.radius - np.linalg.norm(w))
+        return float(w[0] * x[2, 1] - w[1] * x[2, 0]) / float(np.linalg.norm(x[2]))
+
+    def energy(self, x: NDArray) -> float:
+        """`k delta^(n + 1) / (n + 1)`, J."""
+        return self.stiffness * max(0.0, self.depth(x)) ** (self.exponent + 1.0) / (self.exponent + 1.0)

@@ -1,0 +1,46 @@
+"""Distance: two points a fixed length apart."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.body.material import positive
+from polyida.errors import InputError
+from polyida.given import settle
+from polyida.joint.attachment import labelled
+from polyida.joint.formula import Row, Vector, dot
+from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Distance(Joint):
+    """Two points stay a length l apart, as by a massless rod: `phi = (w . w - l^2) / (2 l)`, w = x_B - x_A (1 row, m).
+
+    a, b: attachments, one of them perhaps a place of the ground, `ground.at(point)`. length: l, m; that of the drawing where it is None.
+    Reaction on b, (2,): force, N, along the line; the tension of the rod is minus the multiplier.
+    Raises InputError for a length that is not positive.
+    """
+
+    length: float | None = None
+    placing = "place the bodies so that their points are the length apart"
+
+    def __post_init__(self):
+        super().__post_init__()
+        label = labelled("Distance", self.name)
+        if self.a.point is None or self.b.point is None:
+            raise InputError(f"{label}: ground has no place by itself; use ground.at(point)")
+        drawn = float(np.linalg.norm(self.b.point - self.a.point))
+        settle(self, length=positive(label, "length", drawn if self.length is None else self.length, "metres"))
+
+    def rows(self) -> list[Row | Vector]:
+        """`(w . w - l^2) / (2 l)`."""
+        w, length = self.b.x - self.a.x, float(self.length or 0.0)
+        return [((dot(w, w) - length**2) / (2.0 * length)).named("", "N")]
+
+    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
+        """Force on b, (frames, 2), N."""
+        return -lam / self.length * values(self.b.x - self.a.x)

@@ -1,0 +1,1 @@
+"""Mechanisms of bodies and joints, the flexible ones at three levels: full plates, reduced ones, rigid ones."""

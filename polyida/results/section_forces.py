@@ -1,0 +1,113 @@
+"""Normal force, shear force and bending moment through a cut of a plate."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.assembly.scene_model import SceneModel
+from polyida.body.material import vector2
+from polyida.body.plate import Plate
+from polyida.errors import InputError
+from polyida.given import complex_of_pairs, pairs_of
+from polyida.io.frames import each
+from polyida.mesh import PolygonMesh
+from polyida.results.slivers import ROUND, Slivers
+
+
+@dataclass(frozen=True, eq=False)
+class SectionForces:
+    """What the part of a plate ahead of a cut does to the part behind it, over frames.
+
+    normal (frames,), N, > 0 in tension, and shear (frames,), N: its force along `direction`, the cut's normal as it has turned, and
+    along that turned by +90 degrees. moment (frames,), N m, counter-clockwise, about `point`. point, direction (frames, 2): the
+    place, m, and the normal of the cut, moved with its nodes as one rigid set. Along a bar at rest with the load (px, py) a length,
+    s towards `direction`: `normal' = -px`, `shear' = -py`, `moment' = -shear`.
+    """
+
+    normal: NDArray
+    shear: NDArray
+    moment: NDArray
+    point: NDArray
+    direction: NDArray
+
+
+def section_forces(motion, plate, at, normal, frame=None):
+    """The SectionForces of a plate, by name or itself, at a place and normal of its mesh, over all frames or in one."""
+    cut = Cut(motion.model, _body(motion.model, plate), at, normal)
+    if frame is not None:
+        return _told(np.array(cut(float(motion.t[frame]), *(np.asarray(x[frame], float) for x in (motion.q, motion.v, motion.a)))))
+    states = zip(motion.t, each(motion.q), each(motion.v), each(motion.a))
+    return _told(np.array([cut(*state) for state in states]).reshape(-1, 7))
+
+
+def _told(found):
+    return SectionForces(found[..., 0], found[..., 1], found[..., 2], found[..., 3:5], found[..., 5:])
+
+
+class Cut:
+    """A straight cut across a plate.
+
+    The cells that are ahead for the most part are a plate of their own; what r = M a + g of that one leaves at the nodes that it
+    shares with the others is what these do to it. Slivers between there and the line are put on their side with their inertia,
+    weight and damping. So the forces are in exact equilibrium with what accelerates the part ahead and what acts on it. Raises InputError where
+    nothing is parted.
+    """
+
+    def __init__(self, model, body, at, normal):
+        label, mesh = f"section_forces: {body.name}", body.mesh
+        at, way = vector2(label, "at", at), vector2(label, "normal", normal)
+        if not np.hypot(*way) > 0:
+            raise InputError(f"{label}: normal = {normal!r} must not be zero")
+        turn = np.exp(1j * body.plate.angle)
+        place, way = turn * complex(*at) + complex(*body.plate.origin), turn * complex(*way) / np.hypot(*way)
+        ahead = _ahead(mesh, (mesh.points + body.plate.origin - pairs_of(place)) @ pairs_of(way))
+        self.nodes, part = _part(body.plate.mesh, ahead)
+        self.cut = np.flatnonzero(np.isin(self.nodes, mesh.nodes[np.repeat(~ahead, np.diff(mesh.offsets))]))
+        if not self.cut.size:
+            raise InputError(f"{label}: a cut at {at.tolist()} across {normal!r} does not part the plate")
+        self.body, self.place, self.way = body, place, way
+        self.ahead = SceneModel({body.name: replace(body.plate, mesh=part)}, model.gravity)
+        self.rest = complex_of_pairs(self.ahead.reference[self.cut])
+        self.slivers = Slivers(body, model.gravity, pairs_of(place), pairs_of(way), ahead)
+
+    def __call__(self, t, q, v, a):
+        """normal, shear, moment, point x and y, direction x and y at an instant."""
+        u, v, a = (x.reshape(-1, 2)[self.body.nodes] for x in (q, v, a))
+        left = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, v, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
+        x = self.rest + complex_of_pairs(u[self.nodes][self.cut])
+        turn = np.vdot(self.rest - self.rest.mean(), x - x.mean())
+        turn /= abs(turn) or 1.0
+        point, way = x.mean() + turn * (self.place - self.rest.mean()), turn * self.way
+        forces = -complex_of_pairs(np.concatenate([left, self.slivers.forces(t, v, a)]))
+        arms = np.concatenate([x, complex_of_pairs(self.slivers.places(u))]) - point
+        through = way.conjugate() * forces.sum()
+        return through.real, through.imag, np.vdot(arms, forces).imag, point.real, point.imag, way.real, way.imag
+
+
+def _ahead(mesh, distance):
+    """The cells that are ahead of a line by the mean of their corners' distances (nodes,); near an end by all of them, or by one."""
+    corners, first, near = distance[mesh.nodes], mesh.offsets[:-1], ROUND * np.ptp(distance)
+    ahead = np.add.reduceat(corners, first) > 0
+    if ahead.all():
+        return np.minimum.reduceat(corners, first) >= -near
+    return ahead if ahead.any() else np.maximum.reduceat(corners, first) > near
+
+
+def _part(mesh, chosen):
+    """(nodes, mesh) of the chosen cells of a mesh."""
+    corners = mesh.nodes[np.repeat(chosen, np.diff(mesh.offsets))]
+    nodes, numbers = np.unique(corners, return_inverse=True)
+    offsets = np.concatenate([[0], np.cumsum(np.diff(mesh.offsets)[chosen])])
+    return nodes, PolygonMesh(mesh.points[nodes], numbers, offsets) if chosen.any() else None
+
+
+def _body(model, plate: Any):
+    """The full plate that is meant, in its scene."""
+    known = {body.name: body for body in model.bodies}
+    name = next((name for name, body in known.items() if body.plate is plate), plate)
+    if isinstance(name, str) and name in known:
+        return known[name]
+    given = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no full plate is called {plate!r:.100}"
+    raise InputError(f"section_forces: {given}; known: {', '.join(map(repr, known)) or 'none'}")

@@ -1,0 +1,215 @@
+"""Velocity and spin of bodies at the start: as rigid bodies move, as far as joints let them, in every integrator, in files."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import polyida as pi
+
+V, SPIN = (0.7, -0.4), 3.0
+INTEGRATORS = {
+    "alpha": lambda: pi.GeneralizedAlpha(h=1e-3),
+    "energy": lambda: pi.EnergyMomentum(h=1e-3),
+    "IDA": lambda: pi.IDA(rtol=1e-8, atol=1e-10),
+    "Radau": lambda: pi.RadauIIA(rtol=1e-8),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Dumbbell(pi.Body):
+    """Two masses, 1 and 3 kg, 0.8 m apart, each a coordinate of its own."""
+
+    velocity: tuple = V
+    spin: float = SPIN
+    name: str | None = None
+
+    def coordinates(self):
+        return [1.0 + 1.0j, 1.8 + 1.0j]
+
+    def mass_matrix(self):
+        return np.diag([1.0, 3.0])
+
+    def attachments(self):
+        return {"a": [1.0, 0.0], "b": [0.0, 1.0]}
+
+    def translation(self):
+        return [1.0, 1.0]
+
+    def rows(self):
+        w = self.at("b").x - self.at("a").x
+        return [(pi.dot(w, w) - 0.64) * (0.5 / 0.8)]
+
+
+@dataclass(frozen=True, eq=False)
+class Weightless(pi.Body):
+    """A point that joints carry."""
+
+    name: str | None = None
+
+    def coordinates(self):
+        return [0.5j]
+
+    def mass_matrix(self):
+        return np.zeros((1, 1))
+
+    def attachments(self):
+        return {"here": [1.0]}
+
+
+def plate(scenes, **motion):
+    return scenes.plate("bar", 12, angle=0.3, origin=(2.0, 1.0), **motion)
+
+
+BODIES = {
+    "plate": plate,
+    "rigid plate": lambda scenes, **motion: pi.Rigid(plate(scenes, **motion)),
+    "reduced plate": lambda scenes, **motion: pi.Reduced(plate(scenes, **motion), modes=2),
+    "rigid body": lambda scenes, **motion: pi.RigidBody(
+        2.0, 0.3, {"left": (0, 0), "right": (1, 0)}, origin=(2, 1), angle=0.3, center=(0.5, 0.1), name="bar", **motion
+    ),
+}
+
+
+def energy(model, state):
+    return 0.5 * state.v @ (model.mass(state.q) @ state.v)
+
+
+def with_body(body):
+    scene = pi.Scene()
+    scene.add(body)
+    return scene.build()
+
+
+def inertia(kind):
+    """About the centre of mass, kg m2, in closed form."""
+    return {"dumbbell": 0.75 * 0.8**2, "rigid body": 0.3}.get(kind, 1.1 * (1.0**2 + 0.1**2) / 12)
+
+
+@pytest.mark.parametrize("kind", [*BODIES, "dumbbell"])
+def test_a_free_body_moves_as_it_was_given(scenes, kind):
+    model = with_body(Dumbbell(name="bar") if kind == "dumbbell" else BODIES[kind](scenes, velocity=V, spin=SPIN))
+    mass = {"dumbbell": 4.0, "rigid body": 2.0}.get(kind, 1.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        state = pi.consistent_state(model)
+    assert energy(model, state) == pytest.approx(0.5 * mass * np.dot(V, V) + 0.5 * inertia(kind) * SPIN**2, rel=1e-9)
+    assert np.abs(model.phi_rate(0.0, state.q, state.v)).max(initial=0.0) < 1e-14
+    for body in model.few:  # the momentum is m V: T^H M v
+        z = state.v.reshape(-1, 2)[body.pairs] @ (1, 1j)
+        assert np.vdot(body.translation, body.mass @ z) == pytest.approx(mass * complex(*V), rel=1e-9)
+    assert not pi.consistent_state(model, v0=np.zeros(model.n)).v.any()
+
+
+def test_a_scene_with_massless_and_still_bodies_begins_too(scenes):
+    scene = pi.Scene()
+    scene.add(Dumbbell(name="moving"))
+    scene.add(Weightless(name="wheel"))
+    scene.add(scenes.plate("still", 12, origin=(3.0, 0.0)))
+    model = scene.build()
+    v = model.initial_velocity(0.0, np.zeros(model.n))
+    still = [v.reshape(-1, 2)[placed.pairs] for placed in (*model.bodies, model.few[1])]
+    assert np.isfinite(v).all() and v.any() and not any(part.any() for part in still)
+
+
+@pytest.mark.parametrize("kind", BODIES)
+def test_a_hinge_keeps_the_moment_of_momentum_about_it(scenes, kind):
+    scene = pi.Scene()
+    bar = scene.add(BODIES[kind](scenes, spin=SPIN))
+    side = bar.at("left") if kind == "rigid body" else bar.section("left")
+    scene.add(pi.Revolute(pi.ground, side, name="hinge"))
+    model = scene.build()
+    with pytest.warns(UserWarning, match="'bar' from .* 3 rad/s to "):
+        state = pi.consistent_state(model)
+    mass, arm = (2.0, np.hypot(0.5, 0.1)) if kind == "rigid body" else (1.1, 0.5)
+    spin = SPIN * inertia(kind) / (inertia(kind) + mass * arm**2)
+    assert np.abs(model.phi_rate(0.0, state.q, state.v)).max() < 1e-14
+    assert energy(model, state) == pytest.approx(0.5 * spin**2 * (inertia(kind) + mass * arm**2), rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", BODIES)
+def test_what_fits_the_joints_is_taken_as_it_is(scenes, kind):
+    arm = np.exp(0.3j) * (0.5 + 0.1j if kind == "rigid body" else 0.5)
+    velocity = SPIN * np.array([-arm.imag, arm.real])
+    scene = pi.Scene()
+    bar = scene.add(BODIES[kind](scenes, velocity=velocity, spin=SPIN))
+    side = bar.at("left") if kind == "rigid body" else bar.section("left")
+    scene.add(pi.Revolute(pi.ground, side, name="hinge"))
+    scene.add(pi.AngleMotor(pi.ground, side, pi.profile.polynomial([0.0, SPIN]), name="drive"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        state = pi.consistent_state(scene.build())
+    free = pi.Scene()
+    free.add(BODIES[kind](scenes, velocity=velocity, spin=SPIN))
+    assert np.allclose(state.v, pi.consistent_state(free.build()).v, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", INTEGRATORS)
+@pytest.mark.parametrize("kind", ["plate", "rigid body"])
+def test_every_integrator_begins_with_it(scenes, kind, name, tmp_path):
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(BODIES[kind](scenes, velocity=V, spin=0.0 if kind == "plate" else SPIN))
+    run = pi.solve(scene.build(), 0.05, INTEGRATORS[name](), out=tmp_path / "run.h5")
+    assert run.success
+    centre = bar.section(np.arange(bar.mesh.n_nodes)) if kind == "plate" else bar.at("left")
+    arm = 0.0 if kind == "plate" else complex(*bar.at("left").point) - bar.coordinates()[0]
+    turned = arm * np.exp(1j * SPIN * run.t) - arm
+    fallen = np.outer(run.t, V) + np.outer(run.t**2, (0.0, -9.81 / 2)) + np.stack([turned.real, turned.imag], axis=1)
+    assert np.allclose(run.position(centre) - centre.point, fallen, atol=1e-5)
+    again = pi.load(tmp_path / "run.h5")
+    part = again.model.parts["bar"] if again.model else bar
+    assert tuple(part.velocity) == V and part.spin == bar.spin
+
+
+def test_statics_do_not_move(scenes):
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(scenes.plate("bar", 12, spin=SPIN))
+    scene.add(pi.Clamp(bar.section("left")))
+    found = pi.static(scene.build())
+    assert not found.v.any()
+    assert not pi.solve(scene.build(), 2e-3, pi.GeneralizedAlpha(h=1e-3), state=found).v.any()
+
+
+class Sliding(pi.Model):
+    """A unit mass on the x axis that moves at the start."""
+
+    n, m = 2, 1
+    start = (2.0, 0.5)
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.zeros(2)
+
+    def phi(self, t, q):
+        return q[1:]
+
+    def phi_q(self, t, q):
+        return np.array([[0.0, 1.0]])
+
+    def initial_velocity(self, t, q):
+        return self.start
+
+
+def test_a_model_of_ones_own_says_how_it_begins():
+    assert np.array_equal(pi.consistent_state(Sliding()).v, [2.0, 0.0])
+    wrong = Sliding()
+    wrong.start = (1.0, 2.0, 3.0)
+    with pytest.raises(pi.InputError, match="initial_velocity: shape"):
+        pi.consistent_state(wrong)
+
+
+@pytest.mark.parametrize(
+    "call, told",
+    [
+        (lambda scenes: plate(scenes, velocity=(1.0,)), r"Plate 'bar': velocity = \(1.0,\) must be two"),
+        (lambda scenes: plate(scenes, spin="fast"), "Plate 'bar': spin = 'fast' must be a finite number of rad/s"),
+        (lambda scenes: pi.consistent_state(with_body(Dumbbell(spin=None, name="d"))), "Dumbbell 'd': spin = None must be"),
+        (lambda scenes: pi.consistent_state(with_body(Dumbbell(velocity="v", name="d"))), "Dumbbell 'd': velocity = 'v' must be two"),
+    ],
+)
+def test_what_is_no_motion_is_told(scenes, call, told):
+    with pytest.raises(pi.InputError, match=told):
+        call(scenes)

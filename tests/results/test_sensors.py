@@ -1,0 +1,171 @@
+"""Sensors: functions at every accepted step, whatever becomes a frame and wherever frames go."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.problems import plates
+
+ALPHA = pi.GeneralizedAlpha(h=1e-3)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return plates.double_plate_motors(cells=10).build()
+
+
+def looking(model):
+    """A number, a vector and a matrix of one run, one of them under a name that is no path."""
+    return {
+        "energy": lambda t, q, v: model.potential(q),
+        "a/tip": lambda t, q, v: model.position("tip", q[None])[0],
+        "first": lambda t, q, v: np.array([q[:4], v[:4]]),
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(model):
+    return pi.solve(model, 0.1, ALPHA, sensors=looking(model))
+
+
+def same(one, other):
+    return list(one) == list(other) and np.array_equal(one.t, other.t) and all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_they_see_what_frames_hold(whole):
+    sensors = whole.sensors
+    assert list(sensors) == ["energy", "a/tip", "first"] and np.array_equal(sensors.t, whole.t) and len(sensors) == 3
+    assert np.array_equal(sensors["a/tip"], whole.position("tip"))
+    assert np.allclose(sensors["energy"], whole.energy.potential + whole.energy.strain, rtol=1e-13)
+    assert sensors["first"].shape == (len(whole), 2, 4) and np.array_equal(sensors["first"][:, 1], whole.v[:, :4])
+
+
+@pytest.mark.parametrize("options", [{"every": 30}, {"output": [0.05]}, {"memory_limit": 0}, {"precision": "single"}])
+def test_whatever_becomes_a_frame(model, whole, options):
+    run = pi.solve(model, 0.1, ALPHA, sensors=looking(model), **options)
+    assert same(run.sensors, whole.sensors)
+
+
+@pytest.mark.parametrize("integrator", [pi.EnergyMomentum(h=1e-3), pi.IDA(), pi.RadauIIA()])
+def test_each_integrator_s_steps(model, integrator):
+    run = pi.solve(model, 0.02, integrator, sensors=looking(model))
+    assert np.array_equal(run.sensors.t, run.t) and np.array_equal(run.sensors["a/tip"], run.position("tip"))
+
+
+def test_the_last_is_where_until_stops(model):
+    run = pi.solve(model, 0.1, ALPHA, sensors=looking(model), until=lambda t, q, v: t - 0.0123)
+    assert run.status == "stopped" and run.sensors.t[-1] == run.t[-1] and same(run.sensors, pickle.loads(pickle.dumps(run.sensors)))
+
+
+def test_a_run_without(model):
+    run = pi.solve(model, 0.002, ALPHA)
+    assert not run.sensors and not len(run.sensors.t)
+    with pytest.raises(KeyError, match="no sensor is called 'tip'; known: none"):
+        run.sensors["tip"]
+
+
+def test_files(model, whole, tmp_path):
+    whole.save(tmp_path / "saved.h5")
+    run = pi.solve(model, 0.1, ALPHA, sensors=looking(model), out=tmp_path / "run.h5", every=7, flush_every=10)
+    for sensors in (run.sensors, pi.load(tmp_path / "run.h5").sensors, pi.load(tmp_path / "saved.h5", memory_limit=0).sensors):
+        assert same(sensors, whole.sensors)
+
+
+def test_many_steps_in_blocks(tmp_path):
+    """More steps than a block of the file holds, and wide ones."""
+    model, wide = pi.problems.get("pendulum").model, {"x": lambda t, q, v: np.full(1500, t), "y": lambda t, q, v: q}
+    run = pi.solve(model, 2.0, ALPHA, q0=[-1.0, 0.0], sensors=wide, out=tmp_path / "run.h5", every=1000)
+    again = pi.load(tmp_path / "run.h5").sensors
+    assert len(again.t) == 2001 and same(again, run.sensors) and np.array_equal(again["x"][:, 1499], again.t)
+
+
+@pytest.mark.parametrize("every", [1, 30])
+def test_a_killed_run_goes_on(model, whole, tmp_path, every):
+    script = f"""
+        import os, signal, sys
+        sys.path.insert(0, {os.path.dirname(__file__)!r})
+        import polyida as pi
+        from test_sensors import ALPHA, looking, plates
+        model = plates.double_plate_motors(cells=10).build()
+        kill = lambda t: os.kill(os.getpid(), signal.SIGKILL) if t > 0.0855 else None
+        pi.solve(model, 0.1, ALPHA, sensors=looking(model), out="run.h5", flush_every=20, every={every}, progress=kill)
+    """
+    ended = subprocess.run([sys.executable, "-c", textwrap.dedent(script)], cwd=tmp_path, capture_output=True)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr
+    path = tmp_path / "run.h5"
+    cut = pi.load(path)
+    assert cut.status == "interrupted" and 0 < len(cut.sensors.t) < 101
+    assert np.array_equal(cut.sensors["a/tip"], whole.sensors["a/tip"][: len(cut.sensors.t)])
+    with pytest.raises(pi.InputError, match="run.h5: the run had the sensors 'energy', 'a/tip', 'first', functions which no file holds"):
+        pi.resume(path)
+    with pytest.raises(pi.InputError, match="it cannot go on with 'other'"):
+        pi.resume(path, sensors={"other": lambda t, q, v: t})
+    run = pi.resume(path, sensors=looking(model), model=model)
+    assert run.success and same(run.sensors, whole.sensors) and same(pi.load(path).sensors, whole.sensors)
+
+
+def test_going_on_without_keeps_what_there_is(model, tmp_path):
+    first = pi.solve(model, 0.01, ALPHA, sensors=looking(model), out=tmp_path / "run.h5")
+    run = pi.resume(tmp_path / "run.h5", 0.02, sensors=False)
+    assert (
+        run.success and run.t[-1] == 0.02 and same(run.sensors, first.sensors) and same(pi.load(tmp_path / "run.h5").sensors, first.sensors)
+    )
+    with pytest.raises(pi.InputError, match="'energy', 'a/tip', 'first'; it cannot go on with 'x'"):
+        pi.resume(tmp_path / "run.h5", 0.03, sensors={"x": lambda t, q, v: t})
+
+
+def test_damage_is_found(model, tmp_path):
+    """A byte in a whole block of what sensors gave; the frames are whole."""
+    import h5py
+
+    path = tmp_path / "run.h5"
+    run = pi.solve(pi.problems.get("pendulum").model, 1.2, ALPHA, q0=[-1.0, 0.0], sensors={"q": lambda t, q, v: q}, every=100, out=path)
+    with h5py.File(path) as file:
+        place = file["sensors"].id.get_chunk_info(0).byte_offset
+    with open(path, "r+b") as file:
+        file.seek(place + 100)
+        file.write(b"\xff\xff")
+    again = pi.load(path)
+    assert again.status == "damaged" and "of sensors, steps 0 to 1200 are damaged" in again.message
+    assert np.array_equal(again.q, run.q) and not len(again.sensors.t)
+
+
+@pytest.mark.parametrize(
+    "sensors, match",
+    [
+        ([1.0], "sensors = .* must be a dictionary"),
+        ({"": len}, "the name '' must be a text"),
+        ({3: len}, "the name 3 must be a text"),
+        ({"x": 1.0}, "'x' is 1.0, it must be a function of t, q and v"),
+        ({"x": lambda t, q, v: None}, "'x' gave no real numbers at t = 0 s"),
+        ({"x": lambda t, q, v: 1j}, "'x' gave no real numbers"),
+        ({"x": lambda t, q, v: [[1.0], [2.0, 3.0]]}, "'x' gave no real numbers"),
+        ({"x": lambda t, q, v: np.nan}, "'x' gave numbers that are not finite"),
+    ],
+)
+def test_what_is_no_sensor(model, tmp_path, sensors, match):
+    with pytest.raises(pi.InputError, match=match):
+        pi.solve(model, 0.002, ALPHA, sensors=sensors, out=tmp_path / "run.h5")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "late, match", [(lambda t: [t, t], r"an array of shape \(2,\) at t = 0.005"), (lambda t: np.inf, "not finite at t = 0.005")]
+)
+def test_what_goes_wrong_on_the_way(model, late, match):
+    with pytest.raises(pi.InputError, match=f"sensors: 'x' gave .*{match}") as raised:
+        pi.solve(model, 0.01, ALPHA, sensors={"x": lambda t, q, v: t if t < 0.0045 else late(t)})
+    run = raised.value.trajectory
+    assert run.status == "error" and len(run.sensors.t) == 5
+
+
+def test_arguments_are_read_only(model):
+    with pytest.raises(ValueError, match="read-only"):
+        pi.solve(model, 0.01, ALPHA, sensors={"x": lambda t, q, v: q.fill(0.0)})

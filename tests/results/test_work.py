@@ -1,0 +1,207 @@
+"""Work and dissipation by name: what came in and went out is what the energy has changed by."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.integrate.running.hermite import cubic
+from polyida.study.energy import unbalanced
+
+RADAU = pi.RadauIIA(h=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Drag(pi.ForceElement):
+    """`f = -c |v| v` on a point."""
+
+    at: Any
+    c: float = 0.4
+    name: str | None = None
+
+    def sides(self):
+        return (self.at,)
+
+    def forces(self, t, x, v):
+        return -self.c * np.linalg.norm(v, axis=1, keepdims=True) * v
+
+
+@dataclass(frozen=True, eq=False)
+class Damper(Drag):
+    """The same, known to dissipate, on a spring of stiffness k to the origin."""
+
+    k: float = 40.0
+    dissipates = True
+
+    def forces(self, t, x, v):
+        return super().forces(t, x, v) - self.k * x
+
+    def energy(self, x):
+        return 0.5 * self.k * float(np.vdot(x, x))
+
+
+class Told(pi.Model):
+    """A coordinate that moves as anybody likes, on which a force and a multiplier work."""
+
+    n, m = 1, 1
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def powers(self, t, q, v, lam):
+        return {"push": q[0] ** 2 * v[0], "pull": lam[0] * np.cos(t), "steady": 3.0 * v[0]}
+
+
+def motion(frames):
+    """A run of Told along q = sin(2 t), lam = exp(t), at times that are not equally far apart."""
+    t = np.linspace(0.0, 1.0, frames) ** 1.5
+    q, v, a, lam = (x[:, None] for x in (np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t), np.exp(t)))
+    return pi.Trajectory(Told(), "known", t, q, v, a, lam)
+
+
+def test_fourth_order_in_the_time_between_frames(scenes):
+    exact = {"push": np.sin(2.0) ** 3 / 3, "pull": (np.e * (np.sin(1.0) + np.cos(1.0)) - 1) / 2, "steady": 3 * np.sin(2.0)}
+    counts, errors = np.array([9, 17, 33, 65]), []
+    for count in counts:
+        work = motion(count).energy.work
+        errors.append([abs(work[name][-1] - exact[name]) for name in exact])
+    push, pull, steady = np.array(errors).T
+    assert scenes.slope(1.0 / (counts - 1), push) > 3.9 and scenes.slope(1.0 / (counts - 1), pull) > 3.0
+    assert push[-1] < 1e-7 and pull[-1] < 1e-6 and steady.max() < 1e-14
+
+
+def test_hermite_is_exact_for_cubics():
+    x, v = (lambda t: 1 + t - 2 * t**2 + 3 * t**3), (lambda t: 1 - 4 * t + 9 * t**2)
+    assert np.allclose(cubic(x(0.2), v(0.2), x(0.7), v(0.7), 0.5, 0.3), (x(0.35), v(0.35)), rtol=1e-14)
+
+
+def test_a_steady_load_works_by_where_it_moves(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(pi.PointLoad(upper.section("right"), (3.0, 5.0), name="push"))
+    scene.add(pi.EdgeTraction(upper.section("top"), (0.0, 40.0), name="wind"))
+    run = pi.solve(scene.build(), 0.1, RADAU, every=17)
+    moved, top = (run.position(at) - run.position(at)[0] for at in ("push", upper.section("top")))
+    assert np.allclose(run.energy.work["push"], moved @ [3.0, 5.0], rtol=1e-12, atol=1e-14)
+    assert np.allclose(run.energy.work["wind"], top @ [0.0, 40.0] * scenes.THICKNESS, rtol=1e-11, atol=1e-14)
+
+
+def step(t):
+    return float(t > 0.0213)
+
+
+STEP = pi.profile.from_function(step, lambda t: 0.0, lambda t: 0.0, kinks=[0.0213])
+
+
+@pytest.mark.parametrize(
+    "profile, integrator, every, share",
+    [
+        (STEP, pi.EnergyMomentum(h=1e-3), 1, 1e-11),
+        (STEP, pi.EnergyMomentum(h=1e-3), 4, 3e-3),  # the kink is between two frames
+        (pi.profile.linear(0.0, 1.0, 0.0213, 0.01), RADAU, 1, 2e-5),
+        (pi.profile.linear(0.0, 1.0, 0.0213, 0.01), RADAU, 4, 2e-4),
+        (pi.profile.sine(1.0, 5.0), RADAU, 1, 2e-5),
+    ],
+)
+def test_loads_pay_for_the_energy(scenes, profile, integrator, every, share):
+    scene, upper = scenes.hinged()
+    scene.add(pi.PointLoad(upper.section("right"), (30.0, 50.0), profile, name="push"))
+    run = pi.solve(scene.build(), 0.06, integrator, every=every)
+    assert np.abs(unbalanced(run)).max() < share * np.abs(run.energy.work["push"]).max()
+
+
+@pytest.mark.parametrize(
+    "angle, integrator, share",
+    [
+        (pi.profile.ramp(0.0, 0.5, 0.05, 0.0213), RADAU, 5e-6),
+        (pi.profile.quintic(0.0, 0.5, 0.05), pi.GeneralizedAlpha(h=5e-4), 1e-3),
+        (pi.profile.sine(0.3, 2.0), RADAU, 2e-4),  # begins with a jump of the acceleration
+        (pi.profile.linear(0.0, 0.1, 0.02, 0.0213), pi.RadauIIA(h=2.5e-4), 1e-3),  # blows at both ends
+    ],
+)
+def test_motors_pay_for_the_energy(scenes, angle, integrator, share):
+    scene, upper = scenes.hinged()
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle, name="drive"))
+    run = pi.solve(scene.build(), 0.06, integrator)
+    assert run.success, run.message
+    assert np.abs(unbalanced(run)).max() < share * np.abs(run.energy.work["drive"]).max()
+
+
+def test_two_motors_share_the_work(scenes):
+    scene = scenes.jointed("motor between")
+    upper = scene.parts["upper"]
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), pi.profile.quintic(0.0, -0.5, 0.1), name="root"))
+    run = pi.solve(scene.build(), 0.1, RADAU)
+    assert set(run.energy.work) == {"joint", "root"} and not run.energy.dissipated
+    assert np.abs(unbalanced(run)).max() < 1e-5 * np.abs(run.energy.work["root"]).max()
+
+
+@pytest.fixture(scope="module")
+def braked():
+    """A bar with drag and a damper on it, of a material that is damped."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    rubber = pi.Material(50e6, 0.3, 1100.0, viscosity=1e-4, mass_damping=0.5)
+    bar = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=20, seed=1), rubber, 0.01, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.section("left")))
+    scene.add(Drag(bar.section("right"), name="air"))
+    scene.add(Damper(bar.section("top"), k=0.2, name="damper"))
+    return pi.solve(scene.build(), 0.1, RADAU)
+
+
+def test_what_is_dissipated_is_told_by_name(braked):
+    energy = braked.energy
+    assert set(energy.work) == {"air"} and set(energy.dissipated) == {"damper", "bar"}
+    assert energy.work["air"][-1] < 0 and all((np.diff(taken) >= 0).all() and taken[-1] > 0 for taken in energy.dissipated.values())
+    assert np.abs(unbalanced(braked)).max() < 1e-5 * energy.dissipated["bar"][-1]
+
+
+def test_mass_damping_takes_its_share_of_the_kinetic_energy(scenes):
+    """A free plate slows down as exp(-alpha t): 1 - exp(-2 alpha t) of its energy is gone."""
+    scene, _ = scenes.single((0.0, 0.0), material={"mass_damping": 2.0})
+    model = scene.build()
+    run = pi.solve(model, 0.1, RADAU, v0=np.tile([3.0, -1.0], model.n_nodes))
+    gone = run.energy.kinetic[0] * (1 - np.exp(-4.0 * run.t))
+    assert np.allclose(run.energy.dissipated["upper"], gone, rtol=1e-9)
+
+
+def test_gravity_and_elements_make_up_the_potential(braked):
+    energy = braked.energy
+    assert list(energy.elements) == ["damper"]
+    assert np.allclose(energy.gravity + energy.elements["damper"], energy.potential, rtol=1e-13)
+
+
+def test_a_force_with_an_energy_does_no_work_beside_it(scenes):
+    """However deep the spring is bent between two frames."""
+    scene, upper = scenes.hinged()
+    scene.add(Damper(upper.section("right"), c=0.0, k=4e3, name="spring"))
+    run = pi.solve(scene.build(), 0.1, RADAU, every=10)
+    assert np.abs(run.energy.dissipated["spring"]).max() < 1e-8 * np.abs(run.energy.elements["spring"]).max()
+
+
+def test_files_and_parts_of_runs_tell_the_same(braked, tmp_path):
+    braked.save(tmp_path / "run.h5")
+    again = pi.load(tmp_path / "run.h5", memory_limit=0)
+    for name in ("work", "dissipated", "elements"):
+        found, there = getattr(braked.energy, name), getattr(again.energy, name)
+        assert list(found) == list(there) and all(np.allclose(found[key], there[key], rtol=1e-13, atol=1e-15) for key in found)
+    rest = pi.solve(braked.model, 0.12, RADAU, state=braked.state)
+    assert rest.energy.work["air"][0] == 0.0 and np.abs(unbalanced(rest)).max() < 1e-7
+    alone = pi.solve(braked.model, 0.01, RADAU, output=[0.005])
+    assert np.array_equal(alone.energy.work["air"], [0.0])
+
+
+def test_models_of_one_s_own_tell_or_do_not():
+    run = pi.solve(pi.problems.get("pendulum").model, 0.05, RADAU, q0=[-1.0, 0.0])
+    assert run.energy.work == run.energy.dissipated == run.energy.elements == {} and np.isnan(run.energy.gravity).all()
+    told = motion(9)
+    told.model.dissipating = ("push",)
+    assert set(told.energy.work) == {"pull", "steady"} and np.array_equal(told.energy.dissipated["push"], -motion(9).energy.work["push"])
+
+
+@pytest.mark.parametrize("given", [None, [1.0], {"push": None}, {"push": np.nan}, {1: 2.0}])
+def test_powers_that_are_none(given):
+    told = motion(9)
+    told.model.powers = lambda t, q, v, lam: given
+    with pytest.raises(pi.InputError, match="Told.powers must return"):
+        told.energy.work
