@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from polyida.body.body import points_of
 from polyida.show import plates
-from polyida.show.style import INK, PALETTE, box, equal, figure, height_for, line, plain, settings
+from polyida.show.style import INK, PALETTE, STICK, box, equal, figure, height_for, line, plain, settings
 
 VISIBLE = 0.12  # of the size of what is drawn: the largest displacement of a shape
 FINE = 2000  # cells beyond which their edges would hide them
+LITTLE = 1e-5  # of the extent: a part of a shape that tells how far it moves what is drawn
 NOTHING = 1e-12  # of the largest amplitude: what is less is round-off
 REST, MOVED = "#9A9A9A", "#D5E5F0"
 
@@ -34,6 +34,8 @@ def draw(axes, model, q, x, title, scale=1.0, around=None):
     VISIBLE of the size of the whole; complex shapes as they are when their first large entry is. Models without bodies as bars, an
     entry each. around: corners of what is shown, (2, 2), m.
     """
+    from matplotlib.collections import LineCollection
+
     axes.set_title(plain(title))
     if not model.is_scene:
         _bars(axes, x)
@@ -43,9 +45,8 @@ def draw(axes, model, q, x, title, scale=1.0, around=None):
     axes.plot([], [], color=INK, label="in the mode, not to scale")
     if model.drawn:
         _cells(axes, model, rest[0], moved[0])
-    for before, after in zip(rest[1], moved[1]):
-        axes.plot(*before.T, color=REST, linewidth=0.8, linestyle=(0, (3, 2)))
-        axes.plot(*after.T, color=PALETTE[1], linewidth=1.2, marker="o", markersize=2.5)
+    axes.add_collection(LineCollection(rest[1], colors=REST, linewidths=0.8, linestyles="--"))
+    axes.add_collection(LineCollection(moved[1], colors=STICK, linewidths=1.6, capstyle="round"))
     equal(axes, *(around or _around([(rest, moved)])))
 
 
@@ -68,20 +69,18 @@ def response(frequencies, values, name, outputs):
 
 
 def _places(model, q):
-    """(nodes that are drawn, (nodes, 2); of each body without a mesh its points, (points, 2)), m."""
-    nodes = model.drawn_points + model.nodal(q)
-    bare = [placed.user for placed in model.few if placed.body.plate is None]
-    return nodes, [np.concatenate([model.position(point, q[None]) for point in points_of(body)]) for body in bare]
+    """(nodes that are drawn, (nodes, 2); segments of bodies without a mesh, (segments, 2, 2)), m."""
+    return model.drawn_points + model.nodal(q), model.sticks(q)
 
 
 def _all(places):
-    return np.concatenate([places[0], *places[1]])
+    return np.concatenate([places[0], places[1].reshape(-1, 2)])
 
 
 def _ends(model, q, x, scale):
     """The places at rest and, by a visible part of the shape x, moved."""
-    x = np.real(x)
     rest = _places(model, q)
+    x = np.real(x) * (LITTLE * model.extent / np.abs(x).max())
     largest = np.hypot(*(_all(_places(model, q + x)) - _all(rest)).T).max() or 1.0
     size = float(np.linalg.norm(np.ptp(_all(rest), axis=0))) or 1.0
     return rest, _places(model, q + scale * VISIBLE * size / largest * x)
