@@ -1,8 +1,9 @@
 """Four-bar: a motor turns the crank once; the coupler swings a rocker.
 
-Links with rounded ends and pin holes of 6 mm radius, pin to pin 0.1 m (crank), 0.3 m (coupler), 0.25 m (rocker), 0.03 m high, 10 mm thick,
-E = 500 MPa, nu = 0.3, rho = 1200 kg/m3; bearings at (0, 0) and (0.3, 0). A mass of 0.2 kg sits on the pin of coupler and rocker. Gravity
-9.81 m/s2 along -y. The motor turns the crank by a quintic from 60 degrees through a whole turn within 0.5 s. The dimensions are this project's own.
+Links with rounded ends and pin holes of 6 mm radius, pin to pin 0.1 m (crank), 0.3 m (coupler), 0.25 m (rocker), 0.03 m high, 10 mm
+thick, E = 500 MPa, nu = 0.3, rho = 1200 kg/m3, viscosity 2e-6 s; bearings at (0, 0) and (0.3, 0). A mass of 0.2 kg sits on the pin of
+coupler and rocker. Gravity 9.81 m/s2 along -y. The motor turns the crank by a quintic from 60 degrees through a whole turn within 0.5
+s. The dimensions are this project's own.
 
 With rigid links Freudenstein's equation gives the rocker's angle, `positions` solves it.
 """
@@ -21,7 +22,7 @@ from polyida.scene import Scene
 
 CRANK, COUPLER, ROCKER, FRAME = 0.1, 0.3, 0.25, 0.3
 HEIGHT, PIN, THICKNESS, PIN_MASS, START = 0.03, 0.006, 0.01, 0.2, np.pi / 3
-PLASTIC = Material(E=500e6, nu=0.3, rho=1200.0)
+PLASTIC = Material(E=500e6, nu=0.3, rho=1200.0, viscosity=2e-6)
 DEFAULT = {"modes": 5, "cells": 70, "seed": 1}
 T_END = 0.5
 
