@@ -7,7 +7,7 @@ windows stay parallelograms, so that the angle a of the bars from +x is one degr
 
 With the bars level (a = 0) all pins are in line: phi_q loses rank, and each window could fold on its own from there.
 
-Source: Gonzalez, Dopico, Luaces, Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16 (2006) 179;
+Source: Gonzalez, Dopico, Lugris, Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16 (2006) 179;
 two windows: Bayo, Avello, Nonlinear Dynamics 5 (1994) 209.
 """
 

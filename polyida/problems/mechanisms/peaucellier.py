@@ -23,7 +23,7 @@ ARM, BAR, CRANK = 0.4, 0.2, 0.15
 HEIGHT, PIN, THICKNESS, PEN_MASS, START = 0.05, 0.012, 0.01, 0.2, -np.pi / 3
 LINE = (ARM**2 - BAR**2) / (2 * CRANK)  # x of the pen, m
 PLASTIC = Material(E=500e6, nu=0.3, rho=1200.0, viscosity=2e-6)
-DEFAULT = {"modes": 5, "cells": 40, "seed": 1}
+DEFAULT = (5, 40, 1)  # modes, cells, seed
 T_END = 0.5
 
 
@@ -72,7 +72,6 @@ def peaucellier(level="full", modes=5, cells=40, seed=1, material=PLASTIC):
         scene.add(Revolute(arm.rim(1), far.rim(0), name=f"{side} outer pin"))
     scene.add(Revolute(outer[0].rim(1), outer[1].rim(1), name="pen pin"))
     scene.add(PointMass(outer[0].rim(1), PEN_MASS, name="pen"))
-    scene.assemble()
     return scene
 
 
@@ -81,5 +80,5 @@ def problem(level="full", modes=5, cells=40, seed=1):
 
     level: "full", "reduced" or "rigid". The reference belongs to the default mesh and number of modes; there is none for others.
     """
-    default = {"modes": modes, "cells": cells, "seed": seed} == DEFAULT
+    default = (modes, cells, seed) == DEFAULT
     return problem_of("peaucellier", peaucellier(level, modes, cells, seed), T_END, "pen", level, default)

@@ -20,7 +20,7 @@ from polyida.scene import Scene
 
 CRANK, ROD, THICKNESS, SLIDER_MASS = 0.15, 0.3, 0.01, 0.5
 PLASTIC = Material(E=2e9, nu=0.3, rho=1200.0, viscosity=2e-6)
-DEFAULT = {"modes": 5, "cells": 40, "seed": 1}
+DEFAULT = (5, 40, 1)  # modes, cells, seed
 T_END = 0.4
 
 
@@ -48,5 +48,5 @@ def problem(level="full", modes=5, cells=40, seed=1):
 
     level: "full", "reduced" or "rigid". The reference belongs to the default mesh and number of modes; there is none for others.
     """
-    default = {"modes": modes, "cells": cells, "seed": seed} == DEFAULT
+    default = (modes, cells, seed) == DEFAULT
     return problem_of("slider-crank", slider_crank(level, modes, cells, seed), T_END, "slider", level, default)
