@@ -16,7 +16,7 @@ from polyida.body.body import BodyPoint, rest_of
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.errors import InputError
-from polyida.given import is_number
+from polyida.given import is_number, is_whole
 from polyida.joint.attachment import Attachment, Ground
 from polyida.mesh import PolygonMesh
 
@@ -73,7 +73,7 @@ class _Book:
         if value is None or isinstance(value, (str, bool)):
             return value
         if is_number(value):
-            return float(value)
+            return int(value) if is_whole(value, -(2**62)) else float(value)
         if _numbers(value, "c"):
             return {"complex": [_plain(np.real(value)), _plain(np.imag(value))]}
         return _plain(value) if _numbers(value, "iuf") else {"unknown": type(value).__name__}

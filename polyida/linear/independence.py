@@ -7,6 +7,7 @@ import numpy as np
 from polyida.linear.matrix import dense
 
 MOST = 3  # constraints that a message names
+FULL = 10_000  # numbers of phi_q up to which its zeros cost less than what tells them
 
 
 class Rows(NamedTuple):
@@ -27,12 +28,12 @@ def coordinate_sizes(model, q):
 
 def rows_of(phi_q, sizes):
     """The Rows of a dense or sparse phi_q, its columns times the sizes (n,) of the coordinates."""
-    if hasattr(phi_q, "toarray"):
+    if hasattr(phi_q, "toarray") and np.prod(phi_q.shape) > FULL:
         from scipy.sparse import diags_array
 
         phi_q = phi_q @ diags_array(sizes)
     else:
-        phi_q = np.asarray(phi_q) * sizes
+        phi_q = dense(phi_q) * sizes
     gram = dense(phi_q @ phi_q.T)
     lengths = np.sqrt(np.diag(gram))
     divisor = np.where(lengths > 0, lengths, 1.0)

@@ -1,0 +1,162 @@
+"""Full, reduced and rigid plates: error against CPU time, and what a step and a reduction cost."""
+
+from levels import costs, runs
+from levels.scenes import FULL, RIGID, goes_at_any_level
+from polyida import registry
+from polyida.cli.study import main
+from polyida.show.style import INK
+from polyida.study.drawing import aim_line, drawn, legend, loglog, look, panels, saved
+from polyida.study.harness import Study
+from polyida.study.rows import column, each, number, pick, stopped
+
+MODES = {"double-plate": (3, 5, 8, 10, 12), "spin-up-beam": (3, 5, 8, 12, 16)}  # problem: numbers of modes
+OTHERS = (3, 5, 10)  # of problems that go at any level by themselves
+QUICK = {"double-plate": (5, 10), "spin-up-beam": (12,)}
+STEPS = {"spin-up-beam": (5e-4, 2.5e-4, 1.25e-4, 6e-5, 3e-5)}  # h over the time
+COMMON = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)  # of the other problems
+CELLS = (160, 400, 1000, 4000)
+MEASURES = {"run": runs.measure, "step": costs.step, "reduction": costs.reduction}
+AIMS, AIM_STEP = ((5, 1e-4), (10, 1e-5), (12, 1e-4)), 25e-6  # modes and distance, m, of the last the spin-up beam's; s
+
+
+def tasks(quick):
+    modes = QUICK if quick else MODES | {name: OTHERS for name in registry.problems if goes_at_any_level(name)}
+    return [
+        *(
+            {"part": "run", "problem": name, "level": level, "x": x}
+            for name, numbers in modes.items()
+            for level in (FULL, *numbers, RIGID)
+            for x in (None, *STEPS.get(name, COMMON)[:: 2 if quick else 1])
+        ),
+        *({"part": "step", "cells": cells, "level": level} for cells in (CELLS[::3] if quick else CELLS) for level in (FULL, 5, 10, RIGID)),
+        *({"part": "reduction", "cells": cells, "level": 5} for cells in (CELLS[::3] if quick else CELLS)),
+    ]
+
+
+def run(part, **task):
+    return MEASURES[part](**task)
+
+
+def distances(rows):
+    """Largest distance of the tip with reduced and rigid plates from that with full ones, m, all by Radau IIA, refined."""
+    wanted = {
+        "reduced_gap_5": ("double-plate", 5),
+        "reduced_gap_10": ("double-plate", 10),
+        "rigid_gap": ("double-plate", RIGID),
+        "reduced_spin_gap": ("spin-up-beam", 12),
+    }
+    return {name: number(rows, "distance", part="run", problem=problem, level=level, x=None) for name, (problem, level) in wanted.items()}
+
+
+def costs_of(rows):
+    """Microseconds of a step with 5 modes a plate, those of full plates over them, and seconds of a reduction."""
+
+    def seconds(cells, level):
+        return number(rows, "step_s", part="step", cells=cells, level=level)
+
+    found = {f"reduced_step_us_{cells}": 1e6 * seconds(cells, 5) for cells in (160, 4000)}
+    found |= {"rigid_step_us": 1e6 * seconds(160, RIGID), "reduced_speedup_4000": seconds(4000, FULL) / seconds(4000, 5)}
+    return found | {"reduction_s_4000": number(rows, "reduction_s", part="reduction", cells=4000)}
+
+
+def place(level):
+    """A level's place in a legend: full, most modes first, rigid."""
+    return -level if isinstance(level, int) else {FULL: -1000, RIGID: 0}[level]
+
+
+def words(level):
+    """A level as a legend calls it."""
+    return f"{level} modes" if isinstance(level, int) else level
+
+
+def stop_notes(rows):
+    return stopped(rows, "problem", "level", "x")
+
+
+def table_notes(rows):
+    """What each level is off, and what it costs where its own error shows: by the longest step that adds no more than that."""
+    lines = []
+    for name in each(rows, "problem"):
+        for level in each(pick(rows, problem=name), "level"):
+            found = pick(rows, problem=name, level=level)
+            own = number(found, "distance", x=None)
+            good = [row for row in found if row["x"] is not None and row["distance"] <= 2 * own]
+            cost = f"; CPU {min(column(good, 'cpu_s')):.2g} s within twice of that" if good else ""
+            anywhere = number(found, "anywhere", x=None)
+            lines.append(f"{name}, {words(level)}, {found[0]['n']} coordinates: {own:.2g} m off, joints {anywhere:.2g} m{cost}")
+    return lines
+
+
+@drawn
+def runs_figure(rows, folder):
+    """CPU seconds against distance from full plates, a panel a problem."""
+    found = [row for row in rows if row.get("x") is not None]
+    problems, levels = each(found, "problem"), sorted(each(found, "level"), key=place)
+    made, axes = panels(len(problems), height=3.2)
+    for axis, name in zip(axes, problems):
+        for i, level in enumerate(levels):
+            points = pick(found, problem=name, level=level)
+            loglog(axis, column(points, "distance"), column(points, "cpu_s"), i, words(level))
+        axis.set(title=name, xlabel="tip's distance from full plates, m", ylabel="CPU seconds")
+    legend(made, axes, 5)
+    return saved(made, folder, "levels")
+
+
+@drawn
+def modes_figure(rows, folder):
+    """Distance of reduced from full plates against the number of modes."""
+    found = [row for row in pick(rows, part="run", x=None) if isinstance(row["level"], int)]
+    made, (axes,) = panels(1, width=5.0)
+    for i, name in enumerate(each(found, "problem")):
+        points = pick(found, problem=name)
+        axes.semilogy([row["level"] for row in points], column(points, "distance"), label=name, **look(i))
+    axes.semilogy(*zip(*AIMS), label="aims", color=INK, marker="_", markersize=9, linestyle="")
+    axes.set(xlabel="modes a plate", ylabel="tip's distance from full plates, m")
+    legend(made, axes, 3)
+    return saved(made, folder, "levels_modes")
+
+
+@drawn
+def steps_figure(rows, folder):
+    """CPU time of a step against the cells of a plate."""
+    found = pick(rows, part="step")
+    made, (axes,) = panels(1 if found else 0, width=5.0)
+    for i, level in enumerate(each(found, "level")):
+        points = pick(found, level=level)
+        loglog(axes, column(points, "cells"), 1e6 * column(points, "step_s"), i, words(level))
+    aim_line(axes, 1e6 * AIM_STEP, "aim, 5 modes")
+    axes.set(xlabel="cells a plate", ylabel="CPU time of a step, us")
+    legend(made, axes, 4)
+    return saved(made, folder, "levels_steps")
+
+
+STUDY = Study(
+    "levels",
+    "full, reduced and rigid plates; x is h of generalized-alpha over the time, none for Radau IIA, refined",
+    tasks,
+    run,
+    (distances, costs_of),
+    (runs_figure, modes_figure, steps_figure),
+    (
+        "part",
+        "problem",
+        "level",
+        "cells",
+        "n",
+        "x",
+        "distance",
+        "anywhere",
+        "cpu_s",
+        "steps",
+        "step_s",
+        "iterations",
+        "reduction_s",
+        "outcome",
+        "error",
+    ),
+    notes=(table_notes, stop_notes),
+    headline=("reduced_gap_5", "reduced_gap_10", "reduced_spin_gap", "reduced_step_us_160", "reduced_step_us_4000", "reduced_speedup_4000"),
+)
+
+if __name__ == "__main__":
+    main(STUDY)
