@@ -188,13 +188,13 @@ class Trajectory:
         return strains(self._scene("strain"), self._frame("strain", frame))
 
     def section_forces(self, plate: object, at: ArrayLike, normal: ArrayLike = (1.0, 0.0), frame: int | None = None) -> SectionForces:
-        """Normal force, shear force and bending moment through a straight cut across a plate, over all frames or in one: SectionForces.
+        """Normal force, shear force and bending moment through a straight cut across a full plate, over all frames or in one.
 
-        plate: by name or itself. at (x, y), m, and normal: a point of the cut and the direction it is crossed in, both in the axes of
-        the plate's mesh, where the plate is at rest. The cut follows the borders of cells next to the straight line. Forces are those of the
-        part ahead on the part behind: from the nodal forces of the cells ahead with their inertia, damping and weight, so that
-        they are in exact equilibrium with loads, joints and inertia. Loads and joints that hold on to nodes of the cut act behind it.
-        Raises InputError for another plate and where the cut does not part it.
+        plate: by name or itself. at (x, y), m: a point of the cut, and normal: the direction it is crossed in, both in the axes of the
+        plate's mesh, where the plate is at rest. Its SectionForces are those of the part ahead on the part behind: nodal forces of cells
+        with inertia, damping and weight, in exact equilibrium with loads, joints and inertia, not stresses at points. What holds on
+        to nodes between the cells of both parts acts behind. Raises InputError for another plate, one of few coordinates (whose modes
+        leave forces out), and where the cut does not part it.
         """
         self._scene("section_forces")
         if frame is not None:

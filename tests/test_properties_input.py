@@ -98,11 +98,15 @@ def made(kind, **good):
     return lambda **changed: kind(**(good | changed))
 
 
-def build(*parts, gravity=(0.0, 0.0)):
+def made_scene(*parts, gravity=(0.0, 0.0)):
     scene = pi.Scene(gravity)
     for part in (BOARD, *parts):
         scene.add(part)
-    return scene.build()
+    return scene
+
+
+def build(*parts, gravity=(0.0, 0.0)):
+    return made_scene(*parts, gravity=gravity).build()
 
 
 def run(**changed):
@@ -140,6 +144,8 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "name": TEXT,
             "element": CHOICE,
             "tau": POSITIVE,
+            "velocity": PAIR,
+            "spin": NUMBER + [True],
         },
     ),
     "Plate.section": (
@@ -156,7 +162,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "Clamp": (made(pi.Clamp, a=LEFT), {"a": SIDE + [pi.ground], "b": SIDE + [RIGHT, LEFT], "name": TEXT}),
     "AngleMotor": (
         made(pi.AngleMotor, a=pi.ground, b=LEFT, angle=0.0),
-        {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "name": TEXT},
+        {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "zero": without(NUMBER, type(None)) + [True], "name": TEXT},
     ),
     "PointMass": (made(pi.PointMass, at=LEFT, mass=1.0), {"at": SIDE + [pi.ground], "mass": POSITIVE, "name": TEXT}),
     "PointLoad": (
@@ -168,6 +174,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
         {"at": SIDE + [pi.ground, BOARD.node(0)], "traction": PAIR, "profile": PROFILE},
     ),
     "Scene": (pi.Scene, {"gravity": PAIR}),
+    "Scene.build": (made_scene().build, {"redundant": CHOICE}),
     "Scene.add": (lambda part: pi.Scene().add(part), {"part": NOTHING + LISTS + SCALARS + [LEFT, MESH, pi.ground, pi.Plate, MATERIAL]}),
     "mesh.rectangle": (
         made(pi.mesh.rectangle, length=1.0, height=0.1, cells=4),

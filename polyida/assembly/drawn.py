@@ -6,7 +6,9 @@ import numpy as np
 
 from polyida.assembly.bodies.places import PlacedPlate
 from polyida.assembly.constraints import Constraints
+from polyida.body.body import points_of
 from polyida.element import kernels
+from polyida.given import complex_of_pairs, pairs_of
 
 
 class Drawn(Constraints):
@@ -38,6 +40,17 @@ class Drawn(Constraints):
         parts = [pairs[body.nodes] for body in self.bodies]
         parts += [placed.body.nodal(pairs[placed.pairs] @ (1, 1j)) for _, placed in self._of_fields]
         return np.concatenate([np.zeros((0, 2)), *parts])
+
+    def sticks(self, q):
+        """The bodies that have named points and no mesh, as segments between these, (segments, 2, 2), m: round about where there are more than two."""
+        found, pairs = [np.zeros((0, 2, 2))], self._nodal(q)
+        for placed in self.few:
+            if placed.body.plate is None:
+                z = placed.rest + complex_of_pairs(pairs[placed.pairs])
+                points = np.array([placed.body.weights_of(point, "point") @ z for point in points_of(placed.body)])
+                points = pairs_of(points[np.argsort(np.angle(points - points.mean()))])
+                found.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1)[: 1 if len(points) == 2 else None])
+        return np.concatenate(found)
 
     def stress(self, q):
         """Cauchy stress of every element, (cells, 3): xx, yy, xy in Pa, plate after plate."""

@@ -48,7 +48,7 @@ class Plate:
     velocity: tuple = (0.0, 0.0)
     spin: float = 0.0
     label: str = field(init=False, repr=False)
-    turns_only = False
+    few = turns_only = False
 
     def __post_init__(self):
         label = labelled("Plate", self.name)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,7 +72,7 @@ class RigidBody(Body):
         given = cls.__name__ if name is None else f"{cls.__name__} {name!r}"
         length, mass = positive(given, "length", length, "metres"), positive(given, "mass", mass, "kilograms")
         points = {"left": (0.0, 0.0), "center": (length / 2, 0.0), "right": (length, 0.0)}
-        pose = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
+        pose: dict[str, Any] = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
         return cls(mass, mass * length**2 / 12, points, center=points["center"], **pose)
 
     @classmethod
@@ -96,7 +97,7 @@ class RigidBody(Body):
         area, centre, second = area_moments(mesh)
         density = material.rho * positive(given, "thickness", thickness, "metres")
         known = {section: _mean(mesh, section) for section in mesh.sections} | {"center": tuple(centre.tolist())}
-        pose = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
+        pose: dict[str, Any] = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
         return cls(density * area, density * second, {**known, **(points or {})}, center=known["center"], **pose)
 
     def coordinates(self) -> list[complex]:
@@ -108,7 +109,7 @@ class RigidBody(Body):
         """diag(mass, inertia)."""
         return np.diag([self.mass, self.inertia])
 
-    def attachments(self) -> dict[str, list[complex]]:
+    def attachments(self) -> dict[str, ArrayLike]:
         """{name: (1, X - X_S)}."""
         return {name: [1.0, complex(*at) - complex(*self.center)] for name, at in self.points.items()}
 
@@ -123,7 +124,6 @@ class RigidBody(Body):
 
 
 def _mean(mesh, section):
-    """The mean point of a section of a mesh."""
+    """The mean point of a section of a mesh, the centre of a hole."""
     found = mesh.section(section)
-    weights = found.lengths if found.lengths.sum() > 0 else np.ones(len(found.nodes))
-    return tuple((weights @ mesh.points[found.nodes] / weights.sum()).tolist())
+    return tuple((found.weights @ mesh.points[found.nodes]).tolist())

@@ -167,8 +167,8 @@ def _split(looks, scales, begin, end, fine, inside, depth):
 
 
 def _jump(look, values, t):
-    what, advice = "angle" if look.unit == "rad" else "path", "give it a move that takes time, like profile.quintic"
-    return f"the {what} of {look.name!r} jumps by {np.ptp(values):.3g} {look.unit} at t = {t:.6g} s: {advice}; the run stops"
+    what, advice = "angle of motor" if look.unit == "rad" else "way of", "give it a move that takes time, like profile.quintic"
+    return f"the {what} {look.name!r} jumps by {np.ptp(values):.3g} {look.unit} at t = {t:.6g} s: {advice}; the run stops"
 
 
 def _merged(found):

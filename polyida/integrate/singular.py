@@ -11,6 +11,7 @@ from polyida.linear.independence import between, coordinate_sizes, cosine, invol
 
 ZERO = 1e-6  # a smallest singular value that counts as none
 NEAR = 1e-3  # one that is told beside a failure
+AHEAD = 0.1  # of the last step, over which the speed of the rows is measured
 REVERSED = 0.5  # cosine of the turn of the rows' space below which the way between two states led through zero
 
 
@@ -21,7 +22,7 @@ class SingularPosition(StepFailure):
 class Watch:
     """Begins at a state; `step` looks at the next one. Of rows that do not vary nothing is looked at.
 
-    Of a model of one's own it looks again when the rows, at the pace they had, will have gone a quarter of the way to zero.
+    Where it looks at every state, it looks again when the rows, at the pace they have, will have gone a quarter of the way to zero.
     """
 
     def __init__(self, model, state):
@@ -61,7 +62,16 @@ class Watch:
         gone, since = way(products), t - self.t
         if now + before <= gone and cosine(self.rows, rows, products) < REVERSED:
             raise self._failure(rows if now < before else self.rows, self.t + since * before / (before + now))
-        self.due = t + since * min(2.0, 0.25 * now / max(gone, 1e-300))
+        speed = max(gone / since if since else 0.0, self._speed(rows))
+        self.due = t + min(2.0 * since, 0.25 * now / max(speed, 1e-300))
+
+    def _speed(self, rows):
+        """How fast the unit rows go at the last state, 1/s: from one look to the next they may come round to where they were."""
+        ahead, state = AHEAD * self.h, self.state
+        if not ahead:
+            return 0.0
+        q = state.q + ahead * state.v
+        return way(between(rows, rows_of(self.model.phi_q(state.t + ahead, q), self.sizes))) / ahead
 
     def suspicion(self, t):
         """What to say beside a failure at t where phi_q was about to lose its rank, or nothing."""

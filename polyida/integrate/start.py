@@ -20,9 +20,9 @@ VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less 
 def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None, v0: ArrayLike | None = None) -> State:
     """A State at t0 that satisfies phi = 0, `phi_q v + phi_t = 0` and the equations of motion.
 
-    1. q0 (zeros where None) is freed of round-off in phi, v0 put on the velocity constraint, both in the metric of M. Where v0 is None it is
-       that of the bodies' velocity and spin, which are first changed, as motions of rigid bodies, by as little kinetic energy as their
-       joints ask for (a hinged bar keeps its moment of momentum about the hinge); a warning tells a change of more than a tenth.
+    1. q0 (zeros where None) is freed of round-off in phi, v0 put on the velocity constraint, both in the metric of M. Where v0 is None
+       it is that of the bodies' velocity and spin, which are first changed, as motions of rigid bodies, by as little kinetic energy as
+       their joints ask for (a hinged bar keeps its moment of momentum about the hinge); a warning tells a change of more than a tenth.
     2. `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`.
     Raises InputError for wrong shapes or values, of q0 and v0 or of what the model's functions return, for a start (or a given v0)
     that violates its constraint by more than 1e-6 of its size, that the model objects to, and for redundant or inconsistent constraints.

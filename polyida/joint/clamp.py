@@ -18,13 +18,11 @@ from polyida.keywords import named_keywords
 class Clamp(Joint):
     """A section held fast.
 
-    To ground: every node of the section keeps its place, `phi = x_i - X_i` (2 rows a node, m).
-    Between bodies: point and direction of both sections move as one, `phi = (x_A - x_B, d_A - Q d_B)` (4 rows), Q being the
-    rotation between the directions in the reference configuration. phi_q is constant in both cases.
-    Where one side is of a body of one's own, whose directions may be of constant length by themselves: `phi = (x_A - x_B, Q d_A x d_B)`
-    (3 rows).
-    Multipliers: force on b, N; of the direction a moment over length. Raises InputError where a section between bodies is a
-    single node, which has no direction, and for a place of the ground other than where the section is.
+    A plate's, to ground: every node of the section keeps its place, `phi = x_i - X_i` (2 rows a node, m).
+    Between bodies, and of bodies of few coordinates, whose nodes do not move one by one: point and direction of both sides move as one, the rows
+    of a Weld.
+    Multipliers: force on b, N; of the direction a moment over length. Raises InputError where a side of these has no direction, and for a
+    place of the ground other than where the section is.
     """
 
     b: Any = ground
@@ -33,7 +31,7 @@ class Clamp(Joint):
     def __post_init__(self):
         super().__post_init__()
         grounds = [isinstance(side, Ground) for side in (self.a, self.b)]
-        if not any(grounds) or self.a.turns_only or self.b.turns_only:
+        if not self._by_nodes:
             self.require_directions()
         if not any(grounds):
             return
@@ -44,9 +42,15 @@ class Clamp(Joint):
                 f"{label}: it holds {held!r} where that is at rest, not at {place!r}; give ground itself, and place the body there"
             )
 
+    @property
+    def _by_nodes(self):
+        """Whether a full plate is held to the ground."""
+        sides = [side for side in (self.a, self.b) if not isinstance(side, Ground)]
+        return len(sides) == 1 and not sides[0].body.few
+
     def rows(self) -> list[Row | Vector]:
         """`x_i - X_i` of every node, or those of a Weld."""
-        if self.a.turns_only or self.b.turns_only or not (isinstance(self.a, Ground) or isinstance(self.b, Ground)):
+        if not self._by_nodes:
             return welded(self.a, self.b)
         if isinstance(self.b, Ground):
             return [node.x - ground.at(node.point).x for node in self.a.each()]

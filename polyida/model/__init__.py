@@ -145,6 +145,10 @@ class Model:
         """Why a state cannot be accepted, or None."""
         return None
 
+    def sticks(self, q: NDArray) -> NDArray:
+        """Segments (segments, 2, 2), m, that show bodies without a mesh."""
+        return np.zeros((0, 2, 2))
+
     def attachment(self, name: Any) -> Any:
         """What a part of this name holds on to; raises InputError where there is none."""
         raise InputError(f"{type(self).__name__} has no named points, so none called {name!r}; read q")

@@ -35,11 +35,7 @@ def check_derivatives(
     if not (is_number(t) and is_whole(seed, 0)):
         raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
     random = np.random.default_rng(seed)
-    given = {name: None if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a))}
-    for _ in range(TRIES):
-        q, v, a = (random.standard_normal(model.n) if x is None else x for x in given.values())
-        if np.isfinite(model.force(t, q, v)).all():
-            break
+    q, v, a = _drawn(model, t, random, [None if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a))])
     lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
     n, m = model.n, model.m
     force = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
@@ -65,6 +61,15 @@ def check_derivatives(
             "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
         }
     return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
+
+
+def _drawn(model, t, random, given):
+    """q, v and a, those that are None drawn at random until forces are finite."""
+    for _ in range(TRIES):
+        q, v, a = (random.standard_normal(model.n) if x is None else x for x in given)
+        if np.isfinite(model.force(t, q, v)).all():
+            break
+    return q, v, a
 
 
 def _deviation(exact, difference, blur):

@@ -22,6 +22,10 @@ ABOUT = {
         "source": "computed by DOP853 on the index-1 equations, rtol 2.3e-14; Radau IIA, rtol 1e-13, agrees to 2.5e-12 rad, the printed "
         "digits of the IVP test set, Andrews' squeezing mechanism (PSIDE), to 1.4e-9 rad (python studies/digits.py andrews)",
     },
+    "andrews-parts": {
+        "quantity": "angles in rad, their rates in rad/s, at t = 0.03 s; largest absolute error",
+        "source": "the digits of andrews, computed from its equations in minimal angles; those that are printed are 1.4e-9 rad away",
+    },
     "double-plate": {"quantity": TIP.replace(" and N m", ""), "source": COMPUTED},
     "double-plate-motors": {"quantity": TIP, "source": COMPUTED},
     "plate-chain": {"quantity": TIP.replace(" and N m", ""), "source": COMPUTED},
@@ -32,6 +36,11 @@ ABOUT = {
     "rigid-limit": {
         "quantity": "nodal q in m, v in m/s, joint forces lam in N, at t_end; largest absolute error",
         "source": "equation of two rigid bodies by DOP853; the flexible plates come near as 1 / E",
+    },
+    "rigid-pendulum": {"quantity": AT_POINT.format("tip", "1"), "source": "equation of two rigid bodies by DOP853, rtol 1e-13"},
+    "n-four-bar": {
+        "quantity": AT_POINT.format("B0", "0.7").replace("at t = 0.7 s", "at t_end"),
+        "source": "IFToMM library of benchmark problems, A02; equation of its one angle by DOP853, rtol 1e-13",
     },
     "slider-crank": {"quantity": AT_POINT.format("slider", "0.4"), "source": MECHANISM},
     "four-bar": {"quantity": AT_POINT.format("pin", "0.5"), "source": MECHANISM},

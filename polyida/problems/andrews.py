@@ -33,6 +33,9 @@ TURNS = np.array(
     float,
 )
 ARMS = np.array([[rr, -d, 1j * ss, 0, 0, 0, 0], [rr, -d, 0, 1j * e, -zt, 0, 0], [rr, -d, 0, 0, 0, -zf, 1j * u]])
+Q0 = np.array(
+    [-0.06171389001427645, 0, 0.45527981916307037, 0.22266839016588588, 0.48736497954384256, -0.22266839016588588, 1.2305474445498212]
+)
 ENDS = np.array([xb + 1j * yb, xa + 1j * ya, xa + 1j * ya])
 
 
@@ -138,17 +141,7 @@ def problem():
         model=Andrews(),
         v0=np.zeros(7),
         t_end=0.03,
-        q0=np.array(
-            [
-                -0.06171389001427645,
-                0,
-                0.45527981916307037,
-                0.22266839016588588,
-                0.48736497954384256,
-                -0.22266839016588588,
-                1.2305474445498212,
-            ]
-        ),
+        q0=Q0.copy(),
         reference={part: np.array(value) for part, value in DIGITS.items()},
         known_to=dict(KNOWN_TO),
         **ABOUT["andrews"],

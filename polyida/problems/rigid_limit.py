@@ -39,11 +39,11 @@ def accelerations(a1, a2, w1, w2):
 
 
 def rigid_motion(t_end):
-    """(a1, a2, w1, w2) at t_end, from rest along +x; DOP853 at a relative tolerance of 1e-12."""
+    """(a1, a2, w1, w2) at t_end, from rest along +x; DOP853 at a relative tolerance of 1e-13."""
     from scipy.integrate import solve_ivp
 
     run = solve_ivp(
-        lambda t, y: np.concatenate([y[2:], accelerations(*y)]), (0.0, t_end), np.zeros(4), method="DOP853", rtol=1e-12, atol=1e-13
+        lambda t, y: np.concatenate([y[2:], accelerations(*y)]), (0.0, t_end), np.zeros(4), method="DOP853", rtol=1e-13, atol=1e-14
     )
     return run.y[:, -1]
 

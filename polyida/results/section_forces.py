@@ -67,20 +67,20 @@ class Cut:
         self.cut = np.flatnonzero(np.isin(self.nodes, mesh.nodes[np.repeat(~ahead, np.diff(mesh.offsets))]))
         if not self.cut.size:
             raise InputError(f"{label}: a cut at {at.tolist()} across {normal!r} does not part the plate")
-        self.model, self.body, self.place, self.way = model, body, place, way
+        self.body, self.place, self.way = body, place, way
         self.ahead = SceneModel({body.name: replace(body.plate, mesh=part)}, model.gravity)
         self.rest = complex_of_pairs(self.ahead.reference[self.cut])
         self.slivers = Slivers(body, model.gravity, pairs_of(place), pairs_of(way), ahead)
 
     def __call__(self, t, q, v, a):
         """normal, shear, moment, point x and y, direction x and y at an instant."""
-        u, v, a = (self.model.nodal(x)[self.body.nodes] for x in (q, v, a))
+        u, v, a = (x.reshape(-1, 2)[self.body.nodes] for x in (q, v, a))
         left = self.ahead.residual(t, *(x[self.nodes].ravel() for x in (u, v, a)), np.zeros(0)).reshape(-1, 2)[self.cut]
         x = self.rest + complex_of_pairs(u[self.nodes][self.cut])
         turn = np.vdot(self.rest - self.rest.mean(), x - x.mean())
         turn /= abs(turn) or 1.0
         point, way = x.mean() + turn * (self.place - self.rest.mean()), turn * self.way
-        forces = -complex_of_pairs(np.concatenate([left, self.slivers.forces(v, a)]))
+        forces = -complex_of_pairs(np.concatenate([left, self.slivers.forces(t, v, a)]))
         arms = np.concatenate([x, complex_of_pairs(self.slivers.places(u))]) - point
         through = way.conjugate() * forces.sum()
         return through.real, through.imag, np.vdot(arms, forces).imag, point.real, point.imag, way.real, way.imag
@@ -104,10 +104,10 @@ def _part(mesh, chosen):
 
 
 def _body(model, plate: Any):
-    """The plate that is meant, in its scene."""
-    known = {body.name: body for body in model.drawn}
+    """The full plate that is meant, in its scene."""
+    known = {body.name: body for body in model.bodies}
     name = next((name for name, body in known.items() if body.plate is plate), plate)
     if isinstance(name, str) and name in known:
         return known[name]
-    given = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no plate is called {plate!r:.100}"
-    raise InputError(f"section_forces: {given}; known: {', '.join(map(repr, known))}")
+    given = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no full plate is called {plate!r:.100}"
+    raise InputError(f"section_forces: {given}; known: {', '.join(map(repr, known)) or 'none'}")

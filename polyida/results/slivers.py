@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.sparse import csr_array
 
+from polyida.profile import Profile
+
 ROUND = 1e-9  # of a plate's size: cells that reach over a line by less end there
 
 
@@ -28,11 +30,12 @@ class Slivers:
             masses.append(side * density * area)
         rows, columns, values = np.array(entries, float).reshape(-1, 3).T
         self.weights = csr_array((values, (rows.astype(int), columns.astype(int))), (len(masses), mesh.n_nodes))
-        self.mass, self.gravity, self.drag, self.rest = np.array(masses)[:, None], np.array(gravity), material.mass_damping, body.points
+        self.mass, self.gravity, self.drag, self.rest = np.array(masses)[:, None], gravity, material.mass_damping, body.points
 
-    def forces(self, v, a):
+    def forces(self, t, v, a):
         """What moves them, weight and damping taken off, (slivers, 2), N, from the nodes' velocities and accelerations, (nodes, 2)."""
-        return self.mass * (self.weights @ (a + self.drag * v) - self.gravity)
+        gravity = [g(t) if isinstance(g, Profile) else g for g in self.gravity]
+        return self.mass * (self.weights @ (a + self.drag * v) - gravity)
 
     def places(self, u):
         """Where they are, (slivers, 2), m, from the nodes' displacements."""

@@ -7,7 +7,7 @@ from polyida.element import kernels
 
 def strains(model, q):
     """Green's strain of every element of a scene at q, (cells, 3): Exx, Eyy, 2 Exy, means over the element at rest, plate after plate."""
-    u, parts = np.ascontiguousarray(model.nodal(q), float), [np.zeros((0, 3))]
+    u, parts = model.nodal(q), [np.zeros((0, 3))]
     for body in model.drawn:
         operator = body.operator
         parts.append(np.empty((operator.n_cells, 3)))

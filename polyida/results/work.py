@@ -19,31 +19,35 @@ SAME = 1e-12  # of the times' size: a kink as near to a frame is at it
 
 
 def works(motion):
-    """{name: work since the first frame, (frames,), J} of all that the motion's model names in `powers`."""
-    model, t = motion.model, np.asarray(motion.t, float)
-    if not len(t):
+    """{name: work since the first frame, (frames,), J} of all that the motion's model names in `powers` at the first frame."""
+    t = np.asarray(motion.t, float)
+    powers = _Powers(motion) if len(t) else None
+    if not (powers and powers.names):
         return {}
-    kinks, first = _Kinks(model, t), (np.asarray(x[0], float) for x in (motion.q, motion.v, motion.lam))
-    gained = [dict.fromkeys(model.powers(float(t[0]), *first), 0.0)]
-    behind = {k: _behind(motion, k) for k in kinks.frames}
+    kinks, gained = _Kinks(motion.model, t), np.zeros((len(t), len(powers.names)))
+    behind = {k: _behind(motion, powers, k) for k in kinks.frames}
     multipliers = _multipliers(t, np.asarray(motion.lam, float), behind, kinks.ends)
     for k, ((q0, v0), (q1, v1)) in enumerate(pairwise(zip(each(motion.q), each(motion.v)))):
-        found, h = {}, t[k + 1] - t[k]
+        h = t[k + 1] - t[k]
         if k in behind:
-            v0, _, blow = behind[k]
-            _add(found, 1.0, blow)
+            v0, _, gained[k + 1] = behind[k]
         for s, part in kinks.points(k):
             q, v = cubic(q0, v0, q1, v1, h, s)
             lam, _ = cubic(*multipliers[k], h, s)
-            _add(found, part * h, model.powers(t[k] + s * h, q, v, lam))
-        gained.append(found)
-    names = dict.fromkeys(name for found in gained for name in found)
-    return {name: np.cumsum([found.get(name, 0.0) for found in gained]) for name in names}
+            gained[k + 1] += part * h * powers(t[k] + s * h, q, v, lam)
+    return dict(zip(powers.names, np.cumsum(gained, axis=0).T))
 
 
-def _add(found, weight, values):
-    for name, value in values.items():
-        found[name] = found.get(name, 0.0) + weight * value
+class _Powers:
+    """A model's powers as an array, in the order of their names at a motion's first frame."""
+
+    def __init__(self, motion):
+        self.model = motion.model
+        self.names = list(self.model.powers(float(motion.t[0]), *(np.asarray(x[0], float) for x in (motion.q, motion.v, motion.lam))))
+
+    def __call__(self, t, q, v, lam):
+        found = self.model.powers(t, q, v, lam)
+        return np.array([found.get(name, 0.0) for name in self.names])
 
 
 class _Kinks:
@@ -69,16 +73,13 @@ class _Kinks:
             yield from ((first + s * (last - first), 0.5 * (last - first)) for s in GAUSS)
 
 
-def _behind(motion, k):
-    """(v, lam, {name: work of the blow}) behind a kink at frame k, where a motor's speed and forces may have jumped."""
+def _behind(motion, powers, k):
+    """(v, lam, works of the blow) behind a kink at frame k, where a motor's speed and forces may have jumped."""
     model, t, q, v = motion.model, float(motion.t[k]), np.asarray(motion.q[k], float), np.asarray(motion.v[k], float)
-    before, after, blow = beside(t, -1.0), beside(t, 1.0), {}
-    if model.m:
-        jump, impulse = model.mass_system(after, q).solve(np.zeros(model.n), model.phi_rate(after, q, v))
-        v = v + jump
-        for time in (before, after):
-            _add(blow, 0.5, model.powers(time, q, v, impulse))
-            _add(blow, -0.5, model.powers(time, q, v, np.zeros(model.m)))
+    after, none = beside(t, 1.0), np.zeros(model.m)
+    jump, impulse = model.mass_system(after, q).solve(np.zeros(model.n), model.phi_rate(after, q, v)) if model.m else (0.0, none)
+    v = v + jump
+    blow = sum(0.5 * (powers(time, q, v, impulse) - powers(time, q, v, none)) for time in (beside(t, -1.0), after))
     return v, consistent_acceleration(model, after, q, v)[1], blow
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.show import plates
-from polyida.show.style import INK, box, colour_top, equal, figure, height_for, lay_out, settings
+from polyida.show.style import INK, STICK, box, colour_top, equal, figure, height_for, lay_out, settings
 
 
 def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress=None):
@@ -51,18 +51,20 @@ class Picture:
 
         self.run, (self.nodes, offsets), self.edges = run, plates.closed(run.model), plates.edges(run.model)
         self.corners, self.ends = np.zeros((len(self.nodes), 2)), np.zeros((len(self.edges), 2, 2))
-        boxes = np.array([box(run.node_positions(k)) for k in chosen])
+        boxes = np.array([box(plates.places(run, k)) for k in chosen])
         low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
         self.stress = {k: run.von_mises(k) / 1e3 for k in chosen}
         look = {"cmap": "viridis", "clim": (0, colour_top([*self.stress.values()])), "edgecolors": "face", "linewidths": 0.2}
         with settings():
             made, self.axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
-            cells = [Outline(corners) for corners in np.split(self.corners, offsets[1:-1])]
+            cells = [Outline(corners) for corners in np.split(self.corners, offsets[1:-1])] if len(self.corners) else []
             self.cells = self.axes.add_collection(PathCollection(cells, animated=True, **look))
             self.outline = self.axes.add_collection(LineCollection(self.ends, colors=INK, linewidths=0.5, animated=True))
+            self.sticks = self.axes.add_collection(LineCollection([], colors=STICK, linewidths=1.6, capstyle="round", animated=True))
             self.title = self.axes.set_title(self._time(chosen[0]), loc="left", animated=True)
             equal(self.axes, low, high)
-            made.colorbar(self.cells, ax=self.axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
+            if run.model.drawn:
+                made.colorbar(self.cells, ax=self.axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
             lay_out(made)
             self.canvas = FigureCanvasAgg(made)
             self.canvas.draw()
@@ -75,10 +77,11 @@ class Picture:
         place = self.run.node_positions(k)
         self.corners[:], self.ends[:] = place[self.nodes], place[self.edges]
         self.cells.set_array(self.stress[k])
+        self.sticks.set_segments(plates.sticks(self.run, k))
         self.title.set_text(self._time(k))
         self.canvas.restore_region(self.empty)
         with settings():
-            for artist in (self.cells, self.outline, self.title):
+            for artist in (self.cells, self.outline, self.sticks, self.title):
                 self.axes.draw_artist(artist)
         return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
 

@@ -19,15 +19,30 @@ def require_run(part, run, overwrite):
 
 
 def bodies(model):
-    """The plates of a scene's model, reduced and rigid ones too; raises InputError for a model that has none."""
-    if model is None or not model.drawn:
-        raise InputError(f"{type(model).__name__} has no plates to draw: only the model of a scene with plates has")
+    """The plates of a scene's model, reduced and rigid ones too; raises InputError for a model that has nothing to draw."""
+    if not drawable(model):
+        raise InputError(f"{type(model).__name__} has no plates to draw: only the model of a scene has")
     return model.drawn
+
+
+def drawable(model):
+    """Whether a model has anything to draw."""
+    return model is not None and bool(model.drawn or len(model.sticks(np.zeros(model.n))))
+
+
+def sticks(run, k):
+    """Segments (segments, 2, 2), m, of the bodies without a mesh in frame k."""
+    return run.model.sticks(np.asarray(run.q[k], float))
+
+
+def places(run, k):
+    """All places that are drawn in frame k, (points, 2), m."""
+    return np.concatenate([run.node_positions(k), sticks(run, k).reshape(-1, 2)])
 
 
 def connectivity(model):
     """All cells of all plates in order: corner nodes numbered over all plates, and offsets (cells + 1,)."""
-    nodes, offsets, last = [], [np.zeros(1, int)], 0
+    nodes, offsets, last = [np.zeros(0, int)], [np.zeros(1, int)], 0
     for body in bodies(model):
         nodes.append(body.mesh.nodes.astype(int) + body.nodes.start)
         offsets.append(body.mesh.offsets[1:].astype(int) + last)
@@ -38,7 +53,7 @@ def connectivity(model):
 def polygons(model, positions):
     """Corner positions of every cell, a list of (corners, 2), m, at the given node positions (nodes, 2)."""
     nodes, offsets = connectivity(model)
-    return np.split(positions[nodes], offsets[1:-1])
+    return np.split(positions[nodes], offsets[1:-1]) if len(nodes) else []
 
 
 def outlines(model, positions):
@@ -48,7 +63,7 @@ def outlines(model, positions):
 
 def edges(model):
     """Nodes at both ends of the boundary edges of all plates, (edges, 2), numbered over all plates."""
-    return np.concatenate([body.mesh.boundary_edges + body.nodes.start for body in bodies(model)])
+    return np.concatenate([np.zeros((0, 2), int), *(body.mesh.boundary_edges + body.nodes.start for body in bodies(model))])
 
 
 def closed(model):

@@ -5,8 +5,9 @@
 
 import numpy as np
 
+from polyida.errors import InputError
 from polyida.show import plates
-from polyida.show.style import INK, PALETTE, box, colour_top, equal, figure, height_for, line, plain, settings
+from polyida.show.style import INK, PALETTE, STICK, box, colour_top, equal, figure, height_for, line, plain, settings
 from polyida.study.energy import unbalanced
 
 DISTINCT = 20_000  # polygons in one picture, beyond which they are an image in a PDF: nobody can tell them apart
@@ -16,7 +17,8 @@ def mesh(model):
     """The polygon meshes of all plates in the reference configuration. Raises InputError for a model without plates."""
     from matplotlib.collections import PolyCollection
 
-    plates.bodies(model)
+    if model is None or not model.drawn:
+        raise InputError(f"{type(model).__name__} has no plates, whose meshes could be drawn")
     with settings():
         cells = plates.polygons(model, model.drawn_points)
         low, high = box(np.concatenate(cells))
@@ -31,7 +33,7 @@ def mesh(model):
 
 
 def deformed(run, times=None, snapshots=6, width=6.4):
-    """The plates at several times in one picture, coloured by von Mises stress in kPa with one colorbar.
+    """The plates at several times in one picture, coloured by von Mises stress in kPa with one colorbar; bodies without a mesh as sticks.
 
     times: at which to draw, s; by default `snapshots` times evenly spread over the run.
     """
@@ -41,7 +43,7 @@ def deformed(run, times=None, snapshots=6, width=6.4):
         frames = plates.spread(run, snapshots) if times is None else plates.frames_at(run, times)
         shapes = [plates.polygons(run.model, run.node_positions(k)) for k in frames]
         stress = [run.von_mises(k) / 1e3 for k in frames]
-        low, high = box(np.concatenate([run.node_positions(k) for k in frames]))
+        low, high = box(np.concatenate([plates.places(run, k) for k in frames]))
         made, axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
         top = colour_top(stress)
         fine = sum(map(len, shapes)) > DISTINCT
@@ -51,10 +53,11 @@ def deformed(run, times=None, snapshots=6, width=6.4):
             edges = plates.outlines(run.model, run.node_positions(k))
             axes.add_collection(drawn)
             axes.add_collection(LineCollection(edges, colors=INK, linewidths=0.4, rasterized=fine))
+            axes.add_collection(LineCollection(plates.sticks(run, k), colors=STICK, linewidths=1.6, capstyle="round"))
         _label_times(axes, run, frames)
         equal(axes, low, high, margin=0.09)
-        bar = made.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02, extend="max")
-        bar.set_label("von Mises stress, kPa")
+        if run.model.drawn:
+            made.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
         return made
 
 
@@ -99,7 +102,7 @@ def reactions(runs, names, limit=8):
 
 
 def energy(runs):
-    """Kinetic, potential, strain and total energy, and what is gained or lost beside the work of motors."""
+    """Kinetic, potential, strain and total energy, and what is gained or lost beside the work of parts and what they dissipate."""
     with settings():
         made, axes = figure(6.4, 3.0, ncols=2, width_ratios=[1.25, 1])
         first_label, first = next(iter(runs.items()))
@@ -163,13 +166,12 @@ def _legend(made, axes):
 
 
 def _label_times(axes, run, frames):
-    """Write each time beside the outermost node of the last plate, on the side that it moves along."""
-    last = plates.bodies(run.model)[-1]
-    end = last.nodes.start + int(np.argmax(last.points[:, 0]))
+    """Write each time beside the outermost place of the last body, on the side that it moves along."""
+    last = plates.bodies(run.model)[-1:]
+    end = int(np.argmax(last[0].points[:, 0])) if last else -1
     for k in frames:
-        positions = run.node_positions(k)
-        inner = positions[last.nodes].mean(axis=0)
-        along = positions[end] - inner
+        positions = run.node_positions(k)[last[0].nodes] if last else plates.sticks(run, k).reshape(-1, 2)
+        along = positions[end] - positions.mean(axis=0)
         beyond = 12 * along / (np.hypot(*along) + 1e-300)
         axes.annotate(
             f"{run.t[k]:.3g} s",

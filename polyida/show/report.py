@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from polyida.machine import machine_info
-from polyida.show import plots
+from polyida.show import plates, plots
 from polyida.show.page import finite, page
 
 FRAMES = 50  # VTU frames written at most
@@ -76,7 +76,7 @@ def _curves(job, runs, comparison):
     if model.rows:
         caption = "What each joint does to the body on its far side."
         found["reactions"] = lambda: plots.reactions(runs, list(model.rows)), caption
-    found["energy"] = lambda: plots.energy(runs), "Energy, and what is gained or lost beside the work of motors."
+    found["energy"] = lambda: plots.energy(runs), "Energy, and what is gained or lost beside the work of parts and what they dissipate."
     if model.m:
         found["drift"] = lambda: plots.drift(runs), "How well the constraints hold."
     return found
@@ -84,5 +84,5 @@ def _curves(job, runs, comparison):
 
 def _drawable(runs):
     """The first run whose plates can be drawn, or None."""
-    shown = [run for run in runs.values() if len(run.t) > 1 and run.model.drawn]
+    shown = [run for run in runs.values() if len(run.t) > 1 and plates.drawable(run.model)]
     return shown[0] if shown else None

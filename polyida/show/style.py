@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-INK = "#222222"
+INK, STICK = "#222222", "#8C5A2B"  # of lines and text, and of bodies without a mesh
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 PRINT_DPI = 400  # of what is an image in a PDF
@@ -112,7 +112,8 @@ def equal(axes, low, high, margin=0.04):
 
 def colour_top(values):
     """Upper end of a colour scale over several arrays: one element at a corner must not darken all others."""
-    return max(float(np.quantile(np.concatenate(values), 0.995)), 1e-12)
+    found = np.concatenate(values)
+    return max(float(np.quantile(found, 0.995)) if found.size else 0.0, 1e-12)
 
 
 def plain(text):

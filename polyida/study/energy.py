@@ -1,27 +1,20 @@
-"""Energy balance of a run: what the motors put in, and what is gained or lost beside that."""
+"""Energy balance of a run: what the motors put in, and what is gained or lost beside all that is known."""
 
 import numpy as np
 
-from polyida.io.frames import each
-
 
 def motor_work(run):
-    """Work of all that drives phi, motors and paths, up to every frame, `int lam . phi_t dt`, (frames,), J.
+    """Work of all angle motors up to every frame, (frames,), J."""
+    from polyida.joint.angle_motor import AngleMotor
 
-    By the trapezoidal rule.
-    """
-    work = np.zeros(len(run.t))
-    if run.model.needs.driven:
-        power = np.array([lam @ run.model.phi_t(t, q) for t, q, lam in zip(run.t, each(run.q), each(run.lam))])
-        work[1:] = np.cumsum(np.diff(run.t) * (power[1:] + power[:-1]) / 2)
-    return work
+    motors = [name for name, joint in run.model.joints.items() if isinstance(joint, AngleMotor)]
+    return sum((run.energy.work[name] for name in motors), np.zeros(len(run.t)))
 
 
 def unbalanced(run):
-    """Change of the total energy since the start less the work of the motors, (frames,), J.
+    """Change of the total energy since the start less the work of all parts, more what they dissipated, (frames,), J.
 
-    NaN where a model states no potential. Zero for the exact motion of a scene without damping whose only load is
-    gravity.
+    NaN where a model states no potential. Zero for the exact motion.
     """
-    total = run.energy.total
-    return total - total[0] - motor_work(run)
+    energy = run.energy
+    return energy.total - energy.total[0] - sum(energy.work.values()) + sum(energy.dissipated.values())

@@ -42,6 +42,22 @@ class Dumbbell(pi.Body):
         return [(pi.dot(w, w) - 0.64) * (0.5 / 0.8)]
 
 
+@dataclass(frozen=True, eq=False)
+class Weightless(pi.Body):
+    """A point that joints carry."""
+
+    name: str | None = None
+
+    def coordinates(self):
+        return [0.5j]
+
+    def mass_matrix(self):
+        return np.zeros((1, 1))
+
+    def attachments(self):
+        return {"here": [1.0]}
+
+
 def plate(scenes, **motion):
     return scenes.plate("bar", 12, angle=0.3, origin=(2.0, 1.0), **motion)
 
@@ -84,6 +100,17 @@ def test_a_free_body_moves_as_it_was_given(scenes, kind):
         z = state.v.reshape(-1, 2)[body.pairs] @ (1, 1j)
         assert np.vdot(body.translation, body.mass @ z) == pytest.approx(mass * complex(*V), rel=1e-9)
     assert not pi.consistent_state(model, v0=np.zeros(model.n)).v.any()
+
+
+def test_a_scene_with_massless_and_still_bodies_begins_too(scenes):
+    scene = pi.Scene()
+    scene.add(Dumbbell(name="moving"))
+    scene.add(Weightless(name="wheel"))
+    scene.add(scenes.plate("still", 12, origin=(3.0, 0.0)))
+    model = scene.build()
+    v = model.initial_velocity(0.0, np.zeros(model.n))
+    still = [v.reshape(-1, 2)[placed.pairs] for placed in (*model.bodies, model.few[1])]
+    assert np.isfinite(v).all() and v.any() and not any(part.any() for part in still)
 
 
 @pytest.mark.parametrize("kind", BODIES)

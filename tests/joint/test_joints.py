@@ -140,6 +140,7 @@ def test_hole_rims(scenes):
         assert rim.turn_weights.sum() == pytest.approx(0.0, abs=1e-13)
         assert np.linalg.norm(rim.direction) == pytest.approx(1.0)
         assert rim.length == pytest.approx(2 * np.pi * 0.05, rel=0.05)
+        assert np.allclose(pi.RigidBody.from_mesh(link.mesh, link.material, 0.01).at(f"hole {hole}").point, place, atol=1e-15)
 
 
 def test_a_loop_of_links_that_is_drawn_exactly_closes(scenes):

@@ -30,9 +30,9 @@ def test_between_two_plates_it_is_the_difference(scenes):
     scene = scenes.jointed("revolute")
     run = pi.solve(scene.build(), 0.1, ALPHA)
     upper, lower = (scene.parts[name] for name in ("upper", "lower"))
-    ways = []
+    ways, first = [], {body.name: body.nodes.start for body in run.model.bodies}
     for side in (upper.section("right"), lower.section("left")):
-        u = run.q.reshape(len(run), -1, 2)[:, run.model.nodes_of(side)]
+        u = run.q.reshape(len(run), -1, 2)[:, side.nodes + first[side.body.name]]
         ways.append(np.einsum("fkd,k->fd", u, side.turn_weights) + side.direction)
     turned = [np.unwrap(np.arctan2(way[:, 1], way[:, 0])) for way in ways]
     assert np.allclose(run.angle("joint"), turned[1] - turned[0] - (turned[1] - turned[0])[0], atol=1e-12)

@@ -84,6 +84,19 @@ def test_of_a_rigid_turn_it_is_that_by_hand():
     assert run.momentum.shape == (len(run), 2) and run.angular_momentum.shape == (len(run),)
 
 
+@pytest.mark.parametrize("level", [lambda plate: plate, pi.Rigid, lambda plate: pi.Reduced(plate, modes=3)])
+def test_at_all_levels(scenes, level):
+    """A free plate that spins 3 rad/s about its middle, which goes by (2, -1) m/s, from (0.5, 0.05) m."""
+    scene = pi.Scene()
+    body = scene.add(level(scenes.plate("plate", mesh=pi.mesh.quads(1.0, 0.1, 8, 2), velocity=(2.0, -1.0), spin=3.0)))
+    run = pi.solve(scene.build(), 2e-3, pi.GeneralizedAlpha(h=1e-3))
+    middle = np.mean([run.position(body.section(name))[0] for name in ("left", "right")], axis=0)
+    v = np.array([2.0, -1.0])
+    assert np.allclose(run.momentum, scenes.PLATE_MASS * v, rtol=1e-9)
+    spin = scenes.PLATE_MASS * (_cross(middle, v) + 3.0 * 1.01 / 12)
+    assert run.angular_momentum[0] == pytest.approx(spin, rel=1e-9) and np.allclose(run.angular_momentum, spin, rtol=1e-5)
+
+
 def test_free_bodies_keep_it():
     model = hanging((0.0, 0.0))[0].build()
     run = pi.solve(model, 0.1, pi.EnergyMomentum(h=1e-3), v0=turning(model, (0.2, -0.3), 3.0, (2.0, -1.0)))

@@ -75,10 +75,12 @@ def test_of_a_spinning_bar(mesh):
         assert abs(cut.shear[-1]) < 1e-4 and abs(cut.moment[-1]) < 1e-4
 
 
-@pytest.mark.parametrize("material", [{}, {"viscosity": 1e-4, "mass_damping": 1.0}])
-def test_action_is_reaction(material):
+@pytest.mark.parametrize(
+    "material, gravity", [({}, (0.0, -9.81)), ({"viscosity": 1e-4, "mass_damping": 1.0}, (pi.profile.sine(5.0, 20.0), -9.81))]
+)
+def test_action_is_reaction(material, gravity):
     """A falling bar, damped or not, cut askew while it bends: the free end and the hinged one tell the same, the moment with other sign."""
-    scene, plate = bar(MESHES["polygons"], gravity=(0.0, -9.81), angle=0.3, **material)
+    scene, plate = bar(MESHES["polygons"], gravity=gravity, angle=0.3, **material)
     scene.add(pi.Revolute(pi.ground, plate.section("left")))
     run = pi.solve(scene.build(), 0.1, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-6), every=25)
     there, back = (run.section_forces("bar", (0.48, middle(plate)), way) for way in ((4.0, 3.0), (-4.0, -3.0)))
@@ -97,8 +99,8 @@ def test_files_and_frames(run, file):
 @pytest.mark.parametrize(
     "given, match",
     [
-        (("nobody", (0.5, 0.0)), "no plate is called 'nobody'; known: 'upper', 'lower'"),
-        ((None, (0.5, 0.0)), "no plate is called None"),
+        (("nobody", (0.5, 0.0)), "no full plate is called 'nobody'; known: 'upper', 'lower'"),
+        ((None, (0.5, 0.0)), "no full plate is called None"),
         (("upper", (2.0, 0.0)), "upper: a cut at .* does not part the plate"),
         (("upper", (np.nan, 0.0)), "upper: at = "),
         (("upper", (0.5, 0.0), (0.0, 0.0)), "upper: normal = .* must not be zero"),
@@ -114,3 +116,13 @@ def test_what_is_no_cut(run, given, match):
 def test_a_plate_of_another_scene(run, scenes):
     with pytest.raises(pi.InputError, match="plate 'strange' is not in the scene"):
         run.section_forces(scenes.plate("strange"), (0.5, 0.0))
+
+
+def test_a_body_of_few_coordinates_is_none(scenes):
+    scene = pi.Scene()
+    scene.add(pi.Reduced(scenes.plate("few"), modes=2))
+    scene.add(scenes.plate("full"))
+    run = pi.solve(scene.build(), 1e-3, pi.GeneralizedAlpha(h=1e-3))
+    assert run.section_forces("full", (0.5, 0.0)).normal.shape == (2,)
+    with pytest.raises(pi.InputError, match="no full plate is called 'few'; known: 'full'"):
+        run.section_forces("few", (0.5, 0.0))

@@ -8,6 +8,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.running.hermite import cubic
+from polyida.study.energy import unbalanced
 
 RADAU = pi.RadauIIA(h=1e-3)
 
@@ -58,11 +59,6 @@ def motion(frames):
     t = np.linspace(0.0, 1.0, frames) ** 1.5
     q, v, a, lam = (x[:, None] for x in (np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t), np.exp(t)))
     return pi.Trajectory(Told(), "known", t, q, v, a, lam)
-
-
-def unbalanced(run):
-    energy = run.energy
-    return energy.total - energy.total[0] - sum(energy.work.values()) + sum(energy.dissipated.values())
 
 
 def test_fourth_order_in_the_time_between_frames(scenes):

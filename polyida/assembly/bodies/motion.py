@@ -25,17 +25,17 @@ def motion_of(body):
 def rigid_velocity(pull, translation, z, velocity, spin):
     """Velocities (pairs,), complex, of coordinates z that move as one rigid body: `T V + i spin (z - T x_G)`, V that of its centre of mass.
 
-    translation: T (pairs,). pull: M T, so that `x_G = T^H M z / T^H M T`.
+    translation: T (pairs,). pull: M T, so that `x_G = T^H M z / T^H M T`, zero of a body without mass.
     """
-    centre = np.vdot(pull, z) / np.vdot(pull, translation)
+    centre = np.vdot(pull, z) / (np.vdot(pull, translation) or 1.0)
     return translation * velocity + 1j * spin * (z - translation * centre)
 
 
 def velocity_at(model, t, q):
     """Velocities (n,) of a scene at (t, q) whose bodies move as they were given, changed by what joints ask of bodies that stay rigid.
 
-    The change has the least kinetic energy, `min (w - w_0)^T R^T M R (w - w_0)`, `phi_q R w + phi_t = 0`: R (n, 3 bodies), w velocity and spin
-    of each; where these rows contradict each other they are met in the least-squares sense. A warning says where it is large.
+    The change has the least kinetic energy, `min (w - w_0)^T R^T M R (w - w_0)`, `phi_q R w + phi_t = 0`: R (n, 3 bodies), w velocity and
+    spin of each; where these rows contradict each other they are met in the least-squares sense. A warning says where it is large.
     """
     bodies = [*model.bodies, *model.few]
     wanted = np.array([[v.real, v.imag, spin] for v, spin in (motion_of(_user(placed)) for placed in bodies)]).ravel()
@@ -86,12 +86,11 @@ def _change(model, t, q, R, wanted):
 
 def _warn_of_change(model, names, R, wanted, changed):
     """Warn where joints change the motion that bodies were given by much."""
-    M, (before, change) = model.mass(np.zeros(model.n)), (R @ wanted, R @ (changed - wanted))
-    share = np.sqrt((change @ (M @ change)) / (before @ (M @ before)))
-    if share <= CHANGED:
+    M, parts = model.mass(np.zeros(model.n)), np.eye(len(names)).repeat(3, axis=1) * (changed - wanted)
+    energies, given, change = ([part @ (M @ part) for part in moved] for moved in ((R @ parts.T).T, [R @ wanted], [R @ (changed - wanted)]))
+    if not change[0] > CHANGED**2 * given[0] > 0.0:
         return
-    energies = [part @ (M @ part) for part in (R[:, 3 * k : 3 * k + 3] @ (changed - wanted)[3 * k : 3 * k + 3] for k in range(len(names)))]
-    told = []
+    share, told = np.sqrt(change[0] / given[0]), []
     for k in np.argsort(energies)[::-1][:TOLD]:
         (vx, vy, spin), (ux, uy, turn) = wanted[3 * k : 3 * k + 3], changed[3 * k : 3 * k + 3]
         told.append(f"{names[k]!r} from ({vx:.3g}, {vy:.3g}) m/s, {spin:.3g} rad/s to ({ux:.3g}, {uy:.3g}) m/s, {turn:.3g} rad/s")

@@ -28,13 +28,13 @@ class Placed:
         """Move it by `shift`, complex, m, and turn it about its centre by `turn`, rad, in place; the longest way of a point, m."""
         before = places_of(self.body)
         rotation = np.exp(1j * turn)
-        origin = rotation * (complex(*self.part.origin) - self.centre) + self.centre + shift
+        origin = complex(rotation * (complex(*self.part.origin) - self.centre) + self.centre + shift)
         self.settle((origin.real, origin.imag), float(self.part.angle + turn))
         wanted = rotation * (before - self.centre) + self.centre + shift
         if np.abs(places_of(self.body) - wanted).max() > MISPLACED * (self.size + np.abs(wanted).max()):
             raise InputError(
-                f"Scene.assemble: {self.body.label} has origin and angle, but its points do not follow them; let its coordinates() be those "
-                "at the origin, turned by the angle and moved to the origin"
+                f"Scene.assemble: {self.body.label} has origin and angle, but its points do not follow them; let its "
+                "coordinates() be those of angle 0 at (0, 0), turned by the angle and moved to the origin"
             )
         return float(np.abs(wanted - before).max())
 

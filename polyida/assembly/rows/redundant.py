@@ -1,8 +1,8 @@
 """Redundant rows of phi: found, left out, and given back their share of the multipliers.
 
-With the rows B_k that are kept, of full rank, those that are left out are `B_d = C B_k` on all states of the mechanism. All multipliers with
-the same forces, `B^T lam = B_k^T lam_k`, are `(lam_k, 0) + N y`, `N = (-C^T, 1)`. Taken are those of least norm on the rows of joints; rows
-that keep a body in shape hold what is within it, which has no part in how joints share a load.
+With the rows B_k that are kept, of full rank, those that are left out are `B_d = C B_k` on all states of the mechanism. All multipliers
+with the same forces, `B^T lam = B_k^T lam_k`, are `(lam_k, 0) + N y`, `N = (-C^T, 1)`. Taken are those of least norm on the rows of joints;
+rows that keep a body in shape hold what is within it, which has no part in how joints share a load.
 """
 
 import numpy as np
@@ -62,8 +62,8 @@ class Redundant:
 
     def remark(self):
         """What a summary says of it."""
-        more = f" and {len(self.labels) - NAMED} more" * (len(self.labels) > NAMED)
-        return f"redundant rows left out: {', '.join(self.labels[:NAMED])}{more}" if self.labels else ""
+        loose = [repr(name) for name, part in self.whole.joints.items() if isinstance(part, Joint) and not self.unique(name)]
+        return f"redundant rows left out: {_some(self.labels)}; reactions not unique: {_some(loose)}" if self.labels else ""
 
     def _slopes(self, t, q):
         """phi_q in the sizes of the coordinates, (rows, columns that are not zero), dense."""
@@ -110,3 +110,8 @@ class Redundant:
         B = csr_array(self.whole.phi_q(0.0, q))[self.kept] @ diags_array(self._sizes)
         gram = (B @ B.T).toarray()
         return self._sizes * (B.T @ np.linalg.solve(gram, phi))
+
+
+def _some(names):
+    """The first of some names, and how many more there are."""
+    return ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)

@@ -25,7 +25,7 @@ class RowTable:
 
     def add(self, name, part):
         """Append the rows of a joint or body. Raises InputError where they are no rows, or do not hold at rest."""
-        first, rows = len(self.labels), list(rows_of(_given(name, part)))
+        first, rows = len(self.labels), given_rows(name, part)
         for row, label in zip(rows, _called(name, [row.label for row in rows])):
             self._given += 1
             if self._given - 1 in self._left_out:
@@ -121,11 +121,12 @@ class Drives:
         return len(self.profiles) - 1
 
 
-def _given(name, part):
+def given_rows(name, part):
+    """The Rows of a part, a list. Raises InputError where it gives none."""
     rows = part.rows()
     if not isinstance(rows, (list, tuple)) or not rows:
         raise InputError(f"{name}: rows() of {type(part).__name__} must give a list of rows, not {rows!r}")
-    return rows
+    return list(rows_of(rows))
 
 
 def _apart(part):

@@ -15,6 +15,6 @@ class Momenta:
         self.mass, self.rest, self.translation = model.mass(), model.reference, model.translation
 
     def __call__(self, q, v):
-        z, momentum = complex_of_pairs(self.rest + q.reshape(-1, 2)), complex_of_pairs((self.mass @ v).reshape(-1, 2))
-        p = self.translation.conj() @ momentum
+        z, momentum = (complex_of_pairs(x.reshape(-1, 2)) for x in (self.rest.ravel() + q, self.mass @ v))
+        p = np.vdot(self.translation, momentum)
         return np.array([p.real, p.imag, np.vdot(z, momentum).imag])

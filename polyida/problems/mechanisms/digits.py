@@ -1,3 +1,5 @@
 """Digits."""
+
+
 def of(name, level):
     return {}, {}

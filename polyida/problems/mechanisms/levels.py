@@ -28,9 +28,10 @@ def problem_of(name, scene, t_end, point, level, default):
         reference, known_to = digits.of(name, level)
     else:
         about = about | {"source": "no reference for these options; measure against a refined run"}
-    measures = {
-        "point": lambda run: run.position(point)[-1],
-        "velocity": lambda run: run.model.displacement(point, run.v[-1]),
-    }
-    model = scene.build()
-    return Problem(name=name, model=model, q0=None, v0=None, t_end=t_end, reference=reference, known_to=known_to, measures=measures, **about)
+    model, looked = scene.build(), measures(point)
+    return Problem(name=name, model=model, q0=None, v0=None, t_end=t_end, reference=reference, known_to=known_to, measures=looked, **about)
+
+
+def measures(name):
+    """What the problems compare: place, m, and velocity, m/s, of a named point at the end of a run."""
+    return {"point": lambda run: run.position(name)[-1], "velocity": lambda run: run.model.displacement(name, run.v[-1])}

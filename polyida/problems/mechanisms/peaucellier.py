@@ -49,7 +49,8 @@ def peaucellier(level="full", modes=5, cells=40, seed=1, material=PLASTIC):
 
     body, scene = body_at(level, modes), Scene(gravity=(0.0, -9.81))
     meshes = {
-        length: polygonize(Link(length, HEIGHT, PIN), cells=count, seed=seed) for length, count in ((CRANK, cells), (BAR, cells), (ARM, 2 * cells))
+        length: polygonize(Link(length, HEIGHT, PIN), cells=count, seed=seed)
+        for length, count in ((CRANK, cells), (BAR, cells), (ARM, 2 * cells))
     }
 
     def link(name, length, start, end):
