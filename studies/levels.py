@@ -11,7 +11,7 @@ from polyida.study.rows import column, each, number, pick, stopped
 
 MODES = {"double-plate": (3, 5, 8, 10, 12), "spin-up-beam": (3, 5, 8, 12, 16)}  # problem: numbers of modes
 OTHERS = (3, 5, 10)  # of problems that go at any level by themselves
-QUICK = {"double-plate": (5, 10), "spin-up-beam": (12,)}
+QUICK = {"double-plate": (5, 10), "spin-up-beam": (12,), "two-link-arm": (5,)}
 STEPS = {"spin-up-beam": (5e-4, 2.5e-4, 1.25e-4, 6e-5, 3e-5)}  # h over the time
 COMMON = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)  # of the other problems
 CELLS = (160, 400, 1000, 4000)

@@ -161,13 +161,14 @@ def test_static_equilibrium_is_exact_where_the_span_holds_it():
 
 
 def test_fields_of_a_run_bend_farther_than_modes():
-    """A soft plate that swings: as many fields of its run are off by less than a twentieth of what modes are."""
-    soft, mesh = pi.Material(E=2e6, nu=0.3, rho=1100.0), pi.mesh.rectangle(1.0, 0.1, cells=16, seed=1)
+    """A soft plate that is let go level: as many fields of its run are off by less than a twentieth of what modes are, which is told."""
+    soft, mesh = pi.Material(E=5e6, nu=0.3, rho=1100.0), pi.mesh.rectangle(1.0, 0.1, cells=16, seed=1)
 
     def swing(body):
         scene = pi.Scene(gravity=(0.0, -G))
         plate = scene.add(body(pi.Plate(mesh, soft, 0.01, name="plate")))
         scene.add(pi.Revolute(pi.ground, plate.section("left")))
+        scene.add(pi.AngleMotor(pi.ground, plate.section("left"), 0.0))
         scene.add(pi.PointMass(plate.section("right"), 0.3, name="tip"))
         return pi.solve(scene.build(), 0.6, pi.GeneralizedAlpha(h=1e-3))
 
@@ -181,6 +182,7 @@ def test_fields_of_a_run_bend_farther_than_modes():
     assert off[1] < off[0] / 20 and "leave much out" not in own.summary()
 
 
+@pytest.mark.filterwarnings("ignore::polyida.errors.ReductionWarning")
 def test_more_modes_are_nearer():
     mesh = pi.mesh.rectangle(1.0, 0.1, cells=40, seed=1)
 
