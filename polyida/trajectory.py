@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.assembly.bodies import left_out
-from polyida.assembly.rigidity import hint
+from polyida.assembly.told import left_out
+from polyida.assembly.told.rigidity import hint
 from polyida.errors import InputError
 from polyida.given import is_one_of, is_whole
 from polyida.integrate.state import Counts, Restart, State

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.assembly.bodies import left_out
+from polyida.assembly.told import left_out
 from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.running.recorder import Recorder, require_sensors

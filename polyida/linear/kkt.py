@@ -78,7 +78,7 @@ def require_independent(model, phi_q, q):
         names = ", ".join(model.constraint_name(int(k)) for k in np.flatnonzero(~(rows.lengths > 0))[:MOST])
         raise InputError(f"constraints {names}: phi_q has a row of zeros there; a constraint must depend on q")
     if least(rows) < DEPENDENT:
-        solve = ', or let build(redundant="least-norm") leave it out' if getattr(model, "is_scene", False) else ""
+        solve = ', or let build(redundant="least-norm") leave it out' if model.is_scene else ""
         raise InputError(
             f"constraints {involved(model, rows)} are redundant: one of them follows from the others (or "
             f"contradicts them); remove it{solve}, or start elsewhere where only this position is singular"
