@@ -65,6 +65,7 @@ _PLACES = {
 _MODULES = {
     "mesh": "mesh",
     "profile": "profile",
+    "sensor": "sensor",
     "registry": "registry",
     "problems": "problems",
     "export": "show.vtu",
