@@ -16,6 +16,7 @@ NOT_CALLED = {
     "Trajectory",
     "InputError",
     "LockingWarning",
+    "ReductionWarning",
     "ground",
 }  # to be derived from, or handed out
 EACH_STEP = {"State", "Counts"}  # made in the loops of integrators
