@@ -44,6 +44,10 @@ class Constraints(NamedPoints):
         """The joint and axis of a row of phi."""
         return self.labels[row]
 
+    def keeps_body(self, row):
+        """Whether a row of phi is one by which a body stays rigid."""
+        return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.few if body.name in self.rows)
+
     def phi(self, t, q):
         """Constraints, (m,), in m (points) and, without unit, as |d_A| |d_B| sin(angle error) (motors)."""
         phi, dz = np.empty(self.m), self.dz(q)

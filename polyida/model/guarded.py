@@ -5,6 +5,7 @@ A scene is compiled and tested; it is called as it is and pays nothing.
 
 from collections import defaultdict
 from contextlib import suppress
+from itertools import product
 from sys import getrefcount
 
 import numpy as np
@@ -18,7 +19,7 @@ FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias")
-PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "initial_velocity")
+PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "keeps_body", "initial_velocity")
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
 
@@ -44,12 +45,12 @@ def require_functions(model, t, q, v):
 
 
 def blame(model, t, state):
-    """Which of a user's functions gave what is not finite, when last called or within the reach of differences around t."""
+    """Which of a user's functions gave what is not finite, when last called, or around t, at the state or where it is going."""
     if model.compiled and not model.own_forces or model.not_finite:
         return model.not_finite
-    for at in t + REACH:
+    for at, ahead in product(t + REACH, (0.0, 1.0)):
         with suppress(Exception):
-            model.call_all(at, state.q, state.v)
+            model.call_all(at, state.q + ahead * (at - state.t) * state.v, state.v)
         if model.not_finite:
             return f"{model.not_finite} at t = {at:.9g} s"
     return ""
