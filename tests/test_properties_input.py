@@ -395,7 +395,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
         {
             "model": NOTHING + LISTS + [BOARD, pi.Scene()],
             "state": [value for value in NOTHING if value is not None] + LISTS,
-            "count": COUNT[:-3] + [10**6],
+            "count": COUNT[:-3],
             "damped": NOTHING + LISTS + [1, "yes"],
         },
     ),
