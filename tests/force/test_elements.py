@@ -115,7 +115,6 @@ def _sides(own):
         ),
         (lambda a, b: pi.Torque(a, lambda t, angle, rate: 0.3 * t, b), lambda a, b: pi.Torque(a, lambda t: 0.3 * t, b)),
         (lambda a, b: pi.Force(a, lambda t, x, v: (t, 1.0), follower=True), lambda a, b: pi.Force(a, (lambda t: t, 1.0), follower=True)),
-        (lambda a, b: pi.SpringDamper(a, b, 0.0, force=lambda e, rate: 20.0 * e), lambda a, b: pi.SpringDamper(a, b, 20.0)),
     ],
 )
 def test_a_function_of_state_is_the_same_force(python, compiled):
