@@ -433,6 +433,9 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     ),
     "load": (pi.load, {"path": FILE}),
     "resume": (pi.resume, {"path": FILE}),
+    "sensor.position": (lambda of: run(sensors={"x": pi.sensor.position(of)}), {"of": PART}),
+    "sensor.reaction": (lambda joint: run(sensors={"x": pi.sensor.reaction(joint)}), {"joint": PART}),
+    "sensor.state": (pi.sensor.state, {"function": [value for value in NOTHING if not callable(value)]}),
     "Trajectory.angle": (STANDING.angle, {"joint": PART}),
     "Trajectory.strain": (STANDING.strain, {"frame": INDEX + [None]}),
     "Trajectory.section_forces": (

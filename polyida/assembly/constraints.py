@@ -27,7 +27,7 @@ class Constraints(NamedPoints):
         """This model with the value of profile `number` at time t greater by `by`, its rates as they are."""
         table, other = self.drives(t), object.__new__(type(self))
         table[number, 0] += by
-        other.__dict__.update(self.__dict__, _driven=(t, table))
+        other.__dict__.update(self.__dict__, _driven=(t, table), own_forces=self.own_forces.pushed(self.profiles[number], by))
         return other
 
     def kinks(self, t0, t1):
@@ -43,6 +43,10 @@ class Constraints(NamedPoints):
     def constraint_name(self, row):
         """The joint and axis of a row of phi."""
         return self.labels[row]
+
+    def keeps_body(self, row):
+        """Whether a row of phi is one by which a body stays rigid."""
+        return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.few if body.name in self.rows)
 
     def phi(self, t, q):
         """Constraints, (m,), in m (points) and, without unit, as |d_A| |d_B| sin(angle error) (motors)."""

@@ -48,8 +48,11 @@ def least(rows):
 
 
 def involved(model, rows):
-    """Names of the constraints, three at most, that weigh most in the nearest linear dependence, in their order."""
+    """Names of the constraints, three at most, that weigh most in the nearest linear dependence, in their order: of joints, where
+    rows by which bodies stay rigid are in it too."""
     weights = np.abs(np.linalg.eigh(rows.gram)[1][:, 0])
+    of_joints = np.where([model.keeps_body(k) for k in range(len(weights))], 0.0, weights)
+    weights = of_joints if of_joints.any() else weights
     heaviest = [int(k) for k in np.argsort(-weights)[:MOST] if weights[k] > 0.05 * weights.max()]
     return ", ".join(model.constraint_name(k) for k in sorted(heaviest))
 

@@ -162,6 +162,10 @@ class Model:
         """What row `row` of phi is called in a message."""
         return f"phi[{row}]"
 
+    def keeps_body(self, row: int) -> bool:
+        """Whether row `row` of phi is one by which a body stays rigid, so that a message names others rather."""
+        return False
+
     def kinks(self, t0: float, t1: float) -> tuple[float, ...]:
         """Times in (t0, t1) at which a load or motor profile is not smooth, sorted."""
         return ()

@@ -1,11 +1,11 @@
 """Andrews' squeezing mechanism made of parts: seven rigid bodies, ten pins, a spring and a torque.
 
 Bodies K1 to K7 have the lengths and masses of `polyida.problems.andrews`, pins at (0, 0), A and B on the ground; all but K1 and K3 hang
-together in three loops. Each body's own axes are turned by the angle of its first direction in the equations: beta (K1), beta + Theta (K2),
-gamma (K3), Phi + delta (K4), delta (K5), Omega + epsilon (K6), epsilon (K7); the drawing has their published values at the start.
+together in three loops. Each body's own axes are turned by the angle of its first direction in the equations: beta (K1), beta + Theta
+(K2), gamma (K3), Phi + delta (K4), delta (K5), Omega + epsilon (K6), epsilon (K7); the drawing has their published values at the start.
 
-The mechanism and its figures: Schiehlen (ed.), Multibody Systems Handbook (1990); Hairer and Wanner, Solving Ordinary Differential Equations II,
-VII.7; IVP test set.
+The mechanism and its figures: Schiehlen (ed.), Multibody Systems Handbook (1990); Hairer and Wanner, Solving Ordinary Differential
+Equations II, VII.7; IVP test set.
 """
 
 import numpy as np

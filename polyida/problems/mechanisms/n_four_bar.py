@@ -1,14 +1,14 @@
 """The N-four-bar of the IFToMM library of benchmark problems, A02: N + 1 upright bars on the ground, N bars across that couple them.
 
-Each bar is 1 m long and weighs 1 kg, uniform; gravity 9.81 m/s2 along -y; B0, the top of the first bar, starts at 1 m/s along +x. All windows stay
-parallelograms, so that the angle a of the bars from +x is one degree of freedom:
+Each bar is 1 m long and weighs 1 kg, uniform; gravity 9.81 m/s2 along -y; B0, the top of the first bar, starts at 1 m/s along +x. All
+windows stay parallelograms, so that the angle a of the bars from +x is one degree of freedom:
 
     ((N + 1) / 3 + N) a'' = -((N + 1) / 2 + N) 9.81 cos(a)
 
 With the bars level (a = 0) all pins are in line: phi_q loses rank, and each window could fold on its own from there.
 
-Source: Gonzalez, Dopico, Luaces, Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16 (2006) 179; two windows:
-Bayo, Avello, Nonlinear Dynamics 5 (1994) 209.
+Source: Gonzalez, Dopico, Lugris, Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16 (2006) 179;
+two windows: Bayo, Avello, Nonlinear Dynamics 5 (1994) 209.
 """
 
 import numpy as np
@@ -28,7 +28,10 @@ WEIGHT, SPEED = 9.81, 1.0
 
 
 def n_four_bar(windows=2):
-    """Bars "bar 0" .. "bar N" and "across 1" .. "across N", joints "A0" .. "AN" on the ground, "B0" on the first bar, then "B1" and "C1", ..."""
+    """Bars "bar 0" .. "bar N", "across 1" .. "across N"; joints "A0" .. "AN" on the ground, "B0" on the first bar, then "C1" and "B1" ...
+
+    Raises InputError for another number of windows than 1 to 1000.
+    """
     if not is_whole(windows, 1, 1000):
         raise InputError(f"n_four_bar: windows = {windows!r} must be a whole number from 1 to 1000")
     scene, before = Scene(gravity=(0.0, -WEIGHT)), None
@@ -56,7 +59,7 @@ def turning(t, windows=2):
 def problem(windows=2, t_end=0.7):
     """Windows of four bars that fall together, to just before they are level, which is a singular position.
 
-    windows: how many; two are level at 0.714 s. t_end: s. Beyond that a run keeps to the parallelograms, or stops and names what can branch.
+    windows: how many; two are level at 0.714 s. t_end: s; beyond that a run keeps to the parallelograms, or stops and says what can branch.
     """
     scene, t_end = n_four_bar(windows), positive("n-four-bar", "t_end", t_end, "seconds")
     angle, rate = turning(t_end, windows)

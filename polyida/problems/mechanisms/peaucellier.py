@@ -1,9 +1,10 @@
 """Peaucellier's inversor: seven links and ten pins that draw a straight line.
 
-Two arms from the origin, 0.4 m, a rhombus of four bars, 0.2 m, and a crank of 0.15 m about (0.15, 0), whose circle leads through the origin. With rigid
-links the product of the distances of crank pin and pen from the origin is `0.4^2 - 0.2^2` m2, so that the pen stays on the line x = 0.4 m.
-Bars 0.05 m high with rounded ends and pin holes of 12 mm radius, 10 mm thick, E = 500 MPa, nu = 0.3, rho = 1200 kg/m3; the pen 0.2 kg. Gravity 9.81
-m/s2 along -y. A motor turns the crank from -60 to 60 degrees within 0.5 s. The dimensions are this project's own.
+Two arms from the origin, 0.4 m, a rhombus of four bars, 0.2 m, and a crank of 0.15 m about (0.15, 0), whose circle leads through the
+origin. With rigid links the product of the distances of crank pin and pen from the origin is `0.4^2 - 0.2^2` m2, so that the pen stays
+on the line x = 0.4 m. Bars 0.05 m high with rounded ends and pin holes of 12 mm radius, 10 mm thick, E = 500 MPa, nu = 0.3, rho = 1200
+kg/m3, viscosity 2e-6 s; the pen 0.2 kg. Gravity 9.81 m/s2 along -y. A motor turns the crank from -60 to 60 degrees within 0.5 s. The
+dimensions are this project's own.
 """
 
 import numpy as np
@@ -21,8 +22,8 @@ from polyida.scene import Scene
 ARM, BAR, CRANK = 0.4, 0.2, 0.15
 HEIGHT, PIN, THICKNESS, PEN_MASS, START = 0.05, 0.012, 0.01, 0.2, -np.pi / 3
 LINE = (ARM**2 - BAR**2) / (2 * CRANK)  # x of the pen, m
-PLASTIC = Material(E=500e6, nu=0.3, rho=1200.0)
-DEFAULT = {"modes": 5, "cells": 40, "seed": 1}
+PLASTIC = Material(E=500e6, nu=0.3, rho=1200.0, viscosity=2e-6)
+DEFAULT = (5, 40, 1)  # modes, cells, seed
 T_END = 0.5
 
 
@@ -41,9 +42,9 @@ def positions(angle):
 
 
 def peaucellier(level="full", modes=5, cells=40, seed=1, material=PLASTIC):
-    """Bodies "crank", "upper arm", "lower arm" and bars "inner upper", "inner lower", "outer upper", "outer lower"; motor "drive", mass "pen".
+    """Bodies "crank", "upper arm", "lower arm", "inner upper", "inner lower", "outer upper", "outer lower"; motor "drive", mass "pen".
 
-    level: "full", "reduced" to so many modes a body, or "rigid". cells: polygons of a bar; arms have twice as many.
+    Joints: "crank bearing", of each side "bearing", "crank pin", "inner pin", "outer pin", and "pen pin". level: "full", "reduced" to so many modes a body, or "rigid". cells: polygons of a bar; arms have twice as many.
     """
     from polyida.mesh import Link, polygonize
 
@@ -71,7 +72,6 @@ def peaucellier(level="full", modes=5, cells=40, seed=1, material=PLASTIC):
         scene.add(Revolute(arm.rim(1), far.rim(0), name=f"{side} outer pin"))
     scene.add(Revolute(outer[0].rim(1), outer[1].rim(1), name="pen pin"))
     scene.add(PointMass(outer[0].rim(1), PEN_MASS, name="pen"))
-    scene.assemble()
     return scene
 
 
@@ -80,5 +80,5 @@ def problem(level="full", modes=5, cells=40, seed=1):
 
     level: "full", "reduced" or "rigid". The reference belongs to the default mesh and number of modes; there is none for others.
     """
-    default = {"modes": modes, "cells": cells, "seed": seed} == DEFAULT
+    default = (modes, cells, seed) == DEFAULT
     return problem_of("peaucellier", peaucellier(level, modes, cells, seed), T_END, "pen", level, default)

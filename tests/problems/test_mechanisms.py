@@ -1,0 +1,113 @@
+"""Mechanisms of plates at three levels: exact kinematics of rigid ones, flexible ones near to them, energy, digits."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida import problems
+from polyida.errors import InputError
+from polyida.problems.mechanisms import four_bar, peaucellier, slider_crank, two_link_arm
+
+NAMES = ("slider-crank", "four-bar", "two-link-arm", "peaucellier")
+SHAPES = {"four-bar": four_bar, "two-link-arm": two_link_arm, "peaucellier": peaucellier}
+
+
+def complex_path(run, name):
+    return run.position(name) @ (1, 1j)
+
+
+def rigid_paths(name, t):
+    """{named point: its path, complex, m} of rigid links, from the motors' profiles."""
+
+    def turned(profile):
+        return np.array([profile(time) for time in t])
+
+    if name == "four-bar":
+        return dict(zip(("crank pin", "pin"), four_bar.positions(four_bar.START + turned(four_bar.turn()))))
+    if name == "peaucellier":
+        pin, upper, _, pen = peaucellier.positions(peaucellier.START + turned(peaucellier.turn()))
+        return {"upper crank pin": pin, "upper inner pin": upper, "pen": pen}
+    shoulder, elbow = (turned(two_link_arm.turn(joint)) for joint in ("shoulder", "elbow"))
+    first = two_link_arm.LENGTH * np.exp(1j * shoulder)
+    return {"elbow": first, "tip": first + two_link_arm.LENGTH * np.exp(1j * (shoulder + elbow))}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_rigid_links_follow_their_motors_exactly(name):
+    p = problems.get(name, level="rigid")
+    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-6))
+    assert run.success, run.message
+    for point, path in rigid_paths(name, run.t).items():
+        assert np.abs(complex_path(run, point) - path).max() < 1e-12, point
+
+
+@pytest.mark.parametrize(("level", "near"), [("rigid", 1e-13), ("reduced", 1e-3), ("full", 1e-3)])
+def test_a_slider_is_where_its_crank_says(level, near):
+    """`x = r cos a + sqrt(l^2 - r^2 sin(a)^2)`, to within what bending takes from the distance of the rod's ends."""
+    p = problems.get("slider-crank", level=level)
+    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-6))
+    pin, slider = complex_path(run, "crank pin"), complex_path(run, "slider")
+    assert np.abs(slider.imag).max() < 1e-13
+    assert np.abs(slider.real - pin.real - np.sqrt(slider_crank.ROD**2 - pin.imag**2)).max() < near
+    assert np.abs(abs(pin) - slider_crank.CRANK).max() < near
+
+
+def test_a_line_is_drawn_to_within_the_links_deformation():
+    gaps = {}
+    for level in ("rigid", "reduced", "full"):
+        p = problems.get("peaucellier", level=level)
+        pen = complex_path(pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-5)), "pen")
+        gaps[level] = np.abs(pen.real - peaucellier.LINE).max()
+        assert np.ptp(pen.imag) > 0.4
+    assert gaps["rigid"] < 1e-13 and 1e-5 < gaps["full"] < 1e-3
+    assert gaps["reduced"] == pytest.approx(gaps["full"], rel=0.1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_energy_is_the_work_of_the_drives(name):
+    p = problems.get(name, level="reduced")
+    run = pi.solve(p.model, p.t_end / 2, pi.RadauIIA(rtol=1e-8))
+    work, lost = sum(run.energy.work.values()), sum(run.energy.dissipated.values())
+    assert np.abs(run.energy.total - run.energy.total[0] - work + lost).max() < 2e-3 * np.abs(work).max()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("level", ["full", "reduced", "rigid"])
+def test_a_run_of_moderate_accuracy_meets_the_digits(name, level):
+    p = problems.get(name, level=level)
+    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-7), every=10**9)
+    errors = p.compare(run)
+    assert errors["point"] < 1e-6 and errors["velocity"] < 1e-3, errors
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_levels_have_digits_and_other_options_none(name):
+    for level in ("full", "reduced", "rigid"):
+        p = problems.get(name, level=level)
+        assert set(p.reference) == set(p.known_to) == set(p.measures) == {"point", "velocity"}
+        assert p.known_to["point"] < 1e-9 and p.known_to["velocity"] < 1e-6
+    p = problems.get(name, level="reduced", modes=2)
+    assert p.reference == p.known_to == {} and "no reference for these options" in p.source
+    with pytest.raises(
+        InputError, match=f"problem '{name}': level 'soft' is unknown; known: full, reduced, rigid; its options are level, modes"
+    ):
+        problems.get(name, level="soft")
+
+
+def test_a_four_bar_is_drawn_by_hand_and_closes():
+    scene = four_bar.four_bar("rigid")
+    state = pi.consistent_state(scene.build())
+    assert np.abs(state.q).max() < 1e-12
+    pin, rocker = four_bar.positions(np.pi / 3)
+    assert abs(scene.build().attachment("crank pin").point @ (1, 1j) - pin) < 1e-12
+    assert abs(scene.build().attachment("rocker pin").point @ (1, 1j) - rocker) < 1e-12
+
+
+def test_freudensteins_equation_holds():
+    """`R1 cos(rocker) - R2 cos(crank) + R3 = cos(crank - rocker)` of the angles, R1 = d/a, R2 = d/c, R3 = (a^2 - b^2 + c^2 + d^2)/(2 a c)."""
+    a, b, c, d = four_bar.CRANK, four_bar.COUPLER, four_bar.ROCKER, four_bar.FRAME
+    angle = np.linspace(0.0, 2 * np.pi, 50)
+    pin, rocker = four_bar.positions(angle)
+    psi = np.angle(rocker - d)
+    assert np.allclose(d / a * np.cos(psi) - d / c * np.cos(angle) + (a * a - b * b + c * c + d * d) / (2 * a * c), np.cos(angle - psi))
+    assert np.allclose(np.abs(rocker - pin), b)
