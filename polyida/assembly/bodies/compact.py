@@ -107,11 +107,11 @@ def strained(c, b, u, d):
 @fast
 def stresses(c, b, d, s):
     """s += form d."""
-    at, size = c.form_start[b], d.shape[0]
+    form, size = c.form[c.form_start[b] : c.form_start[b + 1]], d.shape[0]
     for e in range(size):
         total = 0.0
         for f in range(size):
-            total += c.form[at + e * size + f] * d[f]
+            total += form[e * size + f] * d[f]
         s[e] += total
 
 

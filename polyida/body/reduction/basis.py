@@ -103,7 +103,7 @@ def _modes(K, M, hold, C, arms, count):
 
     n, M2 = K.shape[0], kron(M, eye_array(2)).tocsr()
     static = [hold.solve(np.zeros(n), -unit)[0] for unit in np.eye(len(C))]
-    normal = max(0, count - len(C) + 3)
+    normal = max(0, min(count - len(C) + 3, n - len(C) - 1))
     span = np.stack([*static, *(_normal(K, M2, hold, len(C), normal).T if normal else ())], axis=1)
     rigid = _rigid(arms)
     rigid /= np.sqrt(np.einsum("ij,ij->j", rigid, M2 @ rigid))
