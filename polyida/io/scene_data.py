@@ -174,8 +174,8 @@ class _Reader:
     def _side(self, side):
         key, arrays = side["key"], self.arrays
         nodes, body = arrays[f"{key}/nodes"], self.parts[side["body"]]
-        fields = hasattr(body, "mesh")
-        kind, count = (Attachment, body.mesh.n_nodes) if fields else (BodyPoint, len(rest_of(body)))
+        real = arrays[f"{key}/weights"].ndim == 1
+        kind, count = (Attachment, body.mesh.n_nodes) if real else (BodyPoint, len(rest_of(body)))
         weights, turn = (
             None if found is None else _weights(found, kind) for found in (arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights"))
         )

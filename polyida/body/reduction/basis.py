@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polyida.body.body import BodyPoint
 from polyida.body.reduction.plate_matrices import rows_of
 from polyida.given import complex_of_pairs
 from polyida.linear.kkt import KKT, scaling_factors
@@ -45,7 +46,8 @@ def basis_of(matrices, sides, count, own):
     """The Basis of a plate held by attachments, with `count` modes beside the fields `own` (N, k), complex.
 
     Static modes: displacement one of a mean x, y or rotation, zero of all others. Normal modes: of the plate with all of these held.
-    Both together, freed of rigid motion, come by their frequencies. Rows of what holds it are completed by mean motion where it is free.
+    Both together, freed of rigid motion, come by their frequencies. Rows of what holds it are completed by mean motion where it is free,
+    or held by its centre of mass, a BodyPoint.
     """
     plate, M = matrices.plate, matrices.mass
     ones = np.ones(plate.mesh.n_nodes)
@@ -55,8 +57,9 @@ def basis_of(matrices, sides, count, own):
     arms = complex_of_pairs(places - middle)
     inertia = float(np.vdot(arms, M @ arms).real)
     K = matrices.stiffness
-    rows, longer = rows_of(plate, sides)
-    C = _independent(_completed(rows, M, arms))
+    nodal = [side for side in sides if not isinstance(side, BodyPoint)]
+    rows, longer = rows_of(plate, nodal)
+    C = _independent(_completed(rows, M, arms, len(nodal) < len(sides)))
     hold = KKT(K, C, scaling_factors("physical", 1.0, K))
     fields = [own] if own.shape[1] else []
     if count:
@@ -68,12 +71,12 @@ def basis_of(matrices, sides, count, own):
     return Basis(shapes, complex(*(middle + plate.origin)), mass, inertia, Hold(hold, len(C), longer))
 
 
-def _completed(rows, M, arms):
-    """The rows, with means of the whole plate where they leave it free to move."""
+def _completed(rows, M, arms, whole):
+    """The rows, with means of the whole plate where they leave it free to move, or where it is held as a `whole`."""
     rigid = _rigid(arms)
     sizes = np.linalg.norm(rigid, axis=0)
     held = np.linalg.matrix_rank(rows @ (rigid / sizes), tol=SAME * np.abs(rows).max(initial=0.0)) if len(rows) else 0
-    if held == 3:
+    if held == 3 and not whole:
         return rows
     weighted = np.repeat(M @ np.ones(len(arms)), 2)[:, None] * rigid
     return np.concatenate([rows, (weighted / np.linalg.norm(weighted, axis=0)).T])
