@@ -46,7 +46,7 @@ class Fixed(Bar):
     """One whose coordinates do not follow its angle."""
 
     def coordinates(self):
-        return [complex(*self.origin), 1.0]
+        return [complex(*self.origin), self.gyration]
 
 
 def plate(name, origin, angle):

@@ -32,6 +32,7 @@ BODIES = {  # mass, inertia, centre of mass, pins and other points, in own axes 
 }
 GROUND = {"K1": "O", "K3": "B", "K5": "A", "K7": "A"}
 PINS = (("K1", "K2", "P"), ("K2", "K3", "E"), ("K2", "K4", "E"), ("K2", "K6", "E"), ("K4", "K5", "G"), ("K6", "K7", "H"))
+GYRATION = np.array([np.sqrt(inertia / mass) for mass, inertia, *_ in BODIES.values()])  # m, the unit of their turn in q
 ANGLES = given.TURNS @ given.Q0  # of the bodies at the start, rad
 
 
@@ -57,8 +58,8 @@ def andrews():
 
 
 def directions(q):
-    """What q (..., 28), or v, adds to the directions z of the seven bodies, complex, (..., 7)."""
-    return q.reshape(*q.shape[:-1], 7, 2, 2)[..., 1, :] @ (1, 1j)
+    """What q (..., 28), or v, adds to the directions, of length one, of the seven bodies, complex, (..., 7)."""
+    return q.reshape(*q.shape[:-1], 7, 2, 2)[..., 1, :] @ (1, 1j) / GYRATION
 
 
 def angles(run):
