@@ -25,7 +25,7 @@ class Reduced(FieldBody):
     """A plate in `x = c + z (X - X_S) + sum zeta_k f_k`, few complex coordinates (n = 4 + 2 modes a body), whatever the number of its cells.
 
     modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
-    normal modes of the plate with these held together, by their frequencies. fields: of one's own beside them, displacements of the nodes
+    normal modes of the plate with these held together, by their frequencies; all, where its mesh has no more. fields: of one's own beside them, displacements of the nodes
     in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run.
 
     The complex span of the fields holds every turned copy of each, so rigid turns cost nothing and are exact; the elastic energy is that of the
