@@ -17,6 +17,7 @@ from polyida.joint.attachment import Attachment
 from polyida.keywords import named_keywords
 
 MOST = 40  # modes: the form has (modes + 1)^4 numbers
+RIGID = 2  # fields of a rigid plate
 
 
 @named_keywords
@@ -63,7 +64,10 @@ class Reduced(FieldBody):
         """The plate with its modes, told what holds it."""
         own = np.zeros((self.plate.mesh.n_nodes, 0)) if self.fields is None else complex_of_pairs(self.fields).T
         matrices = PlateMatrices.of(self.plate)
-        return _InModes(self.plate, self.name, matrices, basis_of(matrices, held, self.modes, own))
+        basis = basis_of(matrices, held, self.modes, own)
+        if basis.shapes.shape[1] == RIGID:
+            raise InputError(f"{self.label}: its fields only move it as rigid; give fields that deform it, modes, or take Rigid(plate)")
+        return _InModes(self.plate, self.name, matrices, basis)
 
 
 class _InModes(FieldBody, part=False):
