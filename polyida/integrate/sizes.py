@@ -77,11 +77,10 @@ def _rms(x):
 def weights(model, q):
     """Shares (n,) of the coordinates in a mean square, `M_ii / sum M_ii`: whatever the unit that each is in.
 
-    So the local errors of unlike coordinates, a length, an angle, another length in other units, add up to one number. Of a scene the
-    sum is over the pairs that are places: with inertias in it, of pairs that are directions, it would be of two units.
+    So the local errors of unlike coordinates, a length, an angle, another length in other units, add up to one number.
     """
     masses = np.abs(model.mass(q).diagonal())
-    total = (masses[np.repeat(model.translation != 0, 2)] if model.is_scene else masses).sum()
+    total = masses.sum()
     return masses / total if total > 0 else np.full(model.n, 1.0 / model.n)
 
 
