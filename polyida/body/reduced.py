@@ -27,8 +27,8 @@ class Reduced(FieldBody):
     """A plate in `x = c + z (X - X_S) / s + sum zeta_k f_k`, s its radius of gyration, few complex coordinates (n = 4 + 2 modes a body), whatever the number of its cells.
 
     modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
-    normal modes of the plate with these held together, by their frequencies. fields: of one's own beside them, displacements of the nodes
-    in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run. made: all of
+    normal modes of the plate with these held together, by their frequencies; all, where its mesh has no more. fields: of one's own beside them,
+    displacements of the nodes in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run. made: all of
     its fields as they were in the run of a file, (count, N, 2), m, in place of those that would be made anew: loading gives it.
 
     The complex span of the fields holds every turned copy of each, so rigid turns cost nothing and are exact; the elastic energy is that of the

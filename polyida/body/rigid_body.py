@@ -95,6 +95,8 @@ class RigidBody(Body):
         given = cls.__name__ if name is None else f"{cls.__name__} {name!r}"
         if not isinstance(mesh, PolygonMesh) or not isinstance(material, Material):
             raise InputError(f"{given}: from_mesh takes a polyida mesh and a polyida.Material, not {mesh!r:.60} and {material!r:.60}")
+        if not (points is None or isinstance(points, Mapping)):
+            raise InputError(f"{given}: points = {str(points)[:80]} must be a dictionary {{name: (x, y)}}")
         area, centre, second = area_moments(mesh)
         density = material.rho * positive(given, "thickness", thickness, "metres")
         known = {section: _mean(mesh, section) for section in mesh.sections} | {"center": tuple(centre.tolist())}

@@ -1,15 +1,17 @@
 """Clamp: a section held fast to the ground, or two sections welded."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.joint.attachment import Ground, ground, labelled
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
-from polyida.joint.weld import welded
+from polyida.joint.weld import moved_as_one, welded
 from polyida.keywords import named_keywords
 
 
@@ -21,7 +23,8 @@ class Clamp(Joint):
     A plate's, to ground: every node of the section keeps its place, `phi = x_i - X_i` (2 rows a node, m).
     Between bodies, and of bodies of few coordinates, whose nodes do not move one by one: point and direction of both sides move as one, the rows
     of a Weld.
-    Multipliers: force on b, N; of the direction a moment over length. Raises InputError where a side of these has no direction, and for a
+    Multipliers: force on b, N; of the direction a moment over length; reaction on b, (3,), where a side keeps the length of its direction: force, N,
+    and moment about its point, N m, as of a Weld. Raises InputError where a side of these has no direction, and for a
     place of the ground other than where the section is.
     """
 
@@ -55,3 +58,7 @@ class Clamp(Joint):
         if isinstance(self.b, Ground):
             return [node.x - ground.at(node.point).x for node in self.a.each()]
         return [ground.at(node.point).x - node.x for node in self.b.each()]
+
+    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
+        """Force and moment on b, (frames, 3), N and N m; the multipliers where they are more."""
+        return moved_as_one(self, lam, values) if lam.shape[1] == 3 else lam.copy()

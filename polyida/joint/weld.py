@@ -34,9 +34,14 @@ class Weld(Joint):
     def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
         """Force and moment on b, (frames, 3), N and N m."""
         if lam.shape[1] == 3:
-            return np.column_stack([lam[:, :2], torque(self, lam[:, 2], values)])
+            return moved_as_one(self, lam, values)
         d = values(self.b.d.onto(self.a.d))
         return np.column_stack([lam[:, :2], d[:, 0] * lam[:, 3] - d[:, 1] * lam[:, 2]])
+
+
+def moved_as_one(joint, lam, values):
+    """Force and moment on b, (frames, 3), N and N m, of the multipliers (frames, 3) of `welded` rows that hold an angle."""
+    return np.column_stack([lam[:, :2], torque(joint, lam[:, 2], values)])
 
 
 def welded(a, b):

@@ -24,7 +24,7 @@ def falling(tangent, phi_q):
     if not hasattr(tangent, "tocsc"):
         matrix = assemble(tangent, phi_q, scaling_factors("physical", 1.0, tangent))
         return int(np.sum(np.linalg.eigvalsh((matrix + matrix.T) / 2) < 0)) - m
-    size = float(np.mean(np.abs(tangent.diagonal())))
+    size = float(np.mean(np.abs(tangent.diagonal()))) or 1.0
     if not m:
         return _negative(tangent / size)[0]
     from scipy.sparse import csr_array, diags_array

@@ -29,6 +29,8 @@ def vtu(run: "Trajectory", folder: str | Path, overwrite: bool = False, frames: 
     if not isinstance(folder, (str, Path)) or not str(folder):
         raise InputError(f"export folder {folder!r} must be the path of a folder")
     plates.require_run("export", run, overwrite)
+    if not run.model.drawn:
+        raise InputError("export: no body of the scene has a mesh")
     folder, blocks, chosen = Path(folder), _Blocks(run.model), _chosen(run, frames)
     _prepare(folder, overwrite)
     for i, k in enumerate(chosen):

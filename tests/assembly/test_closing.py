@@ -284,3 +284,14 @@ def test_nothing_has_moved_where_it_was_refused():
     with pytest.raises(pi.InputError):
         scene.assemble()
     assert {name: (scene.parts[name].origin, scene.parts[name].angle) for name in before} == before
+
+
+def test_bodies_of_one_plate_are_not_moved_apart():
+    """They have one origin and angle."""
+    plate = pi.Plate(pi.mesh.quads(1.0, 0.1, 4, 1), STEEL, 0.01)
+    scene = pi.Scene()
+    for name, place in (("x", 0.01), ("y", 0.5)):
+        scene.add(pi.Revolute(pi.ground.at((place, 0.0)), scene.add(pi.Rigid(plate, name=name)).section("left")))
+    with pytest.raises(pi.InputError, match="'x' would have to move, but it is made of one plate with 'y'"):
+        scene.assemble()
+    assert plate.origin == (0.0, 0.0)

@@ -50,3 +50,15 @@ def test_gravity_may_follow_a_profile_over_reduced_plates():
     switched, plain = (pi.solve(one.build(), 0.05, pi.GeneralizedAlpha(h=1e-3)) for one in (other, steady))
     assert run.success and "leave much out" not in run.summary()
     assert switched.position(other_body.section("right"))[-1] == pytest.approx(plain.position(steady_body.section("right"))[-1], abs=1e-10)
+
+
+def test_all_modes_of_a_small_mesh_are_the_full_plate():
+    tips = []
+    for body_of in (lambda plate: plate, lambda plate: pi.Reduced(plate, modes=40)):
+        scene = pi.Scene((0.0, -9.81))
+        body = scene.add(body_of(pi.Plate(pi.mesh.quads(1.0, 0.1, 3, 1), PLASTIC, 0.01, element="virtual")))
+        scene.add(pi.Revolute(pi.ground, body.section("left")))
+        model = scene.build()
+        tips.append(pi.solve(model, 0.1, pi.GeneralizedAlpha(h=1e-3)).position(body.section("right")))
+    assert model.n == 16
+    assert np.abs(tips[0] - tips[1]).max() < 1e-8

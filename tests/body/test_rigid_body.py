@@ -279,6 +279,7 @@ POINT = {"A": (0.0, 0.0)}
         (lambda: pi.RigidBody.bar(0.0, 1.0, name="rod"), "'rod'.*length"),
         (lambda: pi.RigidBody.bar(1.0, -2.0, name="rod"), "'rod'.*mass"),
         (lambda: pi.RigidBody.from_mesh("square", STEEL, 0.01), "from_mesh takes a polyida mesh"),
+        (lambda: pi.RigidBody.from_mesh(frame(), STEEL, 0.01, points=[(0.0, 0.0)]), "points = .* must be a dictionary"),
         (lambda: pi.RigidBody.from_mesh(frame(), STEEL, 0.0, name="frame"), "'frame'.*thickness"),
         (lambda: pi.RigidBody(1.0, 1.0, POINT, name="crank").at("B"), "'crank': no attachment is called 'B'; known: 'A'"),
         (lambda: pi.RigidBody(1.0, 1.0, POINT).at("A", direction=(0.0, 0.0)), "direction"),

@@ -116,3 +116,18 @@ def test_round_off_of_a_start_at_zero_is_no_length(gap):
     run = pi.solve(Rod(), 0.5, pi.IDA(rtol=1e-6))
     assert run.success, run.message
     assert 9.81 * run.q[-1, 1] + run.v[-1] @ run.v[-1] / 2 == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(rtol=1e-5), pi.RadauIIA(rtol=1e-6, linear="kkt")], ids=["alpha", "radau"])
+def test_a_rigid_body_is_as_exact_in_millimetres(integrator):
+    """Its q holds places and a direction, its M masses and inertias."""
+    tips, steps = [], []
+    for length, mass in ((1.0, 2.0), (1000.0, 0.002)):
+        scene = pi.Scene((0.0, -9.81 * length))
+        body = scene.add(pi.RigidBody.bar(length, mass))
+        scene.add(pi.Revolute(pi.ground, body.at("left")))
+        run = pi.solve(scene.build(), 0.5, integrator)
+        tips.append(run.position(body.at("right"))[-1] / length)
+        steps.append(run.steps)
+    assert steps[0] == pytest.approx(steps[1], rel=0.02)
+    assert np.abs(tips[0] - tips[1]).max() < 1e-6

@@ -232,3 +232,14 @@ def test_a_mechanism_is_said_to_move_freely(scenes):
 def test_bad_settings(scenes, setting, value):
     with pytest.raises(pi.InputError, match=setting):
         pi.static(scenes.cantilever()[0].build(), **{setting: value})
+
+
+def test_a_clamped_rigid_body_rests_where_it_is():
+    """Nothing is elastic: K = 0."""
+    scene = pi.Scene((0.0, -9.81))
+    body = scene.add(pi.RigidBody.bar(1.0, 2.0, name="bar"))
+    scene.add(pi.Clamp(body.at("left"), name="wall"))
+    model = scene.build()
+    state = pi.static(model)
+    assert state.stable and not state.q.any()
+    assert np.allclose(model.reactions("wall", state.q[None], state.lam[None, model.rows["wall"]]), [[0.0, -19.62, -9.81]])

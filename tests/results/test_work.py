@@ -237,3 +237,13 @@ def test_powers_that_are_none(given):
     told.model.powers = lambda t, q, v, lam: given
     with pytest.raises(pi.InputError, match="Told.powers must return"):
         told.energy.work
+
+
+def test_a_load_may_be_called_gravity_where_gravity_follows_a_profile():
+    """Both are told in one number."""
+    scene = pi.Scene((0.0, pi.profile.constant(-9.81)))
+    body = scene.add(pi.RigidBody.bar(1.0, 2.0))
+    scene.add(pi.Revolute(pi.ground, body.at("left")))
+    scene.add(pi.PointLoad(body.at("right"), (10.0, 0.0), name="gravity"))
+    run = pi.solve(scene.build(), 0.1, RADAU)
+    assert np.abs(unbalanced(run)).max() < 1e-8

@@ -66,6 +66,12 @@ def _moved(parts, loops, x, held):
             f"Scene.assemble: {', '.join(map(repr, stuck[:NAMED]))} would have to move, but there is a model of the scene, whose runs "
             "would move along; assemble before build, or draw the scene anew"
         )
+    for body, _ in chosen:
+        if others := [other.name for other in loops.bodies if other is not body and other.part is body.part]:
+            raise InputError(
+                f"Scene.assemble: {body.name!r} would have to move, but it is made of one plate with {', '.join(map(repr, others[:NAMED]))}; "
+                "give each a plate of its own"
+            )
     before = [(body, body.placement) for body, _ in chosen]
     for joint in of_kind(parts, Joint).values() if chosen else ():
         joint.keep_drawing()

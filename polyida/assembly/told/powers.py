@@ -33,7 +33,7 @@ class Powers:
     def __call__(self, t, q, v, lam):
         found = {name: load.power(t, v) for name, load in self._loads.items()}
         if self._pulls:
-            found[NAME] = sum(pull.power(t, v.reshape(-1, 2)) for pull in self._pulls)
+            found[NAME] = found.get(NAME, 0.0) + sum(pull.power(t, v.reshape(-1, 2)) for pull in self._pulls)
         if self._driven:
             power = lam * self.model.phi_t(t, q)
             found |= {name: float(power[rows].sum()) for name, rows in self._driven.items()}

@@ -105,8 +105,8 @@ def _modes(K, M, hold, C, arms, count):
 
     n, M2 = K.shape[0], kron(M, eye_array(2)).tocsr()
     static = [hold.solve(np.zeros(n), -unit)[0] for unit in np.eye(len(C))]
-    normal = max(0, min(count - len(C) + 3, n - len(C) - 1))
-    span = np.stack([*static, *(_normal(K, M2, hold, len(C), normal).T if normal else ())], axis=1)
+    normal = min(max(0, count - len(C) + 3), n - len(C))
+    span = np.stack([*static, *(_normal(K, M2, hold, C, normal).T if normal else ())], axis=1)
     rigid = _rigid(arms)
     rigid /= np.sqrt(np.einsum("ij,ij->j", rigid, M2 @ rigid))
     span -= rigid @ (rigid.T @ (M2 @ span))
@@ -117,11 +117,15 @@ def _modes(K, M, hold, C, arms, count):
     return span @ turned[:, :count]
 
 
-def _normal(K, M2, hold, rows, count):
-    """The lowest normal modes with all rows held, (2N, count)."""
+def _normal(K, M2, hold, C, count):
+    """The lowest normal modes with all rows held, (2N, count); where they are most of what the mesh has, of dense matrices."""
+    from scipy.linalg import eigh, null_space
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    n, still = K.shape[0], np.zeros(rows)
+    n, still = K.shape[0], np.zeros(len(C))
+    if 2 * count >= n:
+        free = null_space(C)
+        return free @ eigh(free.T @ (K @ free), free.T @ (M2 @ free))[1][:, :count]
     inverse = LinearOperator((n, n), matvec=lambda r: hold.solve(-r, still)[0], dtype=float)
     start = inverse @ (M2 @ np.random.default_rng(0).standard_normal(n))
     return eigsh(K, k=count, M=M2, sigma=0.0, OPinv=inverse, v0=start)[1]
