@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.body.body import Body
 from polyida.body.field_body import FieldBody
 from polyida.body.plate import Plate
 from polyida.body.reduction.basis import basis_of
@@ -27,7 +28,8 @@ class Reduced(FieldBody):
 
     modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
     normal modes of the plate with these held together, by their frequencies. fields: of one's own beside them, displacements of the nodes
-    in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run.
+    in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run. made: all of
+    its fields as they were in the run of a file, (count, N, 2), m, in place of those that would be made anew: loading gives it.
 
     The complex span of the fields holds every turned copy of each, so rigid turns cost nothing and are exact; the elastic energy is that of the
     plate's own elements and St. Venant-Kirchhoff law, exactly, in that span: no co-rotated frame, no geometric stiffness to add, M
@@ -41,14 +43,16 @@ class Reduced(FieldBody):
     plate: Plate
     modes: int = 5
     fields: Any = None
+    made: Any = None
     name: str | None = None
 
     def __post_init__(self):
         self.require_plate()
         if not is_whole(self.modes, 0, MOST):
             raise InputError(f"{self.label}: modes = {self.modes!r} must be a whole number from 0 to {MOST}")
-        if self.fields is not None:
-            settle(self, fields=self._checked(self.fields))
+        for key in ("fields", "made"):
+            if getattr(self, key) is not None:
+                settle(self, **{key: self._checked(getattr(self, key))})
         if not self.modes and self.fields is None:
             raise InputError(f"{self.label}: modes = 0 leaves no field; give modes, fields, or take Rigid(plate)")
 
@@ -62,12 +66,17 @@ class Reduced(FieldBody):
 
     def settled(self, held: list[Attachment]) -> FieldBody:
         """The plate with its modes, told what holds it."""
-        own = np.zeros((self.plate.mesh.n_nodes, 0)) if self.fields is None else complex_of_pairs(self.fields).T
         matrices = PlateMatrices.of(self.plate)
-        basis = basis_of(matrices, held, self.modes, own)
+        basis = basis_of(
+            matrices, held, self.modes, *(None if given is None else complex_of_pairs(given).T for given in (self.fields, self.made))
+        )
         if basis.shapes.shape[1] == RIGID:
             raise InputError(f"{self.label}: its fields only move it as rigid; give fields that deform it, modes, or take Rigid(plate)")
         return _InModes(self.plate, self.name, matrices, basis)
+
+    def made_fields(self, settled: Body) -> dict[str, NDArray]:
+        """All fields of its modes: eigenvectors are the same elsewhere but for a sign, or a turn where frequencies meet."""
+        return {"made": pairs_of(settled.shapes()[:, RIGID:].T)}  # type: ignore[attr-defined]
 
 
 class _InModes(FieldBody, part=False):
