@@ -24,7 +24,7 @@ RIGID = 2  # fields of a rigid plate
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Reduced(FieldBody):
-    """A plate in `x = c + z (X - X_S) + sum zeta_k f_k`, few complex coordinates (n = 4 + 2 modes a body), whatever the number of its cells.
+    """A plate in `x = c + z (X - X_S) / s + sum zeta_k f_k`, s its radius of gyration, few complex coordinates (n = 4 + 2 modes a body), whatever the number of its cells.
 
     modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
     normal modes of the plate with these held together, by their frequencies. fields: of one's own beside them, displacements of the nodes
@@ -87,20 +87,23 @@ class _InModes(FieldBody, part=False):
         self.operator = matrices.operator
 
     def shapes(self) -> NDArray:
-        """1, X - X_S and the modes at the nodes, (N, pairs), complex."""
+        """1, (X - X_S) / s and the modes at the nodes, (N, pairs), complex."""
         return self.basis.shapes
 
     def coordinates(self) -> NDArray:
-        """(X_S, 1, 0, 0 ...)."""
+        """(X_S, s, 0, 0 ...), m."""
         rest = np.zeros(self.shapes().shape[1], complex)
-        rest[:2] = self.basis.centre, 1.0
+        rest[:2] = self.basis.centre, self.basis.gyration
         return rest
 
     def mass_matrix(self) -> NDArray:
-        """diag(mass, inertia, mass, mass ...), the fields being of the plate's own mass."""
-        sizes = np.full(self.shapes().shape[1], self.basis.mass)
-        sizes[1] = self.basis.inertia
-        return np.diag(sizes)
+        """The plate's mass times the identity: all fields have it."""
+        return self.basis.mass * np.eye(self.shapes().shape[1])
+
+    @property
+    def gyration(self) -> float:
+        """The radius of gyration s, m, of the plate's M."""
+        return self.basis.gyration
 
     def form(self) -> tuple[NDArray, NDArray]:
         """The exact energy of the span."""
@@ -121,13 +124,13 @@ class _InModes(FieldBody, part=False):
         return float(-0.5 * d @ r.ravel()), float(np.abs(d).max())
 
     def _turn(self, moved):
-        z = 1.0 + moved[1]
+        z = self.gyration + moved[1]
         return z / abs(z)
 
     def _deformed(self, moved):
         """Displacements (N, 2) of the nodes in the plate's frame."""
-        z, arms = self.coordinates() + moved, self.shapes()[:, 1]
-        return pairs_of((self.shapes()[:, 1:] @ z[1:]) * self._turn(moved).conjugate() - arms)
+        z, turn, shapes = self.coordinates() + moved, self._turn(moved), self.shapes()
+        return pairs_of((shapes[:, 1:] @ z[1:]) * turn.conjugate() - self.gyration * shapes[:, 1])
 
     def damping(self) -> tuple[float, float]:
         """The material's."""

@@ -14,15 +14,14 @@ SAME = 1e-6  # of a field, that the others do not give: as good as nothing
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """shapes (N, pairs) complex: 1, X - X_S and fields with `f_i^H M f_k = mass delta_ik`; mass (kg) and inertia (kg m2) of the plate's M.
-
-    hold: what keeps it where it is held.
+    """shapes (N, pairs) complex: 1, (X - X_S) / s and further ones, `f_i^H M f_k = mass delta_ik`; centre: X_S, m; mass, kg, and radius of
+    gyration s, m, of the plate's M. hold: what keeps it where it is held.
     """
 
     shapes: np.ndarray
     centre: complex
     mass: float
-    inertia: float
+    gyration: float
     hold: "Hold"
 
 
@@ -55,7 +54,7 @@ def basis_of(matrices, sides, count, own=None, made=None):
     places = plate.placed.points
     middle = (ones @ (M @ places)) / mass
     arms = complex_of_pairs(places - middle)
-    inertia = float(np.vdot(arms, M @ arms).real)
+    gyration = float(np.sqrt(np.vdot(arms, M @ arms).real / mass))
     K = matrices.stiffness
     nodal = [side for side in sides if not isinstance(side, BodyPoint)]
     rows, longer = rows_of(plate, nodal)
@@ -67,8 +66,8 @@ def basis_of(matrices, sides, count, own=None, made=None):
             modes = _modes(K, M, hold, C, arms, count)
             fields.insert(0, complex_of_pairs(modes.reshape(-1, 2, modes.shape[1]).transpose(2, 0, 1)).T)
         made = np.sqrt(mass) * _orthogonal(M, [ones.astype(complex), arms], np.concatenate(fields, axis=1))
-    shapes = np.concatenate([np.stack([ones, arms], axis=1), made], axis=1)
-    return Basis(shapes, complex(*(middle + plate.origin)), mass, inertia, Hold(hold, len(C), longer))
+    shapes = np.concatenate([np.stack([ones, arms / gyration], axis=1), made], axis=1)
+    return Basis(shapes, complex(*(middle + plate.origin)), mass, gyration, Hold(hold, len(C), longer))
 
 
 def _completed(rows, M, arms, whole):
