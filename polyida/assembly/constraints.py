@@ -63,9 +63,13 @@ class Constraints(NamedPoints):
         return self._jacobian(0.0, np.zeros(self.n))
 
     def _jacobian(self, t, q):
+        return self._slopes(t, q) @ self._points_of_q
+
+    @cached_property
+    def _points_of_q(self):
         from scipy.sparse import csr_array
 
-        return csr_array(self._slopes(t, q) @ self._points_t.T)
+        return csr_array(self._points_t.T)
 
     def _slopes(self, t, q):
         from scipy.sparse import csr_array
