@@ -5,6 +5,7 @@ from importlib import import_module
 _PLACES = {
     "InputError": "errors",
     "LockingWarning": "errors",
+    "ReductionWarning": "errors",
     "Model": "model",
     "Needs": "model",
     "check_derivatives": "model.check",
@@ -64,6 +65,7 @@ _PLACES = {
 _MODULES = {
     "mesh": "mesh",
     "profile": "profile",
+    "sensor": "sensor",
     "registry": "registry",
     "problems": "problems",
     "export": "show.vtu",

@@ -41,10 +41,13 @@ def mesh(cells=20):
     return _meshes[cells]
 
 
-def plate(name, cells=20, **options):
-    """A rubber plate."""
+LEVELS = {"full": lambda plate: plate, "reduced": lambda plate: pi.Reduced(plate, modes=4), "rigid": pi.Rigid}
+
+
+def plate(name, cells=20, level="full", **options):
+    """A rubber plate, or what a level makes of it."""
     material = pi.Material(**(RUBBER | options.pop("material", {})))
-    return pi.Plate(options.pop("mesh", None) or mesh(cells), material, THICKNESS, name=name, **options)
+    return LEVELS[level](pi.Plate(options.pop("mesh", None) or mesh(cells), material, THICKNESS, name=name, **options))
 
 
 def single(gravity=GRAVITY, cells=20, **options):
@@ -135,8 +138,10 @@ def rotation(angle):
 
 def turned(model, q, angle, shift=(0.0, 0.0)):
     """Coordinates of the state q turned about the origin and shifted, as one rigid body."""
-    placed = model.reference + q.reshape(-1, 2)
-    return (placed @ rotation(angle).T + shift - model.reference).ravel()
+    placed, moves = model.reference + q.reshape(-1, 2), np.ones((len(model.reference), 1))
+    for body in model.few:
+        moves[body.pairs, 0] = body.translation.real
+    return (placed @ rotation(angle).T + moves * shift - model.reference).ravel()
 
 
 def slope(steps, errors):

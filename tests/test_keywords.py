@@ -16,6 +16,7 @@ NOT_CALLED = {
     "Trajectory",
     "InputError",
     "LockingWarning",
+    "ReductionWarning",
     "ground",
 }  # to be derived from, or handed out
 EACH_STEP = {"State", "Counts"}  # made in the loops of integrators
@@ -25,6 +26,7 @@ PUBLIC |= {
     f"pi.profile.{name}": getattr(pi.profile, name)
     for name in ("constant", "polynomial", "quintic", "ramp", "linear", "sine", "from_function")
 }
+PUBLIC |= {f"pi.sensor.{name}": getattr(pi.sensor, name) for name in pi.sensor.__all__}
 PUBLIC |= {"pi.export.vtu": pi.export.vtu}
 
 

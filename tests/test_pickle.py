@@ -53,6 +53,13 @@ def rich(scenes):
     lower, upper = scene.parts["lower"], scene.parts["upper"]
     scene.add(pi.PointLoad(lower.section("right"), (0.5, 0.0), pi.profile.sine(1.0, 3.0), name="push"))
     scene.add(pi.EdgeTraction(upper.section("top"), (0.0, 10.0), pi.profile.ramp(0.0, 1.0, 0.1), name="wind"))
+    end = lower.section("right")
+    scene.add(pi.SpringDamper(pi.ground.at((1.0, 1.0)), end, 20.0, 0.1))
+    scene.add(pi.TorsionSpring(pi.ground, end, 0.5, 0.01))
+    scene.add(pi.Contact(end, pi.ground.at((0.0, 0.2)), 100.0, 0.1))
+    scene.add(pi.Torque(end, swing))
+    scene.add(pi.Force(end, (swing, 0.3), follower=True))
+    scene.gravity = (pi.profile.sine(1.0, 2.0), -9.81)
     return scene
 
 

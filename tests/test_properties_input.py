@@ -15,6 +15,7 @@ MATERIAL = pi.Material(50e6, 0.3, 1100.0)
 MESH = pi.mesh.quads(1.0, 0.1, 4, 2)
 BOARD = pi.Plate(MESH, MATERIAL, 0.01, name="board")
 OTHER = pi.Plate(MESH, MATERIAL, 0.01, origin=(1.0, 0.0), name="other")
+PLACE = pi.ground.at((0.0, 0.0))
 LEFT, RIGHT, NEXT = BOARD.section("left"), BOARD.section("right"), OTHER.section("left")
 ALPHA = pi.GeneralizedAlpha(h=1e-3)
 MODEL = pi.problems.get("pendulum").model
@@ -163,6 +164,59 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "AngleMotor": (
         made(pi.AngleMotor, a=pi.ground, b=LEFT, angle=0.0),
         {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "zero": without(NUMBER, type(None)) + [True], "name": TEXT},
+    ),
+    "Prismatic": (made(pi.Prismatic, a=PLACE, b=LEFT), {"a": SIDE, "b": SIDE + [BOARD.node(0)], "name": TEXT}),
+    "Slot": (made(pi.Slot, a=PLACE, b=LEFT), {"a": SIDE + [BOARD.node(0)], "b": SIDE + [pi.ground], "name": TEXT}),
+    "Distance": (
+        made(pi.Distance, a=PLACE, b=RIGHT),
+        {"a": SIDE + [pi.ground], "b": SIDE + [pi.ground], "length": without(POSITIVE, type(None)), "name": TEXT},
+    ),
+    "Weld": (made(pi.Weld, a=RIGHT, b=NEXT), {"a": SIDE + [OTHER.node(0)], "b": SIDE + [LEFT, OTHER.node(0)], "name": TEXT}),
+    "Path": (
+        made(pi.Path, at=LEFT, x=0.0, y=None),
+        {"at": SIDE + [pi.ground], "x": PROFILE, "y": without(PROFILE, type(None)), "name": TEXT},
+    ),
+    "SpringDamper": (
+        made(pi.SpringDamper, a=PLACE, b=RIGHT, stiffness=1.0),
+        {
+            "a": SIDE + [pi.ground],
+            "b": SIDE + [pi.ground],
+            "stiffness": NUMBER + [-1.0, True],
+            "damping": NUMBER + [-1.0],
+            "length": without(NUMBER, type(None)) + [-1.0],
+            "preload": NUMBER,
+            "force": ["text", 1.0, [], Odd()],
+            "name": TEXT,
+        },
+    ),
+    "TorsionSpring": (
+        made(pi.TorsionSpring, a=pi.ground, b=LEFT, stiffness=1.0),
+        {
+            "a": SIDE + [OTHER.node(0)],
+            "b": SIDE + [BOARD.node(0)],
+            "stiffness": NUMBER + [-1.0],
+            "damping": NUMBER + [-1.0],
+            "angle": NUMBER,
+            "name": TEXT,
+        },
+    ),
+    "Torque": (made(pi.Torque, at=LEFT, moment=0.0), {"at": SIDE + [pi.ground, BOARD.node(0)], "moment": PROFILE, "name": TEXT}),
+    "Force": (
+        made(pi.Force, at=LEFT, force=(1.0, 0.0)),
+        {"at": SIDE + [pi.ground], "force": PAIR, "follower": NOTHING + LISTS + [1.0], "name": TEXT},
+    ),
+    "Force, follower": (made(pi.Force, force=(1.0, 0.0), follower=True), {"at": SIDE + [BOARD.node(0)]}),
+    "Contact": (
+        made(pi.Contact, a=RIGHT, b=PLACE, stiffness=1.0),
+        {
+            "a": SIDE + [pi.ground, PLACE],
+            "b": SIDE + [pi.ground, OTHER.node(0), LEFT],
+            "stiffness": POSITIVE,
+            "damping": NUMBER + [-1.0],
+            "exponent": NUMBER + [0.5],
+            "radius": without(POSITIVE, type(None)),
+            "name": TEXT,
+        },
     ),
     "PointMass": (made(pi.PointMass, at=LEFT, mass=1.0), {"at": SIDE + [pi.ground], "mass": POSITIVE, "name": TEXT}),
     "PointLoad": (
@@ -376,6 +430,9 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     ),
     "load": (pi.load, {"path": FILE}),
     "resume": (pi.resume, {"path": FILE}),
+    "sensor.position": (lambda of: run(sensors={"x": pi.sensor.position(of)}), {"of": PART}),
+    "sensor.reaction": (lambda joint: run(sensors={"x": pi.sensor.reaction(joint)}), {"joint": PART}),
+    "sensor.state": (pi.sensor.state, {"function": [value for value in NOTHING if not callable(value)]}),
     "Trajectory.angle": (STANDING.angle, {"joint": PART}),
     "Trajectory.strain": (STANDING.strain, {"frame": INDEX + [None]}),
     "Trajectory.section_forces": (

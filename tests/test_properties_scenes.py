@@ -50,13 +50,19 @@ def plates(draw, name, origin=(0.0, 0.0), damped=False):
 
 @st.composite
 def scenes(draw, motors=True, loads=True, damped=False):
-    """Two plates end to end: a joint to the ground, a joint between them, perhaps a motor, a mass, loads."""
+    """Two plates end to end: a joint to the ground, a joint between them, perhaps a motor, a mass, springs, loads."""
     scene = pi.Scene(gravity=(draw(st.floats(-5, 5)), draw(st.floats(-10, 10))))
     one = scene.add(draw(plates("one", damped=damped)))
     other = scene.add(draw(plates("other", (1.0, 0.0), damped)))
     left, right, next_left = one.section("left"), one.section("right"), other.section("left")
     scene.add(pi.Clamp(left) if draw(st.booleans()) and not motors else pi.Revolute(pi.ground, left, name="root"))
-    scene.add(pi.Revolute(right, next_left, name="elbow") if draw(st.booleans()) else pi.Clamp(right, next_left, name="elbow"))
+    elbow = draw(st.sampled_from((pi.Revolute, pi.Clamp, pi.Weld, pi.Prismatic, pi.Slot)))
+    scene.add(elbow(right, next_left, name="elbow"))
+    if draw(st.booleans()):
+        end = other.section("right")
+        scene.add(pi.SpringDamper(pi.ground.at((1.5, 0.6)), end, draw(st.floats(0.0, 50.0)), preload=draw(st.floats(-1.0, 1.0))))
+        scene.add(pi.TorsionSpring(one.section("right"), end, draw(st.floats(0.0, 1.0)), angle=draw(st.floats(-0.5, 0.5))))
+        scene.add(pi.Contact(end, pi.ground.at((0.0, draw(st.floats(-0.1, 0.01)))), 100.0))
     if motors:
         angle = pi.profile.quintic(0.0, draw(st.floats(-0.5, 0.5)), duration=0.3)
         scene.add(pi.AngleMotor(pi.ground, left, angle, name="drive"))
@@ -65,6 +71,9 @@ def scenes(draw, motors=True, loads=True, damped=False):
     if loads:
         scene.add(pi.PointLoad(other.section("right"), (draw(st.floats(-1, 1)), draw(st.floats(-1, 1))), pi.profile.sine(1.0, 2.0)))
         scene.add(pi.EdgeTraction(one.section("top"), (0.0, draw(st.floats(-10, 10))), pi.profile.ramp(0.0, 1.0, duration=0.2)))
+        scene.add(pi.Torque(other.section("right"), pi.profile.sine(draw(st.floats(-0.1, 0.1)), 3.0)))
+        scene.add(pi.Force(other.section("right"), (draw(st.floats(-1, 1)), pi.profile.ramp(0.0, 1.0, duration=0.1)), follower=True))
+        scene.gravity = (scene.gravity[0], pi.profile.quintic(0.0, scene.gravity[1], 0.1)) if draw(st.booleans()) else scene.gravity
     return scene
 
 

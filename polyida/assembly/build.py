@@ -22,6 +22,7 @@ from polyida.given import pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
 
+ROUND = 1e-14  # of places, by which those of points that are in one place may differ
 LOCKING = 0.45  # Poisson's ratio in plane strain above which cells of full integration lock
 
 
@@ -85,7 +86,9 @@ def extent_of(plates, few):
     for placed in few:
         whole = placed.body.plate is not None
         places += [placed.body.plate.points] if whole else [point.point[None] for point in points_of(placed.body)]
-    return float(np.ptp(concatenated(places, float, (2,)), axis=0).max(initial=0.0)) or 1.0
+    places = concatenated(places, float, (2,))
+    size = float(np.ptp(places, axis=0).max(initial=0.0))
+    return size if size > ROUND * (1.0 + np.abs(places).max(initial=0.0)) else 1.0
 
 
 def assemble(plates, few, places, parts, gravity, size, left_out=()):

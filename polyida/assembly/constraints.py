@@ -27,7 +27,7 @@ class Constraints(NamedPoints):
         """This model with the value of profile `number` at time t greater by `by`, its rates as they are."""
         table, other = self.drives(t), object.__new__(type(self))
         table[number, 0] += by
-        other.__dict__.update(self.__dict__, _driven=(t, table))
+        other.__dict__.update(self.__dict__, _driven=(t, table), own_forces=self.own_forces.pushed(self.profiles[number], by))
         return other
 
     def kinks(self, t0, t1):

@@ -55,9 +55,10 @@ class FieldBody(Body, part=False):
         """Nothing: its constructor has looked at what was given."""
 
     def require_plate(self) -> None:
-        """Raise InputError unless it has a Plate; take its name where the body has none."""
+        """Raise InputError unless it has a Plate, and a name that is a text; take the plate's where it has none."""
+        label = self.label
         if not isinstance(self.plate, Plate):
-            raise InputError(f"{type(self).__name__}: {str(self.plate)[:80]} is no plate; give a polyida.Plate")
+            raise InputError(f"{label}: {str(self.plate)[:80]} is no plate; give a polyida.Plate")
         if getattr(self, "name", None) is None:
             object.__setattr__(self, "name", self.plate.name)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from polyida.compiled import entry
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, by_law
-from polyida.force.of_state import is_of_state
+from polyida.force.of_state import answer, is_of_state
 from polyida.given import is_flag, settle
 from polyida.joint.attachment import Attachment, require_attachment
 from polyida.keywords import named_keywords
@@ -81,9 +81,9 @@ class Force(ForceElement):
         if self.compiled_law:
             return by_law(self.compiled_law, self, t, x, v)
         function: Any = self.force
-        given = np.reshape(function(t, x[0], v[0]), (1, 2))
+        given = answer(self.label, "force(t, x, v)", function(t, x[0], v[0]), (2,))
         if not self.follower:
-            return given
+            return given[None]
         turn = x[1] @ [1.0, 1j] / self.at.d.rest
-        turned = complex(turn / abs(turn) * (given[0] @ [1.0, 1j]))
+        turned = complex(turn / abs(turn) * (given @ [1.0, 1j]))
         return np.array([[turned.real, turned.imag], [0.0, 0.0]])

@@ -11,6 +11,7 @@ from polyida.body.material import number
 from polyida.compiled import entry
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, by_law
+from polyida.force.of_state import answer
 from polyida.given import settle
 from polyida.joint.attachment import require_sides
 from polyida.keywords import named_keywords
@@ -89,7 +90,8 @@ class SpringDamper(ForceElement):
         f, w = by_law(spring, self, t, x, v), x[1] - x[0]
         length = np.linalg.norm(w)
         if self.force and length:
-            f += np.outer([1.0, -1.0], self.force(self._elongation(x), float(w @ (v[1] - v[0]) / length)) * w / length)
+            given = self.force(self._elongation(x), float(w @ (v[1] - v[0]) / length))
+            f += np.outer([1.0, -1.0], answer(self.label, "force(elongation, rate)", given) * w / length)
         return f
 
     def _elongation(self, x):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from polyida.compiled import entry
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, by_law
-from polyida.force.of_state import is_of_state
+from polyida.force.of_state import answer, is_of_state
 from polyida.given import settle
 from polyida.joint.attachment import Attachment, require_attachment
 from polyida.keywords import named_keywords
@@ -62,5 +62,6 @@ class Torque(ForceElement):
         if isinstance(moment, Profile):
             return by_law(turning, self, t, x, v)
         d, speed = x[0] @ [1.0, 1j], v[0] @ [1.0, 1j]
-        f = 1j * moment(t, float(np.angle(d * self.at.d.rest.conjugate())), float((speed / d).imag)) / d.conjugate()
+        angle, rate = float(np.angle(d * self.at.d.rest.conjugate())), float((speed / d).imag)
+        f = 1j * answer(self.label, "moment(t, angle, rate)", moment(t, angle, rate)) / d.conjugate()
         return np.array([[f.real, f.imag]])

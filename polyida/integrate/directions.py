@@ -25,9 +25,9 @@ class Direction:
 
 
 def known_inputs(model):
-    """Names of the profiles of a model, numbered where several have one name."""
+    """Names of the profiles of a model, numbered where several have one name; empty of those that are nobody's."""
     names = [name for name, _ in model.named_profiles]
-    return [name if names.count(name) == 1 else f"{name} {names[:k].count(name)}" for k, name in enumerate(names)]
+    return [name if not name or names.count(name) == 1 else f"{name} {names[:k].count(name)}" for k, name in enumerate(names)]
 
 
 def direction(part: str, model: Model, state: Any, given: Any) -> Direction:
@@ -46,7 +46,7 @@ def direction(part: str, model: Model, state: Any, given: Any) -> Direction:
 
 def _of_profile(part, model, state, name):
     known = known_inputs(model)
-    if name not in known:
+    if not name or name not in known:
         raise InputError(f"{part}: no load or motor with a profile is called {name!r}; known: {_known(model)}")
     number, still, t, q = known.index(name), np.zeros(model.n), state.t, state.q
 
@@ -61,4 +61,4 @@ def _of_profile(part, model, state, name):
 
 
 def _known(model):
-    return ", ".join(map(repr, known_inputs(model))) or "none"
+    return ", ".join(repr(name) for name in known_inputs(model) if name) or "none"

@@ -25,6 +25,7 @@ from polyida.machine import one_blas_thread
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.results.sensors import Sensors
+from polyida.sensor import Sensor
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -39,7 +40,7 @@ def resume(
     integrator: object = None,
     until: Callable[[float, NDArray, NDArray], float] | bool | None = None,
     progress: Callable[[float], object] | None = None,
-    sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike]] | bool | None = None,
+    sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike] | Sensor] | bool | None = None,
     memory_limit: float = MEMORY_LIMIT,
 ) -> "Trajectory":
     """Go on with the run in a file of `solve(..., out=path)` or `save`, to its t_end or another; the whole Trajectory.
@@ -59,7 +60,7 @@ def resume(
     with naming(path, everything=False):
         try:
             model, integrator, plan = _asked(stored, t_end, model, integrator, until)
-            recorder = _recorder(stored, sensors)
+            recorder = _recorder(stored, model, sensors)
             store = _continued(stored, model, integrator, plan, recorder, memory_limit)
         finally:
             stored.file.close()
@@ -126,7 +127,7 @@ def _plan(stored, t_end, until):
     return plan
 
 
-def _recorder(stored, sensors):
+def _recorder(stored, model, sensors):
     """A Recorder with what sensors gave up to where the run goes on."""
     known, given = ", ".join(map(repr, stored.sensors)), sensors or {}
     if sensors is None and known:
@@ -138,7 +139,7 @@ def _recorder(stored, sensors):
             f"the run had {f'the sensors {known}' if known else 'no sensors'}; it cannot go on with {', '.join(map(repr, given))}"
         )
     found = sensors_of(stored)
-    return Recorder(given, Sensors(found.shapes, found.rows[found.t <= stored.restart.state.t]))
+    return Recorder(guard(model), given, Sensors(found.shapes, found.rows[found.t <= stored.restart.state.t]))
 
 
 def _continued(stored, model, integrator, plan, recorder, memory_limit):

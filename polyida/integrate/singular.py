@@ -12,6 +12,7 @@ from polyida.linear.independence import between, coordinate_sizes, cosine, invol
 ZERO = 1e-6  # a smallest singular value that counts as none
 NEAR = 1e-3  # one that is told beside a failure
 AHEAD = 0.1  # of the last step, over which the speed of the rows is measured
+MOST = 32  # steps from look to look: what rests may begin to turn
 REVERSED = 0.5  # cosine of the turn of the rows' space below which the way between two states led through zero
 
 
@@ -63,7 +64,7 @@ class Watch:
         if now + before <= gone and cosine(self.rows, rows, products) < REVERSED:
             raise self._failure(rows if now < before else self.rows, self.t + since * before / (before + now))
         speed = max(gone / since if since else 0.0, self._speed(rows))
-        self.due = t + min(2.0 * since, 0.25 * now / max(speed, 1e-300))
+        self.due = t + min(2.0 * since, MOST * self.h, 0.25 * now / max(speed, 1e-300))
 
     def _speed(self, rows):
         """How fast the unit rows go at the last state, 1/s: from one look to the next they may come round to where they were."""

@@ -24,6 +24,7 @@ from polyida.keywords import named_keywords
 from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
+from polyida.sensor import Sensor
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -48,7 +49,7 @@ def solve(
     output: ArrayLike | None = None,
     until: Callable[[float, NDArray, NDArray], float] | None = None,
     progress: Callable[[float], object] | None = None,
-    sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike]] | None = None,
+    sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike] | Sensor] | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
     flush_every: int = 100,
@@ -63,8 +64,8 @@ def solve(
     every: keep each `every`-th accepted step (the first and last always). output: increasing times; the frames are then
     exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a and lam linear).
     until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the
-    last frame is there. progress: called with t at every accepted step. sensors: {name: f(t, q, v)}, each giving a number or an array of
-    one shape; called at the start and at every accepted step, whatever becomes a frame: `run.sensors[name]` (steps, ...) at
+    last frame is there. progress: called with t at every accepted step. sensors: {name: f(t, q, v), or one of `pi.sensor`}, each giving a
+    number or an array of one shape; called at the start and at every accepted step, whatever becomes a frame: `run.sensors[name]` (steps, ...) at
     `run.sensors.t`, kept in memory and in files.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
@@ -95,7 +96,7 @@ def solve(
     with one_blas_thread():
         state = _first(model, t0, state, q0, v0)
         getattr(integrator, "require_reach", lambda *run: None)(guard(model), state, t_end)
-        recorder, file = Recorder(sensors or {}), None
+        recorder, file = Recorder(guard(model), sensors or {}), None
         recorder.step(state)
         if path is not None:
             file = create(path, model, integrator, model.n, model.m, plan, machine_info(), precision == "single", recorder.shapes)

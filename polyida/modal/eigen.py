@@ -9,6 +9,7 @@ roots of no full set of shapes.
 import numpy as np
 from scipy.linalg import eigh, null_space
 
+from polyida.integrate.state import StepFailure
 from polyida.linear.inertia import falling
 from polyida.linear.lu import SingularSystem
 
@@ -17,6 +18,10 @@ WIDER = 100.0  # by which a shift grows that lies among the modes
 NEAR = 0.1  # shift of the damped form, of the slowest undamped vibration
 SPARE = 4  # undamped modes beyond the wanted ones in which rigid motions are looked for
 STILL = 1e-12  # of |C| |x|: what round-off leaves of C x
+RESTARTS = 100  # of Arnoldi's method
+GATHERED = (
+    "the damped modes did not converge; roots of strongly damped bodies gather, at -1/viscosity those of a viscous one: ask for fewer"
+)
 TOLERANCE = 1e-12  # of Arnoldi's roots: those of viscous bodies gather at -1/viscosity, where round-off is not reached
 
 
@@ -104,7 +109,7 @@ def _dense_damped(system, count, N, slow):
 
 def _arnoldi(system, count, N, slow):
     """Those nearest to a small positive number, which is no root of a stable system."""
-    from scipy.sparse.linalg import LinearOperator, eigs
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
     n, shift = system.n, NEAR * np.sqrt(slow if np.isfinite(slow) else 1.0)
     factor, none = system.factor(shift**2, shift), np.zeros(system.model.m)
@@ -119,7 +124,10 @@ def _arnoldi(system, count, N, slow):
 
     inverse = LinearOperator((2 * n, 2 * n), apply, dtype=float)
     start = inverse @ np.random.default_rng(0).standard_normal(2 * n)
-    values, Y = eigs(inverse, 2 * count, v0=start, ncv=min(2 * n, max(40, 6 * count)), tol=TOLERANCE)
+    try:
+        values, Y = eigs(inverse, 2 * count, v0=start, ncv=min(2 * n, max(40, 6 * count)), tol=TOLERANCE, maxiter=RESTARTS)
+    except ArpackNoConvergence as error:
+        raise StepFailure("arnoldi", GATHERED, system.state.t, wanted=count, found=len(error.eigenvalues) // 2) from None
     return shift + 1.0 / values, Y[:n]
 
 

@@ -9,7 +9,7 @@ def inputs_of(part, model, state, given):
     Raises InputError in the name of `part`.
     """
     if given is None:
-        given = known_inputs(model)
+        given = [name for name in known_inputs(model) if name]
     if not isinstance(given, (list, dict)):
         given = [given]
     named = given.items() if isinstance(given, dict) else ((None, one) for one in given)

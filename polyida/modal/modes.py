@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.given import is_flag, is_whole
+from polyida.given import is_flag, is_number, is_whole
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.modal import eigen
@@ -54,18 +54,42 @@ class Modes:
         return self.roots.real > FLUTTER * np.abs(self.roots)
 
     def summary(self) -> str:
-        """A line a mode: frequency, damping, share of the mass along x and y."""
+        """A line a mode: frequency, damping, its share of the mass along x and y."""
         lines = [f"{len(self.roots)} modes of {type(self.model).__name__} about t = {self.state.t:.6g} s"]
-        for k, (frequency, damping, grows) in enumerate(zip(self.frequencies, self.damping, self.unstable)):
-            share = ""
-            if self.participation is not None:
-                share = ", {:.1%} of the mass along x, {:.1%} along y".format(*self.participation[k] / self.mass)
-            fades = f", damping {damping:.3g}" if damping else ""
-            lines.append(f"{k:3d}  {frequency:.6g} Hz{fades}{', UNSTABLE' if grows else ''}{share}")
+        for k in range(len(self.roots)):
+            share = "" if self.participation is None else self._share(self.participation[k])
+            lines.append(f"{self.title(k)}{share}")
         if self.participation is not None:
-            x, y = self.participation.sum(axis=0) / self.mass
-            lines.append(f"together {x:.1%} of {self.mass:.6g} kg along x, {y:.1%} along y")
+            lines.append(f"together of {self.mass:.6g} kg{self._share(self.participation.sum(axis=0))}")
         return "\n".join(lines)
+
+    def _share(self, masses):
+        return ", {:.1%} along x, {:.1%} along y".format(*masses / self.mass)
+
+    def plot(self, number: int | list[int] | None = None, scale: float = 1.0, axes: Any = None) -> Any:
+        """A matplotlib Figure of the bodies at rest and in a mode, not to scale: its largest displacement is 12 % of the size of the whole,
+        times `scale`. Complex shapes when their first large entry is; models without bodies as bars.
+
+        number: index of a mode, 0 the slowest, or a list, a panel each; None for all. axes: matplotlib axes to draw one mode on
+        instead. Raises InputError for a number that there is not, and a scale that is not positive.
+        """
+        from polyida.show.small_motions import draw, shapes
+
+        wanted = list(range(len(self.roots))) if number is None else number if isinstance(number, list) else [number]
+        if not wanted or not all(is_whole(k, 0, len(self.roots) - 1) for k in wanted):
+            raise InputError(f"modes.plot: number = {number!r} must be the index of one of {len(self.roots)} modes, or a list of these")
+        if not (is_number(scale) and scale > 0):
+            raise InputError(f"modes.plot: scale = {scale!r} must be positive")
+        if axes is None:
+            return shapes(self.model, self.state.q, [(self.title(k), self.shapes[k]) for k in wanted], scale)
+        draw(axes, self.model, self.state.q, self.shapes[wanted[0]], self.title(wanted[0]), scale)
+        return axes.figure
+
+    def title(self, number: int) -> str:
+        """ "mode 1: 3.42 Hz", with its damping where there is, and a word where it grows."""
+        damping = self.damping[number]
+        fades = f", damping {damping:.3g}" if damping and not self.unstable[number] else ""
+        return f"mode {number + 1}: {self.frequencies[number]:.4g} Hz{fades}{', unstable' if self.unstable[number] else ''}"
 
 
 @named_keywords
@@ -76,7 +100,7 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     C = dg/dv, `(s^2 M + s C + K) x + B^T mu = 0`. Rigid motions come as 0 Hz, modes that grow with a warning.
     Large models by Lanczos' or Arnoldi's method in shift-invert, small ones dense.
     Raises InputError for a wrong count, no model, no state of it, one off its constraints, redundant constraints, coordinates without mass,
-    and without `damped` for forces that have no potential.
+    and without `damped` for forces that have no potential; StepFailure where Arnoldi's method does not converge.
 
         pi.modes(model, state=pi.static(model), count=3).frequencies
     """

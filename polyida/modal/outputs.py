@@ -78,12 +78,16 @@ def _place(model, state, what, kind, label):
 def _reaction(part, model, state, name, label):
     if not is_one_of(name, model.joints):
         raise InputError(f"{part}: no joint is called {name!r}; known: {', '.join(map(repr, model.joints)) or 'none'}")
-    rows = model.rows[name]
+    rows = (model.redundant or model).rows[name]
+
+    def reactions(q, lam):
+        whole = model.redundant.multipliers(np.full(len(q), state.t), q, lam) if model.redundant else lam
+        return model.reactions(name, q, whole[:, rows]).T
 
     def change(moved, mu):
-        return _slope(lambda s: model.reactions(name, state.q + s * moved[0].T, state.lam[rows] + s * mu[rows].T).T, moved[0])
+        return _slope(lambda s: reactions(state.q + s * moved[0].T, state.lam + s * mu.T), moved[0])
 
-    count = rows.stop - rows.start
+    count = len(reactions(state.q[None], state.lam[None]))
     return Output(tuple(f"{label or name + ' reaction'} {k}" for k in range(count)), change)
 
 

@@ -5,6 +5,7 @@ A scene is compiled and tested; it is called as it is and pays nothing.
 
 from collections import defaultdict
 from contextlib import suppress
+from itertools import product
 from sys import getrefcount
 
 import numpy as np
@@ -44,12 +45,12 @@ def require_functions(model, t, q, v):
 
 
 def blame(model, t, state):
-    """Which of a user's functions gave what is not finite, when last called or within the reach of differences around t."""
+    """Which of a user's functions gave what is not finite, when last called, or around t, at the state or where it is going."""
     if model.compiled and not model.own_forces or model.not_finite:
         return model.not_finite
-    for at in t + REACH:
+    for at, ahead in product(t + REACH, (0.0, 1.0)):
         with suppress(Exception):
-            model.call_all(at, state.q, state.v)
+            model.call_all(at, state.q + ahead * (at - state.t) * state.v, state.v)
         if model.not_finite:
             return f"{model.not_finite} at t = {at:.9g} s"
     return ""

@@ -52,8 +52,8 @@ class Energy:
         `total - total[0] = sum of work - sum of dissipated` for the exact motion. Of the cubic Hermite motion through q and v of
         the frames, by two Gauss points between them, and between the kinks of profiles: exact for constant loads and of fourth
         order in the time between frames; multipliers are interpolated with slopes from their neighbours. So it is as good as the
-        frames are near: what swings between two of them is not seen, nor the work of a blow in no time. A model of one's own tells by
-        its `powers`.
+        frames are near: what swings between two of them is not seen. The blow of a motor whose speed jumps is counted where a frame is
+        at that kink. A model of one's own tells by its `powers`.
         """
         return {name: work for name, work in self._works.items() if name not in self._motion.model.dissipating}
 

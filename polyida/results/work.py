@@ -57,7 +57,7 @@ class _Kinks:
     """
 
     def __init__(self, model, t):
-        times = np.array(model.kinks(t[0], t[-1]), float)
+        times = np.array(model.kinks(beside(t[0], -1.0), t[-1]), float)
         after = np.searchsorted(t, times)
         nearest = np.where(np.abs(t[after] - times) < np.abs(t[after - 1] - times), after, after - 1) if len(times) else after
         at = np.abs(t[nearest] - times) <= SAME * np.abs(t).max(initial=0.0)

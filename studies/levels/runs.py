@@ -1,6 +1,5 @@
 """Runs of problems at every level: how far from the full plates, at which CPU time."""
 
-import warnings
 from functools import lru_cache
 from types import SimpleNamespace
 
@@ -8,7 +7,6 @@ import numpy as np
 
 from levels.scenes import at_level, problem_of
 from polyida.body.point_mass import PointMass
-from polyida.errors import ReductionWarning
 from polyida.force.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
@@ -33,12 +31,6 @@ def case(name):
     return SimpleNamespace(p=p, times=times, points=points, places=_places(run, points))
 
 
-def solved(*run, **options):
-    """A run, without the warning of what its modes leave out: that is what is measured."""
-    with warnings.catch_warnings(action="ignore", category=ReductionWarning):
-        return solve(*run, **options)
-
-
 def _places(run, points):
     """(frames, points, 2), m."""
     return np.stack([run.position(name) for name in points], axis=1)
@@ -57,11 +49,11 @@ def measure(problem, level, x=None):
     """
     c, model = case(problem), model_at(problem, level)
     method = RadauIIA(rtol=REFINED) if x is None else GeneralizedAlpha(h=x * c.p.t_end)
-    solved(model, 1e-3 * c.p.t_end, method)
-    run = solved(model, c.p.t_end, method, output=c.times)
+    solve(model, 1e-3 * c.p.t_end, method)
+    run = solve(model, c.p.t_end, method, output=c.times)
     seconds = [run.cpu_seconds]
     while x is not None and len(seconds) < 3 and seconds[0] < SHORT:
-        seconds.append(solved(model, c.p.t_end, method, every=10**9).cpu_seconds)
+        seconds.append(solve(model, c.p.t_end, method, every=10**9).cpu_seconds)
     apart = np.linalg.norm(_places(run, c.points) - c.places[: len(run.t)], axis=2).max(axis=0) if run.success else np.full(1, np.nan)
     tip = c.points.index(TIP) if TIP in c.points and run.success else apart.argmax()
     return {

@@ -5,9 +5,8 @@ from dataclasses import fields, replace
 
 from polyida import problems, registry
 from polyida.body.plate import Plate
-from polyida.body.reduced import Reduced
-from polyida.body.rigid import Rigid
 from polyida.joint.attachment import Attachment
+from polyida.problems.mechanisms.levels import body_at
 from polyida.scene import Scene
 
 FULL, RIGID = "full", "rigid"
@@ -15,9 +14,7 @@ FULL, RIGID = "full", "rigid"
 
 def body_of(plate, level):
     """A plate at a level: "full", "rigid" or a number of modes."""
-    if level == FULL:
-        return plate
-    return Rigid(plate) if level == RIGID else Reduced(plate, modes=level)
+    return (body_at("reduced", level) if isinstance(level, int) else body_at(level))(plate)
 
 
 def at_level(model, level):

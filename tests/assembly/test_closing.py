@@ -191,6 +191,22 @@ def test_a_body_that_cannot_be_placed_stays():
     assert "moved 'crank' by" in report.summary() and "'mass'" not in report.summary()
 
 
+@pytest.mark.parametrize("make, turns", [(bar, True), (rigid, False)])
+def test_a_slot_goes_with_the_axes_that_its_direction_is_given_in(make, turns):
+    scene = pi.Scene()
+    rail, pin = scene.add(make("crank", (0.01, 0.02), 0.4)), scene.add(Bar.bar(0.2, 1.0, origin=(0.5, 0.1), name="pin"))
+    side = rail.at("center", direction=(1.0, 0.5))
+    before = complex(*side.direction)
+    scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), rail.section("left")))
+    scene.add(pi.Slot(side, pin.at("left"), name="slot"))
+    report = scene.assemble()
+    turn = report.turn["crank"] if turns else 0.0
+    assert abs(report.turn["crank"]) > 1e-3 and report.gap > 1e-2
+    assert complex(*side.direction) == pytest.approx(before * np.exp(1j * turn), rel=1e-12)
+    model = scene.build()
+    assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
+
+
 def test_a_weld_keeps_the_angle_that_was_drawn():
     scene = pi.Scene()
     one, other = scene.add(plate("crank", (0.0, 0.0), 0.2)), scene.add(plate("coupler", (0.31, 0.07), -0.4))

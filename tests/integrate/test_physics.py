@@ -32,8 +32,8 @@ def momenta(run, about=(0.0, 0.0)):
     return p.sum(axis=1), (x[..., 0] * p[..., 1] - x[..., 1] * p[..., 0]).sum(axis=1)
 
 
-def test_joints_hold_and_energy_balances(scenes, kind, integrator):
-    model = scenes.jointed(kind).build()
+def require_balance(model, integrator):
+    """Joints hold, the energy is accounted for, and the motion is that of generalized-alpha."""
     run, other = pi.solve(model, 0.1, integrator), pi.solve(model, 0.1, INTEGRATORS["alpha"])
     held = integrator.atol if getattr(integrator, "linear", None) == "whole" else 1e-10  # where Newton's method stops
     assert run.success, run.message
@@ -41,6 +41,16 @@ def test_joints_hold_and_energy_balances(scenes, kind, integrator):
     assert np.abs(unbalanced(run)).max() < 1e-4 * np.abs(run.energy.potential).max()
     assert np.abs(run.q[-1] - other.q[-1]).max() < 3e-5
     assert np.abs(run.position("joint")[-1] - other.position("joint")[-1]).max() < 3e-5
+
+
+def test_joints_hold_and_energy_balances(scenes, kind, integrator):
+    require_balance(scenes.jointed(kind).build(), integrator)
+
+
+@pytest.mark.parametrize("level", ["reduced", "rigid"])
+@pytest.mark.parametrize("integrator", ["alpha", "ida ggl2", "radau"], indirect=True)
+def test_joints_hold_bodies_of_few_coordinates(scenes, kind, level, integrator):
+    require_balance(scenes.jointed(kind, level=level).build(), integrator)
 
 
 def test_free_plates_keep_their_momentum(scenes, integrator):

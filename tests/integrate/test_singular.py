@@ -141,3 +141,16 @@ def test_no_time_is_lost_on_rows_that_do_not_vary(scenes):
     watch = Watch(model, pi.consistent_state(model))
     model.phi_q = None
     watch.step(pi.consistent_state(scenes.hinged()[0].build()))
+
+
+def test_rows_that_come_round_are_no_singular_position():
+    """After a rest looks are far apart: a motor that begins then turns its row further than that tells of."""
+    scene = pi.Scene()
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0))
+    loose = scene.add(pi.RigidBody.bar(1.0, 1.0, origin=(1.0, 0.0)))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    scene.add(pi.Revolute(bar.at("right"), loose.at("left")))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), angle=pi.profile.quintic(0.0, 40.0, duration=5.0, begin=5.0), name="motor"))
+    run = pi.solve(scene.build(), 12.0, pi.GeneralizedAlpha(h=2e-3))
+    assert run.success, run.message
+    assert run.angle("motor")[-1] == pytest.approx(40.0, abs=1e-9)

@@ -213,6 +213,16 @@ def test_what_can_move_freely_is_said(scenes):
         pi.static(scenes.single()[0].build())
 
 
+@pytest.mark.parametrize("body", [lambda plate: plate, lambda plate: pi.Reduced(plate, modes=2), pi.Rigid])
+def test_what_hangs_is_found_though_nothing_holds_it_before_it_is_stretched(scenes, body):
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    hung = scene.add(body(scenes.plate("hung", angle=-np.pi / 2)))
+    scene.add(pi.Revolute(pi.ground, hung.section("left"), name="hook"))
+    model = scene.build()
+    found = pi.static(model)
+    assert found.stable and reaction(model, found, "hook") == pytest.approx([0.0, scenes.PLATE_MASS * 9.81], abs=1e-8)
+
+
 def test_a_mechanism_is_said_to_move_freely(scenes):
     with pytest.raises(StepFailure, match="move freely"):
         pi.static(scenes.hinged()[0].build())

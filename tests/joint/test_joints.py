@@ -11,10 +11,16 @@ WAVE = pi.profile.sine(0.7, 0.4, 0.2)
 T = 0.3
 
 
+@pytest.fixture(params=["full", "reduced", "rigid"])
+def level(request):
+    """What plates are made into."""
+    return request.param
+
+
 @pytest.fixture
-def model(scenes, kind):
+def model(scenes, kind, level):
     """Two plates with the joint of a kind, driven by a profile whose derivatives are all at work."""
-    return scenes.jointed(kind, WAVE).build()
+    return scenes.jointed(kind, WAVE, level=level).build()
 
 
 @pytest.fixture
@@ -26,8 +32,9 @@ def draw(model):
 
 def side(model, attachment, q, weights):
     """Weighted sum of an attachment's nodal positions, from its own data."""
-    start = next(body.nodes.start for body in model.bodies if body.plate is attachment.body)
-    return weights @ (model.reference + q.reshape(-1, 2))[attachment.nodes + start]
+    plate = attachment.body.plate if attachment.body.few else attachment.body
+    start = next(body.nodes.start for body in model.drawn if body.plate is plate)
+    return weights @ (model.drawn_points + model.nodal(q))[attachment.nodes + start]
 
 
 def expected(model, name, t, q, rotation):
@@ -39,7 +46,7 @@ def expected(model, name, t, q, rotation):
         a, b = (rest_a if a is None else a), (rest_b if b is None else b)
         start = np.arctan2(rest_a[0] * rest_b[1] - rest_a[1] * rest_b[0], rest_a @ rest_b)
         return [(rotation(joint.angle(t) + start) @ a) @ J @ b]
-    if isinstance(joint, pi.Clamp) and pi.ground in (joint.a, joint.b):
+    if isinstance(joint, pi.Clamp) and pi.ground in (joint.a, joint.b) and model.bodies:
         held, sign = (joint.a, 1.0) if joint.b is pi.ground else (joint.b, -1.0)
         start = next(body.nodes.start for body in model.bodies if body.plate is held.body)
         return sign * q.reshape(-1, 2)[held.nodes + start].ravel()
@@ -52,7 +59,9 @@ def expected(model, name, t, q, rotation):
         back = rotation(np.arctan2(rest[1][0] * rest[0][1] - rest[1][1] * rest[0][0], rest[1] @ rest[0]))
         if isinstance(joint, pi.Slot):
             return a @ J @ -result
-        result = [a @ J @ -result, (back.T @ a) @ J @ b] if isinstance(joint, pi.Prismatic) else np.concatenate([result, a - back @ b])
+        across, turned = [a @ J @ -result], [(back.T @ a) @ J @ b]
+        alike = turned if isinstance(joint, pi.Prismatic) or joint.a.turns_only or joint.b.turns_only else a - back @ b
+        result = np.concatenate([across if isinstance(joint, pi.Prismatic) else result, alike])
     if isinstance(joint, pi.Distance):
         return (result @ result - joint.length**2) / (2 * joint.length)
     return points[1] - [joint.x(t), joint.y(t)] if isinstance(joint, pi.Path) else result
@@ -64,8 +73,8 @@ def test_formula(model, scenes, draw):
     assert np.allclose(found, np.ravel(expected(model, "joint", T, q, scenes.rotation)), atol=1e-13)
 
 
-def test_rest_is_on_the_constraints(scenes, kind):
-    model = scenes.jointed(kind).build()
+def test_rest_is_on_the_constraints(scenes, kind, level):
+    model = scenes.jointed(kind, level=level).build()
     assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
 
 
@@ -87,9 +96,9 @@ def test_virtual_work(model, draw):
     q, v, lam = draw(), draw(), draw(model.m)
     still, none = np.zeros(model.n), np.zeros(model.m)
     force = model.residual(T, q, v, still, lam) - model.residual(T, q, v, still, none)
-    power = along(lambda s: model.phi(T, q + s * v)) @ lam
-    assert force @ v == pytest.approx(power, rel=1e-7)
-    assert np.allclose(force, model.phi_q(T, q).T @ lam, atol=1e-9 * np.abs(model.residual(T, q, v, still, lam)).max())
+    power, size = along(lambda s: model.phi(T, q + s * v)) @ lam, np.abs(model.residual(T, q, v, still, lam)).max()
+    assert force @ v == pytest.approx(power, rel=1e-7, abs=1e-14 * size * len(v))
+    assert np.allclose(force, model.phi_q(T, q).T @ lam, atol=1e-9 * size)
 
 
 @pytest.mark.parametrize("kind", ["revolute", "clamp between", "motor between", "prismatic", "slot", "weld"], indirect=True)
@@ -98,8 +107,70 @@ def test_joints_between_bodies_turn_with_the_whole_scene(model, scenes, draw):
     rows = model.rows["joint"]
     before, after = (model.phi(T, x)[rows] for x in (q, scenes.turned(model, q, 2.1, (0.4, -3.0))))
     if model.labels[rows.start].endswith("x"):
-        before = (before.reshape(-1, 2) @ scenes.rotation(2.1).T).ravel()
+        vectors = len(before) // 2 * 2
+        before[:vectors] = (before[:vectors].reshape(-1, 2) @ scenes.rotation(2.1).T).ravel()
     assert np.allclose(after, before, atol=1e-13)
+
+
+SECOND = ("prismatic", "slot", "distance", "weld", "path")
+
+
+@pytest.mark.parametrize("kind", SECOND, indirect=True)
+def test_a_reaction_is_what_the_multipliers_do_to_b(model, scenes, draw):
+    """Force and moment about its point of `-phi_q^T lam` on the body of b, wherever the scene is turned to."""
+    q, lam, joint = scenes.turned(model, np.zeros(model.n), 0.8), draw(model.m), model.joints["joint"]
+    rows = model.rows["joint"]
+    nodal = -(lam[rows] @ model.phi_q(0.0, q)[rows]).reshape(-1, 2)
+    body = next(body for body in model.bodies if body.plate is joint.b.body)
+    arms = (model.reference + q.reshape(-1, 2) - model.position("joint", q[None]))[body.nodes]
+    force, moment = nodal[body.nodes].sum(axis=0), _moment(arms, nodal[body.nodes])
+    told = model.reactions("joint", q[None], lam[None, rows])[0]
+    assert np.abs(told[:2] - force).max() < 1e-12 and np.abs(force).max() > 1e-3
+    assert moment == pytest.approx(told[2] if len(told) > 2 else 0.0, abs=1e-12)
+
+
+def _moment(arms, forces):
+    return float(np.sum(arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]))
+
+
+RIGID = {
+    "prismatic": lambda a, b: pi.Prismatic(a, b, name="joint"),
+    "slot": lambda a, b: pi.Slot(a, b, name="joint"),
+    "distance": lambda a, b: pi.Distance(a, b, name="joint"),
+    "weld": lambda a, b: pi.Weld(a, b, name="joint"),
+    "weld to a plate": None,
+    "prismatic to ground": lambda a, b: pi.Prismatic(pi.ground.at(a.point - a.direction, a.direction), b, name="joint"),
+    "weld to ground": lambda a, b: pi.Weld(pi.ground, b, name="joint"),
+}
+
+
+@pytest.mark.parametrize("name", RIGID)
+def test_joints_of_rigid_bodies(scenes, name):
+    """Derivatives, and forces and moments on b, of bodies that keep the length of their directions."""
+    scene = pi.Scene()
+    a = scene.add(pi.RigidBody(1.0, 0.2, {"A": (0.5, 0.1)}, angle=0.3, name="one")).at("A", (1.0, 0.4))
+    at = a.point if "weld" in name else a.point + 0.8 * a.direction
+    body = scene.add(pi.RigidBody(0.5, 0.1, {"B": (0.0, 0.0)}, origin=at, angle=-0.9, center=(0.2, 0.1), name="other"))
+    b = body.at("B", (0.3, 1.0))
+    if name == "weld to a plate":
+        plate = scene.add(scenes.plate("plate", origin=at - [1.0, 0.0]))
+        scene.add(pi.Weld(plate.section("right"), b, name="joint"))
+    else:
+        scene.add(RIGID[name](a, b))
+    model = scene.build()
+    assert max(pi.check_derivatives(model, T).values()) < 1e-6
+    assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
+    rows, lam = model.rows["joint"], np.random.default_rng(7).standard_normal(model.m)
+    assert rows.stop - rows.start == {"prismatic": 2, "weld": 3}.get(name.split()[0], 1)
+    pull = -(lam[rows] @ model.phi_q(0.0, np.zeros(model.n))[rows]).reshape(-1, 2)
+    told = model.reactions("joint", np.zeros((1, model.n)), lam[None, rows])[0]
+    place = next(placed for placed in model.few if placed.user is body)
+    force, turning = pull[place.pairs]
+    z = np.exp(-0.9j)
+    centre = z * (0.2 + 0.1j)  # from the point
+    moment = (z.conjugate() * (turning @ (1.0, 1j))).imag + centre.real * force[1] - centre.imag * force[0]
+    assert np.abs(told[:2] - force).max() < 1e-12
+    assert moment == pytest.approx(told[2] if len(told) > 2 else 0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("turns", [0.25, 1.5, -3.2, 100.0])

@@ -1,5 +1,7 @@
 """State-space matrices and frequency responses: closed forms, each other, and the whole motion where it is small."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -122,6 +124,53 @@ def test_a_small_move_of_a_motor_is_the_whole_motion(scenes):
     assert x[-1, -2:] == pytest.approx([1e-3, 0.0], abs=1e-6)
     torque = run.reaction("drive")[:, 0] - run.reaction("drive")[0, 0]
     assert np.abs(y[:, 4] - torque).max() < 2e-2 * np.abs(torque).max()
+
+
+@dataclass(frozen=True, eq=False)
+class Pull(pi.ForceElement):
+    """A force of one's own, Python, along x: with it in the scene no element is compiled."""
+
+    at: object
+    pull: object = 0.0
+    name: str | None = None
+
+    def sides(self):
+        return (self.at,)
+
+    def forces(self, t, x, v):
+        return np.array([[self.pull(t), 0.0]])
+
+
+@pytest.mark.parametrize("python", [False, True])
+def test_profiles_of_forces_are_inputs_whether_these_are_compiled_or_not(python):
+    """A moment on a rigid bar that hangs: `J angle'' + m g l / 2 angle = M`, J = m l^2 / 3."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 2.0, angle=-np.pi / 2, name="bar"))
+    left, right = bar.at("left"), bar.at("right")
+    scene.add(pi.Revolute(pi.ground, left, name="hinge"))
+    scene.add(pi.Torque(left, pi.profile.constant(0.0), name="drive"))
+    if python:
+        scene.add(Pull(right, pi.profile.constant(0.0), name="pull"))
+    model = scene.build()
+    system = pi.linearise(model, pi.static(model), outputs={"end": right})
+    assert system.inputs == (("drive", "pull") if python else ("drive",))
+    f = np.array([0.0, 0.3, 2.0])
+    exact = 1 / (2.0 / 3 * (2j * np.pi * f) ** 2 + 9.81)
+    assert system.response(f)[:, 0, 0] == pytest.approx(exact, rel=1e-9)
+    if python:
+        assert system.response(f)[:, 0, 1] == pytest.approx(exact, rel=1e-9)
+
+
+def test_reactions_that_are_not_unique_are_of_least_norm():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 2.0, angle=-np.pi / 2, name="bar"))
+    left, right = bar.at("left"), bar.at("right")
+    for name in ("one", "other"):
+        scene.add(pi.Revolute(pi.ground, left, name=name))
+    scene.add(pi.PointLoad(right, (0.0, -1.0), pi.profile.constant(0.0), name="pull"))
+    model = scene.build(redundant="least-norm")
+    system = pi.linearise(model, pi.static(model), "pull", [("one", "reaction"), ("other", "reaction")])
+    assert system.response([0.0])[0, :, 0] == pytest.approx([0.0, 0.5, 0.0, 0.5], abs=1e-9)
 
 
 def test_modes_are_coordinates_too(scenes):

@@ -47,6 +47,22 @@ def test_they_see_what_frames_hold(whole):
     assert sensors["first"].shape == (len(whole), 2, 4) and np.array_equal(sensors["first"][:, 1], whole.v[:, :4])
 
 
+def test_ready_ones(model):
+    lower = model.parts["lower"]
+    ready = {
+        "tip": pi.sensor.position("tip"),
+        "end": pi.sensor.position(lower.section("right")),
+        "shoulder": pi.sensor.reaction("shoulder"),
+        "motor": pi.sensor.reaction("elbow motor"),
+        "push": pi.sensor.state(lambda state: [state.a[0], state.lam[-1]]),
+    }
+    run = pi.solve(model, 0.02, ALPHA, sensors=ready)
+    assert np.array_equal(run.sensors["tip"], run.position("tip")) and np.allclose(run.sensors["end"], run.position("tip"), atol=1e-14)
+    assert np.allclose(run.sensors["shoulder"], run.reaction("shoulder"), rtol=1e-14)
+    assert np.allclose(run.sensors["motor"], run.reaction("elbow motor"), rtol=1e-14)
+    assert np.array_equal(run.sensors["push"], np.stack([run.a[:, 0], run.lam[:, -1]], axis=1))
+
+
 @pytest.mark.parametrize("options", [{"every": 30}, {"output": [0.05]}, {"memory_limit": 0}, {"precision": "single"}])
 def test_whatever_becomes_a_frame(model, whole, options):
     run = pi.solve(model, 0.1, ALPHA, sensors=looking(model), **options)
@@ -144,6 +160,8 @@ def test_damage_is_found(model, tmp_path):
         ({"": len}, "the name '' must be a text"),
         ({3: len}, "the name 3 must be a text"),
         ({"x": 1.0}, "'x' is 1.0, it must be a function of t, q and v"),
+        ({"x": pi.sensor.position("nobody")}, "no mass, load or joint is called 'nobody'"),
+        ({"x": pi.sensor.reaction("tip")}, "sensor.reaction: no joint is called 'tip'; known: 'shoulder'"),
         ({"x": lambda t, q, v: None}, "'x' gave no real numbers at t = 0 s"),
         ({"x": lambda t, q, v: 1j}, "'x' gave no real numbers"),
         ({"x": lambda t, q, v: [[1.0], [2.0, 3.0]]}, "'x' gave no real numbers"),

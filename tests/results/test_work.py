@@ -118,6 +118,7 @@ def test_loads_pay_for_the_energy(scenes, profile, integrator, every, share):
         (pi.profile.quintic(0.0, 0.5, 0.05), pi.GeneralizedAlpha(h=5e-4), 1e-3),
         (pi.profile.sine(0.3, 2.0), RADAU, 2e-4),  # begins with a jump of the acceleration
         (pi.profile.linear(0.0, 0.1, 0.02, 0.0213), pi.RadauIIA(h=2.5e-4), 1e-3),  # blows at both ends
+        (pi.profile.linear(0.0, 0.1, 0.02), pi.RadauIIA(h=2.5e-4), 1e-3),  # the first of them where the run begins
     ],
 )
 def test_motors_pay_for_the_energy(scenes, angle, integrator, share):
@@ -154,6 +155,37 @@ def test_what_is_dissipated_is_told_by_name(braked):
     assert set(energy.work) == {"air"} and set(energy.dissipated) == {"damper", "bar"}
     assert energy.work["air"][-1] < 0 and all((np.diff(taken) >= 0).all() and taken[-1] > 0 for taken in energy.dissipated.values())
     assert np.abs(unbalanced(braked)).max() < 1e-5 * energy.dissipated["bar"][-1]
+
+
+P = pi.profile
+PARTS = {  # what works on the section at the left or right, and the share of its work that Radau IIA with 0.5 ms loses or gains
+    "spring": (lambda left, right: pi.SpringDamper(pi.ground.at((1.0, 0.5)), right, 400.0, 3.0, 0.3, name="part"), 5e-4),
+    "torsion spring": (lambda left, right: pi.TorsionSpring(pi.ground, left, 30.0, 0.5, name="part"), 1e-5),
+    "torque": (lambda left, right: pi.Torque(left, P.quintic(0.0, 5.0, 0.05), name="part"), 1e-5),
+    "force": (lambda left, right: pi.Force(right, (P.sine(5.0, 8.0), 3.0), name="part"), 3e-5),
+    "follower": (lambda left, right: pi.Force(right, (0.0, 5.0), follower=True, name="part"), 3e-4),
+    "contact": (lambda left, right: pi.Contact(right, pi.ground.at((0.0, -0.02)), 2e5, 0.3, name="part"), 1e-4),
+    "path": (lambda left, right: pi.Path(right, None, P.quintic(right.point[1], right.point[1] + 0.2, 0.08), name="part"), 1e-5),
+}
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_every_part_pays_for_the_energy(scenes, kind):
+    """A contact goes 0.5 mm deep; what dissipates never gives back."""
+    (make, share), (scene, upper) = PARTS[kind], scenes.hinged()
+    part = scene.add(make(upper.section("left"), upper.section("right")))
+    run = pi.solve(scene.build(), 0.12, pi.RadauIIA(h=5e-4))
+    takes = getattr(part, "dissipates", False)
+    there = run.energy.dissipated if takes else run.energy.work
+    assert run.success and list(there) == ["part"] and np.abs(there["part"]).max() > 1e-2
+    assert np.abs(unbalanced(run)).max() < share * np.abs(there["part"]).max()
+    assert not takes or (np.diff(there["part"]) >= 0.0).all()
+
+
+def test_gravity_that_follows_a_profile_works(scenes):
+    scene, _ = scenes.hinged((3.0, P.sine(9.81, 8.0)))
+    run = pi.solve(scene.build(), 0.05, RADAU)
+    assert list(run.energy.work) == ["gravity"] and np.abs(unbalanced(run)).max() < 1e-4 * np.abs(run.energy.work["gravity"]).max()
 
 
 def test_mass_damping_takes_its_share_of_the_kinetic_energy(scenes):

@@ -34,6 +34,15 @@ REQUIRED = {
     "bdf_order": {"steps_order5_over_order2"},
     "energy": {"energy_momentum_relative_drift"},
     "defaults": {"default_error_max", "default_error_min", "alpha_cpu_over_best_max"},
+    "levels": {
+        "reduced_gap_5",
+        "reduced_gap_10",
+        "reduced_spin_gap",
+        "reduced_step_us_160",
+        "reduced_step_us_4000",
+        "reduced_speedup_4000",
+        "reduction_s_4000",
+    },
     "start": {"cold_alpha_cpu_s", "cold_main_job_cpu_s"},
     "mesh_convergence": {"elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"},
 }
@@ -76,6 +85,13 @@ def made_up(name, task):
     if name == "defaults":
         error = 1e-4 if task["x"] is None else 0.1 * task["x"]
         return work | {"cpu_s": 1e-5 / error, "error_max": error, "error_end": error, "size": 1.0, "known": {"q": 1e-9}, "summary": "done"}
+    if name == "levels":
+        costs = {
+            "run": {"distance": 1e-5, "anywhere": 2e-5, "cpu_s": 1e-3 / size},
+            "step": {"step_s": 1e-5},
+            "reduction": {"reduction_s": 0.1},
+        }
+        return {"n": 28, "steps": 10, "iterations": 2.0, "outcome": "done"} | costs[task["part"]]
     if name == "energy":
         momentum = {"linear_drift": 1e-9, "angular_drift": 1e-9, "angular": [0.0, 1e-9, 1e-9, 1e-9]}
         return work | momentum | {"energy_drift": 1e-9, "energy_change": 1e-9, "t": T, "energy": [0.0, 1e-9, -1e-9, 2.0]}

@@ -86,11 +86,15 @@ def _change(model, t, q, R, wanted):
 
 def _warn_of_change(model, names, R, wanted, changed):
     """Warn where joints change the motion that bodies were given by much."""
-    M, parts = model.mass(np.zeros(model.n)), np.eye(len(names)).repeat(3, axis=1) * (changed - wanted)
-    energies, given, change = ([part @ (M @ part) for part in moved] for moved in ((R @ parts.T).T, [R @ wanted], [R @ (changed - wanted)]))
-    if not change[0] > CHANGED**2 * given[0] > 0.0:
+    M, change = model.mass(np.zeros(model.n)), changed - wanted
+
+    def energy(w):
+        return (R @ w) @ (M @ (R @ w))
+
+    if not energy(change) > CHANGED**2 * energy(wanted) > 0.0:
         return
-    share, told = np.sqrt(change[0] / given[0]), []
+    share, told = np.sqrt(energy(change) / energy(wanted)), []
+    energies = [energy(alone * change) for alone in np.eye(len(names)).repeat(3, axis=1)]
     for k in np.argsort(energies)[::-1][:TOLD]:
         (vx, vy, spin), (ux, uy, turn) = wanted[3 * k : 3 * k + 3], changed[3 * k : 3 * k + 3]
         told.append(f"{names[k]!r} from ({vx:.3g}, {vy:.3g}) m/s, {spin:.3g} rad/s to ({ux:.3g}, {uy:.3g}) m/s, {turn:.3g} rad/s")

@@ -59,10 +59,9 @@ class Loops:
         return turn * value, turn * slope.ravel()
 
     def _moved(self, body, side, part, x):
-        """By how much a point or direction of a body moves, and its slope, (3,), complex: directions only turn."""
-        whole, place = (1.0, side.point) if part == "point" else (0.0, side.direction)
-        arm, lever = complex(*place) - whole * body.centre, self.size / body.size
-        turn = np.exp(1j * lever * x[2])
+        """By how much a point or direction of a body moves, and its slope, (3,), complex."""
+        whole, arm = body.arm(side, part)
+        turn = np.exp(1j * x[2] * self.size / body.size)
         return whole * self.size * complex(x[0], x[1]) + (turn - 1.0) * arm, np.array([whole, 1j * whole, 1j * turn * arm / body.size])
 
     def solve(self):

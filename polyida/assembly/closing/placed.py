@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.body.body import points_of
+from polyida.body.body import BodyPoint, points_of
 from polyida.body.plate import Plate
 from polyida.errors import InputError
 from polyida.given import complex_of_pairs, settle
@@ -23,6 +23,15 @@ class Placed:
         places = places_of(body)
         self.centre = places.mean()
         self.size = float(np.sqrt(np.mean(np.abs(places - self.centre) ** 2))) or extent
+
+    def arm(self, side, part):
+        """(how far it goes with a shift by one, its arm in a turn, complex) of an attachment's "point" or "direction", which only turns.
+
+        Directions at named points of a body made of a plate do not: they are given in the axes of the drawing.
+        """
+        if part == "point":
+            return 1.0, complex(*side.point) - self.centre
+        return 0.0, 0j if self.part is not self.body and isinstance(side, BodyPoint) else complex(*side.direction)
 
     def move(self, shift, turn):
         """Move it by `shift`, complex, m, and turn it about its centre by `turn`, rad, in place; the longest way of a point, m."""

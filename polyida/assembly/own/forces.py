@@ -1,11 +1,15 @@
 """The force elements of a scene: forces that are Python, on places that are linear in q."""
 
+from copy import copy
+from dataclasses import fields, replace
+
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.force.force_element import sides_of
 from polyida.given import complexes, is_number, on_pairs, read_only, reals
 from polyida.model import differences
+from polyida.profile import constant, difference
 
 SORT = {reals: "real", complexes: "complex"}
 NEAR = 1e-3  # of the size of what is varied: forces of contact change within that
@@ -27,6 +31,15 @@ class OwnForce:
         self.rest = np.array([side.rest for side in sides])
         self.A = _places(sides, model)
         self.sizes = np.array([[side.size(model.extent)] for side in sides])
+
+    def pushed(self, profile, by):
+        """This one with a profile, where it is one of its fields, greater by `by`."""
+        held = [field.name for field in fields(self.element) if getattr(self.element, field.name) is profile]
+        if not held:
+            return self
+        other = copy(self)
+        other.element = replace(self.element, **dict.fromkeys(held, difference(profile, constant(-by))))
+        return other
 
     def places(self, q):
         """Places of the sides, (sides, 2), m."""
@@ -102,6 +115,10 @@ class OwnForces:
 
     def __bool__(self):
         return bool(self.each)
+
+    def pushed(self, profile, by):
+        """These with a profile, wherever it is one of their fields, greater by `by`."""
+        return OwnForces([own.pushed(profile, by) for own in self.each], self.n)
 
     def take_from(self, r, t, q, v):
         """Take the forces from r (n,), in place."""

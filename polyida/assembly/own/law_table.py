@@ -32,7 +32,7 @@ def laws_of(elements, points, drives, size):
         sizes=np.array([side.size(size) for side in each], float),
         numbers=np.ascontiguousarray(values[:, 0]),
         driven=np.stack([driven, values[driven, 1].astype(np.int64)], axis=1),
-        clock=drives.add(polynomial([0.0, 1.0]), next(iter(elements))),
+        clock=drives.add(polynomial([0.0, 1.0]), ""),  # nobody's
     )
 
 

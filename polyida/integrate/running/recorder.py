@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import read_only, reals
+from polyida.sensor import Sensor
 
 FEW = 64  # rows to begin with
 
@@ -17,19 +18,19 @@ def require_sensors(part, sensors):
     for name, function in sensors.items():
         if not (isinstance(name, str) and name):
             raise InputError(f"{part}: sensors: the name {name!r:.100} must be a text")
-        if not callable(function):
-            raise InputError(f"{part}: sensors: {name!r} is {function!r:.100}, it must be a function of t, q and v")
+        if not (callable(function) or isinstance(function, Sensor)):
+            raise InputError(f"{part}: sensors: {name!r} is {function!r:.100}, it must be a function of t, q and v, or of polyida.sensor")
 
 
 class Recorder:
-    """Calls sensors, {name: f(t, q, v)}, and keeps what they give, row after row.
+    """Calls sensors of a model, {name: f(t, q, v) or a Sensor}, and keeps what they give, row after row.
 
     shapes: {name: shape of what it gives}; rows (steps, 1 + numbers): the time and all of it. `before`: Sensors of the run so far, to go
     on from; without it the first step tells the shapes.
     """
 
-    def __init__(self, functions, before=None):
-        self.functions, self.count = functions, 0
+    def __init__(self, model, functions, before=None):
+        self.model, self.functions, self.count = model, functions, 0
         self.shapes, self._rows = {}, np.empty((0, 1))
         if before:
             self.shapes, self._rows, self.count = dict(before.shapes), before.rows, len(before.rows)
@@ -48,7 +49,9 @@ class Recorder:
         self.count += 1
 
     def _value(self, name, state):
-        found = reals(self.functions[name](state.t, read_only(state.q), read_only(state.v)))
+        sensor = self.functions[name]
+        plain = not isinstance(sensor, Sensor)
+        found = reals(sensor(state.t, read_only(state.q), read_only(state.v)) if plain else sensor.read(self.model, state))
         if found is None:
             wrong = "no real numbers"
         elif found.shape != self.shapes.get(name, found.shape):

@@ -14,6 +14,7 @@ from polyida.model import Model
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
+TOUCH = 1e-13  # of the typical stiffness over the typical mass: far above round-off, far below the slowest vibration
 
 
 @dataclass(frozen=True)
@@ -82,19 +83,31 @@ class Loading:
         """(q, lam, the factored system) in equilibrium, from a guess. Raises StepFailure."""
         for iteration in range(self.max_iterations):
             r, phi = self.residuals(q, lam, factor)
-            matrix = self.stiffness(q, lam)
+            K = self.stiffness(q, lam)
             try:
-                system = KKT(matrix, self.model.phi_q(self.t, q), scaling_factors("physical", 1.0, matrix))
-            except SingularSystem:
-                raise StepFailure("singular", FREE, self.t) from None
-            dq, dlam = system.solve(r, phi)
-            self.require_near(q, dq, iteration)
+                dq, dlam, system = self._correction(K, q, r, phi, iteration)
+                regular = True
+            except StepFailure:  # as of what hangs and is not stretched yet: a touch of mass tells which way
+                M = self.model.mass(q)
+                dq, dlam, system = self._correction(K + TOUCH * _typical(K) / _typical(M) * M, q, r, phi, iteration)
+                regular = False
             q, lam = q + dq, lam + dlam
-            if self.converged(q, dq):
+            if regular and self.converged(q, dq):
                 return q, lam, system
         moved = float(np.abs(dq).max())
+        if not regular:
+            raise StepFailure("singular", FREE, self.t)
         reason = "static equilibrium not found; use more load steps"
         raise StepFailure("newton", reason, self.t, iterations=self.max_iterations, moved=moved)
+
+    def _correction(self, matrix, q, r, phi, iteration):
+        try:
+            system = KKT(matrix, self.model.phi_q(self.t, q), scaling_factors("physical", 1.0, matrix))
+        except SingularSystem:
+            raise StepFailure("singular", FREE, self.t) from None
+        dq, dlam = system.solve(r, phi)
+        self.require_near(q, dq, iteration)
+        return dq, dlam, system
 
     def require_near(self, q, dq, iteration):
         """Raise StepFailure for a step that is a mechanism's."""
@@ -123,3 +136,7 @@ class Loading:
             return falling(self.stiffness(q, lam), self.model.phi_q(self.t, q))
         except SingularSystem:
             return None
+
+
+def _typical(matrix):
+    return float(np.abs(matrix.diagonal()).mean()) or 1.0

@@ -1,0 +1,47 @@
+"""Ready sensors: what of every accepted state `solve(..., sensors={name: sensor})` records."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from polyida.errors import InputError
+from polyida.given import is_one_of, read_only
+from polyida.integrate.state import State
+from polyida.keywords import named_keywords
+
+__all__ = ["position", "reaction", "state"]
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Something that reads numbers of a model's state."""
+
+    read: Callable[[Any, State], ArrayLike]
+
+
+@named_keywords
+def position(of: object) -> Sensor:
+    """The place of a mass, load or joint, by name or itself, or of an attachment, (2,), m."""
+    return Sensor(lambda model, state: model.position(of, state.q[None])[0])
+
+
+@named_keywords
+def reaction(joint: str) -> Sensor:
+    """What a joint, by name, does to its side b, as `run.reaction` tells it: (k,), N or N m."""
+
+    def read(model, state):
+        if not is_one_of(joint, model.rows):
+            raise InputError(f"sensor.reaction: no joint is called {joint!r:.100}; known: {', '.join(map(repr, model.rows))}")
+        return model.reactions(joint, state.q[None], state.lam[None, model.rows[joint]])[0]
+
+    return Sensor(read)
+
+
+@named_keywords
+def state(function: Callable[[State], ArrayLike]) -> Sensor:
+    """A function of the whole State: t, q, v, a, lam, to read only. Raises InputError where it is no function."""
+    if not callable(function):
+        raise InputError(f"sensor.state: {function!r:.100} must be a function of a State")
+    return Sensor(lambda model, state: function(State(state.t, *(read_only(x) for x in (state.q, state.v, state.a, state.lam)))))

@@ -1,0 +1,255 @@
+"""Reduced plates against the full plates that they are made of: forces, energies, modes, stress, files, and what is wrong with one."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.model.differences import along
+
+G = 9.81
+MESHES = {"wachspress": lambda: pi.mesh.rectangle(1.0, 0.1, cells=16, seed=2), "virtual": lambda: pi.mesh.quads(1.0, 0.1, 8, 2)}
+FULL, FEW = (lambda plate: plate), (lambda plate: pi.Reduced(plate, modes=4))
+
+
+def rubber(**options):
+    return pi.Material(E=50e6, nu=0.3, rho=1100.0, **options)
+
+
+def driven(body, element="wachspress", material=None, gravity=(0.4, -G)):
+    """Two plates, turned and bent at their joint, with every kind of part on them; body: what each is made into."""
+    mesh, material = MESHES[element](), material or rubber(viscosity=2e-3, mass_damping=0.3)
+    scene = pi.Scene(gravity=gravity)
+    upper = scene.add(body(pi.Plate(mesh, material, 0.01, origin=(0.3, 0.2), angle=0.5, name="upper", element=element)))
+    end = upper.section("right").point
+    lower = scene.add(body(pi.Plate(mesh, material, 0.02, origin=end, angle=-0.4, name="lower", element=element)))
+    scene.add(pi.Revolute(pi.ground, upper.section("left"), name="hinge"))
+    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), pi.profile.sine(0.4, 1.0), name="drive"))
+    scene.add(pi.Revolute(upper.section("right"), lower.section("left"), name="elbow"))
+    scene.add(pi.PointMass(lower.section("right"), 0.3, name="tip"))
+    scene.add(pi.PointLoad(lower.section("right"), (3.0, -1.0), pi.profile.polynomial([1.0, 2.0]), name="pull"))
+    scene.add(pi.EdgeTraction(upper.section("top"), (0.0, -30.0), name="wind"))
+    scene.add(pi.SpringDamper(pi.ground.at((0.0, -1.0)), lower.section("bottom"), stiffness=40.0, damping=0.5, length=0.5, name="spring"))
+    return scene
+
+
+def free(element="wachspress", body=FEW, **options):
+    """The model of one reduced plate without joints or gravity."""
+    scene = pi.Scene()
+    scene.add(body(pi.Plate(MESHES[element](), rubber(), 0.01, name="plate", element=element, **options)))
+    return scene.build()
+
+
+def draws(model, *sizes):
+    """Random vectors of these sizes."""
+    random = np.random.default_rng(7)
+    return [size * random.standard_normal(model.n) for size in sizes]
+
+
+def turned(model, angle, shift):
+    """Coordinates of a rigid motion of a scene whose pairs are a place and vectors: about the origin, then by the shift."""
+    z = model.reference @ (1, 1j)
+    moved = z * np.exp(1j * angle) - z
+    moved[0] += complex(*shift)
+    return np.stack([moved.real, moved.imag], axis=1).ravel()
+
+
+each_element = pytest.mark.parametrize("element", MESHES)
+
+
+@each_element
+def test_it_is_the_full_plate_in_a_span(element):
+    """Virtual work of all forces, inertia, damping and multipliers, and the constraints, are those of full plates at the recovered motion."""
+    few, full = driven(FEW, element).build(), driven(FULL, element).build()
+    q, v, a, w = draws(few, 0.03, 1.0, 10.0, 1.0)
+    lam, t = np.random.default_rng(1).standard_normal(few.m), 0.3
+    at = [few.nodal(x).ravel() for x in (q, v, a)]
+    one, other = few.residual(t, q, v, a, lam), full.residual(t, *at, lam)
+    assert one @ w == pytest.approx(other @ few.nodal(w).ravel(), rel=1e-11)
+    assert np.allclose(few.phi(t, q), full.phi(t, at[0]), atol=1e-13)
+    assert np.allclose(few.phi_q(t, q) @ v, full.phi_q(t, at[0]) @ at[1], atol=1e-12)
+    assert few.strain_energy(q) == pytest.approx(full.strain_energy(at[0]), rel=1e-12)
+    assert few.potential(q) == pytest.approx(full.potential(at[0]), rel=1e-12)
+    assert np.allclose(few.stress(q), full.stress(at[0]), rtol=1e-12, atol=1e-6)
+
+
+@each_element
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi, 5.5, 1e4])
+def test_rigid_motion_costs_nothing(element, angle):
+    model = free(element, angle=0.3, origin=(2.0, -1.0))
+    q = turned(model, angle, (3.0, -1.0))
+    assert np.abs(model.force(0.0, q, q)).max() < 1e-12 * 50e6 * 0.01
+    assert abs(model.strain_energy(q)) < 1e-20 * 50e6
+    assert np.abs(model.stress(q)).max() < 1e-12 * 50e6
+
+
+@each_element
+def test_a_turned_state_has_turned_forces(element):
+    model, angle = free(element), 1.1
+    (q,) = draws(model, 0.01)
+    z = (model.reference + q.reshape(-1, 2)) @ (1, 1j) * np.exp(1j * angle)
+    again = (np.stack([z.real, z.imag], axis=1) - model.reference).ravel()
+    before, after = (model.force(0.0, x, x).reshape(-1, 2) @ (1, 1j) for x in (q, again))
+    assert np.allclose(after, before * np.exp(1j * angle), atol=1e-11 * np.abs(before).max())
+    assert model.strain_energy(again) == pytest.approx(model.strain_energy(q), rel=1e-11)
+
+
+@each_element
+def test_derivatives(element):
+    model = driven(FEW, element).build()
+    q, v, a = draws(model, 0.03, 1.0, 10.0)
+    found = pi.check_derivatives(model, 0.2, q=q, v=v, a=a)
+    assert max(found.values()) < 1e-6, found
+
+
+@each_element
+def test_force_is_the_slope_of_the_energy(element):
+    model = free(element)
+    q, v = draws(model, 0.02, 1.0)
+    assert model.force(0.0, q, v) @ v == pytest.approx(along(lambda s: model.potential(q + s * v), 1e-2), rel=1e-7)
+
+
+def test_it_weighs_what_the_plate_weighs(scenes):
+    few, full = free(), free(body=FULL)
+    for motion in ((1.0, 0.0), (0.3, -2.0)):
+        moves = np.zeros(few.n)
+        moves[:2] = motion
+        assert moves @ (few.mass() @ moves) == pytest.approx(scenes.PLATE_MASS * np.dot(motion, motion), rel=1e-12)
+    spin = turned(few, 1.0, (0.0, 0.0)) + turned(few, -1.0, (0.0, 0.0))  # real parts apart: any motion will do
+    assert spin @ (few.mass() @ spin) == pytest.approx(few.nodal(spin).ravel() @ (full.mass() @ few.nodal(spin).ravel()), rel=1e-12)
+    assert (few.n, few.m) == (12, 0)
+
+
+def hanging(body, hold):
+    scene = pi.Scene(gravity=(0.0, -G))
+    plate = scene.add(body(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=60, seed=1), rubber(), 0.01, name="plate")))
+    hold(scene, plate)
+    return scene.build()
+
+
+def two_pins(scene, plate):
+    scene.add(pi.Revolute(pi.ground, plate.section("left")))
+    scene.add(pi.Slot(pi.ground.at(plate.section("right").point, direction=(1.0, 0.0)), plate.section("right")))
+
+
+def one_pin(scene, plate):
+    scene.add(pi.Revolute(pi.ground, plate.section("left")))
+
+
+@pytest.mark.parametrize("hold", [two_pins, one_pin, lambda scene, plate: None], ids=["two pins", "one pin", "free"])
+def test_frequencies_come_to_those_of_the_full_plate_from_above(hold):
+    """The lowest frequencies of a span are not below those of the whole (Rayleigh and Ritz), and fall as it grows."""
+    full = pi.modes(hanging(FULL, hold), count=5).frequencies
+    found = [pi.modes(hanging(lambda plate: pi.Reduced(plate, modes=k), hold), count=5).frequencies for k in (3, 6, 12)]  # noqa: B023
+    swings = full > 1e-3
+    for lower, upper in zip([full, *found[:0:-1]], found[::-1]):
+        assert (upper[swings] > lower[swings] * (1 - 1e-9)).all()
+    assert np.abs(found[-1][swings] / full[swings] - 1).max() < 2e-3
+    assert np.allclose(found[-1][~swings], 0.0, atol=1e-3)
+
+
+def test_static_equilibrium_is_exact_where_the_span_holds_it():
+    """The full plate's own deflection as a field: the equilibrium of the span is the full plate's, though it bends far."""
+    state = pi.static(hanging(FULL, two_pins))
+    deflected = state.q.reshape(1, -1, 2)
+    few = hanging(lambda plate: pi.Reduced(plate, modes=0, fields=deflected), two_pins)
+    found = pi.static(few)
+    assert few.n == 6
+    assert np.abs(few.nodal(found.q) - deflected[0]).max() < 1e-9 < 1e-3 * np.abs(deflected).max()
+    assert np.allclose(found.lam, state.lam, rtol=1e-6, atol=1e-6)
+
+
+def test_fields_of_a_run_bend_farther_than_modes():
+    """A soft plate that is let go level: as many fields of its run are off by less than a twentieth of what modes are, which is told."""
+    soft, mesh = pi.Material(E=5e6, nu=0.3, rho=1100.0), pi.mesh.rectangle(1.0, 0.1, cells=16, seed=1)
+
+    def swing(body):
+        scene = pi.Scene(gravity=(0.0, -G))
+        plate = scene.add(body(pi.Plate(mesh, soft, 0.01, name="plate")))
+        scene.add(pi.Revolute(pi.ground, plate.section("left")))
+        scene.add(pi.AngleMotor(pi.ground, plate.section("left"), 0.0))
+        scene.add(pi.PointMass(plate.section("right"), 0.3, name="tip"))
+        return pi.solve(scene.build(), 0.6, pi.GeneralizedAlpha(h=1e-3))
+
+    full = swing(FULL)
+    fields = pi.fields_of(full, "plate", 8)
+    with pytest.warns(pi.ReductionWarning, match="the modes of 'plate'"):
+        modal = swing(lambda plate: pi.Reduced(plate, modes=8))
+    own = swing(lambda plate: pi.Reduced(plate, modes=0, fields=fields))
+    off = [np.linalg.norm(run.position("tip") - full.position("tip"), axis=1).max() for run in (modal, own)]
+    assert own.model.n == modal.model.n == 20
+    assert off[1] < off[0] / 20 and "leave much out" not in own.summary()
+
+
+@pytest.mark.filterwarnings("ignore::polyida.errors.ReductionWarning")
+def test_more_modes_are_nearer():
+    mesh = pi.mesh.rectangle(1.0, 0.1, cells=40, seed=1)
+
+    def swing(body):
+        scene = pi.Scene(gravity=(0.0, -G))
+        a, b = (scene.add(body(pi.Plate(mesh, rubber(), 0.01, origin=(k, 0.0), name=f"plate {k}"))) for k in (0.0, 1.0))
+        scene.add(pi.Revolute(pi.ground, a.section("left")))
+        scene.add(pi.Revolute(a.section("right"), b.section("left")))
+        scene.add(pi.PointMass(b.section("right"), 0.5, name="tip"))
+        return pi.solve(scene.build(), 0.6, pi.GeneralizedAlpha(h=1e-3)).position("tip")
+
+    full = swing(FULL)
+    off = [np.linalg.norm(swing(lambda plate: pi.Reduced(plate, modes=k)) - full, axis=1).max() for k in (2, 5, 10)]  # noqa: B023
+    assert off[1] < off[0] / 5 and off[2] < off[1] / 5 and off[2] < 1e-5
+
+
+def test_what_holds_it_decides_its_modes():
+    """With modes of nothing but what holds its sections, a small static load there is carried as by the full plate."""
+
+    def cantilever(body):
+        scene = pi.Scene()
+        plate = scene.add(body(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=60, seed=1), rubber(), 0.01)))
+        scene.add(pi.Revolute(pi.ground, plate.section("left")))
+        scene.add(pi.Slot(pi.ground.at(plate.section("top").point, direction=(1.0, 0.0)), plate.section("top")))
+        scene.add(pi.PointLoad(plate.section("right"), (1e-6, 2e-6), name="load"))
+        model = scene.build()
+        return model.displacement("load", pi.static(model).q)
+
+    found, known = cantilever(lambda plate: pi.Reduced(plate, modes=6)), cantilever(FULL)
+    assert np.allclose(found, known, rtol=1e-4)
+
+
+def test_files_and_pickles_hold_it(tmp_path):
+    fields = 1e-2 * np.random.default_rng(5).standard_normal((2, MESHES["wachspress"]().n_nodes, 2))
+    scene = driven(lambda plate: pi.Reduced(plate, modes=3, fields=fields, name=f"few {plate.name}"))
+    run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3), out=tmp_path / "run.h5")
+    for other in (pi.load(tmp_path / "run.h5"), pickle.loads(pickle.dumps(run))):
+        part = other.model.parts["few upper"]
+        assert isinstance(part, pi.Reduced) and part.modes == 3 and np.array_equal(part.fields, fields)
+        assert part.plate.angle == 0.5 and part.plate.name == "upper"
+        assert np.array_equal(other.q, run.q) and np.array_equal(other.energy.total, run.energy.total)
+        assert np.array_equal(other.stress(-1), run.stress(-1)) and np.array_equal(other.node_positions(3), run.node_positions(3))
+        assert np.array_equal(other.reaction("drive"), run.reaction("drive"))
+
+
+def plate(**options):
+    return pi.Plate(MESHES["virtual"](), rubber(), 0.01, name="arm", **options)
+
+
+@pytest.mark.parametrize(
+    "make, told",
+    [
+        (lambda: pi.Reduced("plate"), "Reduced.*is no plate"),
+        (lambda: pi.Reduced(pi.Rigid(plate())), "is no plate"),
+        (lambda: pi.Reduced(plate(), modes=-1), "'arm': modes = -1 must be a whole number from 0 to 40"),
+        (lambda: pi.Reduced(plate(), modes=2.5), "modes = 2.5"),
+        (lambda: pi.Reduced(plate(), modes=41), "modes = 41"),
+        (lambda: pi.Reduced(plate(), modes=0), "modes = 0 leaves no field; give modes, fields, or take Rigid"),
+        (lambda: pi.Reduced(plate(), fields=np.zeros((3, 2))), r"fields of shape \(3, 2\) must be finite displacements .*\(count, 27, 2\)"),
+        (lambda: pi.Reduced(plate(), fields=np.full((1, 27, 2), np.nan)), "must be finite"),
+        (lambda: pi.Reduced(plate(), fields="all"), "fields of shape str"),
+        (lambda: pi.Reduced(plate(), fields=np.zeros((0, 27, 2))), "fields of shape"),
+        (lambda: pi.Reduced(plate()).section("up"), "section 'up'"),
+        (lambda: pi.Reduced(plate()).at("A"), "no attachment is called 'A'; known: 'center'"),
+        (lambda: pi.Reduced(plate(), name=7), "name"),
+    ],
+)
+def test_what_is_wrong_is_told(make, told):
+    with pytest.raises(pi.InputError, match=told):
+        make()
