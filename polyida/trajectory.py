@@ -233,7 +233,7 @@ class Trajectory:
 
     def _left_out(self):
         """What is said of reduced plates whose modes leave much out."""
-        return left_out.hint(self.model, self.q, self.a) if self.model.few else ""
+        return left_out.hint(self.model, self.t, self.q, self.a) if self.model.few else ""
 
     def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""

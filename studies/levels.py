@@ -102,7 +102,7 @@ def runs_figure(rows, folder):
         for i, level in enumerate(levels):
             points = pick(found, problem=name, level=level)
             loglog(axis, column(points, "distance"), column(points, "cpu_s"), i, words(level))
-        axis.set(title=name, xlabel="tip's distance from full plates, m", ylabel="CPU seconds")
+        axis.set(title=name, xlabel="distance from full plates, m", ylabel="CPU seconds")
     legend(made, axes, 5)
     return saved(made, folder, "levels")
 
@@ -116,7 +116,7 @@ def modes_figure(rows, folder):
         points = pick(found, problem=name)
         axes.semilogy([row["level"] for row in points], column(points, "distance"), label=name, **look(i))
     axes.semilogy(*zip(*AIMS), label="aims", color=INK, marker="_", markersize=9, linestyle="")
-    axes.set(xlabel="modes a plate", ylabel="tip's distance from full plates, m")
+    axes.set(xlabel="modes a plate", ylabel="distance from full plates, m")
     legend(made, axes, 3)
     return saved(made, folder, "levels_modes")
 

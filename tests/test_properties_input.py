@@ -200,7 +200,10 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "name": TEXT,
         },
     ),
-    "Torque": (made(pi.Torque, at=LEFT, moment=0.0), {"at": SIDE + [pi.ground, BOARD.node(0)], "moment": PROFILE, "name": TEXT}),
+    "Torque": (
+        made(pi.Torque, at=LEFT, moment=0.0),
+        {"at": SIDE + [pi.ground, BOARD.node(0)], "moment": PROFILE, "against": without(SIDE, type(None)) + [RIGHT], "name": TEXT},
+    ),
     "Force": (
         made(pi.Force, at=LEFT, force=(1.0, 0.0)),
         {"at": SIDE + [pi.ground], "force": PAIR, "follower": NOTHING + LISTS + [1.0], "name": TEXT},
@@ -395,7 +398,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
         {
             "model": NOTHING + LISTS + [BOARD, pi.Scene()],
             "state": [value for value in NOTHING if value is not None] + LISTS,
-            "count": COUNT[:-3] + [10**6],
+            "count": COUNT[:-3],
             "damped": NOTHING + LISTS + [1, "yes"],
         },
     ),

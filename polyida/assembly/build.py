@@ -54,6 +54,8 @@ def few_of(parts, first):
     sides, placed = [side for name, part in parts.items() for side in sides_held(name, part)], []
     for name, body in of_kind(parts, Body).items():
         placed.append(PlacedBody(name, body, first, [side for side in sides if side.body is body]))
+        if body.plate is not None and placed[-1].deforms:
+            warn_of_locking(name, body.plate)
         first = placed[-1].pairs.stop
     return placed
 

@@ -1,6 +1,6 @@
 """The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
 
-from polyida.assembly.bodies import compact
+from polyida.assembly.bodies import compact, tangents
 from polyida.assembly.rows.joints import joint_forces, point_values, spread
 from polyida.compiled import entry, shared
 from polyida.element import kernels, stabilisation
@@ -87,7 +87,7 @@ def tangent_blocks(scene, u, c_m, c_q, blocks):
                 mass = mass_scale * s.mass[p[6] + k] + stiffness_scale * s.stabilisation[p[6] + k]
                 blocks[first + k, 0, 0] += mass
                 blocks[first + k, 1, 1] += mass
-    compact.blocks(scene.compact, u, u, c_m, 0.0, c_q, blocks)
+    tangents.blocks(scene.compact, u, u, c_m, 0.0, c_q, blocks)
 
 
 @entry

@@ -15,6 +15,11 @@ def steady(gravity):
     return tuple(0.0 if isinstance(g, Profile) else float(g) for g in gravity)
 
 
+def gravity_at(gravity, t):
+    """(gx, gy), m/s^2, of numbers and profiles, at time t."""
+    return tuple(float(g(t)) if isinstance(g, Profile) else float(g) for g in gravity)
+
+
 def largest(gravity):
     """|g|, m/s^2, the largest of profiles at the start and at their kinks."""
     values = [max(abs(g(t)) for t in (0.0, *g.kinks)) if isinstance(g, Profile) else abs(g) for g in gravity]

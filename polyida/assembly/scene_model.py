@@ -6,12 +6,13 @@ import numpy as np
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import bilinear, concatenated, shifting_drives, turning_drives
+from polyida.assembly.bodies.damping import add_damping, damped_blocks
 from polyida.assembly.bodies.motion import velocity_at
 from polyida.assembly.bodies.own import Elastic, uneven_mass
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
-from polyida.assembly.damping import add_damping, damped_blocks
-from polyida.assembly.drawn import Drawn, deepest
+from polyida.assembly.drawn import deepest
 from polyida.assembly.gravity import largest
+from polyida.assembly.masses import Masses
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows.increments import Increments
@@ -21,14 +22,13 @@ from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.assembly.told.momenta import Momenta
 from polyida.assembly.told.powers import Powers
 from polyida.force.force_element import ForceElement
-from polyida.given import on_pairs, pairs_of
-from polyida.linear.lu import LU
+from polyida.given import pairs_of
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
 from polyida.profile import Profile
 
 
-class SceneModel(Drawn):
+class SceneModel(Masses):
     """Bodies, joints, masses and forces as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are displacements of pairs (x, y): of the plates'
     nodes, m, then of the complex coordinates of bodies that have few.
 
@@ -93,12 +93,6 @@ class SceneModel(Drawn):
         self.motor_profiles, self.path_profiles = turning_drives(links), shifting_drives(links)
 
     @property
-    def lightest(self):
-        """Mass of its lightest body, kg."""
-        plates = [body.plate.material.rho * body.plate.thickness * body.mesh.area for body in self.bodies]
-        return min([*plates, *(placed.whole_mass for placed in self.few)])
-
-    @property
     def free_fall(self):
         """|g|, m/s^2."""
         return largest(self.gravity)
@@ -149,42 +143,6 @@ class SceneModel(Drawn):
     def initial_velocity(self, t, q):
         """What the bodies were given, as far as their joints let them, (n,)."""
         return velocity_at(self, t, q)
-
-    def mass(self, q=None):
-        """Mass matrix, constant, (n, n) sparse."""
-        return self._mass
-
-    @cached_property
-    def _mass(self):
-        even = on_pairs(self._even_mass).tocsc()
-        return even if self.uneven_mass is None else even + self.uneven_mass
-
-    @cached_property
-    def _even_mass(self):
-        """The mass that x and y of pairs carry alike, Hermitian, (pairs, pairs); real where it can be."""
-        from scipy.sparse import csr_array, diags_array
-
-        (indptr, indices), s = self.pattern, self.arrays
-        values = [body.operator.mass * density for body, density in zip(self.bodies, s.plates.body_density)]
-        values = np.concatenate([concatenated(values, float), s.compact.mass @ (1, 1j)])
-        weights = self.point_weights
-        mass = csr_array((values, indices, indptr), shape=(self.n_nodes, self.n_nodes))
-        mass = (mass + weights.conj().T @ diags_array(s.links.point_mass) @ weights).tocsc()
-        if not mass.data.imag.any():
-            mass.data = mass.data.real.copy()
-        return mass
-
-    def mass_inverse(self, b):
-        """M^-1 b, b (n,) or (n, k), of a `solid` scene; M is factored once."""
-        pairs = b.reshape(self.n_nodes, 2, -1)
-        if np.isrealobj(self._even_mass.data):
-            return self._mass_factor.solve(np.ascontiguousarray(pairs.reshape(self.n_nodes, -1))).reshape(b.shape)
-        found = self._mass_factor.solve(pairs[:, 0] + 1j * pairs[:, 1])
-        return np.stack([found.real, found.imag], axis=1).reshape(b.shape)
-
-    @cached_property
-    def _mass_factor(self):
-        return LU(self._even_mass)
 
     def force_q(self, t, q, v):
         """dg/dq, (n, n) sparse."""
@@ -280,11 +238,6 @@ class SceneModel(Drawn):
             indptr.append((first + len(pairs) * np.arange(1, len(pairs) + 1)).astype(np.int32))
             indices.append(np.tile(pairs, len(pairs)))
         return np.concatenate(indptr), concatenated(indices, np.int32)
-
-    @cached_property
-    def translation(self):
-        """By how much each pair of q moves where all bodies move by one, (pairs,), complex."""
-        return np.concatenate([np.ones(len(body.points), complex) for body in self.bodies] + [placed.translation for placed in self.few])
 
     @cached_property
     def first_pairs(self):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.assembly import corotated
-from polyida.assembly.damping import combined, symmetric_blocks
+from polyida.assembly.bodies.damping import combined, symmetric_blocks
 from polyida.assembly.own.laws import add_own_curvature
 from polyida.linear.cholesky.factor import NotFactorable
 from polyida.linear.lu import SingularSystem

@@ -91,6 +91,10 @@ class Body(OwnPart):
         """The body as a scene takes it, whose parts hold on to these of its attachments: itself, unless its coordinates depend on them."""
         return self
 
+    def made_fields(self, settled: "Body") -> dict[str, Any]:
+        """Fields of its class that a file keeps of the body as it was `settled`, where that may come out otherwise elsewhere."""
+        return {}
+
     def weights_of(self, side: Attachment, part: str) -> NDArray:
         """Weights (pairs,), complex, of which an attachment's "point" or "direction" is the sum."""
         return side.weights if part == "point" else side.turn_weights  # type: ignore[return-value]

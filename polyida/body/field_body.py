@@ -12,14 +12,15 @@ from polyida.body.plate import Plate
 from polyida.element.choose import operator_of
 from polyida.element.operator import ReferenceOperator
 from polyida.errors import InputError
-from polyida.given import pairs_of
+from polyida.given import complex_of_pairs, pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.mesh import PolygonMesh
 from polyida.mesh.moments import area_moments
 
 
 class FieldBody(Body, part=False):
-    """A plate that moves in the complex span of few fields: 1, the places X - X_S from its centre of mass, and what a class adds.
+    """A plate that moves in the complex span of few fields: 1, the places (X - X_S) / s from its centre of mass over the radius of
+    gyration, and what a class adds: so z is a length, m, as all others.
 
     Sections, rims and nodes are held as those of the plate are.
     """
@@ -93,10 +94,15 @@ class FieldBody(Body, part=False):
         """What of forces, complex, on the nodes of an attachment acts on each pair, (pairs,): `f_k^H forces`."""
         return self.shapes()[side.nodes].conj().T @ forces
 
+    @property
+    def gyration(self) -> float:
+        """The radius of gyration s, m."""
+        return moments_of(self.plate)[2]
+
     def coordinates(self) -> NDArray:
-        """(X_S, 1, 0, 0 ...)."""
+        """(X_S, s, 0, 0 ...), m."""
         rest = np.zeros(self.shapes().shape[1], complex)
-        rest[:2] = complex(*centre_of(self.plate)), 1.0
+        rest[:2] = complex(*moments_of(self.plate)[1]), self.gyration
         return rest
 
     def attachments(self) -> dict[str, ArrayLike]:
@@ -104,16 +110,18 @@ class FieldBody(Body, part=False):
         return {"center": np.eye(self.shapes().shape[1])[0]}
 
     def x_axis(self) -> NDArray:
-        """z."""
-        return np.eye(self.shapes().shape[1])[1]
+        """z / s."""
+        return np.eye(self.shapes().shape[1])[1] / self.gyration
 
 
-def centre_of(plate):
-    """Centre of mass of a plate in the scene, (2,), m."""
-    return area_moments(plate.placed)[1] + plate.origin
+def moments_of(plate):
+    """(mass, kg, centre of mass in the scene, (2,), m, radius of gyration, m) of a plate, by exact area integrals."""
+    area, centre, second = area_moments(plate.placed)
+    return area * plate.material.rho * plate.thickness, centre + plate.origin, float(np.sqrt(second / area))
 
 
 def rigid_fields(plate):
-    """1 and X - X_S at the nodes of a plate, (N, 2), complex."""
-    arms = plate.placed.points - area_moments(plate.placed)[1]
-    return np.stack([np.ones(len(arms)), arms @ (1, 1j)], axis=1)
+    """1 and (X - X_S) / s at the nodes of a plate, (N, 2), complex."""
+    _, centre, gyration = moments_of(plate)
+    arms = complex_of_pairs(plate.points - centre)
+    return np.stack([np.ones(len(arms)), arms / gyration], axis=1)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.body.body import Body
 from polyida.body.field_body import FieldBody
 from polyida.body.plate import Plate
 from polyida.body.reduction.basis import basis_of
@@ -17,16 +18,18 @@ from polyida.joint.attachment import Attachment
 from polyida.keywords import named_keywords
 
 MOST = 40  # modes: the form has (modes + 1)^4 numbers
+RIGID = 2  # fields of a rigid plate
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Reduced(FieldBody):
-    """A plate in `x = c + z (X - X_S) + sum zeta_k f_k`, few complex coordinates (n = 4 + 2 modes a body), whatever the number of its cells.
+    """A plate in `x = c + z (X - X_S) / s + sum zeta_k f_k`, s its radius of gyration, few complex coordinates (n = 4 + 2 modes a body), whatever the number of its cells.
 
     modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
     normal modes of the plate with these held together, by their frequencies. fields: of one's own beside them, displacements of the nodes
-    in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run.
+    in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run. made: all of
+    its fields as they were in the run of a file, (count, N, 2), m, in place of those that would be made anew: loading gives it.
 
     The complex span of the fields holds every turned copy of each, so rigid turns cost nothing and are exact; the elastic energy is that of the
     plate's own elements and St. Venant-Kirchhoff law, exactly, in that span: no co-rotated frame, no geometric stiffness to add, M
@@ -40,14 +43,16 @@ class Reduced(FieldBody):
     plate: Plate
     modes: int = 5
     fields: Any = None
+    made: Any = None
     name: str | None = None
 
     def __post_init__(self):
         self.require_plate()
         if not is_whole(self.modes, 0, MOST):
             raise InputError(f"{self.label}: modes = {self.modes!r} must be a whole number from 0 to {MOST}")
-        if self.fields is not None:
-            settle(self, fields=self._checked(self.fields))
+        for key in ("fields", "made"):
+            if getattr(self, key) is not None:
+                settle(self, **{key: self._checked(getattr(self, key))})
         if not self.modes and self.fields is None:
             raise InputError(f"{self.label}: modes = 0 leaves no field; give modes, fields, or take Rigid(plate)")
 
@@ -61,9 +66,17 @@ class Reduced(FieldBody):
 
     def settled(self, held: list[Attachment]) -> FieldBody:
         """The plate with its modes, told what holds it."""
-        own = np.zeros((self.plate.mesh.n_nodes, 0)) if self.fields is None else complex_of_pairs(self.fields).T
         matrices = PlateMatrices.of(self.plate)
-        return _InModes(self.plate, self.name, matrices, basis_of(matrices, held, self.modes, own))
+        basis = basis_of(
+            matrices, held, self.modes, *(None if given is None else complex_of_pairs(given).T for given in (self.fields, self.made))
+        )
+        if basis.shapes.shape[1] == RIGID:
+            raise InputError(f"{self.label}: its fields only move it as rigid; give fields that deform it, modes, or take Rigid(plate)")
+        return _InModes(self.plate, self.name, matrices, basis)
+
+    def made_fields(self, settled: Body) -> dict[str, NDArray]:
+        """All fields of its modes: eigenvectors are the same elsewhere but for a sign, or a turn where frequencies meet."""
+        return {"made": pairs_of(settled.shapes()[:, RIGID:].T)}  # type: ignore[attr-defined]
 
 
 class _InModes(FieldBody, part=False):
@@ -74,20 +87,23 @@ class _InModes(FieldBody, part=False):
         self.operator = matrices.operator
 
     def shapes(self) -> NDArray:
-        """1, X - X_S and the modes at the nodes, (N, pairs), complex."""
+        """1, (X - X_S) / s and the modes at the nodes, (N, pairs), complex."""
         return self.basis.shapes
 
     def coordinates(self) -> NDArray:
-        """(X_S, 1, 0, 0 ...)."""
+        """(X_S, s, 0, 0 ...), m."""
         rest = np.zeros(self.shapes().shape[1], complex)
-        rest[:2] = self.basis.centre, 1.0
+        rest[:2] = self.basis.centre, self.basis.gyration
         return rest
 
     def mass_matrix(self) -> NDArray:
-        """diag(mass, inertia, mass, mass ...), the fields being of the plate's own mass."""
-        sizes = np.full(self.shapes().shape[1], self.basis.mass)
-        sizes[1] = self.basis.inertia
-        return np.diag(sizes)
+        """The plate's mass times the identity: all fields have it."""
+        return self.basis.mass * np.eye(self.shapes().shape[1])
+
+    @property
+    def gyration(self) -> float:
+        """The radius of gyration s, m, of the plate's M."""
+        return self.basis.gyration
 
     def form(self) -> tuple[NDArray, NDArray]:
         """The exact energy of the span."""
@@ -108,13 +124,13 @@ class _InModes(FieldBody, part=False):
         return float(-0.5 * d @ r.ravel()), float(np.abs(d).max())
 
     def _turn(self, moved):
-        z = 1.0 + moved[1]
+        z = self.gyration + moved[1]
         return z / abs(z)
 
     def _deformed(self, moved):
         """Displacements (N, 2) of the nodes in the plate's frame."""
-        z, arms = self.coordinates() + moved, self.shapes()[:, 1]
-        return pairs_of((self.shapes()[:, 1:] @ z[1:]) * self._turn(moved).conjugate() - arms)
+        z, turn, shapes = self.coordinates() + moved, self._turn(moved), self.shapes()
+        return pairs_of((shapes[:, 1:] @ z[1:]) * turn.conjugate() - self.gyration * shapes[:, 1])
 
     def damping(self) -> tuple[float, float]:
         """The material's."""

@@ -1,4 +1,4 @@
-"""Rigid body in the complex coordinates (c, z)."""
+"""Rigid body in two complex coordinates."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -20,14 +20,15 @@ from polyida.mesh.moments import area_moments
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class RigidBody(Body):
-    """A rigid body: `x = c + z (X - X_S)` for each of its points X, c the place of its centre of mass X_S and z its direction, |z| = 1.
+    """A rigid body: `x = c + z (X - X_S) / s` for each of its points X, c the place of its centre of mass X_S, z / s its direction, s the
+    radius of gyration `sqrt(inertia / mass)`, m, in which z is measured, so that all coordinates are alike.
 
     mass: kg. inertia: about the centre of mass, kg m2. points: {name: (x, y)}, m, in the body's own axes. origin: where the own (0, 0)
     lies, m. angle: turn of its axes about it, rad. center: the centre of mass in its own axes, m. velocity of the centre of mass, m/s, and
     spin, rad/s: at the start.
 
-    q holds the displacements of c and z from rest; M = diag(mass, mass, inertia, inertia) is constant, and `phi = s (|z|^2 - 1) / 2`
-    (1 row, m, s the radius of gyration) keeps z of length one, so that there are no gyroscopic terms. `body.at(name)` is a point, with the body's x axis
+    q holds the displacements of c and z from rest, m; M = mass times the identity is constant, and `phi = (|z|^2 - s^2) / (2 s)` (1 row, m) keeps z
+    of its length, so that there are no gyroscopic terms. `body.at(name)` is a point, with the body's x axis
     as its direction or the one that is given. Raises InputError for a mass or inertia that is not positive, and for what is no point.
     """
 
@@ -100,27 +101,37 @@ class RigidBody(Body):
         pose: dict[str, Any] = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
         return cls(density * area, density * second, {**known, **(points or {})}, center=known["center"], **pose)
 
+    @property
+    def gyration(self) -> float:
+        """The radius of gyration s, m."""
+        return float(np.sqrt(self.inertia / self.mass))
+
     def coordinates(self) -> list[complex]:
-        """(c, z) at rest."""
-        z = np.exp(1j * self.angle)
-        return [complex(*self.origin) + z * complex(*self.center), z]
+        """(c, z) at rest, m."""
+        turn = np.exp(1j * self.angle)
+        return [complex(*self.origin) + turn * complex(*self.center), self.gyration * turn]
 
     def mass_matrix(self) -> NDArray:
-        """diag(mass, inertia)."""
-        return np.diag([self.mass, self.inertia])
+        """diag(mass, mass), the second for the turn."""
+        return np.diag([self.mass, self.mass])
 
     def attachments(self) -> dict[str, ArrayLike]:
-        """{name: (1, X - X_S)}."""
-        return {name: [1.0, complex(*at) - complex(*self.center)] for name, at in self.points.items()}
+        """{name: (1, (X - X_S) / s)}."""
+        return {name: [1.0, (complex(*at) - complex(*self.center)) / self.gyration] for name, at in self.points.items()}
 
     def x_axis(self) -> list[float]:
-        """z."""
-        return [0.0, 1.0]
+        """z / s."""
+        return [0.0, 1.0 / self.gyration]
 
     def rows(self) -> list[Row | Vector]:
-        """`s (|z|^2 - 1) / 2`."""
-        z = self.point_of("z", [[1.0, 0.0], [0.0, 1.0]]).d
-        return [((dot(z, z) - 1.0) * (0.5 * np.sqrt(self.inertia / self.mass))).named("length", "N")]
+        """`(|z|^2 - s^2) / (2 s)`."""
+        return [stays_rigid(self, self.gyration)]
+
+
+def stays_rigid(body, gyration):
+    """`(|z|^2 - s^2) / (2 s)`, a Row, of the vector z = s d that turns with a body."""
+    d = body.point_of("z", np.stack([np.zeros(2), body.x_axis()])).d
+    return ((dot(d, d) - 1.0) * (0.5 * gyration)).named("length", "N")
 
 
 def _mean(mesh, section):

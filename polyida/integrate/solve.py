@@ -104,7 +104,7 @@ def solve(
         run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
         found = run.go(state)
-    if model.few and (left := left_out.hint(model, found.q, found.a)):
+    if model.few and (left := left_out.hint(model, found.t, found.q, found.a)):
         warnings.warn(f"solve: {left}", ReductionWarning, stacklevel=3)
     return found
 

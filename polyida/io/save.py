@@ -75,7 +75,7 @@ def create(path, model, integrator, n, m, plan, machine, single=False, sensors=N
     settings = asdict(integrator) if is_dataclass(integrator) else {}
     about = {"integrator": {"kind": kind, "settings": settings}, "model": type(model).__name__, "plan": plan, "machine": machine}
     about |= {SENSORS: dict(sensors)} if sensors else {}
-    scene, arrays, drives = to_data(model.parts, model.gravity) if model.parts else (None, {}, {})
+    scene, arrays, drives = to_data(model) if model.parts else (None, {}, {})
     about |= ({"scene": scene, "redundant": model.treats_redundant} if scene else {}) | {
         "drives": {key: name for key, (name, _) in drives.items()}
     }

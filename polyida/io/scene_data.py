@@ -25,27 +25,29 @@ class UnknownPart(Exception):
     """A file's scene has a part whose class is not at hand."""
 
 
-def to_data(parts, gravity):
-    """(description, arrays, drives) of {name: part}: a JSON-ready dictionary, the arrays it refers to by key, and {key: (part, profile)}
-    of the profiles that have no formula.
+def to_data(model):
+    """(description, arrays, drives) of a scene's parts and gravity: a JSON-ready dictionary, the arrays it refers to by key, and {key: (part,
+    profile)} of the profiles that have no formula.
     """
-    book = _Book(parts)
+    parts = model.parts
+    book = _Book(parts, {placed.name: placed.user.made_fields(placed.body) for placed in model.few})
     entries = [
         {"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, f"part {number}", part)}
         for number, (name, part) in enumerate(parts.items())
     ]
-    return {"gravity": book.value("gravity", "gravity", gravity), "parts": entries}, book.arrays, book.drives
+    return {"gravity": book.value("gravity", "gravity", model.gravity), "parts": entries}, book.arrays, book.drives
 
 
 class _Book:
     """Takes down the fields of parts; arrays and drives collect what is no JSON."""
 
-    def __init__(self, parts):
-        self.parts, self.arrays, self.drives, self.meshes = parts, {}, {}, {}
+    def __init__(self, parts, made):
+        self.parts, self.made, self.arrays, self.drives, self.meshes = parts, made, {}, {}, {}
 
     def fields(self, name, key, part):
         """{field: data} of a part, its name left out; key: what its arrays are called by."""
         values = {field.name: getattr(part, field.name) for field in fields(part) if field.init and field.name != "name"}
+        values |= self.made.get(name, {}) if part is self.parts.get(name) else {}
         return {field: self.value(name, f"{key} {field}", value) for field, value in values.items()}
 
     def value(self, name, key, value):
@@ -174,8 +176,8 @@ class _Reader:
     def _side(self, side):
         key, arrays = side["key"], self.arrays
         nodes, body = arrays[f"{key}/nodes"], self.parts[side["body"]]
-        fields = hasattr(body, "mesh")
-        kind, count = (Attachment, body.mesh.n_nodes) if fields else (BodyPoint, len(rest_of(body)))
+        real = arrays[f"{key}/weights"].ndim == 1
+        kind, count = (Attachment, body.mesh.n_nodes) if real else (BodyPoint, len(rest_of(body)))
         weights, turn = (
             None if found is None else _weights(found, kind) for found in (arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights"))
         )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,8 @@ class Distance(Joint):
 
     def rows(self) -> list[Row | Vector]:
         """`(w . w - l^2) / (2 l)`."""
-        w, length = self.b.x - self.a.x, float(self.length or 0.0)
+        length: Any = self.length
+        w = self.b.x - self.a.x
         return [((dot(w, w) - length**2) / (2.0 * length)).named("", "N")]
 
     def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:

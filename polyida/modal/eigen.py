@@ -9,19 +9,18 @@ roots of no full set of shapes.
 import numpy as np
 from scipy.linalg import eigh, null_space
 
+from polyida.errors import InputError
 from polyida.integrate.state import StepFailure
 from polyida.linear.inertia import falling
 from polyida.linear.lu import SingularSystem
+from polyida.modal.system import NO_MASS
 
-FIRST_SHIFT = 1e-9  # of a typical k/m: below the modes of a fine mesh, above the round-off of K
-WIDER = 100.0  # by which a shift grows that lies among the modes
+SHIFTS = 1e-9 * 100.0 ** np.arange(10)  # of a typical k/m; the first: below the modes of a fine mesh, above the round-off of K
 NEAR = 0.1  # shift of the damped form, of the slowest undamped vibration
 SPARE = 4  # undamped modes beyond the wanted ones in which rigid motions are looked for
 STILL = 1e-12  # of |C| |x|: what round-off leaves of C x
 RESTARTS = 100  # of Arnoldi's method
-GATHERED = (
-    "the damped modes did not converge; roots of strongly damped bodies gather, at -1/viscosity those of a viscous one: ask for fewer"
-)
+GATHERED = "the damped modes did not converge: roots of strongly damped bodies gather, as at -1/viscosity; ask for fewer modes"
 TOLERANCE = 1e-12  # of Arnoldi's roots: those of viscous bodies gather at -1/viscosity, where round-off is not reached
 
 
@@ -70,10 +69,10 @@ def _lanczos(system, count):
 def _below_all(system):
     """A shift below all omega^2, by the count of directions in which K - shift M falls."""
     size = np.abs(system.K.diagonal()).mean() / np.abs(system.M.diagonal()).mean()
-    shift = -FIRST_SHIFT * size
-    while _falls(system, shift):
-        shift *= WIDER
-    return shift
+    for shift in -size * SHIFTS:
+        if not _falls(system, shift):
+            return shift
+    raise InputError(NO_MASS)
 
 
 def _falls(system, shift):

@@ -94,7 +94,7 @@ class Modes:
 
 @named_keywords
 def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
-    """The `count` slowest Modes about a state: `omega^2 M x = K x + B^T mu`, `B x = 0`, K = d(g + B^T lam)/dq, B = phi_q.
+    """The `count` slowest Modes about a state, or all n - m where these are fewer: `omega^2 M x = K x + B^T mu`, `B x = 0`, K = d(g + B^T lam)/dq, B = phi_q.
 
     state: one of `pi.static`, or any other with its lam; by default q = 0 at t = 0 as it is drawn, without loads (lam = 0). damped: with
     C = dg/dv, `(s^2 M + s C + K) x + B^T mu = 0`. Rigid motions come as 0 Hz, modes that grow with a warning.
@@ -105,8 +105,11 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
         pi.modes(model, state=pi.static(model), count=3).frequencies
     """
     system = linear_system("modes", model, state)
-    if not is_whole(count, 1, system.freedoms):
-        raise InputError(f"modes: count = {count!r} must be a whole number from 1 to {system.freedoms}: n - m of the model")
+    if not is_whole(count):
+        raise InputError(f"modes: count = {count!r} must be a whole number of at least 1")
+    if not system.freedoms:
+        raise InputError(f"modes: the model cannot move: it has as many constraints as coordinates, {model.n}")
+    count = min(int(count), system.freedoms)
     if not is_flag(damped):
         raise InputError(f"modes: damped = {damped!r} must be True or False")
     if not (damped or system.conservative):
@@ -119,7 +122,7 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
     X = normalised(system.M, X)
     found = Modes(model, system.state, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
     if found.unstable.any():
-        warnings.warn(f"modes: UNSTABLE, {found.unstable.sum()} of the modes grow: see .unstable", stacklevel=2)
+        warnings.warn(f"modes: UNSTABLE, {found.unstable.sum()} of the modes grow: see .unstable", stacklevel=3)
     return found
 
 

@@ -93,4 +93,4 @@ def _reaction(part, model, state, name, label):
 
 def _slope(function, X):
     """Derivative along columns X (n, k), in which q moves by about 1e-3 of a metre at most."""
-    return differences.along(function, 1.0 / max(1e-300, float(np.abs(X).max(initial=0.0))))
+    return differences.along(function, 1.0 / (float(np.abs(X).max(initial=0.0)) or 1.0))

@@ -17,9 +17,7 @@ from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 
 SMALL = 400  # coordinates up to which matrices are made dense
-ROUND = (
-    1e-14  # of |x|^T |K| |x|: what round-off leaves of x^T K x; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
-)
+ROUND = 1e-14  # of |x|^T |K| |x|: round-off of x^T K x; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
 NO_MASS = "the mass matrix is singular on the constraints: every coordinate needs mass or a constraint"
 
 
@@ -64,8 +62,8 @@ class LinearSystem:
         """Columns T, (n, freedoms), dense: `B T = 0`, `T^T M T = 1`. Raises InputError where M is singular on B x = 0."""
         from scipy.linalg import cholesky, qr, solve_triangular
 
-        sizes = 1.0 / np.sqrt(np.maximum(self.M.diagonal(), 1e-300))
-        sizes = np.where(self.M.diagonal() > 0, sizes, 1.0)
+        masses = self.M.diagonal()
+        sizes = 1.0 / np.sqrt(np.where(masses > 0, masses, 1.0))
         rows = dense(self.B) * sizes
         Z = np.eye(self.n) if not len(rows) else qr(rows.T)[0][:, len(rows) :]
         Z = sizes[:, None] * Z

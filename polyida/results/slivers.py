@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from polyida.profile import Profile
+from polyida.assembly.gravity import gravity_at
 
 ROUND = 1e-9  # of a plate's size: cells that reach over a line by less end there
 
@@ -34,8 +34,7 @@ class Slivers:
 
     def forces(self, t, v, a):
         """What moves them, weight and damping taken off, (slivers, 2), N, from the nodes' velocities and accelerations, (nodes, 2)."""
-        gravity = [g(t) if isinstance(g, Profile) else g for g in self.gravity]
-        return self.mass * (self.weights @ (a + self.drag * v) - gravity)
+        return self.mass * (self.weights @ (a + self.drag * v) - gravity_at(self.gravity, t))
 
     def places(self, u):
         """Where they are, (slivers, 2), m, from the nodes' displacements."""

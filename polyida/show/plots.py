@@ -53,6 +53,7 @@ def deformed(run, times=None, snapshots=6, width=6.4):
             edges = plates.outlines(run.model, run.node_positions(k))
             axes.add_collection(drawn)
             axes.add_collection(LineCollection(edges, colors=INK, linewidths=0.4, rasterized=fine))
+        for k in frames:
             axes.add_collection(LineCollection(plates.sticks(run, k), colors=STICK, linewidths=1.6, capstyle="round"))
         _label_times(axes, run, frames)
         equal(axes, low, high, margin=0.09)

@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 
 import polyida as pi
-from polyida.assembly.damping import symmetric_parts
+from polyida.assembly.bodies.damping import symmetric_parts
 from polyida.assembly.step_matrix import SceneStepMatrix
 
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}

@@ -228,6 +228,26 @@ def test_files_and_pickles_hold_it(tmp_path):
         assert np.array_equal(other.reaction("drive"), run.reaction("drive"))
 
 
+def test_a_coarse_mesh_has_as_many_modes_as_it_has():
+    """One cell: all that its nodes can do is in 2 complex fields beside the rigid ones, and the energy is the full plate's."""
+    corner = pi.Plate(pi.mesh.quads(1.0, 0.1, 1, 1), rubber(), 0.01)
+    few, full = pi.Scene(), pi.Scene()
+    few.add(pi.Reduced(corner, modes=10)), full.add(corner)
+    few, full = few.build(), full.build()
+    assert few.n == full.n == 8
+    (q,) = draws(few, 0.1)
+    assert few.strain_energy(q) == pytest.approx(full.strain_energy(few.nodal(q).ravel()), rel=1e-12)
+
+
+def test_fields_that_only_move_it_as_rigid_are_refused():
+    turn = np.stack([-plate().points[:, 1], plate().points[:, 0]], axis=1)
+    for field in (0 * turn, turn, turn + (1.0, 2.0)):
+        scene = pi.Scene()
+        scene.add(pi.Reduced(plate(), modes=0, fields=[field]))
+        with pytest.raises(pi.InputError, match="'arm': its fields only move it as rigid"):
+            scene.build()
+
+
 def plate(**options):
     return pi.Plate(MESHES["virtual"](), rubber(), 0.01, name="arm", **options)
 
@@ -253,3 +273,21 @@ def plate(**options):
 def test_what_is_wrong_is_told(make, told):
     with pytest.raises(pi.InputError, match=told):
         make()
+
+
+def test_a_file_keeps_the_modes_that_its_run_had(tmp_path, monkeypatch):
+    """Where eigenvectors come out with other signs or in another order, frames mean the same all the same."""
+    from polyida.body.reduction import basis
+
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.Reduced(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=30, seed=1), pi.Material(5e6, 0.3, 1100.0), 0.01), modes=4))
+    scene.add(pi.Revolute(pi.ground, bar.section("left")))
+    scene.add(pi.PointMass(bar.section("right"), 0.1, name="tip"))
+    run, made = pi.solve(scene.build(), 0.05, pi.GeneralizedAlpha(h=1e-3)), basis._modes
+    run.save(tmp_path / "run.h5")
+    monkeypatch.setattr(basis, "_modes", lambda *given: -made(*given)[:, ::-1])
+    loaded = pi.load(tmp_path / "run.h5")
+    assert np.array_equal(loaded.position("tip"), run.position("tip"))
+    assert np.array_equal(loaded.stress(-1), run.stress(-1))
+    loaded.save(tmp_path / "again.h5")
+    assert np.array_equal(pi.load(tmp_path / "again.h5").position("tip"), run.position("tip"))

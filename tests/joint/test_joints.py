@@ -112,65 +112,51 @@ def test_joints_between_bodies_turn_with_the_whole_scene(model, scenes, draw):
     assert np.allclose(after, before, atol=1e-13)
 
 
-SECOND = ("prismatic", "slot", "distance", "weld", "path")
-
-
-@pytest.mark.parametrize("kind", SECOND, indirect=True)
-def test_a_reaction_is_what_the_multipliers_do_to_b(model, scenes, draw):
-    """Force and moment about its point of `-phi_q^T lam` on the body of b, wherever the scene is turned to."""
-    q, lam, joint = scenes.turned(model, np.zeros(model.n), 0.8), draw(model.m), model.joints["joint"]
-    rows = model.rows["joint"]
-    nodal = -(lam[rows] @ model.phi_q(0.0, q)[rows]).reshape(-1, 2)
-    body = next(body for body in model.bodies if body.plate is joint.b.body)
-    arms = (model.reference + q.reshape(-1, 2) - model.position("joint", q[None]))[body.nodes]
-    force, moment = nodal[body.nodes].sum(axis=0), _moment(arms, nodal[body.nodes])
+def require_reaction(model, q, lam):
+    """The reaction of "joint" is force and moment about its point of `-phi_q^T lam` on the body of b."""
+    joint, rows = model.joints["joint"], model.rows["joint"]
+    place = model.places[id(joint.b.body)]
+    pull = -(lam[rows] @ model.phi_q(0.0, q)[rows]).reshape(-1, 2)[place.pairs] @ (1.0, 1j)
+    shift = getattr(place, "translation", np.ones(len(pull)))  # of the coordinates, where the whole body moves by one
+    z = (model.reference + q.reshape(-1, 2))[place.pairs] @ (1.0, 1j)
+    force, arms = shift.conj() @ pull, z - shift * (model.position("joint", q[None])[0] @ (1.0, 1j))
     told = model.reactions("joint", q[None], lam[None, rows])[0]
-    assert np.abs(told[:2] - force).max() < 1e-12 and np.abs(force).max() > 1e-3
-    assert moment == pytest.approx(told[2] if len(told) > 2 else 0.0, abs=1e-12)
+    assert abs(told[:2] @ (1.0, 1j) - force) < 1e-12 and abs(force) > 1e-3
+    assert (arms.conj() @ pull).imag == pytest.approx(told[2] if len(told) > 2 else 0.0, abs=1e-12)
 
 
-def _moment(arms, forces):
-    return float(np.sum(arms[:, 0] * forces[:, 1] - arms[:, 1] * forces[:, 0]))
+@pytest.mark.parametrize("kind", ["prismatic", "slot", "distance", "weld", "path"], indirect=True)
+def test_a_reaction_is_what_the_multipliers_do_to_b(model, scenes, draw):
+    """Wherever the scene is turned to."""
+    require_reaction(model, scenes.turned(model, np.zeros(model.n), 0.8), draw(model.m))
 
 
-RIGID = {
-    "prismatic": lambda a, b: pi.Prismatic(a, b, name="joint"),
-    "slot": lambda a, b: pi.Slot(a, b, name="joint"),
-    "distance": lambda a, b: pi.Distance(a, b, name="joint"),
-    "weld": lambda a, b: pi.Weld(a, b, name="joint"),
-    "weld to a plate": None,
-    "prismatic to ground": lambda a, b: pi.Prismatic(pi.ground.at(a.point - a.direction, a.direction), b, name="joint"),
-    "weld to ground": lambda a, b: pi.Weld(pi.ground, b, name="joint"),
+RIGID = {  # kind: (the joint of two bodies and a plate, its rows)
+    "prismatic": (lambda a, b, plate: pi.Prismatic(a, b, name="joint"), 2),
+    "prismatic to ground": (lambda a, b, plate: pi.Prismatic(pi.ground.at(a.point - a.direction, a.direction), b, name="joint"), 2),
+    "slot": (lambda a, b, plate: pi.Slot(a, b, name="joint"), 1),
+    "distance": (lambda a, b, plate: pi.Distance(a, b, name="joint"), 1),
+    "weld": (lambda a, b, plate: pi.Weld(a, b, name="joint"), 3),
+    "weld to ground": (lambda a, b, plate: pi.Weld(pi.ground, b, name="joint"), 3),
+    "weld to a plate": (lambda a, b, plate: pi.Weld(plate, b, name="joint"), 3),
 }
 
 
 @pytest.mark.parametrize("name", RIGID)
 def test_joints_of_rigid_bodies(scenes, name):
-    """Derivatives, and forces and moments on b, of bodies that keep the length of their directions."""
+    """Of directions and centres of mass anywhere: derivatives, closed at rest, and what acts on b."""
+    make, count = RIGID[name]
     scene = pi.Scene()
     a = scene.add(pi.RigidBody(1.0, 0.2, {"A": (0.5, 0.1)}, angle=0.3, name="one")).at("A", (1.0, 0.4))
     at = a.point if "weld" in name else a.point + 0.8 * a.direction
-    body = scene.add(pi.RigidBody(0.5, 0.1, {"B": (0.0, 0.0)}, origin=at, angle=-0.9, center=(0.2, 0.1), name="other"))
-    b = body.at("B", (0.3, 1.0))
-    if name == "weld to a plate":
-        plate = scene.add(scenes.plate("plate", origin=at - [1.0, 0.0]))
-        scene.add(pi.Weld(plate.section("right"), b, name="joint"))
-    else:
-        scene.add(RIGID[name](a, b))
+    b = scene.add(pi.RigidBody(0.5, 0.1, {"B": (0.0, 0.0)}, origin=at, angle=-0.9, center=(0.2, 0.1), name="other")).at("B", (0.3, 1.0))
+    plate = scene.add(scenes.plate("plate", cells=4, origin=at - [1.0, 0.0]))
+    scene.add(make(a, b, plate.section("right")))
     model = scene.build()
+    rows, still = model.rows["joint"], np.zeros(model.n)
+    assert rows.stop - rows.start == count and np.abs(model.phi(0.0, still)).max() < 1e-14
     assert max(pi.check_derivatives(model, T).values()) < 1e-6
-    assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
-    rows, lam = model.rows["joint"], np.random.default_rng(7).standard_normal(model.m)
-    assert rows.stop - rows.start == {"prismatic": 2, "weld": 3}.get(name.split()[0], 1)
-    pull = -(lam[rows] @ model.phi_q(0.0, np.zeros(model.n))[rows]).reshape(-1, 2)
-    told = model.reactions("joint", np.zeros((1, model.n)), lam[None, rows])[0]
-    place = next(placed for placed in model.few if placed.user is body)
-    force, turning = pull[place.pairs]
-    z = np.exp(-0.9j)
-    centre = z * (0.2 + 0.1j)  # from the point
-    moment = (z.conjugate() * (turning @ (1.0, 1j))).imag + centre.real * force[1] - centre.imag * force[0]
-    assert np.abs(told[:2] - force).max() < 1e-12
-    assert moment == pytest.approx(told[2] if len(told) > 2 else 0.0, abs=1e-12)
+    require_reaction(model, still, np.random.default_rng(7).standard_normal(model.m))
 
 
 @pytest.mark.parametrize("turns", [0.25, 1.5, -3.2, 100.0])

@@ -274,6 +274,11 @@ def test_a_force_without_potential_is_taken_with_damped_alone():
     assert found.unstable.any() and (found.frequencies > 0).all()
 
 
+def test_all_modes_are_given_where_fewer_are_there_than_asked_for():
+    """omega^2 of M^-1 K: 50 and 200."""
+    assert (2 * np.pi * pi.modes(Springs()).frequencies) ** 2 == pytest.approx([50.0, 200.0], rel=1e-9)
+
+
 def test_where_it_is_drawn_and_where_it_moves(scenes):
     model = scenes.cantilever()[0].build()
     v = np.zeros(model.n)
@@ -281,6 +286,16 @@ def test_where_it_is_drawn_and_where_it_moves(scenes):
     with pytest.warns(UserWarning, match="modes: the state moves"):
         found = pi.modes(model, State(0.0, np.zeros(model.n), v, v, np.zeros(model.m)), count=2)
     assert np.array_equal(found.frequencies, pi.modes(model, count=2).frequencies)
+
+
+class Held(Springs):
+    m = 2
+
+    def phi(self, t, q):
+        return q.copy()
+
+    def phi_q(self, t, q):
+        return np.eye(2)
 
 
 class Massless(Springs):
@@ -292,7 +307,7 @@ class Massless(Springs):
     [
         (lambda: pi.modes(Springs(), count=0), "count = 0"),
         (lambda: pi.modes(Springs(), count=1.5), "count = 1.5"),
-        (lambda: pi.modes(Springs(), count=3), "from 1 to 2: n - m"),
+        (lambda: pi.modes(Held()), "cannot move"),
         (lambda: pi.modes(Springs(), damped="yes", count=1), "damped = 'yes'"),
         (lambda: pi.modes(pi.Scene(), count=1), "call its build"),
         (lambda: pi.modes(Springs(), state=3.0, count=1), "modes: state = 3.0"),

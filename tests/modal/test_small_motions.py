@@ -225,3 +225,13 @@ def test_what_is_wrong_is_said(scenes, changed, words):
 def test_what_is_wrong_with_a_response_is_said(changed, words):
     with pytest.raises(pi.InputError, match=words):
         pi.frequency_response(Wheel(), **({"state": None, "input": PUSH, "output": PUSH, "frequencies": 1.0} | changed))
+
+
+def test_force_elements_are_inputs_by_their_own_profiles_alone(scenes):
+    """Not by the clock that compiled laws get."""
+    scene, plate = scenes.hinged(material={"viscosity": 1e-3})
+    scene.add(pi.SpringDamper(pi.ground.at((1.0, 0.5)), plate.section("right"), 500.0, 2.0, name="spring"))
+    scene.add(pi.Torque(plate.section("left"), pi.profile.constant(0.0), name="torque"))
+    scene.add(pi.PointLoad(plate.section("right"), (0.0, 1.0), 0.0, name="push"))
+    model = scene.build()
+    assert pi.linearise(model, pi.static(model)).inputs == ("push", "torque")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.assembly.damping import add_damping
+from polyida.assembly.bodies.damping import add_damping
 from polyida.assembly.gravity import NAME, pulls_of
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.formula import Row, rows_of

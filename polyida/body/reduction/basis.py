@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polyida.body.body import BodyPoint
 from polyida.body.reduction.plate_matrices import rows_of
 from polyida.given import complex_of_pairs
 from polyida.linear.kkt import KKT, scaling_factors
@@ -13,15 +14,14 @@ SAME = 1e-6  # of a field, that the others do not give: as good as nothing
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """shapes (N, pairs) complex: 1, X - X_S and fields with `f_i^H M f_k = mass delta_ik`; mass (kg) and inertia (kg m2) of the plate's M.
-
-    hold: what keeps it where it is held.
+    """shapes (N, pairs) complex: 1, (X - X_S) / s and further ones, `f_i^H M f_k = mass delta_ik`; centre: X_S, m; mass, kg, and radius of
+    gyration s, m, of the plate's M. hold: what keeps it where it is held.
     """
 
     shapes: np.ndarray
     centre: complex
     mass: float
-    inertia: float
+    gyration: float
     hold: "Hold"
 
 
@@ -41,11 +41,12 @@ class Hold:
         return d - self._reach @ np.linalg.solve(self.further @ self._reach, self.further @ d)
 
 
-def basis_of(matrices, sides, count, own):
-    """The Basis of a plate held by attachments, with `count` modes beside the fields `own` (N, k), complex.
+def basis_of(matrices, sides, count, own=None, made=None):
+    """The Basis of a plate held by attachments, with `count` modes beside the fields `own` (N, k), complex, or with those that are `made`.
 
     Static modes: displacement one of a mean x, y or rotation, zero of all others. Normal modes: of the plate with all of these held.
-    Both together, freed of rigid motion, come by their frequencies. Rows of what holds it are completed by mean motion where it is free.
+    Both together, freed of rigid motion, come by their frequencies. Rows of what holds it are completed by mean motion where it is free,
+    or held by its centre of mass, a BodyPoint.
     """
     plate, M = matrices.plate, matrices.mass
     ones = np.ones(plate.mesh.n_nodes)
@@ -53,27 +54,28 @@ def basis_of(matrices, sides, count, own):
     places = plate.placed.points
     middle = (ones @ (M @ places)) / mass
     arms = complex_of_pairs(places - middle)
-    inertia = float(np.vdot(arms, M @ arms).real)
+    gyration = float(np.sqrt(np.vdot(arms, M @ arms).real / mass))
     K = matrices.stiffness
-    rows, longer = rows_of(plate, sides)
-    C = _independent(_completed(rows, M, arms))
+    nodal = [side for side in sides if not isinstance(side, BodyPoint)]
+    rows, longer = rows_of(plate, nodal)
+    C = _independent(_completed(rows, M, arms, len(nodal) < len(sides)))
     hold = KKT(K, C, scaling_factors("physical", 1.0, K))
-    fields = [own] if own.shape[1] else []
-    if count:
-        modes = _modes(K, M, hold, C, arms, count)
-        fields.insert(0, complex_of_pairs(modes.reshape(-1, 2, modes.shape[1]).transpose(2, 0, 1)).T)
-    kept = _orthogonal(M, [ones.astype(complex), arms], np.concatenate([np.zeros((len(arms), 0)), *fields], axis=1))
-    scaled = [np.sqrt(mass) * field for field in kept]
-    shapes = np.stack([ones.astype(complex), arms, *scaled], axis=1)
-    return Basis(shapes, complex(*(middle + plate.origin)), mass, inertia, Hold(hold, len(C), longer))
+    if made is None:
+        fields = [np.zeros((len(arms), 0)), *(() if own is None else (own,))]
+        if count:
+            modes = _modes(K, M, hold, C, arms, count)
+            fields.insert(0, complex_of_pairs(modes.reshape(-1, 2, modes.shape[1]).transpose(2, 0, 1)).T)
+        made = np.sqrt(mass) * _orthogonal(M, [ones.astype(complex), arms], np.concatenate(fields, axis=1))
+    shapes = np.concatenate([np.stack([ones, arms / gyration], axis=1), made], axis=1)
+    return Basis(shapes, complex(*(middle + plate.origin)), mass, gyration, Hold(hold, len(C), longer))
 
 
-def _completed(rows, M, arms):
-    """The rows, with means of the whole plate where they leave it free to move."""
+def _completed(rows, M, arms, whole):
+    """The rows, with means of the whole plate where they leave it free to move, or where it is held as a `whole`."""
     rigid = _rigid(arms)
     sizes = np.linalg.norm(rigid, axis=0)
     held = np.linalg.matrix_rank(rows @ (rigid / sizes), tol=SAME * np.abs(rows).max(initial=0.0)) if len(rows) else 0
-    if held == 3:
+    if held == 3 and not whole:
         return rows
     weighted = np.repeat(M @ np.ones(len(arms)), 2)[:, None] * rigid
     return np.concatenate([rows, (weighted / np.linalg.norm(weighted, axis=0)).T])
@@ -103,7 +105,7 @@ def _modes(K, M, hold, C, arms, count):
 
     n, M2 = K.shape[0], kron(M, eye_array(2)).tocsr()
     static = [hold.solve(np.zeros(n), -unit)[0] for unit in np.eye(len(C))]
-    normal = max(0, count - len(C) + 3)
+    normal = max(0, min(count - len(C) + 3, n - len(C) - 1))
     span = np.stack([*static, *(_normal(K, M2, hold, len(C), normal).T if normal else ())], axis=1)
     rigid = _rigid(arms)
     rigid /= np.sqrt(np.einsum("ij,ij->j", rigid, M2 @ rigid))
@@ -136,4 +138,4 @@ def _orthogonal(M, rigid, fields):
         left = np.sqrt(np.vdot(field, M @ field).real)
         if left > SAME * size:
             kept.append(field / left)
-    return kept[len(rigid) :]
+    return np.array(kept[len(rigid) :]).reshape(-1, len(fields)).T

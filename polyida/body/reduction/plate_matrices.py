@@ -76,8 +76,8 @@ class PlateMatrices:
 
 
 def rows_of(plate, sides):
-    """What the attachments hold of a plate at rest, (rows, 2N) dense: mean x, mean y and, where they have a direction, rotation; and
-    how these directions grow longer, which nothing holds.
+    """What the attachments to nodes hold of a plate at rest, (rows, 2N) dense: mean x, mean y and, where they have a direction, rotation;
+    and how these directions grow longer, which nothing holds.
     """
     n = plate.mesh.n_nodes
     held, longer = [np.zeros((0, 2 * n))], [np.zeros((0, 2 * n))]

@@ -11,7 +11,7 @@ import numpy as np
 from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.bodies import compact
-from polyida.assembly.damping import damped_blocks
+from polyida.assembly.bodies.damping import damped_blocks
 from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack, part
 from polyida.element import kernels as elements

@@ -10,7 +10,7 @@ import numpy as np
 
 from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.damping import add_damping
+from polyida.assembly.bodies.damping import add_damping
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room

@@ -7,9 +7,9 @@ are digits of the semi-discrete equations on that mesh, or in those modes.
 
 import numpy as np
 
-DIGITS = {}
+DIGITS: dict[str, dict] = {}
 
-KNOWN_TO = {}
+KNOWN_TO: dict[str, dict] = {}
 
 
 def of(name, level):

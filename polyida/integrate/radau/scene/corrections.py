@@ -11,7 +11,7 @@ import numpy as np
 
 from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.damping import add_damping
+from polyida.assembly.bodies.damping import add_damping
 from polyida.assembly.rows import joints
 from polyida.assembly.stabilised_border import StabilisedRoom, stabilised_border
 from polyida.compiled import entry, pack, part

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.damping import add_damping
+from polyida.assembly.bodies.damping import add_damping
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.tie import project

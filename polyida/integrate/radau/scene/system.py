@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from polyida.assembly.damping import symmetric_parts
+from polyida.assembly.bodies.damping import symmetric_parts
 from polyida.assembly.rows.tie import tie
 from polyida.assembly.stabilised_border import massive, stabilised_room
 from polyida.integrate.radau.newton import Failed, trial

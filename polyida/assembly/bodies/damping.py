@@ -5,7 +5,7 @@ They stand apart from the undamped pass: a scene without damping neither evaluat
 
 import numpy as np
 
-from polyida.assembly.bodies import compact
+from polyida.assembly.bodies import compact, tangents
 from polyida.assembly.equilibrium import tangent_blocks
 from polyida.compiled import entry
 from polyida.element import kernels, two_states
@@ -107,7 +107,7 @@ def damped_blocks(scene, u, v, c_v, c_q, blocks):
     """Fill blocks (nnz, 2, 2) = c_v dg/dv + c_q dg/dq of all bodies; dg/dq is not symmetric where v is not zero."""
     s = scene.plates
     blocks[:] = 0.0
-    compact.blocks(scene.compact, u, v, 0.0, c_v, c_q, blocks)
+    tangents.blocks(scene.compact, u, v, 0.0, c_v, c_q, blocks)
     for b in range(s.body_operator.shape[0]):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]
