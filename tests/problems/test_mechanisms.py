@@ -1,5 +1,7 @@
 """Mechanisms of plates at three levels: exact kinematics of rigid ones, flexible ones near to them, energy, digits."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,15 @@ from polyida.problems.mechanisms import four_bar, peaucellier, slider_crank, two
 
 NAMES = ("slider-crank", "four-bar", "two-link-arm", "peaucellier")
 SHAPES = {"four-bar": four_bar, "two-link-arm": two_link_arm, "peaucellier": peaucellier}
+
+
+@lru_cache
+def solved(name, level):
+    """(problem, its run)."""
+    p = problems.get(name, level=level)
+    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-7))
+    assert run.success, run.message
+    return p, run
 
 
 def complex_path(run, name):
@@ -34,9 +45,7 @@ def rigid_paths(name, t):
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_rigid_links_follow_their_motors_exactly(name):
-    p = problems.get(name, level="rigid")
-    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-6))
-    assert run.success, run.message
+    _, run = solved(name, "rigid")
     for point, path in rigid_paths(name, run.t).items():
         assert np.abs(complex_path(run, point) - path).max() < 1e-12, point
 
@@ -44,8 +53,7 @@ def test_rigid_links_follow_their_motors_exactly(name):
 @pytest.mark.parametrize(("level", "near"), [("rigid", 1e-13), ("reduced", 1e-3), ("full", 1e-3)])
 def test_a_slider_is_where_its_crank_says(level, near):
     """`x = r cos a + sqrt(l^2 - r^2 sin(a)^2)`, to within what bending takes from the distance of the rod's ends."""
-    p = problems.get("slider-crank", level=level)
-    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-6))
+    _, run = solved("slider-crank", level)
     pin, slider = complex_path(run, "crank pin"), complex_path(run, "slider")
     assert np.abs(slider.imag).max() < 1e-13
     assert np.abs(slider.real - pin.real - np.sqrt(slider_crank.ROD**2 - pin.imag**2)).max() < near
@@ -55,8 +63,7 @@ def test_a_slider_is_where_its_crank_says(level, near):
 def test_a_line_is_drawn_to_within_the_links_deformation():
     gaps = {}
     for level in ("rigid", "reduced", "full"):
-        p = problems.get("peaucellier", level=level)
-        pen = complex_path(pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-5)), "pen")
+        pen = complex_path(solved("peaucellier", level)[1], "pen")
         gaps[level] = np.abs(pen.real - peaucellier.LINE).max()
         assert np.ptp(pen.imag) > 0.4
     assert gaps["rigid"] < 1e-13 and 1e-5 < gaps["full"] < 1e-3
@@ -65,8 +72,7 @@ def test_a_line_is_drawn_to_within_the_links_deformation():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_energy_is_the_work_of_the_drives(name):
-    p = problems.get(name, level="reduced")
-    run = pi.solve(p.model, p.t_end / 2, pi.RadauIIA(rtol=1e-8))
+    _, run = solved(name, "reduced")
     work, lost = sum(run.energy.work.values()), sum(run.energy.dissipated.values())
     assert np.abs(run.energy.total - run.energy.total[0] - work + lost).max() < 2e-3 * np.abs(work).max()
 
@@ -74,8 +80,7 @@ def test_energy_is_the_work_of_the_drives(name):
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("level", ["full", "reduced", "rigid"])
 def test_a_run_of_moderate_accuracy_meets_the_digits(name, level):
-    p = problems.get(name, level=level)
-    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-7), every=10**9)
+    p, run = solved(name, level)
     errors = p.compare(run)
     assert errors["point"] < 1e-6 and errors["velocity"] < 1e-3, errors
 

@@ -14,4 +14,4 @@ KNOWN_TO: dict[str, dict] = {}
 
 def of(name, level):
     """(reference, known_to) of a mechanism at a level."""
-    return {part: np.array(value) for part, value in DIGITS[name][level].items()}, dict(KNOWN_TO[name][level])
+    return {part: np.array(value) for part, value in DIGITS.get(name, {}).get(level, {}).items()}, dict(KNOWN_TO.get(name, {}).get(level, {}))
