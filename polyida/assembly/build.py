@@ -83,11 +83,11 @@ def warn_of_locking(name, plate):
 
 
 def extent_of(plates, few):
-    """Size of the scene, m: of the places of nodes and of the points of other bodies; 1 where they are in one place."""
+    """Size of the scene, m: of the places of nodes, and of the points and the spread of mass of other bodies; 1 where all are in one place."""
     places = [body.points for body in plates]
     for placed in few:
         whole = placed.body.plate is not None
-        places += [placed.body.plate.points] if whole else [point.point[None] for point in points_of(placed.body)]
+        places += [placed.body.plate.points] if whole else [point.point[None] for point in points_of(placed.body)] + [placed.spread]
     places = concatenated(places, float, (2,))
     size = float(np.ptp(places, axis=0).max(initial=0.0))
     return size if size > ROUND * (1.0 + np.abs(places).max(initial=0.0)) else 1.0

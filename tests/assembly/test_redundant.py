@@ -12,7 +12,7 @@ G = 9.81
 INTEGRATORS = {
     "alpha": lambda: pi.GeneralizedAlpha(h=5e-4),
     "energy": lambda: pi.EnergyMomentum(h=5e-4),
-    "IDA": lambda: pi.IDA(rtol=1e-9, atol=1e-11),
+    "IDA": lambda: pi.IDA(rtol=1e-10, atol=1e-13),
     "Radau": lambda: pi.RadauIIA(rtol=1e-9),
 }
 FEET, CRANK, BEGIN, BAR, EACH = (0.0, 0.8, 2.0), 1.2, 1.1, 3.0, 0.5  # m, m, rad, kg, kg

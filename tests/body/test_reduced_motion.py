@@ -91,7 +91,7 @@ def test_a_floating_frame_of_reference_gives_the_same_motion():
     whole = hinged(lambda plate: plate)
     frame = FloatingFrame(few, whole[0].build(), whole[1].section("left"), plate.section("left").point)
     start = np.zeros(frame.n)
-    start[:2], start[3] = [frame.rest[0].real, frame.rest[0].imag], 1.0
+    start[:2], start[3] = [frame.rest[0].real, frame.rest[0].imag], frame.rest[1].real
     other, run = pi.solve(frame, 0.3, method, q0=start, output=times), pi.solve(few, 0.3, method, output=times)
     assert run.success and other.success, other.message
     found = np.array([frame.place(p) for p in other.q])

@@ -89,6 +89,17 @@ class PlacedBody:
         return float(abs(np.vdot(self.translation, complex_of_pairs(self.weight((1.0, 0.0))))))
 
     @property
+    def spread(self):
+        """The centre of mass, moved to either side by the radius of gyration, (2, 2), m; nothing, (0, 2), where it has no mass as a whole."""
+        pull = complex_of_pairs(self.weight((1.0, 0.0)))
+        mass = abs(np.vdot(self.translation, pull))
+        if self.uneven is not None or not mass > 0:
+            return np.zeros((0, 2))
+        centre = np.vdot(pull, self.rest) / mass
+        square = np.vdot(self.rest, self.mass @ self.rest).real / mass - abs(centre) ** 2
+        return pairs_of(centre + np.array([1.0, -1.0]) * np.sqrt(max(0.0, square)))
+
+    @property
     def elastic(self):
         """Whether its elastic force is Python."""
         return writes(self.body, Body, "elastic")
