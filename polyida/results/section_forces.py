@@ -109,5 +109,6 @@ def _body(model, plate: Any):
     name = next((name for name, body in known.items() if body.plate is plate), plate)
     if isinstance(name, str) and name in known:
         return known[name]
-    given = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no full plate is called {plate!r:.100}"
+    given = getattr(plate, "label", None) or repr(plate)
+    given = f"plate {plate.name!r} is not in the scene" if isinstance(plate, Plate) else f"no full plate is called {given:.100}"
     raise InputError(f"section_forces: {given}; known: {', '.join(map(repr, known)) or 'none'}")

@@ -126,3 +126,12 @@ def test_a_body_of_few_coordinates_is_none(scenes):
     assert run.section_forces("full", (0.5, 0.0)).normal.shape == (2,)
     with pytest.raises(pi.InputError, match="no full plate is called 'few'; known: 'full'"):
         run.section_forces("few", (0.5, 0.0))
+
+
+def test_bodies_of_few_coordinates_are_refused_by_what_they_are_called(mesh):
+    scene, plate = pi.Scene((0.0, -9.81)), pi.Plate(mesh, pi.Material(50e6, 0.3, 1100.0), 0.01, name="bar")
+    body = scene.add(pi.Rigid(plate))
+    scene.add(pi.Revolute(pi.ground, body.section("left")))
+    run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
+    with pytest.raises(pi.InputError, match="no full plate is called Rigid 'bar'; known: none"):
+        run.section_forces(body, (0.5, 0.0))
