@@ -76,7 +76,7 @@ def test_three_equal_cranks_move_as_one_pendulum_and_share_by_statics(name):
     heads = np.array([run.reaction(f"head {k}") for k in range(3)])
     middle = np.mean(FEET)
     moment = [(x - middle) * force[:, 1] for x, force in zip(FEET, heads)]
-    assert np.abs(np.sum(moment, axis=0)).max() < 1e-6
+    assert np.abs(np.sum(moment, axis=0)).max() < (1e-5 if name == "IDA" else 1e-6)  # whose multipliers no error test looks at
     bar = run.a.reshape(len(run), -1, 2)[:, 0]
     assert np.allclose(heads.sum(axis=0), BAR * (bar + [0.0, G]), atol=1e-4 if name == "energy" else 1e-6)
     assert not any(run.unique(f"head {k}") or run.unique(f"foot {k}") for k in range(3))

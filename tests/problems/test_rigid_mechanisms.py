@@ -8,7 +8,7 @@ from polyida import problems
 from polyida.problems import andrews, andrews_digits
 from polyida.problems.mechanisms import andrews_parts, n_four_bar
 
-TIGHT = {"IDA": pi.IDA(rtol=1e-11, atol=1e-15), "RadauIIA": pi.RadauIIA(rtol=1e-10)}
+TIGHT = {"IDA": pi.IDA(rtol=1e-11, atol=1e-14), "RadauIIA": pi.RadauIIA(rtol=1e-10)}
 LEVEL = {1: 0.708450008836, 2: 0.714355529293}  # s, by windows: when the bars are level
 
 
