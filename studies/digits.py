@@ -26,7 +26,11 @@ class Tolerances(NamedTuple):
 
 CLASSICAL = {"pendulum": Tolerances(2.3e-14, 1e-12), "car-axis": Tolerances(2.3e-14, 1e-12), "andrews": Tolerances(2.3e-14, 1e-13)}
 PLATES = Tolerances(1e-11, 1e-13)
-MECHANISMS = dict.fromkeys(("slider-crank", "four-bar", "two-link-arm", "peaucellier"), Tolerances(1e-9, 1e-12))
+RIGID = Tolerances(1e-12, 1e-13)
+MECHANISMS = {
+    name: Tolerances(rtol, 1e-12)
+    for name, rtol in (("slider-crank", 1e-8), ("four-bar", 1e-8), ("two-link-arm", 1e-9), ("peaucellier", 1e-9))
+}
 
 
 def parts_of(problem, t_end, end):
@@ -64,7 +68,8 @@ def main(arguments=None):
 
 def tell(level, problem, time):
     """Print the digits of a problem, at its end or a time before, s."""
-    found, known_to = digits(problem, time or problem.t_end, (CLASSICAL | MECHANISMS).get(problem.name, PLATES))
+    tolerances = RIGID if level == "rigid" else (CLASSICAL | MECHANISMS).get(problem.name, PLATES)
+    found, known_to = digits(problem, time or problem.t_end, tolerances)
     stored = {} if time else problem.reference
     for part, value in found.items():
         away = f", {problem.errors(**{part: value})[part]:.1e} from those that are stored" if part in stored else ""

@@ -6,7 +6,7 @@ COMPUTED = (
 )
 TIP = '"tip" in m, its velocity in m/s, lam in N and N m, at t = 1 s; largest absolute error'
 AT_POINT = '"{}" in m, its velocity in m/s, at t = {} s; largest absolute error'
-MECHANISM = "computed"
+MECHANISM = "computed by DOP853 on the index-1 equations, rtol 1e-8 to 1e-12; Radau IIA, rtol 1e-12, agrees to 4e-12 m, 3e-9 m/s (python studies/digits.py)"
 
 ABOUT = {
     "pendulum": {
