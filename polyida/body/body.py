@@ -26,6 +26,7 @@ class Body(OwnPart):
     summaries say, as does one of a body whose x and y carry different masses.
     """
 
+    components = None  # of the reaction of its own rows
     few = True  # its points are made of few coordinates
     turns_only = False  # whether it keeps the directions of its sections of constant length; of its points it may
     plate: Any = None  # whose mesh shows it; `nodal` then tells of its nodes

@@ -13,6 +13,7 @@ from polyida.given import settle
 from polyida.joint.attachment import labelled
 from polyida.joint.formula import Row, Vector, dot
 from polyida.joint.joint import Joint
+from polyida.joint.shared_rows import FORCE
 from polyida.keywords import named_keywords
 
 
@@ -27,6 +28,7 @@ class Distance(Joint):
     """
 
     length: float | None = None
+    components = FORCE
     placing = "place the bodies so that their points are the length apart"
 
     def __post_init__(self):

@@ -26,6 +26,7 @@ class Joint:
     a: Any
     b: Any
     name: str | None = field(default=None, kw_only=True)
+    components: ClassVar[tuple[tuple[str, str], ...] | None] = None  # (axis, unit) of its reaction's; None: as its rows
     kind: ClassVar[str | None] = None  # what a joint without a name is called with a number; the class's name where None
     placing: ClassVar[str] = "place the bodies so that they meet"  # what to do where it is not closed at rest
 

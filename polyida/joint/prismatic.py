@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
-from polyida.joint.shared_rows import across, force_across, held, torque
+from polyida.joint.shared_rows import FORCE_AND_MOMENT, across, force_across, held, torque
 from polyida.keywords import named_keywords
 
 
@@ -23,6 +23,7 @@ class Prismatic(Joint):
     Reaction on b, (3,): force, N, across the line, and moment about its point, N m, counter-clockwise.
     """
 
+    components = FORCE_AND_MOMENT
     placing = "place the bodies so that b is on the line through a along its direction"
 
     def __post_init__(self):

@@ -4,6 +4,9 @@ import numpy as np
 
 from polyida.joint.formula import cross
 
+FORCE = (("x", "N"), ("y", "N"))  # axis and unit of a reaction's components
+FORCE_AND_MOMENT = (*FORCE, ("", "N m"))
+
 
 def across(a, b):
     """`d_A x (x_B - x_A)`: b stays on the line through a along its direction."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
-from polyida.joint.shared_rows import across, force_across
+from polyida.joint.shared_rows import FORCE, across, force_across
 from polyida.keywords import named_keywords
 
 
@@ -20,6 +20,7 @@ class Slot(Joint):
     Reaction on b, (2,): force, N, across the line.
     """
 
+    components = FORCE
     placing = "place the bodies so that b is on the line through a along its direction"
 
     def __post_init__(self):

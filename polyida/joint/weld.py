@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
-from polyida.joint.shared_rows import held, torque
+from polyida.joint.shared_rows import FORCE_AND_MOMENT, held, torque
 from polyida.keywords import named_keywords
 
 
@@ -22,6 +22,8 @@ class Weld(Joint):
     Reaction on b, (3,): force, N, and moment about its point, N m, counter-clockwise.
     Raises InputError for a side without a direction.
     """
+
+    components = FORCE_AND_MOMENT
 
     def __post_init__(self):
         super().__post_init__()

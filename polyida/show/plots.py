@@ -197,9 +197,12 @@ def _wide_left(made, axes):
 
 
 def _quantity(model, name, k):
-    """Axis label of component k of a reaction, as its row says; a row without a unit has a multiplier."""
-    row = model.rows[name].start + k
-    unit, label = (model.units[row], model.labels[row]) if model.units else ("", "")
-    axis = label.rsplit(" ", 1)[-1] if label.endswith((" x", " y")) else ""
+    """Axis label of component k of a reaction, as the joint or its row says; a row without a unit has a multiplier."""
+    row, joint = model.rows[name].start + k, model.joints.get(name)
+    if joint is not None and joint.components:
+        axis, unit = joint.components[k]
+    else:
+        unit, label = (model.units[row], model.labels[row]) if model.units else ("", "")
+        axis = label.rsplit(" ", 1)[-1] if label.endswith((" x", " y")) else ""
     word = {"N": "force", "N m": "torque"}.get(unit)
     return f"{word} {axis}".rstrip() + f", {unit}" if word else f"multiplier {k}"

@@ -114,3 +114,13 @@ def test_frames_are_spread_in_time_and_come_once(run):
 def test_a_model_without_plates_is_refused():
     with pytest.raises(InputError, match="no plates"):
         plots.mesh(Model())
+
+
+def test_reactions_are_labelled_by_their_components():
+    """A guide has two rows and three components: force x, force y and a moment."""
+    scene = pi.Scene(gravity=(1.0, -9.81))
+    slider = scene.add(pi.RigidBody(1.0, 0.1, {"B": (0.0, 0.0)}))
+    scene.add(pi.Prismatic(pi.ground.at((0.0, 0.0)), slider.at("B"), name="guide"))
+    run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
+    made = plots.reactions({"alpha": run}, ["guide"])
+    assert [axes.get_ylabel() for axes in made.axes[:3]] == ["force x, N", "force y, N", "torque, N m"]
