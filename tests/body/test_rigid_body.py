@@ -214,7 +214,9 @@ def test_drag_slows_a_rigid_plate():
     model, spin, velocity = scene.build(), 4.0, np.array([1.0, -0.5])
     run = pi.solve(model, 1.0, pi.IDA(rtol=1e-10, atol=1e-12), v0=[*velocity, 0.0, body.gyration * spin])
     gone = (1 - np.exp(-drag)) / drag
-    assert np.allclose(run.q[-1], [*(velocity * gone), *(body.gyration * np.array([np.cos(spin * gone) - 1, np.sin(spin * gone)]))], atol=1e-8)
+    assert np.allclose(
+        run.q[-1], [*(velocity * gone), *(body.gyration * np.array([np.cos(spin * gone) - 1, np.sin(spin * gone)]))], atol=1e-8
+    )
     assert body.damping() == (drag, 0.0)
 
 

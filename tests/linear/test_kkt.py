@@ -65,7 +65,16 @@ def test_singular(matrix):
 
 
 def test_dependent_rows_are_named():
-    names = type("Named", (), {"is_scene": False, "constraint_name": lambda self, row: "abcd"[row], "mass": lambda self, q: np.eye(3)})()
+    class Named(pi.Model):
+        n, m = 3, 4
+
+        def constraint_name(self, row):
+            return "abcd"[row]
+
+        def mass(self, q):
+            return np.eye(3)
+
+    names = Named()
     require_independent(names, np.eye(3)[:2], np.zeros(3))
     with pytest.raises(pi.InputError, match=r"b, d are redundant"):
         require_independent(names, np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [0, -2.0, 0]]), np.zeros(3))
