@@ -31,7 +31,7 @@ def write(comparison, folder, command, press, tell=lambda what: None):
     data = {"figures": comparison.figures, "rows": finite(comparison.rows), "machine": machine, "command": command}
     (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     captions = _give(comparison, press)
-    if shown := _drawable(comparison.runs):
+    if (shown := _drawable(comparison.runs)) and shown.model.drawn:
         from polyida.show.vtu import vtu
 
         tell("frames")
@@ -55,8 +55,9 @@ def _give(comparison, press):
 def pictures(job, runs, comparison=None):
     """{file name: (function that draws it, caption)} of what these runs can show, with a Comparison also how far they are from the refined run."""
     moving, shown, found = {label: run for label, run in runs.items() if len(run.t) > 1}, _drawable(runs), {}
-    if shown:
+    if shown and shown.model.drawn:
         found["mesh"] = lambda: plots.mesh(job.model), "The polygon meshes at rest, shaded by number of corners."
+    if shown:
         caption = "The plates at several times, coloured by the von Mises stress of every element."
         found["deformed"] = lambda: plots.deformed(shown), caption
     return found | (_curves(job, moving, comparison) if moving else {})

@@ -18,7 +18,7 @@ SHAPES = {"four-bar": four_bar, "two-link-arm": two_link_arm, "peaucellier": pea
 def solved(name, level):
     """(problem, its run)."""
     p = problems.get(name, level=level)
-    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-7))
+    run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-8))
     assert run.success, run.message
     return p, run
 
@@ -82,7 +82,7 @@ def test_energy_is_the_work_of_the_drives(name):
 def test_a_run_of_moderate_accuracy_meets_the_digits(name, level):
     p, run = solved(name, level)
     errors = p.compare(run)
-    assert errors["point"] < 1e-6 and errors["velocity"] < 1e-3, errors
+    assert errors["point"] < 1e-6 and errors["velocity"] < 3e-4, errors
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -5,6 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida import problems
+from polyida.cli.main import main
 from polyida.problems import andrews, andrews_digits
 from polyida.problems.mechanisms import andrews_parts, n_four_bar
 
@@ -78,3 +79,9 @@ def test_joints_that_can_branch_are_named():
     p = problems.get("n-four-bar", windows=1, t_end=3.0)
     run = pi.solve(p.model, p.t_end, INTEGRATORS["alpha"])
     assert run.status == "singular" and any(joint in run.message for joint in ("A0", "A1", "B0", "C1")), run.message
+
+
+def test_the_command_line_compares_integrators_on_bodies_without_a_mesh(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["compare", "n-four-bar", "--time", "0.05", "--out", "r"]) == 0
+    assert (tmp_path / "r" / "deformed.png").is_file() and not (tmp_path / "r" / "mesh.png").exists()
