@@ -113,7 +113,7 @@ def energy(runs):
         axes[0].legend(loc="best")
         for i, (label, run) in enumerate(runs.items()):
             axes[1].plot(run.t, unbalanced(run), label=plain(label), **line(i))
-        axes[1].set(xlabel="t, s", ylabel="change of total less motor work, J")
+        axes[1].set(xlabel="t, s", ylabel="change of total less work, J")
         axes[1].set_title("gained or lost", loc="right")
         _legend(made, axes[1])
         return made
