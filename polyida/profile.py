@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from inspect import signature
 from math import isfinite
 
 import numpy as np
@@ -189,11 +190,24 @@ def _less(f, g, t):
 
 
 @named_keywords
+def _takes_time(function):
+    """Whether a function may be called with t alone, as far as it says."""
+    try:
+        signature(function).bind(0.0)
+    except TypeError:
+        return False
+    except ValueError:
+        return True
+    return True
+
+
 def as_profile(given: "Profile | Callable[[float], float] | float", part: str) -> Profile:
     """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise.
 
     A function is tried at t = 0: it must give a finite number there.
     """
+    if callable(given) and not isinstance(given, Profile) and not _takes_time(given):
+        raise InputError(f"{part}: {given!r:.80} is no function of time: it must take t, s, and nothing else")
     if isinstance(given, Profile) or callable(given):
         made = given if isinstance(given, Profile) else from_function(given)
         try:

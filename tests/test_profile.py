@@ -84,3 +84,9 @@ def test_numbers_of_any_type_are_floats(kind):
     for make, given in ((profile.sine, (2, 3, 1)), (profile.quintic, (0, 1, 100000)), (profile.linear, (1, 2, 4, 3))):
         one, other = make(*map(kind, given)), make(*map(float, given))
         assert [one.at(t) for t in (0.5, 3.5)] == [other.at(t) for t in (0.5, 3.5)] and one.formula == other.formula
+
+
+def test_a_function_of_more_than_time_is_named():
+    body = pi.RigidBody.bar(1.0, 1.0)
+    with pytest.raises(pi.InputError, match="Torque 'drive': .* is no function of time"):
+        pi.Torque(body.at("left"), lambda t, x: 1.0, name="drive")

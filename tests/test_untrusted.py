@@ -164,7 +164,7 @@ def test_descriptions_that_describe_nothing(path, what):
     refused(path)
 
 
-@pytest.mark.parametrize("kind", ["os.system", "__main__.Slot", ""])
+@pytest.mark.parametrize("kind", ["os.system", "__main__.Unheard", ""])
 def test_a_part_of_an_unknown_kind_is_named_and_the_frames_are_there(path, kind):
     about(path, lambda data: data["scene"]["parts"][-1].update(kind=kind))
     run = pi.load(path)

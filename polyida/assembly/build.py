@@ -35,18 +35,13 @@ def plates_of(parts):
     """The plates in order; those on one mesh share one reference operator."""
     operators, placed, first = {}, [], 0
     for name, plate in of_kind(parts, Plate).items():
-        placed.append(placed_plate(name, plate, first, operators))
+        warn_of_locking(name, plate)
+        key = (id(plate.placed), plate.element, plate.tau)
+        if key not in operators:
+            operators[key] = operator_of(plate)
+        placed.append(PlacedPlate(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes)))
         first = placed[-1].nodes.stop
     return placed
-
-
-def placed_plate(name, plate, first, operators):
-    """A plate whose nodes are numbered from `first`; operators: those that are made, by mesh and element."""
-    warn_of_locking(name, plate)
-    key = (id(plate.placed), plate.element, plate.tau)
-    if key not in operators:
-        operators[key] = operator_of(plate)
-    return PlacedPlate(name, plate, operators[key], slice(first, first + plate.mesh.n_nodes))
 
 
 def few_of(parts, first):

@@ -19,6 +19,7 @@ SHIFTS = 1e-9 * 100.0 ** np.arange(10)  # of a typical k/m; the first: below the
 NEAR = 0.1  # shift of the damped form, of the slowest undamped vibration
 SPARE = 4  # undamped modes beyond the wanted ones in which rigid motions are looked for
 STILL = 1e-12  # of |C| |x|: what round-off leaves of C x
+LEAST = 1e-14  # of the largest of C and x: less of C x is round-off too, where a rigid motion is few coordinates
 RESTARTS = 100  # of Arnoldi's method
 GATHERED = "the damped modes did not converge: roots of strongly damped bodies gather, as at -1/viscosity; ask for fewer modes"
 TOLERANCE = 1e-12  # of Arnoldi's roots: those of viscous bodies gather at -1/viscosity, where round-off is not reached
@@ -90,7 +91,8 @@ def _rigid(system, count):
     N, moving = X[:, values == 0.0], np.abs(values[values != 0.0])
     if system.C is not None and N.shape[1]:
         drag = system.C @ N
-        drag[np.abs(drag) <= STILL * (abs(system.C) @ np.abs(N))] = 0.0
+        felt = STILL * (abs(system.C) @ np.abs(N)) + LEAST * abs(system.C).max() * np.abs(N).max()
+        drag[np.abs(drag) <= felt] = 0.0
         N = N @ null_space(N.T @ drag)
     return float(moving.min(initial=np.inf)), N[:, :count]
 

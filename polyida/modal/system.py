@@ -18,6 +18,7 @@ from polyida.model.guarded import guard, require_functions
 
 SMALL = 400  # coordinates up to which matrices are made dense
 ROUND = 1e-14  # of |x|^T |K| |x|: round-off of x^T K x; a bar 1000 times as long as thick, in cubes, has 8e-14 in its first mode
+NOTHING = 1e-28  # of K's largest entry: where a rigid motion is one coordinate, nothing else is left of its round-off
 NO_MASS = "the mass matrix is singular on the constraints: every coordinate needs mass or a constraint"
 
 
@@ -81,7 +82,8 @@ class LinearSystem:
     def round_off(self, X):
         """Of `x^T K x`, (k,): of its sums, and of derivatives by differences, which show in what K is not symmetric by."""
         size = np.abs(X)
-        return ROUND * np.einsum("ik,ik->k", size, abs(self.K) @ size) + self._apart * np.einsum("ik,ik->k", size, size)
+        least = self._apart + NOTHING * float(abs(self.K).max())
+        return ROUND * np.einsum("ik,ik->k", size, abs(self.K) @ size) + least * np.einsum("ik,ik->k", size, size)
 
     @cached_property
     def _apart(self):

@@ -113,6 +113,19 @@ def test_a_free_bar_has_three_rigid_motions_and_those_of_euler_and_bernoulli():
     assert found.mass == pytest.approx(1100.0 * 0.02 * 0.01, rel=1e-12)
 
 
+@pytest.mark.parametrize("damped", [False, True])
+@pytest.mark.parametrize("hinged", [False, True])
+def test_rigid_motions_of_a_reduced_plate_are_exactly_still(hinged, damped):
+    scene = pi.Scene()
+    rubber = pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=1e-4)
+    bar = scene.add(pi.Reduced(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=30, seed=1), rubber, 0.01), modes=4))
+    if hinged:
+        scene.add(pi.Revolute(pi.ground, bar.section("left")))
+    frequencies = pi.modes(scene.build(), count=5, damped=damped).frequencies
+    still = 1 if hinged else 3
+    assert np.array_equal(frequencies[:still], np.zeros(still)) and frequencies[still] > 10.0
+
+
 def test_shapes_are_normal_on_the_constraints_and_point_one_way(scenes):
     model = scenes.jointed("revolute").build()
     found = pi.modes(model, count=5)

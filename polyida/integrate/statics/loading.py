@@ -12,7 +12,7 @@ from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.model import Model
 
-FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp"
+FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp, and draw what hangs near to where it rests"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
 TOUCH = 1e-13  # of the typical stiffness over the typical mass: far above round-off, far below the slowest vibration
 
