@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import polyida as pi
 from polyida import InputError, profile
 from polyida.model.differences import along
 
