@@ -64,7 +64,8 @@ def cores():
 
 @named_keywords
 def threads(count: int | None = None) -> int:
-    """Let runs take so many threads from now on, and as many cores, all free; without a number, how many they take: one, where nothing was said.
+    """Let runs take so many threads from now on, and as many cores, all free; without a number, how many they take: one, where nothing was
+    said.
 
     What takes them are the steps of generalized-alpha on scenes of SHARED coordinates and more (integrate/alpha/scene.py). The
     results are the same bit by bit for any number. Raises InputError for what is no whole number from 1 to that of the cores it may use.
@@ -86,7 +87,9 @@ def _libraries(modules):
 
 @contextmanager
 def one_blas_thread():
-    """Limit the BLAS libraries of this process to one thread: on small matrices more cost more than they bring. The last of several runs at once gives back what was set."""
+    """Limit the BLAS libraries of this process to one thread: on small matrices more cost more than they bring. The last of several runs
+    at once gives back what was set.
+    """
     with _lock:
         if not _inside:
             _inside.append(_libraries(len(sys.modules)).limit(limits=1, user_api="blas"))

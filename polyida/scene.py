@@ -31,7 +31,8 @@ KINDS_AND_BASES = (*KINDS, Joint, ForceElement, Body)
 class Scene:
     """Flexible plates, joints, motors, masses, loads, bodies and forces of one's own in the x-y plane.
 
-    gravity: acceleration (gx, gy), m/s2; each a number, or a profile or function of time where it is switched or turned. `add` parts in any order, then `build` a model; a scene can be added to and built again.
+    gravity: acceleration (gx, gy), m/s2; each a number, or a profile or function of time where it is switched or turned. `add` parts in
+    any order, then `build` a model; a scene can be added to and built again.
     """
 
     def __init__(self, gravity: "ArrayLike | Sequence[float | Profile | Callable[[float], float]]" = (0.0, 0.0)) -> None:

@@ -33,9 +33,9 @@ class Trajectory:
     status: "done", "stopped" (by `until`), "interrupted", "running" (a file that is still written), "damaged" (a
     file; the frames before the damage), "error" (in a user's function), "disk full", or the kind of failure; message:
     where and why; success: it reached its end.
-    counts: exact work. sensors: {name: what it gave at every step}, with the steps' times `sensors.t`. Frames too large for memory stay in a file: they index, slice and iterate like arrays and are
-    read when asked for; those of a run with precision="single" are float32. Energies, drift, positions, reactions and stresses are computed from the motion when they are
-    asked for, frame by frame.
+    counts: exact work. sensors: {name: what it gave at every step}, with the steps' times `sensors.t`. Frames too large for memory stay in
+    a file: they index, slice and iterate like arrays and are read when asked for; those of a run with precision="single" are float32.
+    Energies, drift, positions, reactions and stresses are computed from the motion when they are asked for, frame by frame.
     """
 
     model: Any
@@ -102,7 +102,9 @@ class Trajectory:
 
     @cached_property
     def energy(self) -> Energy:
-        """Kinetic, potential (gravity, force elements) and strain energy of every frame; when asked, work of parts and what they dissipate."""
+        """Kinetic, potential (gravity, force elements) and strain energy of every frame; when asked, work of parts and what they
+        dissipate.
+        """
         return energy_of(self._motion("energy"))
 
     @property

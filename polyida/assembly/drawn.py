@@ -42,7 +42,9 @@ class Drawn(Constraints):
         return np.concatenate([np.zeros((0, 2)), *parts])
 
     def sticks(self, q):
-        """The bodies that have named points and no mesh, as segments between these, (segments, 2, 2), m: round about where there are more than two."""
+        """The bodies that have named points and no mesh, as segments between these, (segments, 2, 2), m: round about where there are more
+        than two.
+        """
         found, pairs = [np.zeros((0, 2, 2))], self._nodal(q)
         for placed in self.few:
             if placed.body.plate is None:

@@ -24,17 +24,20 @@ RIGID = 2  # fields of a rigid plate
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Reduced(FieldBody):
-    """A plate in `x = c + z (X - X_S) / s + sum zeta_k f_k`, s its radius of gyration, few complex coordinates (n = 4 + 2 modes a body), whatever the number of its cells.
+    """A plate in `x = c + z (X - X_S) / s + sum zeta_k f_k`, s its radius of gyration, few complex coordinates (n = 4 + 2 modes a body),
+    whatever the number of its cells.
 
     modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
-    normal modes of the plate with these held together, by their frequencies; all, where its mesh has no more. fields: of one's own beside them,
-    displacements of the nodes in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them from a run. made: all of
-    its fields as they were in the run of a file, (count, N, 2), m, in place of those that would be made anew: loading gives it.
+    normal modes of the plate with these held together, by their frequencies; all, where its mesh has no more. fields: of one's own beside
+    them, displacements of the nodes in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them
+    from a run. made: all of its fields as they were in the run of a file, (count, N, 2), m, in place of those that would be made anew:
+    loading gives it.
 
-    The complex span of the fields holds every turned copy of each, so rigid turns cost nothing and are exact; the elastic energy is that of the
-    plate's own elements and St. Venant-Kirchhoff law, exactly, in that span: no co-rotated frame, no geometric stiffness to add, M
-    constant. Stress, pictures and files are those of the plate. What it cannot do: modes of small vibrations do not bend far (a plate whose tip turns by half a
-    radian is off by a hundredth of its length with any number of them); take fields of a run of the full plate then. A run's summary warns.
+    The complex span of the fields holds every turned copy of each, so rigid turns cost nothing and are exact; the elastic energy is that
+    of the plate's own elements and St. Venant-Kirchhoff law, exactly, in that span: no co-rotated frame, no geometric stiffness to add, M
+    constant. Stress, pictures and files are those of the plate. What it cannot do: modes of small vibrations do not bend far (a plate
+    whose tip turns by half a radian is off by a hundredth of its length with any number of them); take fields of a run of the full plate
+    then. A run's summary warns.
 
     Generalised component mode synthesis (Gerstmayr and Ambrosio 2008; Pechstein, Reischl and Gerstmayr 2013). Raises InputError for what is
     no plate, a wrong number of modes (0 to 40, one field at least) and fields of another shape.
@@ -114,8 +117,9 @@ class _InModes(FieldBody, part=False):
         return self.matrices.energy(self._deformed(moved))
 
     def left_out(self, moved: NDArray, pulled: NDArray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
-        """(strain energy, J, displacement, m) that the modes leave out where its pairs have moved by `moved` and are accelerated by `pulled`,
-        complex: `-d^T r / 2` and the largest of d, by which the residual r of the full plate would move it with what holds it kept.
+        """(strain energy, J, displacement, m) that the modes leave out where its pairs have moved by `moved` and are accelerated by
+        `pulled`, complex: `-d^T r / 2` and the largest of d, by which the residual r of the full plate would move it with what holds it
+        kept.
         """
         turn = self._turn(moved)
         pull = (self.shapes() @ pulled - gravity) * turn.conjugate()

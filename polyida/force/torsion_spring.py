@@ -40,10 +40,10 @@ def torsion(t, x, v, data, f):
 class TorsionSpring(ForceElement):
     """A torsion spring and damper between two directions: moment `M = k (angle - angle0) + c angle'`, N m, on a, and -M on b.
 
-    a, b: sides with a direction, one of them perhaps ground. The angle is that by which b has turned against a since the reference configuration, rad.
-    stiffness k, N m/rad; damping c, N m s/rad; angle: angle0, at which the spring rests. Energy `k (angle - angle0)^2 / 2`; the damper
-    dissipates `c angle'^2`. The angle is told from the directions alone, so it holds less than half a turn to either side: beyond 0.95
-    half-turns the force is not defined, and the run stops there and says so.
+    a, b: sides with a direction, one of them perhaps ground. The angle is that by which b has turned against a since the reference
+    configuration, rad. stiffness k, N m/rad; damping c, N m s/rad; angle: angle0, at which the spring rests. Energy `k (angle - angle0)^2
+    / 2`; the damper dissipates `c angle'^2`. The angle is told from the directions alone, so it holds less than half a turn to either
+    side: beyond 0.95 half-turns the force is not defined, and the run stops there and says so.
     Raises InputError for wrong values, and for a side without a direction.
     """
 

@@ -14,7 +14,8 @@ def typical_sizes(model, state, span):
 
     length: a scene's extent, m; of a model of one's own |q|, or, where q is zero, the way to where its stiffness turns it round.
     speed: the largest of |v|, `sqrt(|a| length)` and, in a scene, `sqrt(g length)`; length/span where there is no weight and
-    nothing of these moves it at first; where motors turn, the length times their largest rate too, and that of paths. |x| is the root mean square. Multiplied alike by any change of the units of length or time.
+    nothing of these moves it at first; where motors turn, the length times their largest rate too, and that of paths. |x| is the root mean
+    square. Multiplied alike by any change of the units of length or time.
     """
     q, v, a = _rms(state.q), _rms(state.v), _rms(state.a)
     length = model.extent or (q if q > NOTHING else _way(model, state, span, v, a))

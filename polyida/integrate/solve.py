@@ -65,15 +65,15 @@ def solve(
     exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a and lam linear).
     until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the
     last frame is there. progress: called with t at every accepted step. sensors: {name: f(t, q, v), or one of `pi.sensor`}, each giving a
-    number or an array of one shape; called at the start and at every accepted step, whatever becomes a frame: `run.sensors[name]` (steps, ...) at
-    `run.sensors.t`, kept in memory and in files.
+    number or an array of one shape; called at the start and at every accepted step, whatever becomes a frame: `run.sensors[name]` (steps,
+    ...) at `run.sensors.t`, kept in memory and in files.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
     process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, or up
     to half as much later where a block of frames is whole by then; resume goes on from the last step by then whose memory
-    is known (generalized-alpha on a scene works in stretches of up to 256 steps). overwrite: replace an existing file, unless a process is writing it. fsync: have every flush on the disk
-    before the run goes on, so that it survives a power cut too; slow. What comes back is what was written, also where
-    the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
+    is known (generalized-alpha on a scene works in stretches of up to 256 steps). overwrite: replace an existing file, unless a process is
+    writing it. fsync: have every flush on the disk before the run goes on, so that it survives a power cut too; slow. What comes back is
+    what was written, also where the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
     `memory_limit` bytes go to a file in the folder for temporary files (TMPDIR); a trajectory with more of them than
     that leaves them in the file, see Trajectory. precision: "single" keeps q, v, a and lam of the frames with 7 digits, in half the
     room, in memory and in files; the run itself, and the state to go on from, are as ever, but one that no step ended in, found by

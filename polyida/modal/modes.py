@@ -45,7 +45,9 @@ class Modes:
 
     @property
     def damping(self) -> NDArray:
-        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, 1 of modes that fade without swinging, negative where they grow."""
+        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, 1 of modes that fade without swinging, negative where they
+        grow.
+        """
         return -self.roots.real / np.where(self.roots == 0, 1.0, np.abs(self.roots))
 
     @property
@@ -94,7 +96,8 @@ class Modes:
 
 @named_keywords
 def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
-    """The `count` slowest Modes about a state, or all n - m where these are fewer: `omega^2 M x = K x + B^T mu`, `B x = 0`, K = d(g + B^T lam)/dq, B = phi_q.
+    """The `count` slowest Modes about a state, or all n - m where these are fewer: `omega^2 M x = K x + B^T mu`, `B x = 0`, K = d(g + B^T
+    lam)/dq, B = phi_q.
 
     state: one of `pi.static`, or any other with its lam; by default q = 0 at t = 0 as it is drawn, without loads (lam = 0). damped: with
     C = dg/dv, `(s^2 M + s C + K) x + B^T mu = 0`. Rigid motions come as 0 Hz, modes that grow with a warning.

@@ -22,9 +22,9 @@ fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 class Compact(NamedTuple):
     """The bodies: `pair` (bodies + 1,) their first pair of q, `block` their first block of the tangent, which is full on a body's pairs.
 
-    rest (pairs, 2): z at rest, from the first of these bodies on. mass: Hermitian matrices, rows of entries (re, im), from `mass_start`. axis
-    (pairs, 2): complex weights of the vector that turns with its body, zero where there is none. form, shift: of elastic bodies, from `form_start`, `shift_start`; their vectors z_i are the pairs from
-    the second on. drag (1/s), viscosity (s): as of a plate's material.
+    rest (pairs, 2): z at rest, from the first of these bodies on. mass: Hermitian matrices, rows of entries (re, im), from `mass_start`.
+    axis (pairs, 2): complex weights of the vector that turns with its body, zero where there is none. form, shift: of elastic bodies, from
+    `form_start`, `shift_start`; their vectors z_i are the pairs from the second on. drag (1/s), viscosity (s): as of a plate's material.
     """
 
     pair: np.ndarray

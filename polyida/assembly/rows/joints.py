@@ -1,9 +1,9 @@
 """Rows of phi on the values dz of the scene's points: values, derivatives, and the forces of the multipliers.
 
 `z = rest + dz` are the points (2,) that joints hold on to, `dz = A u`. A row is `constant + L dz + sum f p(t) + sum R(theta) E . F`; p is
-a profile, the shift of the row; E and F are vectors `rest + sum_j W_j dz_j`, W_j a turn with a stretch, written as a complex number (2,). The chain rule with the constant A gives
-everything in q: `phi_q = phi_z A`. `slopes` holds phi_z at the columns (component `2 point + axis`) that each row touches,
-`row_columns[row_start[k]:row_start[k + 1]]`.
+a profile, the shift of the row; E and F are vectors `rest + sum_j W_j dz_j`, W_j a turn with a stretch, written as a complex number (2,).
+The chain rule with the constant A gives everything in q: `phi_q = phi_z A`. `slopes` holds phi_z at the columns (component `2 point +
+axis`) that each row touches, `row_columns[row_start[k]:row_start[k + 1]]`.
 """
 
 import numpy as np

@@ -14,8 +14,8 @@ NEAR = 1e-3  # of the size of its sides' places, over which an element's energy 
 class Powers:
     """{name: W} at an instant, of loads, of joints whose rows a profile drives, of force elements beyond their energy, of damping.
 
-    A load gives `f . v`, alike gravity that follows a profile, a joint `lam . phi_t` of its rows (the force `-phi_q^T lam` on `v`, and `phi_q v = -phi_t`), an element
-    `sum f . v + dE/dt`, a plate minus what its damping takes. dissipating: names of those that only take.
+    A load gives `f . v`, alike gravity that follows a profile, a joint `lam . phi_t` of its rows (the force `-phi_q^T lam` on `v`, and
+    `phi_q v = -phi_t`), an element `sum f . v + dE/dt`, a plate minus what its damping takes. dissipating: names of those that only take.
     """
 
     def __init__(self, model):

@@ -56,9 +56,9 @@ class Memory(NamedTuple):
     """What goes from step to step: `past` (8, n), `closed` (3, m): lam, phi and rate = phi_q v + phi_t as they are carried, `marks`.
 
     CHANGE, EARLIER: of q'' in the last step and in the one before. MASSES, SHARES: of the coordinates in the mean squares of the
-    local error and of Newton's. CONTRACTION of Newton; AGE of it in steps; SIZE of q'' and CHANGED of it in a step, PULL and TURN the same of the last iteration; AHEAD, BEHIND: of
-    change and earlier in the prediction; MOVED: the last |dq| of an iteration to go on with (0: a new step); ERROR: largest local
-    error of the last SINCE steps.
+    local error and of Newton's. CONTRACTION of Newton; AGE of it in steps; SIZE of q'' and CHANGED of it in a step, PULL and TURN the same
+    of the last iteration; AHEAD, BEHIND: of change and earlier in the prediction; MOVED: the last |dq| of an iteration to go on with (0: a
+    new step); ERROR: largest local error of the last SINCE steps.
     """
 
     past: np.ndarray

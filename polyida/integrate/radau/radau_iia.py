@@ -49,11 +49,12 @@ class RadauIIA:
     atol + rtol |q|, and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error of the step before and L the model's length: of seventh
     order in h, for it adds up in v over all steps; flexible scenes bear far more: 3e-3 h^2 takes one to
     one and a half iterations a step from 200 steps a second on, and is erratic with longer ones. max_iterations: of one Newton solve.
-    max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt the run fails beyond so many, with those rejected. max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
+    max_step, first_step: s, 0 where it decides itself; max_num_steps: where steps adapt the run fails beyond so many, with those rejected.
+    max_halvings: a fixed step that fails is taken in 2, 4, ... 2^max_halvings parts.
 
     The global error of q is commonly 1 to 100 times rtol with three stages, and up to 500 times with two.
-    Not for energy over long runs without damping: it takes out what a step does not resolve of ringing mesh modes, of the double plate 0.41 J in
-    10 s at 5 ms, where generalized-alpha loses 0.005 J at 1 ms (studies/energy.py).
+    Not for energy over long runs without damping: it takes out what a step does not resolve of ringing mesh modes, of the double plate
+    0.41 J in 10 s at 5 ms, where generalized-alpha loses 0.005 J at 1 ms (studies/energy.py).
     Raises InputError for a setting out of range.
     """
 

@@ -2,8 +2,8 @@
 
 `format` (attribute); `about`, JSON as bytes; `scene/...`, arrays that `about` refers to; frames `t` (frames,), `q`, `v`,
 `a` (frames, n), `lam` (frames, m), these four in single precision where that was asked for, and `drive i` (frames, 3) of
-profiles that have no formula; `sensors` (steps, 1 + numbers), the time and what sensors gave, whose names and shapes `about` holds. All of them are chunked
-with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). Frames come in
+profiles that have no formula; `sensors` (steps, 1 + numbers), the time and what sensors gave, whose names and shapes `about` holds. All of
+them are chunked with HDF5's checksum (Fletcher32), and the file is in HDF5's mode for one writer and many readers (SWMR). Frames come in
 blocks, a chunk or a row of chunks of each name, written once and never again, so that none is torn where the process
 ends; the frames behind the last whole block are in the slots.
 

@@ -44,7 +44,8 @@ def positions(angle):
 def peaucellier(level="full", modes=5, cells=40, seed=1, material=PLASTIC):
     """Bodies "crank", "upper arm", "lower arm", "inner upper", "inner lower", "outer upper", "outer lower"; motor "drive", mass "pen".
 
-    Joints: "crank bearing", of each side "bearing", "crank pin", "inner pin", "outer pin", and "pen pin". level: "full", "reduced" to so many modes a body, or "rigid". cells: polygons of a bar; arms have twice as many.
+    Joints: "crank bearing", of each side "bearing", "crank pin", "inner pin", "outer pin", and "pen pin". level: "full", "reduced" to so
+    many modes a body, or "rigid". cells: polygons of a bar; arms have twice as many.
     """
     from polyida.mesh import Link, polygonize
 
