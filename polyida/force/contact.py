@@ -114,3 +114,7 @@ class Contact(ForceElement):
     def energy(self, x: NDArray) -> float:
         """`k delta^(n + 1) / (n + 1)`, J."""
         return self.stiffness * max(0.0, self.depth(x)) ** (self.exponent + 1.0) / (self.exponent + 1.0)
+
+    def undefined(self, x: NDArray) -> str:
+        """Where its point is at the centre of its circle, from where no direction leads out."""
+        return "its point is at the centre of its circle" if self.radius is not None and not np.any(x[0] - x[1]) else ""

@@ -34,7 +34,9 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
     require_functions(model, float(t0), q, v)
     if model.m:
         require_independent(model, model.phi_q(t0, q), q)
-        require_near(model, "q0", True, model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)))
+        drawn = q0 is None and model.is_scene
+        remedy = "draw its bodies where they begin, or let scene.assemble() move them" if drawn else "give a consistent q0"
+        require_near(model, "the drawing" if drawn else "q0", "phi", model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)), remedy)
         q = _project_position(model, t0, q)
     if objection := model.objection(t0, q):
         raise InputError(f"the start cannot be accepted: {objection}")
@@ -42,7 +44,8 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
         v = given(model, "initial_velocity", model.initial_velocity(t0, q))
     if model.m:
         rate = model.phi_rate(t0, q, v)
-        require_near(model, "v0", v0 is not None, rate, max(1.0, np.abs(v).max(initial=0)))
+        enough = max(1.0, np.abs(v).max(initial=0)) if v0 is not None else np.inf
+        require_near(model, "v0", "phi_q v + phi_t", rate, enough, "give a consistent v0, or leave it out to have it made")
         v = on_velocity(model, t0, q, v)
     a, lam = consistent_acceleration(model, t0, q, v)
     return State(float(t0), q, v, a, lam)
@@ -140,18 +143,14 @@ def require_state(part, model, state):
     return State(float(state.t), **arrays, memory=dict(getattr(state, "memory", {})), restart=getattr(state, "restart", True))
 
 
-def require_near(model, name, required, violation, size):
-    """Raise InputError, in the name of a start, where its constraints are not finite or, if required, violated by VIOLATION of its size."""
+def require_near(model, name, what, violation, size, remedy):
+    """Raise InputError, in the name of a start, where its constraints are not finite, or violated by VIOLATION of its size."""
     worst = int(np.argmax(np.abs(violation)))
     if not np.isfinite(violation).all():
         raise InputError(f"{name}: {model.constraint_name(worst)} is not finite at the start")
-    if required and abs(violation[worst]) > VIOLATION * size:
-        what = "phi" if name == "q0" else "phi_q v + phi_t"
-        hint = ", or leave it out to have it made" if name == "v0" else ""
-        raise InputError(
-            f"{name} violates the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0; "
-            f"give a consistent {name}{hint}"
-        )
+    if abs(violation[worst]) > VIOLATION * size:
+        told = f"{name} violates the constraint {model.constraint_name(worst)}: {what} = {violation[worst]:.3g} instead of 0"
+        raise InputError(f"{told}; {remedy}")
 
 
 def _project_position(model, t, q):

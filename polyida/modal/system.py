@@ -107,7 +107,8 @@ def linear_system(part, model, state=None):
     B = model.phi_q(t, q)
     if model.m:
         require_independent(model, B, q)
-        require_near(model, f"{part}: the state", True, model.phi(t, q), max(1.0, np.abs(q).max()))
+        remedy = "give one of this model, such as pi.static(model)"
+        require_near(model, f"{part}: the state", "phi", model.phi(t, q), max(1.0, np.abs(q).max()), remedy)
     C = model.force_v(t, q, rest) if model.needs.velocity_forces else None
     return LinearSystem(model, state, *_alike(model.mass(q), C, model.tangent(t, q, rest, rest, state.lam, 0.0, 0.0, 1.0), B))
 

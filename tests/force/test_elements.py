@@ -184,3 +184,11 @@ def test_a_torsion_spring_holds_less_than_half_a_turn():
         turned = np.unwrap(np.arctan2(*run.q.reshape(len(run), -1, 2)[:, 1].T[::-1] + [[0.0], [1.0]]))
         assert not run.success and "'coil' gave numbers that are not finite: it is turned by" in run.message
         assert 2.8 < turned[-1] < 0.95 * np.pi
+
+
+def test_the_centre_of_a_circle_leads_nowhere_and_is_named():
+    scene = pi.Scene()
+    ball = scene.add(pi.RigidBody(1.0, 0.1, {"C": (0.0, 0.0)}))
+    scene.add(pi.Contact(ball.at("C"), pi.ground.at((0.0, 0.0)), 1e3, radius=0.5, name="hoop"))
+    with pytest.raises(pi.InputError, match="hoop.*its point is at the centre of its circle"):
+        pi.consistent_state(scene.build())

@@ -201,3 +201,24 @@ def test_a_start_with_a_cell_turned_inside_out_is_refused_by_name(held, scenes):
     q[inner] = 3.0 * (middle - upper.points[inner])
     with pytest.raises(pi.InputError, match=r"start cannot be accepted: cell \d+ of 'upper' at .* is turned inside out"):
         pi.consistent_state(model, q0=q.ravel())
+
+
+def test_a_drawing_off_its_path_is_named_with_what_helps():
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody.bar(1.0, 1.0))
+    scene.add(pi.Path(body.at("left"), pi.profile.polynomial([0.1, 1.0]), 0.0, name="rail"))
+    with pytest.raises(pi.InputError, match=r"the drawing violates .*rail.*phi = -0.1 .*scene.assemble\(\)"):
+        pi.consistent_state(scene.build())
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody.bar(1.0, 1.0))
+    scene.add(pi.Path(body.at("left"), pi.profile.polynomial([0.1, 1.0]), 0.0))
+    scene.assemble()
+    assert np.allclose(pi.consistent_state(scene.build()).v[::2].max(), 1.0)
+
+
+def test_a_place_of_the_ground_is_told_once():
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground.at((0.0, 1.0)), body.at("left"), name="pin"))
+    with pytest.raises(pi.InputError, match=r"its sides are ground at \(0, 1\) and .*bar.* at \(0, 0\), 1 m apart"):
+        scene.build()

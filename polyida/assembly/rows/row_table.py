@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.assembly.arrays import starts
 from polyida.errors import InputError
+from polyida.joint.attachment import Ground
 from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
 
@@ -135,8 +136,8 @@ def _apart(part):
         return "its coordinates() must be on the rows that it gives"
     a, b = part.a, part.b
     apart = np.linalg.norm(a.point - b.point)
-    sides = f"its sides are {a!r} at {_place(a)} and {b!r} at {_place(b)}"
-    return f"{sides}, {apart:.3g} m apart; {part.placing}, or let scene.assemble() move them"
+    sides = " and ".join(repr(side) if isinstance(side, Ground) else f"{side!r} at {_place(side)}" for side in (a, b))
+    return f"its sides are {sides}, {apart:.3g} m apart; {part.placing}, or let scene.assemble() move them"
 
 
 def _called(name, labels):
