@@ -12,7 +12,7 @@ from polyida.study.drawing import aim_line, drawn, legend, loglog, look, panels,
 from polyida.study.harness import Study
 from polyida.study.rows import column, each, number, pick, stopped
 
-MODES = {"double-plate": (3, 5, 8, 10, 12), "spin-up-beam": (3, 5, 8, 12, 16)}  # problem: numbers of modes
+MODES = {"double-plate": (3, 5, 8, 10, 12), "double-plate-motors": (5, 10), "spin-up-beam": (3, 5, 8, 12, 16)}  # problem: numbers of modes
 OTHERS = (3, 5, 10)  # of problems that go at any level by themselves
 QUICK = {"double-plate": (5, 10), "spin-up-beam": (12,), "two-link-arm": (5,)}
 STEPS = {"spin-up-beam": (5e-4, 2.5e-4, 1.25e-4, 6e-5, 3e-5)}  # h over the time

@@ -7,7 +7,7 @@ import numpy as np
 from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
 from polyida.assembly.bodies.compact import Compact
 from polyida.assembly.bodies.places import PlacedBody, PlacedPlate
-from polyida.assembly.gravity import NAME, pulls_of, steady
+from polyida.assembly.loads import dead_loads, steady
 from polyida.assembly.own.law_table import laws_of
 from polyida.assembly.rows.points import Points
 from polyida.assembly.rows.row_table import Drives, RowTable
@@ -17,7 +17,6 @@ from polyida.body.point_mass import PointMass
 from polyida.element.choose import operator_of, stabilisation_factor
 from polyida.errors import LockingWarning
 from polyida.force.force_element import ForceElement, sides_of
-from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.given import pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
@@ -101,8 +100,7 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
             table.add(placed.name, placed.body)
     for mass in of_kind(parts, PointMass).values():
         points.mass[points.add(mass.at)] += mass.mass
-    loads = of_kind(parts, PointLoad, EdgeTraction)
-    fields = operator_arrays(plates) | body_arrays(plates) | load_arrays(loads, pulls_of(gravity, parts, places), drives, places)
+    fields = operator_arrays(plates) | body_arrays(plates) | load_arrays(dead_loads(parts, gravity, places), drives)
     fields["weight"] = np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few)])
     laws = laws_of(of_kind(parts, ForceElement), points, drives, size)
     links = Links(**points.arrays(), **table.arrays(), gravity=np.array(steady(gravity)))
@@ -180,14 +178,11 @@ def body_arrays(bodies):
     }
 
 
-def load_arrays(loads, pulls, drives, places):
-    """Forces of the loads on pairs of q, and of gravity's pulls, and the number of the profile that scales each."""
-    loaded = [places[id(load.at.body)].loaded(load.at, load.nodal()) for load in loads.values()]
-    loaded += [(np.arange(len(pull.forces)), pull.forces) for pull in pulls]
-    profiles = [(load.profile, name) for name, load in loads.items()] + [(pull.profile, NAME) for pull in pulls]
+def load_arrays(loads, drives):
+    """Forces of the loads, Dead ones, on pairs of q, and the number of the profile that scales each."""
     return {
-        "load_ptr": starts([pairs for pairs, _ in loaded]),
-        "load_nodes": concatenated([pairs for pairs, _ in loaded], np.int32),
-        "load_values": concatenated([values for _, values in loaded], float, (2,)),
-        "load_drive": np.array([drives.add(*named) for named in profiles], np.int64),
+        "load_ptr": starts([load.pairs for load in loads]),
+        "load_nodes": concatenated([load.pairs for load in loads], np.int32),
+        "load_values": concatenated([load.forces for load in loads], float, (2,)),
+        "load_drive": np.array([drives.add(load.profile, load.name) for load in loads], np.int64),
     }

@@ -52,7 +52,7 @@ class Masses(Drawn):
     @cached_property
     def translation(self):
         """By how much each pair of q moves where all bodies move by one, (pairs,), complex."""
-        return np.concatenate([np.ones(len(body.points), complex) for body in self.bodies] + [placed.translation for placed in self.few])
+        return np.concatenate([np.zeros(0, complex), *(placed.translation for placed in (*self.bodies, *self.few))])
 
     @property
     def lightest(self):

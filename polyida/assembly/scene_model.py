@@ -11,7 +11,7 @@ from polyida.assembly.bodies.motion import velocity_at
 from polyida.assembly.bodies.own import Elastic, uneven_mass
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
 from polyida.assembly.drawn import deepest
-from polyida.assembly.gravity import largest
+from polyida.assembly.loads import largest
 from polyida.assembly.masses import Masses
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces

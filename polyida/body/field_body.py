@@ -12,7 +12,7 @@ from polyida.body.plate import Plate
 from polyida.element.choose import operator_of
 from polyida.element.operator import ReferenceOperator
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, pairs_of
+from polyida.given import complex_of_pairs, pairs_of, settle
 from polyida.joint.attachment import Attachment
 from polyida.mesh import PolygonMesh
 from polyida.mesh.moments import area_moments
@@ -60,8 +60,8 @@ class FieldBody(Body, part=False):
         label = self.label
         if not isinstance(self.plate, Plate):
             raise InputError(f"{label}: {str(self.plate)[:80]} is no plate; give a polyida.Plate")
-        if getattr(self, "name", None) is None:
-            object.__setattr__(self, "name", self.plate.name)
+        if self.name is None:
+            settle(self, name=self.plate.name)
 
     def section(self, selector: str | Callable[[NDArray], NDArray] | ArrayLike) -> Attachment:
         """The mean of a section of the boundary, as `Plate.section`."""

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from polyida.assembly.gravity import gravity_at
+from polyida.assembly.loads import gravity_at
 
 ROUND = 1e-9  # of a plate's size: cells that reach over a line by less end there
 

@@ -12,7 +12,7 @@ G = 9.81
 INTEGRATORS = {
     "alpha": lambda: pi.GeneralizedAlpha(h=5e-4),
     "energy": lambda: pi.EnergyMomentum(h=5e-4),
-    "IDA": lambda: pi.IDA(rtol=1e-10, atol=1e-13),
+    "IDA": lambda: pi.IDA(rtol=1e-9, atol=1e-11),
     "Radau": lambda: pi.RadauIIA(rtol=1e-9),
 }
 FEET, CRANK, BEGIN, BAR, EACH = (0.0, 0.8, 2.0), 1.2, 1.1, 3.0, 0.5  # m, m, rad, kg, kg
@@ -76,7 +76,8 @@ def test_three_equal_cranks_move_as_one_pendulum_and_share_by_statics(name):
     heads = np.array([run.reaction(f"head {k}") for k in range(3)])
     middle = np.mean(FEET)
     moment = [(x - middle) * force[:, 1] for x, force in zip(FEET, heads)]
-    assert np.abs(np.sum(moment, axis=0)).max() < (1e-5 if name == "IDA" else 1e-6)  # whose multipliers no error test looks at
+    begun = run.t > 1e-6  # s: in IDA's first steps, of nanoseconds, multipliers have the round-off of q over the step's square
+    assert np.abs(np.sum(moment, axis=0)[begun]).max() < 1e-6
     bar = run.a.reshape(len(run), -1, 2)[:, 0]
     assert np.allclose(heads.sum(axis=0), BAR * (bar + [0.0, G]), atol=1e-4 if name == "energy" else 1e-6)
     assert not any(run.unique(f"head {k}") or run.unique(f"foot {k}") for k in range(3))

@@ -32,10 +32,11 @@ def momenta(run, about=(0.0, 0.0)):
     return p.sum(axis=1), (x[..., 0] * p[..., 1] - x[..., 1] * p[..., 0]).sum(axis=1)
 
 
-def require_balance(model, integrator):
+def require_balance(model, integrator, kind=""):
     """Joints hold, the energy is accounted for, and the motion is that of generalized-alpha."""
     run, other = pi.solve(model, 0.1, integrator), pi.solve(model, 0.1, INTEGRATORS["alpha"])
-    held = integrator.atol if getattr(integrator, "linear", None) == "whole" else 1e-10  # where Newton's method stops
+    loose = getattr(integrator, "linear", None) == "whole" and kind.startswith(("prismatic", "slot"))
+    held = integrator.atol if loose else 1e-10  # where Newton's method stops on rows that are not linear
     assert run.success, run.message
     assert run.drift.max() < held and run.velocity_drift.max() < 1e-4
     assert np.abs(unbalanced(run)).max() < 1e-4 * np.abs(run.energy.potential).max()
@@ -44,7 +45,7 @@ def require_balance(model, integrator):
 
 
 def test_joints_hold_and_energy_balances(scenes, kind, integrator):
-    require_balance(scenes.jointed(kind).build(), integrator)
+    require_balance(scenes.jointed(kind).build(), integrator, kind)
 
 
 @pytest.mark.parametrize("level", ["reduced", "rigid"])

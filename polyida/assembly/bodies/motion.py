@@ -4,7 +4,6 @@ import warnings
 
 import numpy as np
 
-from polyida.assembly.bodies.places import PlacedPlate
 from polyida.body.material import vector2
 from polyida.errors import InputError
 from polyida.given import complex_of_pairs, is_number, pairs_of
@@ -58,17 +57,9 @@ def _motions(model, bodies, q):
     z = complex_of_pairs(model.reference + q.reshape(-1, 2))
     columns = []
     for placed in bodies:
-        pull, translation = _pull(placed)
-        units = [rigid_velocity(pull, translation, z[placed.pairs], *unit) for unit in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
+        units = [rigid_velocity(placed.pull, placed.translation, z[placed.pairs], *unit) for unit in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
         columns.append(np.stack([pairs_of(unit).ravel() for unit in units], axis=1))
     return block_diag(columns, format="csr")
-
-
-def _pull(placed):
-    """(M T, T), (pairs,) each."""
-    if isinstance(placed, PlacedPlate):
-        return np.add.reduceat(placed.operator.mass, placed.operator.indptr[:-1]), np.ones(placed.mesh.n_nodes)
-    return complex_of_pairs(placed.weight((1.0, 0.0))), placed.translation
 
 
 def _change(model, t, q, R, wanted):

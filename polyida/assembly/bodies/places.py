@@ -42,10 +42,19 @@ class PlacedPlate:
         """Reference positions, (N, 2), m."""
         return self.plate.points
 
+    @cached_property
+    def translation(self):
+        """T: each node moves as the whole."""
+        return np.ones(self.mesh.n_nodes)
+
+    @cached_property
+    def pull(self):
+        """M T, (nodes,), kg."""
+        return np.add.reduceat(self.operator.mass, self.operator.indptr[:-1]) * self.plate.material.rho * self.plate.thickness
+
     def weight(self, gravity):
         """Gravity on its nodes, (nodes, 2), N."""
-        lumped = np.add.reduceat(self.operator.mass, self.operator.indptr[:-1]) * self.plate.material.rho * self.plate.thickness
-        return np.outer(lumped, gravity)
+        return np.outer(self.pull, gravity)
 
     def held(self, side, part):
         """(pairs of q, complex weights) of which an attachment's "point" or "direction" is the sum."""
@@ -83,19 +92,23 @@ class PlacedBody:
         sizes = np.linalg.eigvalsh(matrix)
         return bool(sizes[0] <= NOTHING * sizes[-1])
 
+    @cached_property
+    def pull(self):
+        """M T, (pairs,), complex, kg."""
+        return complex_of_pairs(self.weight((1.0, 0.0)))
+
     @property
     def whole_mass(self):
         """Its mass, kg: `T^H M T`."""
-        return float(abs(np.vdot(self.translation, complex_of_pairs(self.weight((1.0, 0.0))))))
+        return float(abs(np.vdot(self.translation, self.pull)))
 
     @property
     def spread(self):
         """The centre of mass, moved to either side by the radius of gyration, (2, 2), m; nothing, (0, 2), where it has no mass as a whole."""
-        pull = complex_of_pairs(self.weight((1.0, 0.0)))
-        mass = abs(np.vdot(self.translation, pull))
+        mass = self.whole_mass
         if self.uneven is not None or not mass > 0:
             return np.zeros((0, 2))
-        centre = np.vdot(pull, self.rest) / mass
+        centre = np.vdot(self.pull, self.rest) / mass
         square = np.vdot(self.rest, self.mass @ self.rest).real / mass - abs(centre) ** 2
         return pairs_of(centre + np.array([1.0, -1.0]) * np.sqrt(max(0.0, square)))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.assembly.gravity import gravity_at
+from polyida.assembly.loads import gravity_at
 from polyida.given import complex_of_pairs
 
 LOOKS = 16  # frames of a run whose strain energies are compared; the full plate is looked at where a body's is largest

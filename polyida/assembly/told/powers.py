@@ -3,8 +3,7 @@
 import numpy as np
 
 from polyida.assembly.bodies.damping import add_damping
-from polyida.assembly.gravity import NAME, pulls_of
-from polyida.force.loads import EdgeTraction, PointLoad
+from polyida.assembly.loads import dead_loads
 from polyida.joint.formula import Row, rows_of
 from polyida.model.differences import along
 
@@ -20,20 +19,16 @@ class Powers:
 
     def __init__(self, model):
         self.model = model
-        self._loads = {name: _Load(part, model) for name, part in model.parts.items() if isinstance(part, (PointLoad, EdgeTraction))}
-        self._pulls = pulls_of(model.gravity, model.parts, model.places)
+        self._loads = dead_loads(model.parts, model.gravity, model.places)
         self._driven = {name: model.rows[name] for name, part in model.joints.items() if _driven(part)}
         self._elements = [own for own in model.own_forces.each if not own.strain]
         self._damped = [placed for placed in (*model.bodies, *model.few) if placed.damped]
-        self.dissipating = (
-            *(own.name for own in self._elements if getattr(own.element, "dissipates", False)),
-            *(body.name for body in self._damped),
-        )
+        self.dissipating = (*(own.name for own in self._elements if own.element.dissipates), *(body.name for body in self._damped))
 
     def __call__(self, t, q, v, lam):
-        found = {name: load.power(t, v) for name, load in self._loads.items()}
-        if self._pulls:
-            found[NAME] = found.get(NAME, 0.0) + sum(pull.power(t, v.reshape(-1, 2)) for pull in self._pulls)
+        found = {}
+        for load in self._loads:
+            found[load.name] = found.get(load.name, 0.0) + load.power(t, v)
         if self._driven:
             power = lam * self.model.phi_t(t, q)
             found |= {name: float(power[rows].sum()) for name, rows in self._driven.items()}
@@ -45,18 +40,6 @@ class Powers:
         force = np.zeros_like(u)
         add_damping(self.model.arrays, u, speeds, np.empty_like(u), force)
         return {body.name: -float(np.vdot(force[body.pairs], speeds[body.pairs])) for body in self._damped}
-
-
-class _Load:
-    """A dead load in its scene."""
-
-    def __init__(self, part, model):
-        self.profile = part.profile
-        self.pairs, self.forces = model.places[id(part.at.body)].loaded(part.at, part.nodal())
-
-    def power(self, t, v):
-        """W, of velocities v (n,)."""
-        return float(self.profile.value(t) * np.vdot(self.forces, v.reshape(-1, 2)[self.pairs]))
 
 
 def _driven(part):

@@ -1,13 +1,14 @@
-"""Gravity whose components follow profiles of time: forces on all pairs of q, as of loads."""
+"""Loads in their scene, and gravity whose components follow profiles of time: forces on pairs of q."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from polyida.body.point_mass import PointMass
+from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.profile import Profile
 
-NAME = "gravity"  # what its work is called
+GRAVITY = "gravity"  # what its work is called
 
 
 def steady(gravity):
@@ -27,23 +28,28 @@ def largest(gravity):
 
 
 @dataclass(frozen=True)
-class Pull:
-    """A component of gravity that follows a profile: forces (pairs, 2), N, of an acceleration of one along its axis."""
+class Dead:
+    """Forces (k, 2), N, on pairs of q, times a profile."""
 
+    name: str
     profile: Profile
+    pairs: np.ndarray
     forces: np.ndarray
 
     def power(self, t, v):
         """W, of velocities v (n,)."""
-        return float(self.profile.value(t) * np.vdot(self.forces, v))
+        return float(self.profile.value(t) * np.vdot(self.forces, v.reshape(-1, 2)[self.pairs]))
 
 
-def pulls_of(gravity, parts, places):
-    """The Pulls of the components that are profiles. places: {id of a body: its place}."""
-    return [Pull(g, _pull(parts, places, axis)) for g, axis in zip(gravity, np.eye(2)) if isinstance(g, Profile)]
+def dead_loads(parts, gravity, places):
+    """The loads among the parts, and gravity's components that are profiles, all as Dead. places: {id of a body: its place}."""
+    loads = [(name, part) for name, part in parts.items() if isinstance(part, (PointLoad, EdgeTraction))]
+    found = [Dead(name, load.profile, *places[id(load.at.body)].loaded(load.at, load.nodal())) for name, load in loads]
+    return found + [_pull(g, parts, places, axis) for g, axis in zip(gravity, np.eye(2)) if isinstance(g, Profile)]
 
 
-def _pull(parts, places, axis):
+def _pull(profile, parts, places, axis):
+    """An acceleration of one along an axis, on all that has mass."""
     forces = np.zeros((max(place.pairs.stop for place in places.values()), 2))
     for place in places.values():
         forces[place.pairs] += place.weight(axis)
@@ -51,4 +57,4 @@ def _pull(parts, places, axis):
         if isinstance(mass, PointMass):
             pairs, values = places[id(mass.at.body)].loaded(mass.at, mass.at.share(mass.mass * axis))
             np.add.at(forces, pairs, values)
-    return forces
+    return Dead(GRAVITY, profile, np.arange(len(forces)), forces)
