@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from polyida import registry
 from polyida.cli.garbage import collect_rarely
 from polyida.cli.places import free, made, make
 from polyida.cli.terminal import bars, error, lines, table, tolerate_letters, writable
@@ -53,6 +54,7 @@ RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite freque
 Rtol = _option(float, "Relative tolerance of IDA and Radau IIA.")
 Atol = _option(float, "Absolute tolerance of IDA and Radau IIA for q, m.")
 Integrator = _option(str, "alpha (generalized-alpha; the default), ida, radau (Radau IIA), or energy (energy-momentum).")
+STUDY_HELP = "A name from the list, or my_study.py:NAME (the file is executed)."
 Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 
 
@@ -217,7 +219,6 @@ def _saved(result, path):
 @app.command("list")
 def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", help="A file of yours, with what it adds.")] = None):
     """List the problems and studies that have a name: what is compared with which reference."""
-    from polyida import registry
     from polyida.problems.about import ABOUT
     from polyida.study import scene_file
 
@@ -229,8 +230,7 @@ def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", h
         return "\n".join([_description(registry.find(registry.problems, name)), *about, ""])
 
     table(None, ["name", "what it is"], [[name, brief(name)] for name in registry.problems])
-    if registry.studies:
-        table(None, ["study", "what it is"], [[name, registry.find(registry.studies, name).title] for name in registry.studies])
+    _list_studies()
 
 
 @app.command()
@@ -287,26 +287,40 @@ def export(
     lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
-def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="NAME", help="A script in ./studies, or my_study.py:NAME.")]):
-    """Run a study of the folder ./studies or of a file of yours; options after NAME (--quick, --out, --fresh) go to it."""
-    import subprocess
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def study(
+    context: typer.Context,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help=STUDY_HELP, show_default=False)] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A small selection, under a minute.")] = False,
+    out: _option(Path, "Folder of figures.json and pictures; NAME in the current folder by default.") = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Run every part again, also those that have a result.")] = False,
+    help_: Annotated[bool, typer.Option("--help", help="Show this message; with NAME, the study's own options.")] = False,
+):
+    """Run a study that comes with polyida, or one of yours; without NAME, list them."""
+    from polyida.cli import scripts
 
-    from polyida import registry
+    given = {"--quick": quick, "--out": out, "--fresh": fresh, "--help": help_}
+    arguments = [text for flag, value in given.items() if value for text in (flag, str(value))[: 1 + (value is not True)]] + context.args
+    if name is None:
+        typer.echo(context.get_help()) if help_ else _list_studies()
+    elif ".py" in name or name in registry.studies:
+        _run_study(name, arguments, context.obj)
+    elif scripts.typed(name) in scripts.scripts():
+        scripts.run(name, arguments)
+    else:
+        raise InputError(f"no study {name!r}; there are {', '.join([*scripts.scripts(), *registry.studies])}, or give my_study.py:NAME")
 
-    if ".py" in name or name in registry.studies:
-        _run_study(name, context.args, context.obj)
-        return
-    script = Path("studies") / f"{name}.py"
-    if not script.is_file():
-        known = ", ".join(sorted(path.stem for path in Path("studies").glob("*.py"))) or "none; run it in a clone of the repository"
-        raise InputError(f"no study {name!r} in ./studies; there are: {known}")
-    raise typer.Exit(subprocess.run([sys.executable, str(script), *context.args], check=False).returncode)
+
+def _list_studies():
+    """The studies that have a name, with what they are."""
+    from polyida.cli import scripts
+
+    own = [[name, registry.find(registry.studies, name).title] for name in registry.studies]
+    table(None, ["study", "what it is"], [[name, scripts.title(path)] for name, path in scripts.scripts().items()] + own)
 
 
 def _run_study(name, arguments, command):
     """Run a registered study, or the one that `my_study.py:NAME` names."""
-    from polyida import registry
     from polyida.cli.study import main as run_study
     from polyida.study import scene_file
     from polyida.study.harness import Study

@@ -57,9 +57,14 @@ def _given(study, options):
     return {name: getattr(options, name) for name in study.options if getattr(options, name) is not None}
 
 
+def _program(study):
+    """How the study is started: by `polyida study NAME`, which says so where programs have their name, or as a script."""
+    return sys.argv[0] if sys.argv[0].startswith("polyida ") else f"python studies/{study.name}.py"
+
+
 def _meant(study, options):
     """(Study that its own options make of this one, the command)."""
-    command, meant = f"python studies/{study.name}.py{' --quick' if options.quick else ''}", study
+    command, meant = f"{_program(study)}{' --quick' if options.quick else ''}", study
     for name, value in _given(study, options).items():
         meant, command = study.options[name][1](value), f"{command} --{name} {value}"
     return meant, command
@@ -93,7 +98,7 @@ def _write_figures(command, rows, found, out):
 
 def parser(study):
     """The command line of a study."""
-    made = argparse.ArgumentParser(prog=f"studies/{study.name}.py", description=study.title)
+    made = argparse.ArgumentParser(prog=_program(study), description=study.title)
     made.add_argument("--quick", action="store_true", help="a small selection, under a minute")
     made.add_argument("--out", help=f"folder for figures.json, pictures and one file a task (default {study.name})")
     made.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
