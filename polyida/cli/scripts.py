@@ -4,7 +4,6 @@ import ast
 import re
 import runpy
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -33,17 +32,13 @@ def title(script: Path) -> str:
 
 def run(name: str, arguments: list[str]) -> None:
     """Run a script as `python studies/NAME.py ...` does, in the folder that is the current one. Ends with SystemExit where the script does."""
-    script = scripts()[typed(name)]
-    with _as_started(script, name, arguments):
-        runpy.run_path(str(script), run_name="__main__")
+    from polyida.cli.study import PROGRAM
 
-
-@contextmanager
-def _as_started(script, name, arguments):
-    """`sys.argv` and `sys.path` as of a script that was started by `polyida study NAME`; the processes that it starts take them on."""
-    before = sys.argv, sys.path
-    sys.argv, sys.path = [f"polyida study {typed(name)}", *arguments], [str(script.parent), *sys.path]
+    script, before = scripts()[typed(name)], (sys.argv, sys.path)
+    program = PROGRAM.set(f"polyida study {typed(name)}")
+    sys.argv, sys.path = [str(script), *arguments], [str(script.parent), *sys.path]  # which processes that it starts take on
     try:
-        yield
+        runpy.run_path(str(script), run_name="__main__")
     finally:
         sys.argv, sys.path = before
+        PROGRAM.reset(program)

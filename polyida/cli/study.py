@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from contextvars import ContextVar
 from itertools import chain
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from polyida.show.page import finite
 from polyida.study.findings import findings
 from polyida.study.harness import of_other_code, plain, results, write_whole
 
+PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
 CELL = 40  # characters of a table's cell
 
 
@@ -58,8 +60,8 @@ def _given(study, options):
 
 
 def _program(study):
-    """How the study is started: by `polyida study NAME`, which says so where programs have their name, or as a script."""
-    return sys.argv[0] if sys.argv[0].startswith("polyida ") else f"python studies/{study.name}.py"
+    """What starts the study, as it is typed."""
+    return PROGRAM.get() or f"python studies/{study.name}.py"
 
 
 def _meant(study, options):
