@@ -53,7 +53,9 @@ StepOrAuto = Annotated[
 RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite frequency, in [0, 1).")
 Rtol = _option(float, "Relative tolerance of IDA and Radau IIA.")
 Atol = _option(float, "Absolute tolerance of IDA and Radau IIA for q, m.")
-Integrator = _option(str, "alpha (generalized-alpha; the default), ida, radau (Radau IIA), or energy (energy-momentum).")
+INTEGRATORS_HELP = "alpha (generalized-alpha), ida, radau (Radau IIA), energy (energy-momentum), or my_file.py:NAME, yours"
+Integrator = _option(str, f"{INTEGRATORS_HELP}; alpha by default.")
+COMPARED_HELP = f"Several of these, with commas: {INTEGRATORS_HELP}; alpha,ida,radau by default."
 STUDY_HELP = "A name from the list, or my_study.py:NAME (the file is executed)."
 Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 
@@ -104,23 +106,27 @@ def compare(
     time: Time = None,
     step: Step = None,
     rtol: Rtol = None,
+    integrators: _option(str, COMPARED_HELP) = None,
     overwrite: Overwrite = False,
 ):
     """Run the integrators and a refined run on one scene: a table, and a folder with the report."""
     from polyida.show import page, report
     from polyida.show.press import Press
+    from polyida.study import chosen
     from polyida.study.compare import measured, prepared, timed
     from polyida.study.job import load
 
     with Press() as press:
         job = load(scene, time=time, step=step, cells=cells)
+        choices = chosen.choices(_names(integrators))
+        members = chosen.compared(choices, job, step=step, rtol=rtol)
         folder = free(out, Path(f"{job.name}-compare"), overwrite, lines)
-        with made(folder), bars() as tell:
-            members = prepared(job, rtol, tell)
+        with made(folder), bars() as tell, chosen.code(choices):
+            prepared(job, members, tell)
             press.ready()
             runs = timed(job, members, tell)
             report.begin(job, runs, press)
-            found = measured(job, runs, rtol, tell)
+            found = measured(job, runs, tell)
             written = report.write(found, folder, context.obj, press, lambda what: tell("writing the report", None, what))
     headings, rows = page.table(found)
     columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
@@ -165,14 +171,17 @@ def run(
     if scene is None:
         raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
     from polyida.integrate.solve import solve
+    from polyida.study import chosen
     from polyida.study.compare import warm_up
-    from polyida.study.job import integrator_of, load
+    from polyida.study.job import load
 
-    job, integrator = load(scene, time=time, step=None if step == "auto" else step, cells=cells), integrator or "alpha"
-    member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
-    path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, lines)
+    job = load(scene, time=time, step=None if step == "auto" else step, cells=cells)
+    settings = {"step": step, "rho_inf": rho_inf, "rtol": rtol, "atol": atol}
+    choice = chosen.choice(integrator or "alpha")
+    member = choice.made(job, **{name: value for name, value in settings.items() if value is not None})
+    path = free(out, Path(f"{job.name}-{choice.name.rpartition(':')[2]}.h5"), overwrite, lines)
     make(path.parent)
-    with bars() as tell, job.code():
+    with bars() as tell, job.code(), choice.code():
         tell("preparing kernels", None)
         warm_up(job, member)
         result = solve(
@@ -181,11 +190,21 @@ def run(
             member,
             q0=job.q0,
             v0=job.v0,
-            progress=lambda t: tell(integrator, t / job.time),
+            progress=lambda t: tell(choice.label, t / job.time),
             out=path,
             overwrite=overwrite,
         )
     _saved(result, path)
+
+
+def _names(listed):
+    """Names out of a list with commas; those that are compared by default where it is None."""
+    from polyida.study.chosen import COMPARED
+
+    names = [name.strip() for name in (listed or ",".join(COMPARED)).split(",")]
+    if "" in names:
+        raise InputError(f"--integrators {listed}: a name is missing between commas")
+    return names
 
 
 def _require_none(options, why):
