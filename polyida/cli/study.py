@@ -2,11 +2,13 @@
 
 import argparse
 import json
+import re
 import sys
 from contextvars import ContextVar
 from itertools import chain
 from pathlib import Path
 
+from polyida.cli import tables
 from polyida.cli.garbage import collect_rarely
 from polyida.cli.terminal import tolerate_letters, writable
 from polyida.errors import InputError
@@ -16,7 +18,7 @@ from polyida.study.findings import findings
 from polyida.study.harness import of_other_code, plain, results, write_whole
 
 PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
-CELL = 40  # characters of a table's cell
+MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table keeps, beside what was varied
 
 
 def main(study, arguments=None, command=None):
@@ -116,27 +118,23 @@ def _shown(done, total, task):
 
 
 def _print(study, rows, found, out):
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=None if sys.stdout.isatty() else 160)
+    console = tables.console_of(sys.stdout)
     columns = study.columns or [name for name in dict.fromkeys(chain(*rows)) if name not in ("error", "traceback")]
-    table = Table(*columns, title=study.title)
-    for row in rows:
-        table.add_row(*(shown(row.get(name, "")) for name in columns))
-    console.print(table)
+    varied = {name for task in study.tasks(True) + study.tasks(False) for name in task}
+    details = [name for name in columns if name not in varied and not re.search(MAIN, name)]
+    grid = tables.Grid(columns, [[shown(row.get(name, "")) for name in columns] for row in rows], details)
+    tables.show(study.title, grid, whole=f"{out / 'figures.json'}")
     for name, value in found.figures.items():
         console.print(f"{name}: {value:.6g}", highlight=False)
     console.print("What failed, and what the numbers mean:" if found.notes else "Nothing failed.")
     for line in found.notes:
         console.print(f"  {line}", highlight=False, markup=False)
     for path in [out / "figures.json", *found.pictures]:
-        console.print(f"wrote {path}", highlight=False)
+        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
 def shown(value):
-    """A table's cell; long texts are cut, figures.json has them whole."""
+    """A table's cell."""
     if isinstance(value, float):
         return f"{value:.4g}"
-    text = "" if value is None else str(value)
-    return text if len(text) <= CELL else f"{text[: CELL - 1]}…"
+    return "" if value is None else " ".join(str(value).split())
