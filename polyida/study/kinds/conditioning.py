@@ -28,11 +28,11 @@ class Conditioning(Result):
 
     title = "condition number of the iteration matrix against the step"
     columns = {
-        "integrator": ("integrator", ""),
-        "state": ("state", ""),
-        "t": ("t, s", ".3g"),
-        "h": ("h, s", ".3g"),
-        "condition": ("condition number", ".2e"),
+        "integrator": ("integrator", "{}"),
+        "state": ("state", "{}"),
+        "t": ("t, s", "{:.3g}"),
+        "h": ("h, s", "{:.3g}"),
+        "condition": ("condition number", "{:.2e}"),
     }
 
     @property

@@ -21,6 +21,14 @@ class Precision(Result):
         self.reference = reference
 
     @property
+    def lead(self) -> str:
+        """By what the reference was made, and how far it is known."""
+        if "q" not in self.reference:
+            return ""
+        known = ", ".join(f"{part} {value:.1e}" for part, value in self.known_to.items() if value == value)
+        return f"Reference: {'; '.join(self.reference['made_by'])}; {f'known to {known}' if known else 'how far it is known is not said'}."
+
+    @property
     def known_to(self) -> dict[str, float]:
         """{part: how far the reference may be off}; an error below it is not known."""
         return {part: float(self.reference.get("known_to", {}).get(part, NAN)) for part in PARTS}
@@ -77,7 +85,7 @@ def against_reference(study, given_subject, members, reference, repeats, tell):
     reference = reference or agreed(given_subject, smallest_errors(runs), lambda what: tell(total, total + 1, what))
     rows = [row | errors(run, reference) for row, run in zip(rows, runs)]
     tell(total + 1, total + 1, "")
-    return rows, [*_stopped(rows), *_told(reference)], reference
+    return rows, [*_stopped(rows), *_unknown(reference)], reference
 
 
 def _step(integrator):
@@ -89,8 +97,5 @@ def _stopped(rows):
     return [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
 
 
-def _told(reference):
-    if "q" not in reference:
-        return ["no reference, so no errors: no two methods came to the end", *reference["failed"]]
-    known = ", ".join(f"{part} {reference['known_to'][part]:.1e}" for part in PARTS if part in reference["known_to"])
-    return [f"reference: {'; '.join(reference['made_by'])}; {f'known to {known}' if known else 'how far it is known is not said'}"]
+def _unknown(reference):
+    return [] if "q" in reference else ["no reference, so no errors: no two methods came to the end", *reference["failed"]]
