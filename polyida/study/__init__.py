@@ -12,6 +12,9 @@ _PLACES = {
     "conditioning": "kinds.conditioning",
     "energy": "kinds.energy",
     "drift": "kinds.drift",
+    "sweep": "sweeps.sweep",
+    "Sweep": "sweeps.sweep",
+    "Isolated": "isolation",
     "Result": "result",
 }
 __all__ = list(_PLACES)
