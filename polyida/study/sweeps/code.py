@@ -7,6 +7,7 @@ import importlib.util
 import sys
 from contextlib import suppress
 from functools import cached_property
+from inspect import isgetsetdescriptor
 from itertools import chain
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
@@ -100,7 +101,7 @@ class _Reader:
         self._all(kind.__bases__)
         for name, value in vars(kind).items():
             parts = _wrapped(value)
-            if parts or isinstance(value, (FunctionType, type)) or not name.startswith(("__", "_abc_")):
+            if parts or isinstance(value, (FunctionType, type)) or not (isgetsetdescriptor(value) or name.startswith(("__", "_abc_"))):
                 self.note(name)
                 self._all(parts or [value])
 
