@@ -1,11 +1,13 @@
 """What every study gives: rows, figures made of them, notes; as a table, a data frame, a plot, a report."""
 
 import json
-import math
 from pathlib import Path
+from typing import Any
 
 from polyida.errors import InputError
 from polyida.machine import machine_info
+from polyida.show.html.blocks import shown
+from polyida.show.page import finite
 from polyida.study.isolation import plain
 
 CELL = 34  # characters of a cell of the printed table
@@ -16,11 +18,11 @@ class Result:
     """Rows of plain values, and what follows from them.
 
     rows: [{column: value}], one a run or a case. figures: {name: number}. notes: lines on what failed and what the numbers mean.
-    title: of the report. columns: {name: (heading, format)} of the tables, in their order; those that no row has are left out.
+    title: of the report; lead: a paragraph below it. columns: {name: (heading, format)} of the tables, in their order; those that no row has are left out.
     histories: {label: {"t": (frames,), name: (frames,)}}, of studies that look at whole runs.
     """
 
-    title = "study"
+    title, lead = "study", ""
     columns: dict = {}
 
     def __init__(self, rows, notes=(), histories=None):
@@ -46,8 +48,8 @@ class Result:
 
         return dataset(self.histories) if self.histories else self.to_dataframe().rename_axis("row").to_xarray()
 
-    def plot(self, axes=None):
-        """Draw the main figure into matplotlib axes, new ones where None are given; returns the axes."""
+    def plot(self, *what: Any, **options: Any) -> Any:
+        """Draw the main figure into matplotlib axes, new ones where none are given; returns the axes."""
         raise InputError(f"{type(self).__name__} has no picture of its own; draw its rows")
 
     def pictures(self) -> dict:
@@ -65,7 +67,14 @@ class Result:
 
     def as_dict(self) -> dict:
         """Rows, figures, notes and machine as figures.json holds them: what is not finite is None."""
-        data = {"title": self.title, "figures": self.figures, "notes": self.notes, "rows": self.rows, "machine": machine_info()}
+        data = {
+            "title": self.title,
+            "lead": self.lead,
+            "figures": self.figures,
+            "notes": self.notes,
+            "rows": self.rows,
+            "machine": machine_info(),
+        }
         return finite(json.loads(json.dumps(data, default=plain)))
 
     def _names(self):
@@ -73,57 +82,44 @@ class Result:
         there = list(dict.fromkeys(name for row in self.rows for name in row))
         return [name for name in self.columns if name in there] + [name for name in there if name not in self.columns]
 
-    def shown(self) -> dict:
+    def shown_columns(self) -> dict:
         """{name: (heading, format)} of the columns that a table shows."""
         failed = any(row.get("error") or row.get("status", "done") != "done" for row in self.rows)
         wanted = {name: column for name, column in self.columns.items() if name not in KEPT or failed}
         there = {name for row in self.rows for name in row}
-        return {name: column for name, column in wanted.items() if name in there} or {name: (name, "") for name in self._names()}
+        return {name: column for name, column in wanted.items() if name in there} or {name: (name, "{}") for name in self._names()}
 
     def __repr__(self):
         return f"<{type(self).__name__}: {self.title}, {len(self.rows)} row{'s' * (len(self.rows) != 1)}>"
 
     def __str__(self):
-        columns = self.shown()
+        columns = self.shown_columns()
         lines = [[heading for heading, _ in columns.values()]]
-        lines += [[text(row.get(name), form) for name, (_, form) in columns.items()] for row in self.rows]
+        lines += [[cell(row.get(name), form) for name, (_, form) in columns.items()] for row in self.rows]
         widths = [max(len(line[k]) for line in lines) for k in range(len(columns))]
         table = ["  ".join(_aligned(line[k], width, k) for k, width in enumerate(widths)).rstrip() for line in lines]
         figures = [f"{name}: {value:.4g}" for name, value in self.figures.items()]
-        return "\n".join([self.title, *table, *figures, *self.notes])
+        return "\n".join([self.title, *table, *figures, *filter(None, [self.lead]), *self.notes])
 
     def _repr_html_(self):
         from html import escape
 
-        columns = self.shown()
+        columns = self.shown_columns()
         head = "".join(f"<th>{escape(heading)}</th>" for heading, _ in columns.values())
         body = "".join(
-            f"<tr>{''.join(f'<td>{escape(text(row.get(name), form))}</td>' for name, (_, form) in columns.items())}</tr>"
+            f"<tr>{''.join(f'<td>{escape(cell(row.get(name), form))}</td>' for name, (_, form) in columns.items())}</tr>"
             for row in self.rows
         )
-        notes = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        notes = "".join(f"<p>{escape(note)}</p>" for note in [self.lead, *self.notes] if note)
         return f"<p><strong>{escape(self.title)}</strong></p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{notes}"
 
 
-def text(value, form="", longest=CELL):
-    """A value as a cell of a table: a dash for what is missing or not finite, long texts cut."""
-    if value is None or isinstance(value, float) and not math.isfinite(value):
-        return "-"
-    if isinstance(value, float) or form and not isinstance(value, str):
-        return format(value, form or ".4g")
-    found = str(value)
-    return found if len(found) <= longest else f"{found[: longest - 1]}…"
+def cell(value, form="{}"):
+    """A value as a cell of a printed table: a dash for what is missing or not finite, long texts cut."""
+    text = shown(value, form, "-")
+    return text if len(text) <= CELL else f"{text[: CELL - 1]}…"
 
 
-def finite(value):
-    """Plain data in which numbers that JSON cannot hold are None."""
-    if isinstance(value, dict):
-        return {name: finite(entry) for name, entry in value.items()}
-    if isinstance(value, list):
-        return [finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _aligned(cell, width, column):
+def _aligned(text, width, column):
     """The first column to the left, the others to the right."""
-    return cell.ljust(width) if column == 0 else cell.rjust(width)
+    return text.ljust(width) if column == 0 else text.rjust(width)

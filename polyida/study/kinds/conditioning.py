@@ -28,11 +28,11 @@ class Conditioning(Result):
 
     title = "condition number of the iteration matrix against the step"
     columns = {
-        "integrator": ("integrator", ""),
-        "state": ("state", ""),
-        "t": ("t, s", ".3g"),
-        "h": ("h, s", ".3g"),
-        "condition": ("condition number", ".2e"),
+        "integrator": ("integrator", "{}"),
+        "state": ("state", "{}"),
+        "t": ("t, s", "{:.3g}"),
+        "h": ("h, s", "{:.3g}"),
+        "condition": ("condition number", "{:.2e}"),
     }
 
     @property
@@ -104,7 +104,7 @@ def conditioning(
         raise InputError(f"conditioning: h = {h!r} must be positive steps in s, at least one")
     if not isinstance(integrators, dict) or not integrators:
         raise InputError(f"conditioning: integrators = {integrators!r} must be a dictionary {{label: integrator}}")
-    rows = []
+    rows: list[dict] = []
     with teller("conditioning", progress) as tell:
         for label, given in integrators.items():
             for number, state in enumerate(chosen):

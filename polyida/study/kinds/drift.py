@@ -15,13 +15,13 @@ class Drift(Kept):
 
     title = "drift off the constraints"
     columns = {
-        "integrator": ("integrator", ""),
-        "setting": ("setting", ""),
-        "drift": ("largest |phi|", ".1e"),
-        "velocity_drift": ("largest |phi'|", ".1e"),
-        "steps": ("steps", ""),
-        "cpu_s": ("CPU s", ".3g"),
-        "status": ("status", ""),
+        "integrator": ("integrator", "{}"),
+        "setting": ("setting", "{}"),
+        "drift": ("largest |phi|", "{:.1e}"),
+        "velocity_drift": ("largest |phi'|", "{:.1e}"),
+        "steps": ("steps", "{}"),
+        "cpu_s": ("CPU s", "{:.3g}"),
+        "status": ("status", "{}"),
     }
     quantities = {"drift": ("largest |phi|", True), "velocity_drift": ("largest |phi_q v + phi_t|", True)}
 

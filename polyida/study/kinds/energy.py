@@ -18,14 +18,14 @@ class EnergyKept(Kept):
 
     title = "energy over a run"
     columns = {
-        "integrator": ("integrator", ""),
-        "setting": ("setting", ""),
-        "energy_change": ("change at the end, J", ".2e"),
-        "energy_drift": ("largest change, J", ".2e"),
-        "relative_drift": ("of its size", ".1e"),
-        "steps": ("steps", ""),
-        "cpu_s": ("CPU s", ".3g"),
-        "status": ("status", ""),
+        "integrator": ("integrator", "{}"),
+        "setting": ("setting", "{}"),
+        "energy_change": ("change at the end, J", "{:.2e}"),
+        "energy_drift": ("largest change, J", "{:.2e}"),
+        "relative_drift": ("of its size", "{:.1e}"),
+        "steps": ("steps", "{}"),
+        "cpu_s": ("CPU s", "{:.3g}"),
+        "status": ("status", "{}"),
     }
     quantities = {
         "unbalanced": ("energy gained or lost beside all work, J", False),

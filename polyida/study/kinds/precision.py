@@ -19,6 +19,7 @@ class Precision(Result):
     def __init__(self, rows, notes, reference):
         super().__init__(rows, notes)
         self.reference = reference
+        self.lead = _made(reference, self.known_to)
 
     @property
     def known_to(self) -> dict[str, float]:
@@ -77,7 +78,7 @@ def against_reference(study, given_subject, members, reference, repeats, tell):
     reference = reference or agreed(given_subject, smallest_errors(runs), lambda what: tell(total, total + 1, what))
     rows = [row | errors(run, reference) for row, run in zip(rows, runs)]
     tell(total + 1, total + 1, "")
-    return rows, [*_stopped(rows), *_told(reference)], reference
+    return rows, [*_stopped(rows), *_unknown(reference)], reference
 
 
 def _step(integrator):
@@ -89,8 +90,12 @@ def _stopped(rows):
     return [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
 
 
-def _told(reference):
-    if "q" not in reference:
-        return ["no reference, so no errors: no two methods came to the end", *reference["failed"]]
-    known = ", ".join(f"{part} {reference['known_to'][part]:.1e}" for part in PARTS if part in reference["known_to"])
-    return [f"reference: {'; '.join(reference['made_by'])}; {f'known to {known}' if known else 'how far it is known is not said'}"]
+def _made(reference, known_to):
+    """By what the reference was made, and how far it is known."""
+    known = ", ".join(f"{part} {value:.1e}" for part, value in known_to.items() if value == value)
+    told = f"known to {known}" if known else "how far it is known is not said"
+    return f"Reference: {'; '.join(reference['made_by'])}; {told}." if "q" in reference else ""
+
+
+def _unknown(reference):
+    return [] if "q" in reference else ["no reference, so no errors: no two methods came to the end", *reference["failed"]]

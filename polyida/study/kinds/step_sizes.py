@@ -17,7 +17,7 @@ from polyida.study.subject import PARTS, members, subject
 class StepSizes(Precision):
     """What `step_sizes` found: a row a run, the reference, orders, and errors against the step as a picture."""
 
-    columns = {name: COLUMNS[name] for name in ("integrator", "setting")} | {"h": ("h, s", ".3g")} | COLUMNS
+    columns = {name: COLUMNS[name] for name in ("integrator", "setting")} | {"h": ("h, s", "{:.3g}")} | COLUMNS
 
     def __init__(self, name, rows, notes, reference):
         super().__init__(rows, notes, reference)

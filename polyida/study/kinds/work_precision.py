@@ -14,16 +14,16 @@ from polyida.study.subject import PARTS, members, subject
 
 WORK = {"cpu_s": "CPU seconds", "steps": "steps", "residuals": "residuals", "factorizations": "factorizations", "solves": "solves"}
 COLUMNS = {
-    "integrator": ("integrator", ""),
-    "setting": ("setting", ""),
-    "error_q": ("error in q", ".1e"),
-    "error_v": ("error in v", ".1e"),
-    "error_lam": ("error in lam", ".1e"),
-    "cpu_s": ("CPU s", ".3g"),
-    "steps": ("steps", ""),
-    "residuals": ("residuals", ""),
-    "factorizations": ("factorizations", ""),
-    "status": ("status", ""),
+    "integrator": ("integrator", "{}"),
+    "setting": ("setting", "{}"),
+    "error_q": ("error in q", "{:.1e}"),
+    "error_v": ("error in v", "{:.1e}"),
+    "error_lam": ("error in lam", "{:.1e}"),
+    "cpu_s": ("CPU s", "{:.3g}"),
+    "steps": ("steps", "{}"),
+    "residuals": ("residuals", "{}"),
+    "factorizations": ("factorizations", "{}"),
+    "status": ("status", "{}"),
 }
 
 
