@@ -2,10 +2,12 @@
 
 import argparse
 import json
+import re
 import sys
 from contextvars import ContextVar
 from pathlib import Path
 
+from polyida.cli import tables
 from polyida.cli.garbage import collect_rarely
 from polyida.cli.terminal import tolerate_letters, writable
 from polyida.errors import InputError
@@ -16,7 +18,7 @@ from polyida.study.harness import of_other_code, plain, results, write_whole
 from polyida.study.report import write_page
 
 PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
-CELL = 40  # characters of a table's cell
+MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table keeps, beside what was varied
 
 
 def main(study, arguments=None, command=None):
@@ -117,27 +119,23 @@ def _shown(done, total, task):
 
 
 def _print(study, rows, found, written):
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=None if sys.stdout.isatty() else 160)
-    columns = columns_of(study, rows)
-    table = Table(*columns, title=study.title)
-    for row in rows:
-        table.add_row(*(shown(row.get(name, "")) for name in columns))
-    console.print(table)
+    console = tables.console_of(sys.stdout)
+    columns = list(columns_of(study, rows))
+    varied = {name for task in study.tasks(True) + study.tasks(False) for name in task}
+    details = [name for name in columns if name not in varied and not re.search(MAIN, name)]
+    grid = tables.Grid(columns, [[shown(row.get(name, "")) for name in columns] for row in rows], details)
+    tables.show(study.title, grid, whole=str(written[-1]))
     for name, value in found.figures.items():
         console.print(f"{name}: {value:.6g}", highlight=False)
     console.print("What failed, and what the numbers mean:" if found.notes else "Nothing failed.")
     for line in found.notes:
         console.print(f"  {line}", highlight=False, markup=False)
     for path in written:
-        console.print(f"wrote {path}", highlight=False)
+        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
 def shown(value):
-    """A table's cell; long texts are cut, figures.json has them whole."""
+    """A table's cell."""
     if isinstance(value, float):
         return f"{value:.4g}"
-    text = "" if value is None else str(value)
-    return text if len(text) <= CELL else f"{text[: CELL - 1]}…"
+    return "" if value is None else " ".join(str(value).split())
