@@ -6,7 +6,10 @@ from typing import TypeVar
 
 import numpy.typing
 
-numpy.typing.ArrayLike, numpy.typing.NDArray = TypeVar("ArrayLike"), TypeVar("NDArray")  # signatures show their names, not what they are made of
+numpy.typing.ArrayLike, numpy.typing.NDArray = (
+    TypeVar("ArrayLike"),
+    TypeVar("NDArray"),
+)  # signatures show their names, not what they are made of
 
 import polyida  # noqa: E402
 

@@ -1,24 +1,33 @@
 """Formulas as MathML, which browsers show by themselves: pages need neither a script nor a network."""
 
+import re
+
 from docutils import nodes
-from docutils.utils.math import latex2mathml
+from docutils.utils.math import MathError, latex2mathml
+from sphinx.util import logging
+
+logger = logging.getLogger(__name__)
+ACCENTED = re.compile(r"(\\(?:d+ot|bar|hat) ?(?:\w|\\[a-z]+))(?=_)")  # an index behind an accent: docutils would put it below
 
 
 def inline(writer, node):
     """A formula within a line."""
-    writer.body.append(latex2mathml.tex2mathml(node.astext()))
+    writer.body.append(_mathml(node, False))
     raise nodes.SkipNode
 
 
 def block(writer, node):
     """A formula in lines of its own."""
-    writer.body.append(f'<div class="formula">{latex2mathml.tex2mathml(_aligned(node.astext()), as_block=True)}</div>')
+    writer.body.append(f'<div class="formula">{_mathml(node, True)}</div>')
     raise nodes.SkipNode
 
 
-def _aligned(tex):
-    r"""More than one line as `\begin{align}`."""
-    return rf"\begin{{align}}{tex}\end{{align}}" if "\\\\" in tex and r"\begin" not in tex else tex
+def _mathml(node, as_block):
+    try:
+        return latex2mathml.tex2mathml(ACCENTED.sub(r"{\1{}}", node.astext()), as_block=as_block)
+    except MathError as error:
+        logger.warning("formula %s: %s", node.astext(), error, location=node)
+        return ""
 
 
 def setup(app):
