@@ -3,14 +3,15 @@
 import numpy as np
 
 from conditioning import solve_error
+from conditioning import systems as conditioning
 from polyida.cli.study import main
 from polyida.integrate.ida.whole import SCALINGS as IDA_SCALINGS
 from polyida.integrate.iteration_matrix import MODES
 from polyida.linear.kkt import SCALINGS
-from polyida.study.drawing import drawn, fitted, legend, loglog, nested, panels, saved, slope_line
+from polyida.study.drawing import drawn, legend, loglog, nested, panels, saved, slope_line
 from polyida.study.harness import Study
-from polyida.study.kinds import conditioning
 from polyida.study.rows import every, farthest, number, pick, worst
+from polyida.study.slopes import fitted
 
 
 def steps(quick):

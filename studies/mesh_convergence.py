@@ -8,9 +8,10 @@ from mesh_convergence import cases
 from mesh_convergence.selection import MEMBERS, POLYGONS, QUADS, SLENDER, tasks
 from polyida.cli.study import main
 from polyida.problems.spin_up_beam import EXTENSION
-from polyida.study.drawing import aim_line, drawn, fitted, legend, loglog, look, panels, saved
+from polyida.study.drawing import aim_line, drawn, legend, loglog, look, panels, saved
 from polyida.study.harness import Study
 from polyida.study.rows import column, last, pick, value, worst
+from polyida.study.slopes import fitted
 
 STEADY = 12.0  # s, before which the swing shortens the spin-up beam a hundred times more than the turning lengthens it
 

@@ -8,9 +8,9 @@ from polyida.cli.study import main
 from polyida.linear.kkt import SCALINGS
 from polyida.study.drawing import drawn, legend, loglog, nested, panels, saved, slope_line
 from polyida.study.harness import Study
-from polyida.study.kinds.sensitivity import decades, order_errors, reference_floor, tiny_steps
 from polyida.study.rows import column, each, farthest, last, number, pick, stopped, value
 from step_size_sensitivity import radau, slopes
+from step_size_sensitivity.errors import decades, order_errors, reference_floor, tiny_steps
 from step_size_sensitivity.slopes import PARTS, SOLVES, WAYS, runs_of
 
 COARSEST, HALVINGS, TIME = 1e-2, 5, 0.25

@@ -8,10 +8,11 @@ from polyida.cli.study import main
 from polyida.show.style import INK
 from polyida.study.drawing import drawn, legend, loglog, panels, saved
 from polyida.study.harness import Study
-from polyida.study.kinds.work_precision import cheapest, measure
+from polyida.study.kinds.work_precision import cheapest
 from polyida.study.members import FIXED, IDA_FORMS, RADAU
 from polyida.study.rows import column, each, least, pick, stopped
 from work_precision import radau_accuracy, tip_accuracy
+from work_precision.cases import measure
 from work_precision.selection import EVENT, STIFF, not_run, tasks
 
 FAMILIES = {  # figure: its members, and those of other families for comparison

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from polyida import registry
 from polyida.cli.garbage import collect_rarely
 from polyida.cli.places import free, made, make
 from polyida.cli.terminal import bars, error, lines, table, tolerate_letters, writable
@@ -52,7 +53,10 @@ StepOrAuto = Annotated[
 RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite frequency, in [0, 1).")
 Rtol = _option(float, "Relative tolerance of IDA and Radau IIA.")
 Atol = _option(float, "Absolute tolerance of IDA and Radau IIA for q, m.")
-Integrator = _option(str, "alpha (generalized-alpha; the default), ida, radau (Radau IIA), or energy (energy-momentum).")
+INTEGRATORS_HELP = "alpha (generalized-alpha), ida, radau (Radau IIA), energy (energy-momentum), or my_file.py:NAME, yours"
+Integrator = _option(str, f"{INTEGRATORS_HELP}; alpha by default.")
+COMPARED_HELP = f"Several of these, with commas: {INTEGRATORS_HELP}; alpha,ida,radau by default."
+STUDY_HELP = "A name from the list, or my_study.py:NAME (the file is executed)."
 Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
 
 
@@ -102,23 +106,27 @@ def compare(
     time: Time = None,
     step: Step = None,
     rtol: Rtol = None,
+    integrators: _option(str, COMPARED_HELP) = None,
     overwrite: Overwrite = False,
 ):
     """Run the integrators and a refined run on one scene: a table, and a folder with the report."""
     from polyida.show import page, report
     from polyida.show.press import Press
+    from polyida.study import chosen
     from polyida.study.compare import measured, prepared, timed
     from polyida.study.job import load
 
     with Press() as press:
         job = load(scene, time=time, step=step, cells=cells)
+        choices = chosen.choices(_names(integrators))
+        members = chosen.compared(choices, job, step=step, rtol=rtol)
         folder = free(out, Path(f"{job.name}-compare"), overwrite, lines)
-        with made(folder), bars() as tell:
-            members = prepared(job, rtol, tell)
+        with made(folder), bars() as tell, chosen.code(choices):
+            prepared(job, members, tell)
             press.ready()
             runs = timed(job, members, tell)
             report.begin(job, runs, press)
-            found = measured(job, runs, rtol, tell)
+            found = measured(job, runs, tell)
             written = report.write(found, folder, context.obj, press, lambda what: tell("writing the report", None, what))
     headings, rows = page.table(found)
     columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
@@ -163,14 +171,17 @@ def run(
     if scene is None:
         raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
     from polyida.integrate.solve import solve
+    from polyida.study import chosen
     from polyida.study.compare import warm_up
-    from polyida.study.job import integrator_of, load
+    from polyida.study.job import load
 
-    job, integrator = load(scene, time=time, step=None if step == "auto" else step, cells=cells), integrator or "alpha"
-    member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
-    path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, lines)
+    job = load(scene, time=time, step=None if step == "auto" else step, cells=cells)
+    settings = {"step": step, "rho_inf": rho_inf, "rtol": rtol, "atol": atol}
+    choice = chosen.choice(integrator or "alpha")
+    member = choice.made(job, **{name: value for name, value in settings.items() if value is not None})
+    path = free(out, Path(f"{job.name}-{choice.name.rpartition(':')[2]}.h5"), overwrite, lines)
     make(path.parent)
-    with bars() as tell, job.code():
+    with bars() as tell, job.code(), choice.code():
         tell("preparing kernels", None)
         warm_up(job, member)
         result = solve(
@@ -179,11 +190,21 @@ def run(
             member,
             q0=job.q0,
             v0=job.v0,
-            progress=lambda t: tell(integrator, t / job.time),
+            progress=lambda t: tell(choice.label, t / job.time),
             out=path,
             overwrite=overwrite,
         )
     _saved(result, path)
+
+
+def _names(listed):
+    """Names out of a list with commas; those that are compared by default where it is None."""
+    from polyida.study.chosen import COMPARED
+
+    names = [name.strip() for name in (listed or ",".join(COMPARED)).split(",")]
+    if "" in names:
+        raise InputError(f"--integrators {listed}: a name is missing between commas")
+    return names
 
 
 def _require_none(options, why):
@@ -217,7 +238,6 @@ def _saved(result, path):
 @app.command("list")
 def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", help="A file of yours, with what it adds.")] = None):
     """List the problems and studies that have a name: what is compared with which reference."""
-    from polyida import registry
     from polyida.problems.about import ABOUT
     from polyida.study import scene_file
 
@@ -229,8 +249,7 @@ def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", h
         return "\n".join([_description(registry.find(registry.problems, name)), *about, ""])
 
     table(None, ["name", "what it is"], [[name, brief(name)] for name in registry.problems])
-    if registry.studies:
-        table(None, ["study", "what it is"], [[name, registry.find(registry.studies, name).title] for name in registry.studies])
+    _list_studies()
 
 
 @app.command()
@@ -287,26 +306,40 @@ def export(
     lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
-def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="NAME", help="A script in ./studies, or my_study.py:NAME.")]):
-    """Run a study of the folder ./studies or of a file of yours; options after NAME (--quick, --out, --fresh) go to it."""
-    import subprocess
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []})
+def study(
+    context: typer.Context,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help=STUDY_HELP, show_default=False)] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A small selection, under a minute.")] = False,
+    out: _option(Path, "Folder of figures.json and pictures; NAME in the current folder by default.") = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Run every part again, also those that have a result.")] = False,
+    help_: Annotated[bool, typer.Option("--help", help="Show this message; with NAME, the study's own options.")] = False,
+):
+    """Run a study that comes with polyida, or one of yours; without NAME, list them."""
+    from polyida.cli import scripts
 
-    from polyida import registry
+    given = {"--quick": quick, "--out": out, "--fresh": fresh, "--help": help_}
+    arguments = [text for flag, value in given.items() if value for text in (flag, str(value))[: 1 + (value is not True)]] + context.args
+    if name is None:
+        typer.echo(context.get_help()) if help_ else _list_studies()
+    elif ".py" in name or name in registry.studies:
+        _run_study(name, arguments, context.obj)
+    elif scripts.typed(name) in scripts.scripts():
+        scripts.run(name, arguments)
+    else:
+        raise InputError(f"no study {name!r}; there are {', '.join([*scripts.scripts(), *registry.studies])}, or give my_study.py:NAME")
 
-    if ".py" in name or name in registry.studies:
-        _run_study(name, context.args, context.obj)
-        return
-    script = Path("studies") / f"{name}.py"
-    if not script.is_file():
-        known = ", ".join(sorted(path.stem for path in Path("studies").glob("*.py"))) or "none; run it in a clone of the repository"
-        raise InputError(f"no study {name!r} in ./studies; there are: {known}")
-    raise typer.Exit(subprocess.run([sys.executable, str(script), *context.args], check=False).returncode)
+
+def _list_studies():
+    """The studies that have a name, with what they are."""
+    from polyida.cli import scripts
+
+    own = [[name, registry.find(registry.studies, name).title] for name in registry.studies]
+    table(None, ["study", "what it is"], [[name, scripts.title(path)] for name, path in scripts.scripts().items()] + own)
 
 
 def _run_study(name, arguments, command):
     """Run a registered study, or the one that `my_study.py:NAME` names."""
-    from polyida import registry
     from polyida.cli.study import main as run_study
     from polyida.study import scene_file
     from polyida.study.harness import Study

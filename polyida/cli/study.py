@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from contextvars import ContextVar
 from itertools import chain
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from polyida.show.page import finite
 from polyida.study.findings import findings
 from polyida.study.harness import of_other_code, plain, results, write_whole
 
+PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
 CELL = 40  # characters of a table's cell
 
 
@@ -57,9 +59,14 @@ def _given(study, options):
     return {name: getattr(options, name) for name in study.options if getattr(options, name) is not None}
 
 
+def _program(study):
+    """What starts the study, as it is typed."""
+    return PROGRAM.get() or f"python studies/{study.name}.py"
+
+
 def _meant(study, options):
     """(Study that its own options make of this one, the command)."""
-    command, meant = f"python studies/{study.name}.py{' --quick' if options.quick else ''}", study
+    command, meant = f"{_program(study)}{' --quick' if options.quick else ''}", study
     for name, value in _given(study, options).items():
         meant, command = study.options[name][1](value), f"{command} --{name} {value}"
     return meant, command
@@ -93,7 +100,7 @@ def _write_figures(command, rows, found, out):
 
 def parser(study):
     """The command line of a study."""
-    made = argparse.ArgumentParser(prog=f"studies/{study.name}.py", description=study.title)
+    made = argparse.ArgumentParser(prog=_program(study), description=study.title)
     made.add_argument("--quick", action="store_true", help="a small selection, under a minute")
     made.add_argument("--out", help=f"folder for figures.json, pictures and one file a task (default {study.name})")
     made.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")

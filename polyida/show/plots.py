@@ -6,9 +6,9 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.results.balance import unbalanced
 from polyida.show import plates
 from polyida.show.style import INK, PALETTE, STICK, box, colour_top, equal, figure, height_for, line, plain, settings
-from polyida.study.energy import unbalanced
 
 DISTINCT = 20_000  # polygons in one picture, beyond which they are an image in a PDF: nobody can tell them apart
 

@@ -8,7 +8,7 @@ import numpy as np
 INK, STICK = "#222222", "#8C5A2B"  # of lines and text, and of bodies without a mesh
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
-PRINT_DPI = 400  # of what is an image in a PDF
+SAVED = {"pdf": {"metadata": {"CreationDate": None}, "dpi": 400}, "svg": {"metadata": {"Date": None}}}  # dpi: of what is an image in a PDF
 SETTINGS = {
     "font.size": 9,
     "axes.titlesize": 9,
@@ -20,7 +20,8 @@ SETTINGS = {
     "mathtext.fontset": "dejavusans",
     "pdf.fonttype": 42,
     "ps.fonttype": 42,  # matplotlib 3.11 splits a PDF's fonts by this one: the minus sign would be embedded as a second font
-    "svg.fonttype": "path",
+    "svg.fonttype": "none",  # text stays text
+    "svg.hashsalt": "polyida",
     "axes.linewidth": 0.6,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -69,14 +70,14 @@ def save(figure, path):
 
 
 def rendered(figure, kind):
-    """The bytes of a figure's file of a kind, "png" or "pdf".
+    """The bytes of a figure's file of a kind, "png", "pdf" or "svg".
 
     What is laid out the first time stays so: the same figure of another kind has the same places.
     """
-    file, extra = BytesIO(), {"metadata": {"CreationDate": None}, "dpi": PRINT_DPI} if kind == "pdf" else {}
+    file = BytesIO()
     with settings():
         lay_out(figure)
-        figure.savefig(file, format=kind, **extra)
+        figure.savefig(file, format=kind, **SAVED.get(kind, {}))
     return file.getvalue()
 
 

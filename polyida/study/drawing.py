@@ -1,12 +1,26 @@
 """What the figures of all studies share: logarithmic panels, slopes beside the data, PNG and PDF of each figure."""
 
+from contextlib import contextmanager
 from functools import wraps
 
 import numpy as np
 
 from polyida.show.style import DASHES, INK, PALETTE, figure, save, settings
+from polyida.study.slopes import positive
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
+
+
+@contextmanager
+def on_axes(axes=None):
+    """matplotlib axes to draw on: those that are given, or new ones of pyplot, in the look of this package."""
+    if axes is not None:
+        yield axes
+        return
+    from matplotlib import pyplot
+
+    with settings():
+        yield pyplot.subplots(figsize=(6.4, 3.8), layout="constrained")[1]
 
 
 def panels(count, width=6.8, height=3.0, columns=2, **layout):
@@ -37,7 +51,7 @@ def look(i):
 
 def loglog(axes, x, y, i, label=None):
     """One line of finite positive values on two logarithmic axes."""
-    axes.loglog(*_positive(x, y), label=label, **look(i))
+    axes.loglog(*positive(x, y), label=label, **look(i))
 
 
 def nested(colour, ring, rings, dash="-"):
@@ -129,16 +143,3 @@ def drawn(function):
             return function([row for row in rows if not row.get("error")], folder)
 
     return draw
-
-
-def fitted(x, y):
-    """Slope of log y over log x by least squares; NaN where there are fewer than two finite positive points."""
-    x, y = _positive(x, y)
-    return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len(np.unique(x)) > 1 else float("nan")
-
-
-def _positive(x, y):
-    """The points whose coordinates are finite and positive both."""
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-    return x[good], y[good]

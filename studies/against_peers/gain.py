@@ -15,8 +15,8 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
 from polyida.study.drawing import drawn, legend, loglog, panels, saved
-from polyida.study.families import explicit
 from polyida.study.kinds.work_precision import cheapest
+from polyida.study.reference.families import explicit
 from step_cost.measure import model_of
 from step_cost.side import cells_for
 

@@ -3,9 +3,10 @@
 import numpy as np
 
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.study.drawing import drawn, fitted, legend, nested, panels, saved, slope_line
-from polyida.study.kinds.sensitivity import after_steps, decades, order_errors, reference_floor
+from polyida.study.drawing import drawn, legend, nested, panels, saved, slope_line
 from polyida.study.rows import column, last, value
+from polyida.study.slopes import fitted
+from step_size_sensitivity.errors import after_steps, decades, order_errors, reference_floor
 from step_size_sensitivity.slopes import PARTS, above_floor, runs_of
 
 FORMS = {"ggl": {}, "index3": {"form": "index3"}, "index3, v as it is": {"form": "index3", "project": False}}
