@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.show import plates
-from polyida.show.style import INK, STICK, box, colour_top, equal, figure, height_for, lay_out, settings
+from polyida.show.style import INK, STICK, box, colour_top, equal, lay_out, scaled, settings, stress_key
 
 
 def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress=None):
@@ -56,7 +56,7 @@ class Picture:
         self.stress = {k: run.von_mises(k) / 1e3 for k in chosen}
         look = {"cmap": "viridis", "clim": (0, colour_top([*self.stress.values()])), "edgecolors": "face", "linewidths": 0.2}
         with settings():
-            made, self.axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
+            made, self.axes, side = scaled(low, high, width, bool(run.model.drawn))
             cells = [Outline(corners) for corners in np.split(self.corners, offsets[1:-1])] if len(self.corners) else []
             self.cells = self.axes.add_collection(PathCollection(cells, animated=True, **look))
             self.outline = self.axes.add_collection(LineCollection(self.ends, colors=INK, linewidths=0.5, animated=True))
@@ -64,7 +64,7 @@ class Picture:
             self.title = self.axes.set_title(self._time(chosen[0]), loc="left", animated=True)
             equal(self.axes, low, high)
             if run.model.drawn:
-                made.colorbar(self.cells, ax=self.axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
+                stress_key(made, self.axes, self.cells, side)
             lay_out(made)
             self.canvas = FigureCanvasAgg(made)
             self.canvas.draw()
