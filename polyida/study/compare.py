@@ -13,8 +13,8 @@ from polyida.integrate.running.sampling import between
 from polyida.integrate.state import Counts, StepFailure
 from polyida.machine import one_blas_thread
 from polyida.model.guarded import guard
+from polyida.results.balance import motor_work, unbalanced
 from polyida.study import chosen
-from polyida.study.energy import motor_work, unbalanced
 
 FINE, FINER = 1e-9, 1e-3  # rtol of the refined run: the one, or the other times that of the runs where that is less
 FINEST = 1e-13  # but no less: round-off is as large
