@@ -102,7 +102,7 @@ def tip(runs, point="tip"):
         path, history = _wide_left(made, axes)
         path.plot(*first.position(point).T, label=plain(base), **line(0))
         path.set(xlabel="x, m", ylabel="y, m", title=f"path of {plain(point)}, {plain(base)}")
-        path.set_aspect("equal", adjustable="box")
+        path.set_aspect("equal", adjustable="datalim")
         between = _cubic(first, point)
         for i, (label, run) in enumerate(others or [(base, first)], start=bool(others)):
             found = run.position(point) - between(run.t) if others else run.position(point)
