@@ -276,18 +276,17 @@ def show(file: RunFile):
 @app.command()
 def animate(
     file: RunFile,
-    out: _option(Path, "GIF file; beside the run by default.") = None,
-    frames: Annotated[int, typer.Option(help="Pictures at most.")] = 80,
+    out: _option(Path, "File, its suffix .gif or .mp4 (which needs polyida[movie]); a GIF beside the run by default.") = None,
+    frames: _option(int, "Pictures at most; 80 of a GIF, 25 a second of MP4 by default.") = None,
     overwrite: Overwrite = False,
 ):
-    """Draw the plates of a saved run as an animated GIF, coloured by von Mises stress."""
-    from polyida.show.animation import gif
+    """Draw the plates of a saved run as an animated GIF or as MP4, coloured by von Mises stress."""
+    from polyida.show.animation import animation
 
     loaded, path = _load(file), free(out, file.with_suffix(".gif"), overwrite, lines)
     make(path.parent)
-    total = min(frames, len(loaded.t))
     with bars() as tell:
-        gif(loaded, path, frames=frames, overwrite=overwrite, progress=lambda done: tell("drawing", done / total))
+        animation(loaded, path, frames=frames, overwrite=overwrite, progress=lambda done: tell("drawing", done))
     lines(f"Written: {path}")
 
 
