@@ -11,9 +11,10 @@ from typing import Annotated, Any
 import typer
 
 from polyida import registry
+from polyida.cli import tables
 from polyida.cli.garbage import collect_rarely
 from polyida.cli.places import free, made, make
-from polyida.cli.terminal import bars, error, lines, table, tolerate_letters, writable
+from polyida.cli.terminal import bars, error, lines, tolerate_letters, writable
 from polyida.errors import InputError
 
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
@@ -128,9 +129,8 @@ def compare(
             report.begin(job, runs, press)
             found = measured(job, runs, tell)
             written = report.write(found, folder, context.obj, press, lambda what: tell("writing the report", None, what))
-    headings, rows = page.table(found)
-    columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
-    table(f"{job.name}: {page.system(job)}", columns[0], columns[1:])
+    grid = tables.Grid(*page.table(found))
+    tables.show(f"{job.name}: {page.system(job)}", grid.turned(), grid, whole="the report")
     lines(*found.notes, style="red")
     lines(*(f"{label}: {run.message}" for label, run in found.runs.items() if run.success and run.message))
     frames = folder / "frames" / "run.pvd"
@@ -248,7 +248,7 @@ def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", h
         about = [f"{told}: {ABOUT[name][key].split(';')[0]}" for told, key in LISTED.items() if name in ABOUT]
         return "\n".join([_description(registry.find(registry.problems, name)), *about, ""])
 
-    table(None, ["name", "what it is"], [[name, brief(name)] for name in registry.problems])
+    tables.texts(["name", "what it is"], [[name, brief(name)] for name in registry.problems])
     _list_studies()
 
 
@@ -258,8 +258,7 @@ def show(file: RunFile):
     loaded = _load(file)
     counts, machine = (", ".join(f"{key} {value}" for key, value in data.items()) for data in (loaded.counts.as_dict(), loaded.machine))
     kind, n, m = type(loaded.model).__name__, loaded.q.shape[1], loaded.lam.shape[1]
-    table(
-        str(file),
+    tables.texts(
         ["", ""],
         [
             ["run", loaded.summary()],
@@ -270,6 +269,7 @@ def show(file: RunFile):
             ["time", f"{loaded.cpu_seconds:.2f} CPU s, {loaded.wall_seconds:.2f} s"],
             ["made with", machine],
         ],
+        str(file),
     )
 
 
@@ -334,7 +334,7 @@ def _list_studies():
     from polyida.cli import scripts
 
     own = [[name, registry.find(registry.studies, name).title] for name in registry.studies]
-    table(None, ["study", "what it is"], [[name, scripts.title(path)] for name, path in scripts.scripts().items()] + own)
+    tables.texts(["study", "what it is"], [[name, scripts.title(path)] for name, path in scripts.scripts().items()] + own)
 
 
 def _run_study(name, arguments, command):

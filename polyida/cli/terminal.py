@@ -40,21 +40,6 @@ def _give_up():
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def table(title, headings, rows):
-    """Print a table, the last of two columns to the left, of more to the right."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    drawn = Table(title=title and Text(title), title_justify="left", box=box.SIMPLE_HEAD, show_header=any(headings))
-    for i, heading in enumerate(headings):
-        drawn.add_column(heading, justify="left" if i == 0 or len(headings) == 2 else "right", overflow="fold")
-    for row in rows:
-        drawn.add_row(*map(Text, row))
-    Console().print(drawn)
-
-
 def lines(*given, style=None):
     """Print lines, empty ones left out."""
     from rich.console import Console
