@@ -28,12 +28,11 @@ def over_time(progress, begin, t_end):
     if progress is not True:
         yield progress or None
         return
-    with bar_for("solve")(
-        total=t_end - begin, bar_format="t = {postfix} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}", leave=False
-    ) as bar:
+    form = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+    with bar_for("solve")(total=t_end - begin, bar_format=form, leave=False) as bar:
 
         def tell(t):
-            bar.set_postfix_str(f"{t:.4g} of {t_end:.4g} s", refresh=False)
+            bar.set_description_str(f"t = {t:.4g} of {t_end:.4g} s", refresh=False)
             bar.update(t - begin - bar.n)
 
         yield tell

@@ -1,11 +1,11 @@
 """How things show themselves: on a line at the prompt, as a table in a notebook."""
 
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from html import escape
 
 import numpy as np
 
-FEW, LONGEST, CELL = 6, 60, 160  # entries of an array that are shown; characters of a value, and of a cell of a table
+FEW, LONGEST, CELL = 6, 60, 240  # entries of an array that are shown; characters of a value, and of a cell of a table
 
 
 def brief(thing: object) -> str:
@@ -22,6 +22,18 @@ def short(value, longest=LONGEST):
         return f"<{len(value)} entries>"
     text = " ".join(repr(value).split())
     return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+def settings(part):
+    """What a dataclass was given beside its name and what it has by default, on one line."""
+    if not is_dataclass(part):
+        return short(part, CELL)
+    given = ((entry, getattr(part, entry.name)) for entry in fields(part) if entry.repr and entry.name != "name")
+    return ", ".join(f"{entry.name} {short(value, CELL // 2)}" for entry, value in given if not _is_default(entry, value))
+
+
+def _is_default(entry, value):
+    return type(value) is type(entry.default) and value == entry.default
 
 
 def counted(things, most=FEW):

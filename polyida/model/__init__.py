@@ -75,7 +75,8 @@ class Model:
     def _repr_html_(self):
         """Its numbers, and a table of the parts, for notebooks."""
         sizes = {body.name: f"{2 * (body.pairs.stop - body.pairs.start)} coordinates" for body in (*self.bodies, *self.few)}
-        held = {name: f"{rows.stop - rows.start} rows of phi" for name, rows in self.rows.items()}
+        counts = {name: rows.stop - rows.start for name, rows in self.rows.items()}
+        held = {name: f"{count} row{'s' * (count != 1)} of phi" for name, count in counts.items()}
         told = lambda name: ", ".join(found[name] for found in (sizes, held) if name in found)  # noqa: E731
         rows = [(name, type(part).__name__, told(name)) for name, part in self.parts.items()]
         return table(repr(self)[1:-1], ("name", "kind", "in the model") if rows else (), rows)

@@ -59,7 +59,8 @@ def dataset(run):
         marks["constraint"] = list(run.model.labels)
     if scene:
         found |= _of_scene(run)
-        marks |= {"point": list(run.model.named), "axis": ["x", "y"], "component": list(reactions(run))}
+        units = [quantity(run.model, name, k)[1] for name in run.model.joints for k in range(run.reaction(name).shape[1])]
+        marks |= {"point": list(run.model.named), "axis": ["x", "y"], "component": list(reactions(run)), "unit": ("component", units)}
     return Dataset(found | _sensed(run), marks, _about(run))
 
 
