@@ -9,7 +9,8 @@ from pathlib import Path
 
 from polyida.cli import tables
 from polyida.cli.garbage import collect_rarely
-from polyida.cli.terminal import tolerate_letters, writable
+from polyida.cli.progress import Parts, bars
+from polyida.cli.terminal import document, tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.page import finite
@@ -22,7 +23,7 @@ MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table kee
 
 
 def main(study, arguments=None, command=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`. command: what was typed, of a study that is no script.
+    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`. command: what was typed, of a study that is no script.
 
     Prints the table, writes figures.json and report.html with its pictures. Failed tasks are rows and lines; figures that need them are
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
@@ -35,7 +36,8 @@ def main(study, arguments=None, command=None):
     tasks = out / "tasks"
     try:
         study, typed = _meant(study, options)
-        rows = _results(study, options, out)
+        with bars() as tell:
+            rows = _results(study, options, out, Parts(study.name, tell))
         found = findings(study, rows)
         data = _write_figures(command or typed, rows, found, out)
         page = write_page(study, rows, found, data, out)
@@ -48,7 +50,8 @@ def main(study, arguments=None, command=None):
         sys.exit(f"error: {error}; what is done is in {tasks}, the same command goes on from there")
     other = of_other_code(study, options.quick, tasks)
     try:
-        with writable():
+        with writable(), document(options.json) as answer:
+            answer(data)
             _print(study, rows, found, [out / "figures.json", page])
             _print_age(other, rows)
     except InputError as error:
@@ -80,7 +83,7 @@ def _print_age(other, rows):
         print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
 
 
-def _results(study, options, out):
+def _results(study, options, out, progress):
     tasks = out / "tasks"
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; give a folder with --out")
@@ -89,7 +92,7 @@ def _results(study, options, out):
     if options.fresh and tasks.is_dir():
         for path in tasks.glob("*.json"):
             path.unlink()
-    return results(study, options.quick, tasks, _shown)
+    return results(study, options.quick, tasks, progress)
 
 
 def _write_figures(command, rows, found, out):
@@ -107,15 +110,10 @@ def parser(study):
     made.add_argument("--quick", action="store_true", help="a small selection, under a minute")
     made.add_argument("--out", help=f"folder for figures.json, pictures and one file a task (default {study.name})")
     made.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
+    made.add_argument("--json", action="store_true", help="what figures.json holds on standard output, and nothing else there")
     for name, (meaning, _) in study.options.items():
         made.add_argument(f"--{name}", metavar=name.upper(), help=meaning)
     return made
-
-
-def _shown(done, total, task):
-    if sys.stderr.isatty() or done in (0, total):
-        name = ", ".join(f"{key} {value}" for key, value in task.items())
-        print(f"\r\033[K{done}/{total} {name[:100]}", end="" if done < total else "\n", file=sys.stderr, flush=True)
 
 
 def _print(study, rows, found, written):

@@ -36,7 +36,7 @@ def blocks(result):
     pictures = [html.Picture(name, caption, _drawn(draw)) for name, (caption, draw) in result.pictures().items()]
     numbers = [{"name": name, "value": value} for name, value in result.figures.items()]
     found = [html.Notes(result.notes), html.Heading("Figures"), *pictures] if pictures else [html.Notes(result.notes)]
-    found += [html.Heading("Rows"), html.Table(result.shown_columns(), result.rows)]
+    found += [html.Heading("Rows"), html.Table(result.shown_columns(), [_legible(row) for row in result.rows])]
     return [*found, html.Heading("Numbers"), html.Table(FIGURES, numbers)] if numbers else found
 
 
@@ -47,8 +47,13 @@ def write_page(study, rows, found, data, folder):
     parts = [html.Heading("Figures"), *found.pictures] if found.pictures else []
     parts += [html.Heading("Numbers"), html.Table(FIGURES, numbers)] if numbers else []
     parts += [html.Heading("What failed, and what the numbers mean"), html.Notes(found.notes)] if found.notes else []
-    parts += [html.Heading("Rows"), html.Table(columns, rows)]
+    parts += [html.Heading("Rows"), html.Table(columns, [_legible(row) for row in rows])]
     return html.write(folder, study.name.replace("_", " "), parts, data["command"], data["machine"], study.title)
+
+
+def _legible(row):
+    """A row with its lists and dictionaries, which figures.json has whole, as their sizes."""
+    return {name: f"{len(value)} values" if isinstance(value, (list, dict)) else value for name, value in row.items()}
 
 
 def _drawn(draw):
