@@ -1,12 +1,9 @@
 """The guide's pages run, are found, and name everything that is public; the build itself is in .ci/run."""
 
-import ast
 import re
 from pathlib import Path
 
 import pytest
-
-import polyida as pi
 
 GUIDE = Path(__file__).parents[1] / "studies" / "guide"
 PAGES = sorted(page for page in GUIDE.rglob("*.md"))

@@ -14,15 +14,14 @@ def columns(figure):
     Where a panel has lines or points with labels, those without are frames and guides, and left out.
     """
     panels = [(axes, _series(axes)) for axes in figure.axes]
-    panels = [(axes, series) for axes, series in panels if series]
-    found = []
+    panels, found = [(axes, series) for axes, series in panels if series], []
     for axes, series in panels:
-        panel = f"{_words(axes.get_title('left') or axes.get_title() or axes.get_ylabel())}: " if len(panels) > 1 else ""
-        known = np.zeros(0)
+        panel, known = f"{_title(axes)}: " if len(panels) > 1 else "", None
+        x = next((other.get_xlabel() for other in axes.get_shared_x_axes().get_siblings(axes) if other.get_xlabel()), "x")
         for label, names, values in series:
-            fresh, known = not np.array_equal(known, values[0], equal_nan=True), values[0]
-            headings = [_words(axes.get_xlabel()) or "x", *(f"{_words(name)} {label}".strip() for name in names)]
-            found += [(panel + heading, column) for heading, column in list(zip(headings, values, strict=True))[not fresh :]]
+            own = list(zip([x, *names], values, strict=True))[known is not None and np.array_equal(known, values[0], equal_nan=True) :]
+            first, known = known is None, values[0]
+            found += [(panel + _heading(name, "" if first and name == x else label), column) for name, column in own]
     return found
 
 
@@ -38,9 +37,17 @@ def _number(value):
     return "" if value != value else format(value, DIGITS)
 
 
+def _title(axes):
+    return _words(next(filter(None, map(axes.get_title, ("left", "center", "right"))), axes.get_ylabel()))
+
+
+def _heading(name, label):
+    return f"{_words(name)} ({label})" if label else _words(name)
+
+
 def _words(label):
-    """A label without the signs of matplotlib's formulas."""
-    return re.sub(r"[$\\]", "", label)
+    """A label in one line, without the signs of matplotlib's formulas."""
+    return re.sub(r"[$\\]", "", label.replace("\n", " "))
 
 
 def _series(axes):
@@ -72,4 +79,5 @@ def _collected(artist, axes):
     values = [*np.concatenate(corners).T, np.repeat(np.arange(len(counts)), counts)]
     if artist.get_array() is None:
         return [vertical, "number"], values
-    return [vertical, "number", "value"], [*values, np.repeat(_floats(artist.get_array()), counts)]
+    quantity = next((bar.ax.get_ylabel() or bar.ax.get_xlabel() for bar in (other.colorbar for other in axes.collections) if bar), "value")
+    return [vertical, "number", quantity], [*values, np.repeat(_floats(artist.get_array()), counts)]

@@ -80,7 +80,7 @@ def pictures(job, runs, comparison=None):
     """{file name: (function that draws it, caption)} of what these runs can show, with a Comparison also how far they are from the refined run."""
     moving, shown, found = {label: run for label, run in runs.items() if len(run.t) > 1}, _drawable(runs), {}
     if shown and shown.model.drawn:
-        found["mesh"] = lambda: plots.mesh(job.model), "The polygon meshes at rest, shaded by number of corners."
+        found["mesh"] = lambda: plots.mesh(job.model), "The polygon meshes at rest; a shade is a number of corners."
     if shown:
         caption = "The plates at several times, coloured by the von Mises stress of every element."
         found["deformed"] = lambda: plots.deformed(shown), caption
@@ -91,7 +91,7 @@ def _curves(job, runs, comparison):
     """The pictures that any model has, in the form of `pictures`."""
     model, point, found = job.model, job.point, {}
     if point:
-        found["tip"] = lambda: plots.tip(runs, point), f"Path of {point}, and its coordinates against time."
+        found["tip"] = lambda: plots.tip(runs, point), f"Path of {point}, and how far it is from there in the other runs."
     else:
         found["coordinates"] = lambda: plots.coordinates(runs), "The first coordinates."
     if comparison:
@@ -101,9 +101,13 @@ def _curves(job, runs, comparison):
     if model.rows:
         caption = "What each joint does to the body on its far side."
         found["reactions"] = lambda: plots.reactions(runs, list(model.rows)), caption
-    found["energy"] = lambda: plots.energy(runs), "Energy, and what is gained or lost beside the work of parts and what they dissipate."
+    caption = "Energies of the first run, and what each run gains or loses beside the work of parts and what they dissipate."
+    found["energy"] = lambda: plots.energy(runs), caption
     if model.m:
-        found["drift"] = lambda: plots.drift(runs), "How well the constraints hold."
+        found["drift"] = (
+            lambda: plots.drift(runs),
+            f"How well the constraints hold: the largest violation in each of {plots.INTERVALS} intervals of time.",
+        )
     return found
 
 

@@ -20,8 +20,8 @@ class Study:
     """What to vary, what to measure, what to plot.
 
     tasks(quick): list of dictionaries of plain values, one a run. run(**task): a dictionary of plain values, the row's
-    results. figures(rows): {name: number}, the study's findings. draw(rows, folder): writes pictures, returns their
-    paths. notes(rows): lines that say what failed and what the numbers mean. figures, draw and notes may be tuples of
+    results. figures(rows): {name: number}, the study's findings. draw(rows): pictures of
+    the report (`polyida.show.html.Picture`). notes(rows): lines that say what failed and what the numbers mean. figures, draw and notes may be tuples of
     such functions, each formed alone: rows that are missing spoil no more than what needs them. headline: names of
     figures that are there in any case, NaN where their rows are missing. columns: of the table, all where empty.
     isolated: run each task in a process of its own, so that a crash is a row; limit: seconds after which it counts as
@@ -35,7 +35,7 @@ class Study:
     tasks: Callable
     run: Callable
     figures: Callable | tuple
-    draw: Callable | tuple = lambda rows, folder: []
+    draw: Callable | tuple = lambda rows: []
     columns: tuple = ()
     isolated: bool = False
     limit: float = 600.0

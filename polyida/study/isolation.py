@@ -4,7 +4,9 @@ import json
 import multiprocessing
 import signal
 import traceback
+from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from typing import Any
 
 from polyida.integrate.running.ctrl_c import heard
 
@@ -71,7 +73,7 @@ class Worker:
 class Serial(Executor):
     """An executor of concurrent.futures that runs what it is given here and now."""
 
-    def submit(self, function, /, *arguments, **named):
+    def submit(self, function: Callable, /, *arguments: Any, **named: Any) -> Future:
         """The Future of `function(*arguments, **named)`, done already."""
         return _done(function, *arguments, **named)
 
@@ -86,14 +88,14 @@ class Isolated(Executor):
     def __init__(self, limit: float = 600.0, fresh: bool = False) -> None:
         self._worker, self._limit, self._fresh = Worker(), limit, fresh
 
-    def submit(self, function, /, **named):
+    def submit(self, function: Callable, /, **named: Any) -> Future:  # type: ignore[override]
         """The Future of what `Worker.call` gives for `function(**named)`, done already."""
         future = _done(self._worker.call, function, named, self._limit)
         if self._fresh:
             self._worker.close()
         return future
 
-    def shutdown(self, wait=True, *, cancel_futures=False):
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the process."""
         self._worker.close()
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from polyida.errors import InputError
 from polyida.show import html
 from polyida.show.style import figure, settings
+from polyida.study.findings import columns_of
 
 FIGURES = {"name": ("figure", "{}"), "value": ("value", "{:.6g}")}
 
@@ -35,8 +36,24 @@ def blocks(result):
     pictures = [html.Picture(name, caption, _drawn(draw)) for name, (caption, draw) in result.pictures().items()]
     numbers = [{"name": name, "value": value} for name, value in result.figures.items()]
     found = [html.Notes(result.notes), html.Heading("Figures"), *pictures] if pictures else [html.Notes(result.notes)]
-    found += [html.Heading("Rows"), html.Table(result.shown_columns(), result.rows)]
+    found += [html.Heading("Rows"), html.Table(result.shown_columns(), [_legible(row) for row in result.rows])]
     return [*found, html.Heading("Numbers"), html.Table(FIGURES, numbers)] if numbers else found
+
+
+def write_page(study, rows, found, data, folder):
+    """The page of a study of the command line, with its Findings; data: what its figures.json holds. Returns the path."""
+    columns = {name: (name, "{:.4g}") for name in columns_of(study, rows)}
+    numbers = [{"name": name, "value": value} for name, value in found.figures.items()]
+    parts = [html.Heading("Figures"), *found.pictures] if found.pictures else []
+    parts += [html.Heading("Numbers"), html.Table(FIGURES, numbers)] if numbers else []
+    parts += [html.Heading("What failed, and what the numbers mean"), html.Notes(found.notes)] if found.notes else []
+    parts += [html.Heading("Rows"), html.Table(columns, [_legible(row) for row in rows])]
+    return html.write(folder, study.name.replace("_", " "), parts, data["command"], data["machine"], study.title)
+
+
+def _legible(row):
+    """A row with its lists and dictionaries, which figures.json has whole, as their sizes."""
+    return {name: f"{len(value)} values" if isinstance(value, (list, dict)) else value for name, value in row.items()}
 
 
 def _drawn(draw):

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 from polyida.errors import InputError
 from polyida.machine import machine_info
@@ -47,8 +48,8 @@ class Result:
 
         return dataset(self.histories) if self.histories else self.to_dataframe().rename_axis("row").to_xarray()
 
-    def plot(self, axes=None):
-        """Draw the main figure into matplotlib axes, new ones where None are given; returns the axes."""
+    def plot(self, *what: Any, **options: Any) -> Any:
+        """Draw the main figure into matplotlib axes, new ones where none are given; returns the axes."""
         raise InputError(f"{type(self).__name__} has no picture of its own; draw its rows")
 
     def pictures(self) -> dict:
@@ -66,7 +67,14 @@ class Result:
 
     def as_dict(self) -> dict:
         """Rows, figures, notes and machine as figures.json holds them: what is not finite is None."""
-        data = {"title": self.title, "lead": self.lead, "figures": self.figures, "notes": self.notes, "rows": self.rows, "machine": machine_info()}
+        data = {
+            "title": self.title,
+            "lead": self.lead,
+            "figures": self.figures,
+            "notes": self.notes,
+            "rows": self.rows,
+            "machine": machine_info(),
+        }
         return finite(json.loads(json.dumps(data, default=plain)))
 
     def _names(self):

@@ -12,8 +12,8 @@ import numpy as np
 from polyida import problems, profile
 from polyida.force.loads import PointLoad
 from polyida.problems import plates
-from polyida.study.measured import errors, measured
-from polyida.study.members import by_tolerance, integrator
+from polyida.study.kinds.work_precision import work_precision
+from polyida.study.members import integrator
 from polyida.study.reference.agreed import BY_ENERGY_MOMENTUM, BY_EXPLICIT, agreed, given
 from polyida.study.subject import Subject, subject
 
@@ -94,19 +94,15 @@ def case(name, quick):
     return makers[name]()
 
 
-@lru_cache(maxsize=64)
-def warm(name, member, quick):
-    """Two steps, so that compiling or loading kernels counts as nobody's time."""
-    chosen = case(name, quick)
-    h = 1e-4 * chosen.subject.t_end
-    chosen.subject.warm_up(integrator(member, 1e-4 if by_tolerance(member) else h, chosen.sizes, h))
-
-
 def measure(name, member, x, quick):
     """Errors at the end, CPU seconds and counts of one run; one that fails has its message as outcome, no errors."""
     chosen = case(name, quick)
-    warm(name, member, quick)
-    row, run = measured(chosen.subject, integrator(member, x, chosen.sizes, chosen.subject.t_end / 20, chosen.newton))
-    outcome = {"outcome": "done" if run.success else run.message, "reference": "; ".join(chosen.reference["made_by"])}
-    found = errors(run, chosen.reference) if run.success else {}
-    return found | row | outcome | {"known": chosen.reference["known_to"]}
+    motion, made = chosen.subject, integrator(member, x, chosen.sizes, chosen.subject.t_end / 20, chosen.newton)
+    start = {"q0": motion.q0, "v0": motion.v0}
+    (row,) = work_precision(motion.model, motion.t_end, **start, integrators={member: made}, reference=chosen.reference).rows
+    told = {
+        "outcome": "done" if row["status"] == "done" else row["message"],
+        "reference": "; ".join(chosen.reference["made_by"]),
+        "known": chosen.reference["known_to"],
+    }
+    return {key: value for key, value in row.items() if key != "integrator" and value == value} | told

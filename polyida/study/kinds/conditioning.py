@@ -104,7 +104,7 @@ def conditioning(
         raise InputError(f"conditioning: h = {h!r} must be positive steps in s, at least one")
     if not isinstance(integrators, dict) or not integrators:
         raise InputError(f"conditioning: integrators = {integrators!r} must be a dictionary {{label: integrator}}")
-    rows = []
+    rows: list[dict] = []
     with teller("conditioning", progress) as tell:
         for label, given in integrators.items():
             for number, state in enumerate(chosen):

@@ -40,17 +40,18 @@ def drift(
     v0: ArrayLike | None = None,
     integrators: dict[str, object] | None = None,
     frames: int = 400,
+    every: int = 1,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> Drift:
     """Run each of {label: integrator} to t_end and follow `max |phi|` and `max |phi_q v + phi_t|`, in phi's own units (m for joints).
 
-    frames: points of each history, at most; rows have the largest of all frames. model, q0, v0, progress: as `work_precision`. Raises
+    frames: points of each history, at most; rows have the largest of every `every`-th step. model, q0, v0, progress: as `work_precision`. Raises
     InputError before the first run.
     """
     given = subject("drift", model, t_end, q0, v0)
     known = members("drift", given, integrators, several=False)
     with teller("drift", progress) as tell:
-        return Drift(given.name, *kept("drift", given, known, frames, _measure, tell))
+        return Drift(given.name, *kept("drift", given, known, frames, every, _measure, tell))
 
 
 def _measure(run, at):

@@ -23,6 +23,8 @@ class EnergyKept(Kept):
         "energy_change": ("change at the end, J", "{:.2e}"),
         "energy_drift": ("largest change, J", "{:.2e}"),
         "relative_drift": ("of its size", "{:.1e}"),
+        "momentum_drift": ("of momentum, N s", "{:.1e}"),
+        "angular_drift": ("of angular momentum, N m s", "{:.1e}"),
         "steps": ("steps", "{}"),
         "cpu_s": ("CPU s", "{:.3g}"),
         "status": ("status", "{}"),
@@ -50,17 +52,19 @@ def energy(
     v0: ArrayLike | None = None,
     integrators: dict[str, object] | None = None,
     frames: int = 400,
+    every: int = 1,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> EnergyKept:
     """Run each of {label: integrator} to t_end and follow the energy: its change less the work of motors and loads, more what is dissipated.
 
     It is zero for the exact motion, where the model states its potential; NaN where it does not. Its size is the range of the kinetic
-    energy. frames: points of each history, at most. model, q0, v0, progress: as `work_precision`. Raises InputError before the first run.
+    energy. Momenta, where the model says them, should stay where nothing outside acts: their drifts are the largest changes. frames: points of
+    each history, at most; rows have the largest of every `every`-th step. model, q0, v0, progress: as `work_precision`. Raises InputError before the first run.
     """
     given = subject("energy", model, t_end, q0, v0)
     known = members("energy", given, integrators, several=False)
     with teller("energy", progress) as tell:
-        return EnergyKept(given.name, *kept("energy", given, known, frames, _measure, tell))
+        return EnergyKept(given.name, *kept("energy", given, known, frames, every, _measure, tell))
 
 
 def _measure(run, at):
@@ -68,13 +72,15 @@ def _measure(run, at):
     size = float(np.ptp(found.kinetic))
     drift = float(np.abs(change).max())
     row = {"energy_change": float(change[-1]), "energy_drift": drift, "relative_drift": drift / size if size else np.nan}
+    momentum, angular = _momenta(run)
+    row |= {"momentum_drift": float(np.abs(momentum - momentum[0]).max()), "angular_drift": float(np.abs(angular - angular[0]).max())}
     parts = {"unbalanced": change} | {name: getattr(found, name) for name in ("total", "kinetic", "strain")}
-    return row, {"t": run.t[at]} | {name: values[at] for name, values in parts.items()} | {"angular_momentum": _angular(run)[at]}
+    return row, {"t": run.t[at]} | {name: values[at] for name, values in (parts | {"angular_momentum": angular}).items()}
 
 
-def _angular(run):
-    """Angular momentum of every frame; NaN where the model does not say it."""
+def _momenta(run):
+    """Momentum (frames, 2) and angular momentum (frames,); NaN where the model does not say them."""
     try:
-        return np.asarray(run.angular_momentum)
+        return run.momentum, run.angular_momentum
     except InputError:
-        return np.full(len(run.t), np.nan)
+        return np.full((len(run.t), 2), np.nan), np.full(len(run.t), np.nan)

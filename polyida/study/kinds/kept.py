@@ -50,15 +50,15 @@ class Kept(Result):
         return [name for name in self.quantities if any(np.isfinite(found[name]).any() for found in self.histories.values())]
 
 
-def kept(study, given, known, frames, measure, tell):
-    """(rows, notes, histories) of one run for each of {label: [integrator]}; measure(run, frames) gives (row, history)."""
+def kept(study, given, known, frames, every, measure, tell):
+    """(rows, notes, histories) of one run for each of {label: [integrator]}; measure(run, frames) gives (row, history). every: as solve's."""
     if not is_whole(frames, 2):
         raise InputError(f"{study}: frames = {frames!r} must be a whole number of at least 2")
     rows, notes, histories = [], [], {}
     for label, (integrator,) in known.items():
         tell(len(rows), len(known), label)
         given.warm_up(integrator)
-        run = given.run(integrator)
+        run = given.run(integrator, every=every)
         row, histories[label] = measure(run, spread(run, frames))
         work = {"steps": run.counts.steps, "cpu_s": float(run.cpu_seconds), "status": run.status, "message": run.message}
         rows.append({"integrator": label, "setting": setting(integrator, [])} | row | work)

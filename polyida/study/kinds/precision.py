@@ -19,14 +19,7 @@ class Precision(Result):
     def __init__(self, rows, notes, reference):
         super().__init__(rows, notes)
         self.reference = reference
-
-    @property
-    def lead(self) -> str:
-        """By what the reference was made, and how far it is known."""
-        if "q" not in self.reference:
-            return ""
-        known = ", ".join(f"{part} {value:.1e}" for part, value in self.known_to.items() if value == value)
-        return f"Reference: {'; '.join(self.reference['made_by'])}; {f'known to {known}' if known else 'how far it is known is not said'}."
+        self.lead = _made(reference, self.known_to)
 
     @property
     def known_to(self) -> dict[str, float]:
@@ -95,6 +88,13 @@ def _step(integrator):
 
 def _stopped(rows):
     return [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
+
+
+def _made(reference, known_to):
+    """By what the reference was made, and how far it is known."""
+    known = ", ".join(f"{part} {value:.1e}" for part, value in known_to.items() if value == value)
+    told = f"known to {known}" if known else "how far it is known is not said"
+    return f"Reference: {'; '.join(reference['made_by'])}; {told}." if "q" in reference else ""
 
 
 def _unknown(reference):

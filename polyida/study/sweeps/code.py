@@ -1,6 +1,5 @@
 """A mark of a function: of its code, of what it names in modules of the user's own, and of the values that come with it."""
 
-import builtins
 import copyreg
 import dis
 import hashlib
@@ -8,6 +7,7 @@ import importlib.util
 import sys
 from contextlib import suppress
 from functools import cached_property
+from inspect import isgetsetdescriptor
 from itertools import chain
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType
@@ -16,7 +16,7 @@ from polyida.errors import InputError
 
 PLAIN = (int, float, complex, str, bytes, bool, type(None), type(Ellipsis))
 FILLING = {"append", "extend", "insert", "add", "update", "setdefault", "clear", "pop", "popitem", "remove", "discard"}
-LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF")
+LOADS = {"LOAD_GLOBAL": "", "LOAD_NAME": "", "LOAD_DEREF": "", "LOAD_ATTR": ".", "LOAD_METHOD": "."}  # and what is written before the name
 STORES = ("STORE_GLOBAL", "STORE_DEREF")
 BESIDE = ("co_code", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount", "co_kwonlyargcount", "co_flags")
 
@@ -94,14 +94,14 @@ class _Reader:
         filled = _filled(function.__code__)
         cells = dict(zip(function.__code__.co_freevars, function.__closure__ or ()))
         values = {name: cell.cell_contents for name, cell in cells.items() if name not in filled and cell != CellType()}
-        values |= {name: value for name, value in _named(function) if name not in filled}
+        values |= _named(function, filled)
         self._all(chain.from_iterable(values.items()))
 
     def _class(self, kind):
         self._all(kind.__bases__)
         for name, value in vars(kind).items():
             parts = _wrapped(value)
-            if parts or isinstance(value, (FunctionType, type)) or not name.startswith(("__", "_abc_")):
+            if parts or isinstance(value, (FunctionType, type)) or not (isgetsetdescriptor(value) or name.startswith(("__", "_abc_"))):
                 self.note(name)
                 self._all(parts or [value])
 
@@ -146,7 +146,7 @@ def _codes(code):
 
 
 def _filled(code):
-    """Names of what a function itself assigns or fills: `log.append(x)`, `store[key] = x`, `global count`."""
+    """Names of what a function itself assigns or fills: `log.append(x)`, `store[key] = x`, `global count`; of a module's with a dot before."""
     found = set()
     for part in _codes(code):
         steps = list(dis.get_instructions(part))
@@ -154,22 +154,26 @@ def _filled(code):
             called = after.opname in ("LOAD_METHOD", "LOAD_ATTR") and after.argval in FILLING
             stored = beyond.opname == "STORE_SUBSCR" or (beyond.opname, beyond.argval) == ("COPY", 2)  # x[k] = y, x[k] += y
             if step.opname in STORES or step.opname in LOADS and (called or stored):
-                found.add(step.argval)
+                found.add(LOADS.get(step.opname, "") + step.argval)
     return found
 
 
-def _named(function):
-    """(name, value) of what a function's code names: globals, and what it takes from modules of the user's own."""
+def _named(function, filled):
+    """{name: value} of what a function's code names and does not fill: globals, and what it takes from modules of the user's own."""
     names = sorted({name for code in _codes(function.__code__) for name in code.co_names})
-    found = [(name, function.__globals__[name]) for name in names if name in function.__globals__]
-    modules, looked = [value for _, value in found if isinstance(value, ModuleType)] + _imported(function), set()
-    for module in modules:
-        if not _installed(module.__name__) and module.__name__ not in looked:
-            looked.add(module.__name__)
-            parts = [(f"{module.__name__}.{name}", vars(module)[name]) for name in names if name in vars(module)]
-            modules += [part for _, part in parts if isinstance(part, ModuleType)]
-            found += parts
-    return [(name, value) for name, value in found if value is not getattr(builtins, name, found)]
+    known = function.__globals__
+    found = {name: known[name] for name in names if name in known and name not in filled}
+    modules = {value.__name__: value for value in [*found.values(), *_imported(function)] if isinstance(value, ModuleType)}
+    waiting = list(modules.values())
+    while waiting:
+        module = waiting.pop(0)
+        if not _installed(module.__name__):
+            parts = {name: vars(module)[name] for name in names if name in vars(module) and f".{name}" not in filled}
+            found |= {f"{module.__name__}.{name}": value for name, value in parts.items()}
+            further = {value.__name__: value for value in parts.values() if isinstance(value, ModuleType)}
+            waiting += [value for name, value in further.items() if name not in modules]
+            modules |= further
+    return found
 
 
 def _imported(function):

@@ -13,8 +13,11 @@ RESERVED = ("error", *COSTS)
 KIB, MIB = 2.0**10, 2.0**20
 
 
-def measured(function, arguments):
-    """The row of `function(**arguments)`: what it gave, "error", cpu_s of this process, wall_s and memory_mb, see `sweep`."""
+def measured(function, arguments, sweep_id):
+    """The row of `function(**arguments)`: what it gave, "error", cpu_s of this process, wall_s and memory_mb, see `sweep`.
+
+    sweep_id: another one in every sweep: a scheduler that has seen a call before (Dask) would give its old row.
+    """
     fresh = _forget_peak()
     wall, cpu = time.perf_counter(), time.process_time()
     row = attempt(_checked, {"function": function, "arguments": arguments})

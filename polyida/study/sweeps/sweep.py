@@ -6,18 +6,26 @@ import json
 import pickle
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
+from uuid import uuid4
 
 import polyida
 from polyida.errors import InputError
+from polyida.given import is_number
 from polyida.keywords import named_keywords
+from polyida.study.drawing import look, on_axes
 from polyida.study.harness import Shelf, collected, package_mark
 from polyida.study.isolation import Isolated, Serial
+from polyida.study.progress import teller
 from polyida.study.result import Result
 from polyida.study.sweeps.code import mark_of
 from polyida.study.sweeps.measured import COSTS, RESERVED, measured, plain
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+HEADINGS = {"cpu_s": ("CPU s", ".3g"), "wall_s": ("wall s", ".3g"), "memory_mb": ("memory MB", ".0f")}
 BY_NAME = (ProcessPoolExecutor, Isolated)  # executors that send functions by the names of their modules
 
 
@@ -26,9 +34,31 @@ class Sweep(Result):
 
     title = "sweep"
 
-    def __init__(self, rows, ran, notes=()):
+    def __init__(self, rows: list[dict], ran: int, varied: list[str], notes: list[str]) -> None:
         super().__init__(rows, notes)
-        self.ran = ran
+        self.ran, self.varied = ran, varied
+        names = dict.fromkeys(name for row in self.rows for name in row)
+        self.columns = {name: HEADINGS.get(name, (name, "")) for name in names if name != "traceback"}
+
+    def plot(self, x: str | None = None, y: str | None = None, axes: "Axes | None" = None) -> "Axes":
+        """Draw a column over another, a point a case, into matplotlib axes, new ones where None are given; returns the axes.
+
+        x: by default the first number of the cases, y: the first number that the function gave. Cases without them are left out.
+        Raises InputError where no case has both.
+        """
+        x = x or self._number(self.varied)
+        y = y or self._number([name for name in self.columns if name not in self.varied])
+        found = [(row[x], row[y]) for row in self.rows if is_number(row.get(x)) and is_number(row.get(y))]
+        if not found:
+            raise InputError(f"Sweep.plot: no case has numbers x = {x!r} and y = {y!r}; there are {', '.join(self.columns)}")
+        with on_axes(axes) as axis:
+            axis.plot(*zip(*found), **look(0) | {"linestyle": "none"})
+            axis.set(xlabel=x, ylabel=y)
+            return axis
+
+    def _number(self, names):
+        """The first of the columns that has a number."""
+        return next((name for name in names if any(is_number(row.get(name)) for row in self.rows)), None)
 
 
 @named_keywords
@@ -37,14 +67,14 @@ def sweep(
     cases: Iterable[dict],
     executor: Executor | None = None,
     folder: str | Path | None = None,
-    progress: Callable[[int, int, dict], object] | None = None,
+    progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> Sweep:
     """Run `function(**case)` for every case; the rows of a Sweep are the same wherever the cases ran, and in their order.
 
     function: gives a dictionary of plain values: numbers, texts, True, False, None, and lists and dictionaries of them. cases:
     dictionaries of such values. executor: one of concurrent.futures: a ProcessPoolExecutor, `client.get_executor()` of Dask,
     `pi.study.Isolated()`; without one the cases run here, one after the other. progress: called with how many cases are done, of how
-    many, and the first that is not.
+    many, and the first that is not, in words; True shows tqdm's bar.
 
     A row is the case, what the function gave, "error" (empty, or why the case failed, then with "traceback"), "cpu_s" and "wall_s", and
     "memory_mb": the largest resident memory of the process while the case ran, Python and libraries included, which is what a cluster is
@@ -62,13 +92,17 @@ def sweep(
     """
     cases = _require_cases(function, cases)
     _require_executor(function, executor)
-    if progress is not None and not callable(progress):
-        raise InputError(f"sweep: progress = {progress!r} must be a function of the number of cases done, of all, and a case")
     shelf = _shelf(function, folder)
     names = [_name(shelf.code, case) for case in cases]
-    submit = partial((executor or Serial()).submit, measured, function=function)
-    rows, ran = collected(submit, cases, names, shelf, progress or _silent)
-    return Sweep([row | {cost: row.get(cost) for cost in COSTS} for row in rows], ran, _notes(names, rows))
+    place, sweep_id = executor or Serial(), uuid4().hex
+
+    def submit(arguments):
+        return place.submit(measured, function=function, arguments=arguments, sweep_id=sweep_id)
+
+    with teller("sweep", progress) as tell:
+        rows, ran = collected(submit, cases, names, shelf, lambda done, total, case: tell(done, total, _words(case)))
+    varied = list(dict.fromkeys(name for case in cases for name in case))
+    return Sweep([row | {cost: row.get(cost) for cost in COSTS} for row in rows], ran, varied, _notes(names, rows))
 
 
 def _require_cases(function, cases):
@@ -157,5 +191,5 @@ def _called(function):
     return getattr(function, "__name__", None) or repr(function)
 
 
-def _silent(done, total, case):
-    pass
+def _words(case):
+    return ", ".join(f"{name} {value}" for name, value in case.items())
