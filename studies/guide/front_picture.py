@@ -30,10 +30,7 @@ def drawn(points, problem):
         made, axes = figure(6.4, 3.7)
         for (label, pairs), colour, mark in zip(points.items(), PALETTE, MARKS):
             axes.loglog(*zip(*pairs), color=colour, marker=mark, markersize=4.5, label=label)
-        axes.set(
-            xlabel="CPU time of the run, s (one core)",
-            ylabel="error of the tip after 1 s, m",
-        )
+        axes.set(xlabel="CPU time of the run, s (one core)", ylabel="error of the tip after 1 s, m")
         axes.set_title(f"Two swinging plates, {problem.model.n} coordinates: what a digit costs", color=INK)
         axes.legend(loc="upper right", labelcolor=INK)
         return made
