@@ -9,7 +9,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import polyida as pi
-from polyida.show import plots
 
 r, length = 0.15, 0.3
 scene = pi.Scene(gravity=(0.0, -9.81))
@@ -30,7 +29,7 @@ print(scene.assemble().summary())
 
 run = pi.solve(scene.build(), 0.6, pi.GeneralizedAlpha(h=5e-4))
 print(run.summary())
-figure = plots.deformed(run, snapshots=4)
+run.plot.deformed(snapshots=4)
 
 # %%
 # Every joule is accounted for: what the torque puts in is kinetic, elastic and potential energy, and what the damper takes.
