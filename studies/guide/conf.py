@@ -54,6 +54,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "write_computation_times": False,
     "show_signature": False,
+    "capture_repr": (),  # what a line gives is not shown, what it prints is
     "remove_config_comments": True,
     "image_srcset": ["2x"],
 }
