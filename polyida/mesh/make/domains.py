@@ -171,6 +171,9 @@ class Moved(Domain):
     def corners(self) -> NDArray:
         return self.domain.corners() + self.offset
 
+    def on_boundary(self, points: NDArray) -> NDArray:
+        return self.domain.on_boundary(points - self.offset)
+
 
 @named_keywords
 class Link(Domain):

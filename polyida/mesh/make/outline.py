@@ -16,6 +16,7 @@ from polyida.mesh.sections import ROUND, centre, signed_area
 
 AT_ONCE = 2_000_000  # pairs of points and edges
 FOLD = np.pi - 1e-6  # rad
+STRAIGHT = 0.05  # of the way around: a longer edge is no chord of a curve
 SAME = 1e-9  # of the size: neighbours nearer than that are one corner
 
 
@@ -24,9 +25,10 @@ class Outline(Domain):
     """What lies within a closed outline and without its holes, m; `polygonize` meshes it, `|`, `-` and `&` combine it.
 
     points (n, 2): the corners in order, either way round, the first may be repeated at the end; holes: such arrays, one each.
-    Where the way turns by more than `corner` degrees at a point, the mesh has a node exactly there. What turns by less is a curve
-    of chords, nodes lie on it wherever they come; a ring without corners whose points all lie on a circle is that circle. Raises
-    InputError, naming outline or hole and its place, for anything that crosses or touches itself, and for holes not within the outline.
+    Where the way turns by more than `corner` degrees, and at any bend between two edges longer than a twentieth of the way,
+    the mesh has a node exactly there. What turns by less is a curve of chords, nodes lie on it wherever they come; a ring without
+    corners whose points all lie on a circle is that circle. Raises InputError, naming outline or hole and its place, for anything that
+    crosses or touches itself, and for holes that are not within the outline.
     """
 
     def __init__(self, points: ArrayLike, holes: Iterable[ArrayLike] = (), corner: float = 15.0) -> None:
@@ -49,6 +51,10 @@ class Outline(Domain):
     def distance(self, points: NDArray) -> NDArray:
         """Signed distance, m: negative inside, exact everywhere."""
         return np.max([ring.distance(points) for ring in self._rings], axis=0)
+
+    def on_boundary(self, points: NDArray) -> NDArray:
+        """(n,) mask: no two walls coincide here, so that the distance tells it, in acute corners too."""
+        return np.abs(self.distance(points)) < 1e-9 * float(np.max(self.upper - self.lower))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +93,7 @@ class _Round:
 
 def _ring(points, corner, sign):
     """_Round where the points lie on a circle without a corner, else _Polygon."""
-    bend = np.abs(_turns(points)) > corner
+    bend = _bends(points, corner)
     middle = centre(points)
     radii = np.hypot(*(points - middle).T)
     if not bend.any() and np.ptp(radii) <= ROUND * radii.mean():
@@ -119,14 +125,22 @@ def _turns(ring):
     return np.arctan2(behind[:, 0] * ahead[:, 1] - behind[:, 1] * ahead[:, 0], np.einsum("ij,ij->i", behind, ahead))
 
 
+def _bends(points, corner):
+    """(n,) mask: the corners among the points."""
+    length = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
+    between = np.minimum(length, np.roll(length, 1)) > STRAIGHT * length.sum()
+    return np.abs(_turns(points)) > np.where(between, 1e-6, corner * (1 + 1e-9))
+
+
 def _chains(ring, bend):
     """Walls from corner to corner; one closed wall where there is no corner."""
     if not bend.any():
         return [Chain(np.concatenate([ring, ring[:1]]), True)]
     first = int(np.argmax(bend))
-    ring, ends = np.roll(ring, -first, axis=0), np.flatnonzero(np.roll(bend, -first))
-    ring, ends = np.concatenate([ring, ring[:1]]), np.append(ends, len(ring))
-    return [Chain(ring[a : b + 1], False) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    ring, ends = np.roll(ring, -first, axis=0), np.append(np.flatnonzero(np.roll(bend, -first)), len(ring))
+    outward = np.append(_turns(ring), _turns(ring)[0]) > 0.0
+    ring = np.concatenate([ring, ring[:1]])
+    return [Chain(ring[a : b + 1], False, (outward[a], outward[b])) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
 
 def _depth(points, start, along):
