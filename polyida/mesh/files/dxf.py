@@ -20,13 +20,14 @@ def read(path, part):
     try:
         with guarded(path.stat().st_size):
             document = readfile(path)
-            entities = [entity for entity in recursive_decompose(document.modelspace()) if part in (None, entity.dxf.layer)]
+            entities = list(recursive_decompose(document.modelspace()))
     except Exception as error:  # noqa: BLE001, whatever it is, the file is to blame
         raise InputError(f"it cannot be read as DXF: {type(error).__name__}: {str(error)[:200]}") from None
-    if part is not None and not entities:
-        raise InputError(f"has nothing on the layer {part!r}; there are {', '.join(repr(layer.dxf.name) for layer in document.layers)}")
+    layers = sorted({entity.dxf.layer for entity in entities})
+    if part is not None and part not in layers:
+        raise InputError(f"has nothing on the layer {part!r}; there are {', '.join(map(repr, layers)) or 'none'}")
     curves, skipped = [], Counter()
-    for entity in entities:
+    for entity in (entity for entity in entities if part in (None, entity.dxf.layer)):
         found = _curves(entity)
         curves += found
         skipped[entity.dxftype()] += not found
@@ -68,6 +69,8 @@ def _joined(curves):
     open_ones = [curve for curve in curves if np.hypot(*(curve[0] - curve[-1])) > gap]
     edges = [edgeminer.make_edge(curve[0], curve[-1], payload=curve) for curve in open_ones]
     left = len(open_ones)
+    if not edges:
+        return rings, 0
     for chain in edgeminer.find_all_simple_chains(edgeminer.Deposit(edges, gap_tol=gap)):
         if edgeminer.is_loop(chain, gap_tol=gap):
             rings.append(np.concatenate([(edge.payload[::-1] if edge.is_reverse else edge.payload)[:-1] for edge in chain]))

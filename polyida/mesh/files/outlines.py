@@ -3,6 +3,8 @@
 import warnings
 from pathlib import Path
 
+import numpy as np
+
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
 from polyida.mesh.files import dxf, svg
@@ -46,13 +48,13 @@ def _outline(what, drawing, unit, corner):
         found = drawing()
         if not found.rings:
             raise InputError("has no closed curve" + _tell(found.notes))
-        rings = sorted(found.rings, key=lambda ring: -abs(signed_area(ring)))
-        rings = [ring * scale_of(unit, found.metres, "") for ring in rings]
-        outline = Outline(rings[0], holes=rings[1:], corner=corner)
+        rings = [ring * scale_of(unit, found.metres, "") for ring in found.rings]
+        outer = rings.pop(int(np.argmax([abs(signed_area(ring)) for ring in rings])))
+        outline = Outline(outer, holes=rings, corner=corner)
     except InputError as error:
         more = "; part= takes one of several parts" if "not within the outline" in str(error) else ""
         raise InputError(f"{what}: {error}{more}") from None
-    if notes := [*found.notes, *hint(rings[0], unit, found.metres)]:
+    if notes := [*found.notes, *hint(outer, unit, found.metres)]:
         warnings.warn(f"{what}: {'; '.join(notes)}", MeshWarning, stacklevel=4)
     return outline
 

@@ -17,6 +17,7 @@ from polyida.mesh.sections import ROUND, centre, signed_area
 AT_ONCE = 2_000_000  # pairs of points and edges
 FOLD = np.pi - 1e-6  # rad
 STRAIGHT = 0.05  # of the way around: a longer edge is no chord of a curve
+REENTRANT = np.radians(160.0)  # no more cells fit around a corner
 SAME = 1e-9  # of the size: neighbours nearer than that are one corner
 
 
@@ -115,6 +116,12 @@ def _points(given, what, orientation):
     if back.size:
         raise InputError(f"{what} folds back on itself at {points[back[0]].tolist()}")
     points = points if area * orientation > 0 else points[::-1]
+    sharp = np.flatnonzero(_turns(points) < -REENTRANT)
+    if sharp.size:
+        raise InputError(
+            f"{what} cuts into the domain by a corner of {180 + np.degrees(_turns(points)[sharp[0]]):.3g} degrees at "
+            f"{points[sharp[0]].tolist()}; it must be 20 or wider, or round"
+        )
     return np.roll(points, -int(np.lexsort(points.T)[0]), axis=0)
 
 
