@@ -10,7 +10,7 @@ from against_peers.own import LABELS, OWN, TIMES, extrapolated, largest, ours, t
 from polyida.cli.study import main
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
-from polyida.study.drawing import drawn, legend, loglog, panels, saved
+from polyida.study.drawing import curves, drawn, legend, loglog, panels
 from polyida.study.harness import Study
 from polyida.study.isolation import run_isolated
 from step_cost.measure import model_of
@@ -194,7 +194,7 @@ def _ida_and_alpha(rows, scene, dof, error=1e-5):
 
 
 @drawn
-def draw(rows, folder):
+def draw(rows):
     """Work-precision: CPU time against the tip's largest error, a panel for each scene and size."""
     cases = cases_of(rows)
     made, axes = panels(len(cases))
@@ -206,7 +206,7 @@ def draw(rows, folder):
                 loglog(axis, *np.array(points).T, k, label)
         axis.set(title=f"{scene}, {dof} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
     legend(made, axes, 2)
-    return saved(made, folder, "against_peers")
+    return curves(made, "against_peers")
 
 
 study = Study(

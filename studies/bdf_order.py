@@ -5,7 +5,7 @@ And what it costs that the error test looks at v as sharply as at q: the velocit
 
 from bdf_order.order import run_order, run_tested
 from polyida.cli.study import main
-from polyida.study.drawing import drawn, look, panels, saved
+from polyida.study.drawing import curves, drawn, look, panels
 from polyida.study.harness import Study
 from polyida.study.rows import column, each, last, number, pick, stopped, value
 
@@ -88,14 +88,15 @@ def notes(rows):
 
 
 @drawn
-def bdf_order_figure(rows, folder):
+def bdf_order_figure(rows):
+    """IDA's work against the highest order it may take, and its steps over time."""
     made, axes = panels(3 if pick(rows) else 0, width=10.6, height=3.8)
     steps_panel(axes[0], rows)
     history_panel(axes[1], rows)
     weights_panel(axes[2], rows)
     for axis in [axis for axis in axes if axis.lines]:
         axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return saved(made, folder, "bdf-order")
+    return curves(made, "bdf-order")
 
 
 def steps_panel(axis, rows):

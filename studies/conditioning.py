@@ -3,14 +3,15 @@
 import numpy as np
 
 from conditioning import solve_error
+from conditioning import systems as conditioning
 from polyida.cli.study import main
 from polyida.integrate.ida.whole import SCALINGS as IDA_SCALINGS
 from polyida.integrate.iteration_matrix import MODES
 from polyida.linear.kkt import SCALINGS
-from polyida.study.drawing import drawn, fitted, legend, loglog, nested, panels, saved, slope_line
+from polyida.study.drawing import curves, drawn, legend, loglog, nested, panels, slope_line
 from polyida.study.harness import Study
-from polyida.study.kinds import conditioning
 from polyida.study.rows import every, farthest, number, pick, worst
+from polyida.study.slopes import fitted
 
 
 def steps(quick):
@@ -165,7 +166,8 @@ def label_of(row):
 
 
 @drawn
-def alpha_figure(rows, folder):
+def alpha_figure(rows):
+    """Condition number of generalized-alpha's iteration matrix against the step, with the slopes of theory dashed."""
     made, axes = panels(2, height=3.4)
     labels = list(dict.fromkeys(label_of(row) for row in pick(rows, of="alpha")))
     for axis, plates in zip(axes, ("soft", "steel")):
@@ -177,11 +179,12 @@ def alpha_figure(rows, folder):
                 slope_line(axis, row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
         axis.set(xlabel="step h, s", ylabel="condition number", title=f"generalized-alpha, {plates} plates")
     legend(made, axes, 3)
-    return saved(made, folder, "condition-alpha")
+    return curves(made, "condition-alpha")
 
 
 @drawn
-def ida_figure(rows, folder):
+def ida_figure(rows):
+    """Condition number of IDA's matrix against 1/cj, raw and scaled, form by form."""
     made, axes = panels(2, height=3.4, sharey=True)
     for axis, scaling, title in zip(axes, ("none", "characteristic"), ("raw", "scaled by characteristic sizes")):
         for row in pick(rows, of="IDA", plates="soft", scaling=scaling):
@@ -189,11 +192,12 @@ def ida_figure(rows, folder):
         axis.set(xlabel="1 / cj, s", title=f"IDA, soft plates, {title}")
     axes[0].set_ylabel("condition number")
     legend(made, axes, 6)
-    return saved(made, folder, "condition-ida")
+    return curves(made, "condition-ida")
 
 
 @drawn
-def radau_figure(rows, folder):
+def radau_figure(rows):
+    """Condition number of Radau IIA's matrices against the step, raw and scaled, for both modes of the stages."""
     made, axes = panels(2, height=3.4, sharey=True)
     forms = [f"{form}, {mode}" for form in conditioning.RADAU_SLOPES for mode in MODES]
     for axis, scaling, title in zip(axes, ("none", "physical"), ("raw", "scaled by physical sizes")):
@@ -206,10 +210,10 @@ def radau_figure(rows, folder):
             slope_line(axes[0], row["theory"], [1e-6, 1e-9], row["values"][row["h"].index(1e-6)] * 3)
     axes[0].set_ylabel("condition number")
     legend(made, axes, 4)
-    return saved(made, folder, "condition-radau")
+    return curves(made, "condition-radau")
 
 
-def solve_figure(rows, folder, name, step, shown):
+def solve_figure(rows, name, step, shown):
     """Errors on steel plates, a panel for each (of, scaling)."""
     made, axes = panels(len(shown), width=7.4, height=3.3, columns=len(shown), sharey=True)
     for axis, (of, scaling) in zip(axes, shown):
@@ -220,18 +224,20 @@ def solve_figure(rows, folder, name, step, shown):
         axis.set(xlabel=step, title=title, ylim=(1e-16, 1e3))
     axes[0].set_ylabel("relative error of the solve")
     legend(made, axes, 2)
-    return saved(made, folder, name)
+    return curves(made, name)
 
 
 @drawn
-def solve_alpha_figure(rows, folder):
-    return solve_figure(rows, folder, "solve-error", "step h, s", [("solve", scaling) for scaling in SCALINGS])
+def solve_alpha_figure(rows):
+    """Relative error of one solve with generalized-alpha's matrix against the step, on steel plates, for each back-end and scaling."""
+    return solve_figure(rows, "solve-error", "step h, s", [("solve", scaling) for scaling in SCALINGS])
 
 
 @drawn
-def solve_ida_figure(rows, folder):
+def solve_ida_figure(rows):
+    """Relative error of one solve with IDA's matrix against 1/cj, on steel plates, for each back-end."""
     kinds = [(f"IDA solve, {form}", scaling) for form in ("ggl2", "index1") for scaling in IDA_SCALINGS[::-1]]
-    return solve_figure(rows, folder, "solve-error-ida", "1 / cj, s", kinds)
+    return solve_figure(rows, "solve-error-ida", "1 / cj, s", kinds)
 
 
 COLUMNS = ("of", "plates", "form", "scaling", "theory", "slope", "slope_limit", "at_1e-2", "at_1e-9", "worst", "error")

@@ -5,7 +5,7 @@ import numpy as np
 from defaults.runs import measure
 from polyida import registry
 from polyida.cli.study import main
-from polyida.study.drawing import drawn, legend, loglog, look, panels, saved
+from polyida.study.drawing import curves, drawn, legend, loglog, look, panels
 from polyida.study.harness import Study
 from polyida.study.kinds.work_precision import cheapest
 from polyida.study.rows import NAN, column, each, pick, stopped
@@ -85,7 +85,7 @@ def stop_notes(rows):
 
 
 @drawn
-def defaults_figure(rows, folder):
+def defaults_figure(rows):
     """CPU seconds against error: given settings as lines, the own choice a star on each."""
     problems = each(rows, "problem")
     made, axes = panels(len(GIVEN) if problems else 0, width=9.0, height=3.4, columns=3)
@@ -103,7 +103,7 @@ def defaults_figure(rows, folder):
             ylabel="" if kind != "alpha" else "CPU seconds",
         )
     legend(made, axes, 5)
-    return saved(made, folder, "defaults")
+    return curves(made, "defaults")
 
 
 COLUMNS = ("problem", "integrator", "x", "error_max", "error_end", "cpu_s", "steps", "rejected", "factorizations", "outcome", "error")

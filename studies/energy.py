@@ -4,7 +4,7 @@ import numpy as np
 
 from energy.long_run import balance
 from polyida.cli.study import main
-from polyida.study.drawing import digits, drawn, legend, look, panels, saved, tag
+from polyida.study.drawing import curves, digits, drawn, legend, look, panels, tag
 from polyida.study.harness import Study
 from polyida.study.members import by_tolerance
 from polyida.study.rows import pick, stopped, worst
@@ -111,14 +111,15 @@ def draw_change(axis, rows, scene, what):
 
 
 @drawn
-def energy_figure(rows, folder):
+def energy_figure(rows):
+    """The largest relative change of energy and of angular momentum so far; a cross is where a run stopped or had lost the motion."""
     made, axes = panels(3, width=7.4, height=3.4, columns=3)
     for axis, scene, what in zip(axes, ("swinging", "thrown", "thrown"), ("energy", "energy", "angular")):
         draw_change(axis, rows, scene, what)
         axis.set(xlabel="t, s", title=f"{scene}: {'energy' if what == 'energy' else 'angular momentum'}")
     axes[0].set_ylabel("largest relative change so far")
     legend(made, axes, 3)
-    return saved(made, folder, "energy")
+    return curves(made, "energy")
 
 
 def figure_notes(rows):

@@ -8,7 +8,7 @@ from polyida import registry
 from polyida.cli.study import main
 from polyida.errors import ReductionWarning
 from polyida.show.style import INK
-from polyida.study.drawing import aim_line, drawn, legend, loglog, look, panels, saved
+from polyida.study.drawing import aim_line, curves, drawn, legend, loglog, look, panels
 from polyida.study.harness import Study
 from polyida.study.rows import column, each, number, pick, stopped
 
@@ -93,7 +93,7 @@ def table_notes(rows):
 
 
 @drawn
-def runs_figure(rows, folder):
+def runs_figure(rows):
     """CPU seconds against distance from full plates, a panel a problem."""
     found = [row for row in rows if row.get("x") is not None]
     problems, levels = each(found, "problem"), sorted(each(found, "level"), key=place)
@@ -104,11 +104,11 @@ def runs_figure(rows, folder):
             loglog(axis, column(points, "distance"), column(points, "cpu_s"), i, words(level))
         axis.set(title=name, xlabel="distance from full plates, m", ylabel="CPU seconds")
     legend(made, axes, 5)
-    return saved(made, folder, "levels")
+    return curves(made, "levels")
 
 
 @drawn
-def modes_figure(rows, folder):
+def modes_figure(rows):
     """Distance of reduced from full plates against the number of modes."""
     found = [row for row in pick(rows, part="run", x=None) if isinstance(row["level"], int)]
     made, (axes,) = panels(1, width=5.0)
@@ -118,11 +118,11 @@ def modes_figure(rows, folder):
     axes.semilogy(*zip(*AIMS), label="aims", color=INK, marker="_", markersize=9, linestyle="")
     axes.set(xlabel="modes a plate", ylabel="distance from full plates, m")
     legend(made, axes, 3)
-    return saved(made, folder, "levels_modes")
+    return curves(made, "levels_modes")
 
 
 @drawn
-def steps_figure(rows, folder):
+def steps_figure(rows):
     """CPU time of a step against the cells of a plate."""
     found = pick(rows, part="step")
     made, (axes,) = panels(1 if found else 0, width=5.0)
@@ -132,7 +132,7 @@ def steps_figure(rows, folder):
     aim_line(axes, 1e6 * AIM_STEP, "aim, 5 modes")
     axes.set(xlabel="cells a plate", ylabel="CPU time of a step, us")
     legend(made, axes, 4)
-    return saved(made, folder, "levels_steps")
+    return curves(made, "levels_steps")
 
 
 STUDY = Study(

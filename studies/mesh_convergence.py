@@ -8,9 +8,10 @@ from mesh_convergence import cases
 from mesh_convergence.selection import MEMBERS, POLYGONS, QUADS, SLENDER, tasks
 from polyida.cli.study import main
 from polyida.problems.spin_up_beam import EXTENSION
-from polyida.study.drawing import aim_line, drawn, fitted, legend, loglog, look, panels, saved
+from polyida.study.drawing import aim_line, curves, drawn, legend, loglog, look, panels
 from polyida.study.harness import Study
 from polyida.study.rows import column, last, pick, value, worst
+from polyida.study.slopes import fitted
 
 STEADY = 12.0  # s, before which the swing shortens the spin-up beam a hundred times more than the turning lengthens it
 
@@ -160,7 +161,8 @@ def rate_notes(rows):
 
 
 @drawn
-def convergence_figure(rows, folder):
+def convergence_figure(rows):
+    """Deviation from each reference against the number of coordinates."""
     cases = {
         "elastica, PL²/EI = 1, L/h = 50": {"case": "elastica", "load": 1, "slenderness": 50},
         "elastica, PL²/EI = 10, L/h = 50": {"case": "elastica", "load": 10, "slenderness": 50},
@@ -179,22 +181,24 @@ def convergence_figure(rows, folder):
     for axis in axes[-2:]:
         axis.set_xlabel("degrees of freedom")
     legend(made, axes, 3)
-    return saved(made, folder, "mesh-convergence")
+    return curves(made, "mesh-convergence")
 
 
 @drawn
-def joint_figure(rows, folder):
+def joint_figure(rows):
+    """Compliance against the mesh of a joint at one node and at a whole section."""
     made, axes = panels(1, width=4.2, height=2.6)
     for i, at in enumerate(("node", "section")):
         runs = by_size(rows, case="compliance", at=at)
         axes[0].semilogx(column(runs, "dof"), column(runs, "compliance"), label=f"pulled at a {at}", **look(i))
     axes[0].set(xlabel="degrees of freedom", ylabel="compliance over that of the bar")
     legend(made, axes, 2)
-    return saved(made, folder, "node-against-section")
+    return curves(made, "node-against-section")
 
 
 @drawn
-def spin_up_figure(rows, folder):
+def spin_up_figure(rows):
+    """Extension and deflection of the spin-up beam's tip against time."""
     runs = by_size(rows, case="spin-up")
     made, axes = panels(2 if runs else 0, height=2.8)
     steady = [(t, 1e3 * u) for t, u in zip(runs[-1]["t"], runs[-1]["u"]) if t > STEADY]
@@ -204,7 +208,7 @@ def spin_up_figure(rows, folder):
     axes[0].set(ylabel="deflection of the tip, m", xlabel="t, s", title="spin-up beam, in the turning frame")
     axes[1].set(ylabel="extension, mm", xlabel="t, s", title=f"the same, t > {STEADY:g} s")
     legend(made, axes, 2)
-    return saved(made, folder, "spin-up")
+    return curves(made, "spin-up")
 
 
 COLUMNS = (

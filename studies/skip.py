@@ -3,6 +3,7 @@
 import numpy as np
 
 from polyida.cli.study import main
+from polyida.study.drawing import drawn, picture
 from polyida.study.harness import Study
 from polyida.study.rows import each, pick
 from skip import savings
@@ -30,29 +31,29 @@ def notes(rows):
     return list(savings.FIXED)
 
 
-def draw(rows, folder):
+@drawn
+def draw(rows):
     """A bar for each saving: CPU time without over with."""
-    from polyida.show.style import PALETTE, figure, save, settings
+    from polyida.show.style import PALETTE, figure
 
     names, sizes = each(rows, "saving"), each(rows, "cells")
     if not pick(rows):
         raise LookupError("no rows to draw")
-    with settings():
-        made, axes = figure(6.4, 1.0 + 0.26 * len(names))
-        for k, cells in enumerate(sizes):
-            found = {row["saving"]: row["times"] for row in rows if row["cells"] == cells and not row.get("error")}
-            places = np.arange(len(names)) + (k - (len(sizes) - 1) / 2) * 0.8 / len(sizes)
-            values = np.array([found.get(name, np.nan) for name in names])
-            label = f"{cells} cells a plate"
-            axes.barh(places, values - 1.0, 0.8 / len(sizes), left=1.0, color=PALETTE[k], label=label)
-        axes.set_xscale("log")
-        axes.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
-        axes.set_xticks([], minor=True)
-        axes.set_yticks(range(len(names)), names)
-        axes.set(xlabel="CPU time without the saving over CPU time with it")
-        axes.invert_yaxis()
-        axes.legend(loc="lower right")
-        return [save(made, folder / f"skip.{kind}") for kind in ("png", "pdf")]
+    made, axes = figure(6.4, 1.0 + 0.26 * len(names))
+    for k, cells in enumerate(sizes):
+        found = {row["saving"]: row["times"] for row in rows if row["cells"] == cells and not row.get("error")}
+        places = np.arange(len(names)) + (k - (len(sizes) - 1) / 2) * 0.8 / len(sizes)
+        values = np.array([found.get(name, np.nan) for name in names])
+        label = f"{cells} cells a plate"
+        axes.barh(places, values - 1.0, 0.8 / len(sizes), left=1.0, color=PALETTE[k], label=label)
+    axes.set_xscale("log")
+    axes.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"], minor=False)
+    axes.set_xticks([], minor=True)
+    axes.set_yticks(range(len(names)), names)
+    axes.set(xlabel="CPU time without the saving over CPU time with it")
+    axes.invert_yaxis()
+    axes.legend(loc="lower right")
+    return picture(made, "skip")
 
 
 study = Study(

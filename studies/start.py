@@ -12,7 +12,7 @@ import numpy as np
 
 import polyida
 from polyida.cli.study import main
-from polyida.study.drawing import drawn, panels
+from polyida.study.drawing import drawn, panels, picture
 from polyida.study.harness import Study
 from polyida.study.rows import each, pick
 
@@ -102,9 +102,9 @@ def notes(rows):
 
 
 @drawn
-def draw(rows, folder):
+def draw(rows):
     """A bar for each job and cache, of its parts."""
-    from polyida.show.style import PALETTE, save
+    from polyida.show.style import PALETTE
 
     made, (axes,) = panels(1, columns=1, height=2.6)
     jobs = [job for job in each(rows, "job") if pick(rows, job=job)]
@@ -120,7 +120,7 @@ def draw(rows, folder):
     axes.set(xlabel="CPU time, s")
     axes.invert_yaxis()
     axes.legend(loc="lower right")
-    return [save(made, folder / f"start.{kind}") for kind in ("png", "pdf")]
+    return picture(made, "start")
 
 
 study = Study(

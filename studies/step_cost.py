@@ -4,7 +4,7 @@ import numpy as np
 
 from against_peers import peers
 from polyida.cli.study import main
-from polyida.study.drawing import drawn
+from polyida.study.drawing import drawn, picture
 from polyida.study.harness import Study
 from step_cost import beside_alpha, frames, threads, waits
 from step_cost import measure as cost
@@ -204,7 +204,7 @@ def start_notes(rows):
 
 
 @drawn
-def cost_figure(rows, folder):
+def cost_figure(rows):
     """Cost of a step with the floors."""
     from polyida.show.style import figure, line
 
@@ -231,12 +231,12 @@ def cost_figure(rows, folder):
         raise LookupError("no rows to draw")
     axes.set(xlabel="coordinates", ylabel="CPU time, ms")
     made.legend(loc="outside lower center", ncols=2, fontsize=7)
-    return _saved(made, folder, "step_cost")
+    return picture(made, "step_cost")
 
 
 @drawn
-def parts_figure(rows, folder):
-    """The parts of a step."""
+def parts_figure(rows):
+    """Shares of the parts of a step in its CPU time, against the number of coordinates."""
     from polyida.show.style import PALETTE, figure
 
     made, axes = figure(6.4, 2.8)
@@ -250,13 +250,7 @@ def parts_figure(rows, folder):
     axes.set_xticks(range(len(found)), [f"{r['n']}" for r in found])
     axes.set(xlabel="coordinates", ylabel="share of a step, %")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    return _saved(made, folder, "step_parts")
-
-
-def _saved(made, folder, name):
-    from polyida.show.style import save
-
-    return [save(made, folder / f"{name}.{kind}") for kind in ("png", "pdf")]
+    return picture(made, "step_parts")
 
 
 study = Study(

@@ -6,11 +6,11 @@ import numpy as np
 
 from polyida.cli.study import main
 from polyida.linear.kkt import SCALINGS
-from polyida.study.drawing import drawn, legend, loglog, nested, panels, saved, slope_line
+from polyida.study.drawing import curves, drawn, legend, loglog, nested, panels, slope_line
 from polyida.study.harness import Study
-from polyida.study.kinds.sensitivity import decades, order_errors, reference_floor, tiny_steps
 from polyida.study.rows import column, each, farthest, last, number, pick, stopped, value
 from step_size_sensitivity import radau, slopes
+from step_size_sensitivity.errors import decades, order_errors, reference_floor, tiny_steps
 from step_size_sensitivity.slopes import PARTS, SOLVES, WAYS, runs_of
 
 COARSEST, HALVINGS, TIME = 1e-2, 5, 0.25
@@ -119,7 +119,8 @@ def scaling_notes(rows):
 
 
 @drawn
-def order_figure(rows, folder):
+def order_figure(rows):
+    """Largest relative error over smooth motion against the step, and a line of slope 2."""
     made, axes = panels(2, height=3.0, sharey=True)
     for axis, kind in zip(axes, ("load", "motors")):
         runs = runs_of(rows, part="order", scene=kind, form="index3")
@@ -133,7 +134,7 @@ def order_figure(rows, folder):
         axis.set(xlabel="step h, s", title=f"smooth {kind}")
     axes[0].set_ylabel("largest relative error")
     legend(made, axes, 5)
-    return saved(made, folder, "order")
+    return curves(made, "order")
 
 
 def nest(axis, rows, scene, solves, name):
@@ -158,28 +159,31 @@ def theory_lines(axis, rows, scene, part):
         slope_line(axis, slopes.ROUND_OFF[part], [1e-6, 1e-8], 20 * at("from positions", 1e-6), beside=(3, 2))
 
 
-def tiny_figure(rows, folder, scene):
+def tiny_figure(rows, scene):
     made, axes = panels(4, height=2.5)
     for axis, part in zip(axes, PARTS):
         nest(axis, rows, scene, SOLVES, f"error_{part}")
         axis.set(title=f"{part}, {scene}", xlabel="step h, s", ylabel="relative error", xscale="log", yscale="log")
         theory_lines(axis, rows, scene, part)
     legend(made, axes, 2)
-    return saved(made, folder, f"tiny-steps-{scene.replace(' ', '-')}")
+    return curves(made, f"tiny-steps-{scene.replace(' ', '-')}")
 
 
 @drawn
-def tiny_scene_2_figure(rows, folder):
-    return tiny_figure(rows, folder, "scene 2")
+def tiny_scene_2_figure(rows):
+    """Relative errors after four steps on scene 2 against the step, with phi carried and from positions; theory's slopes dashed."""
+    return tiny_figure(rows, "scene 2")
 
 
 @drawn
-def tiny_smooth_figure(rows, folder):
-    return tiny_figure(rows, folder, "smooth motors")
+def tiny_smooth_figure(rows):
+    """Relative errors after four steps on smooth motors against the step, with phi carried and from positions; theory's slopes dashed."""
+    return tiny_figure(rows, "smooth motors")
 
 
 @drawn
-def newton_figure(rows, folder):
+def newton_figure(rows):
+    """Where Newton's iteration stalls, and its iterations, against the step."""
     made, axes = panels(2, height=2.8)
     nest(axes[0], rows, "scene 2", SCALINGS, "stall_q")
     nest(axes[1], rows, "scene 2", SCALINGS, "iterations")
@@ -189,7 +193,7 @@ def newton_figure(rows, folder):
     if np.isfinite(level):
         slope_line(axes[0], slopes.STALL["from positions"], [1e-5, 1e-8], 0.2 * level, beside=(3, 2))
     legend(made, axes, 2)
-    return saved(made, folder, "newton")
+    return curves(made, "newton")
 
 
 COLUMNS = ("part", "scene", "form", "phi", "solve", "h", "error_q", "error_v", "error_a", "error_lam", "iterations", "stall_q", "error")

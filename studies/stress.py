@@ -3,7 +3,8 @@
 import numpy as np
 
 from polyida.cli.study import main
-from polyida.show.style import figure, save, settings
+from polyida.show.style import figure
+from polyida.study.drawing import drawn, picture
 from polyida.study.harness import Study
 from stress.axes import meanings, run, tasks
 from stress.outcome import OUTCOMES, figures, limits, outcome_in
@@ -19,25 +20,25 @@ COLOURS = {
 }
 
 
-def draw(rows, folder):
+@drawn
+def draw(rows):
     """One row an axis, one column an integrator: a square a value, from benign on the left to harsh, coloured by the outcome."""
     axes = list(dict.fromkeys(row["axis"] for row in rows))
     names = list(dict.fromkeys(row["integrator"] for row in rows))
-    with settings():
-        made, panel = figure(1.2 + 1.1 * len(names), 1.0 + 0.24 * len(axes))
-        for row_number, axis in enumerate(axes):
-            for column, name in enumerate(names):
-                of_cell = [row for row in rows if row["axis"] == axis and row["integrator"] == name]
-                x = column + (np.arange(len(of_cell)) + 0.5) / max(8, len(of_cell)) * 0.9
-                panel.scatter(x, np.full(len(x), row_number), marker="s", s=14, color=[COLOURS[outcome_in(row)] for row in of_cell])
-        panel.set_yticks(range(len(axes)), axes)
-        panel.set_xticks(np.arange(len(names)) + 0.4, names)
-        panel.invert_yaxis()
-        panel.grid(False)
-        for outcome in OUTCOMES:
-            panel.scatter([], [], marker="s", s=14, color=COLOURS[outcome], label=outcome.replace("_", " "))
-        made.legend(loc="outside upper center", ncols=len(OUTCOMES))
-        return [save(made, folder / f"stress.{kind}") for kind in ("png", "pdf")]
+    made, panel = figure(1.2 + 1.1 * len(names), 1.0 + 0.24 * len(axes))
+    for row_number, axis in enumerate(axes):
+        for column, name in enumerate(names):
+            of_cell = [row for row in rows if row["axis"] == axis and row["integrator"] == name]
+            x = column + (np.arange(len(of_cell)) + 0.5) / max(8, len(of_cell)) * 0.9
+            panel.scatter(x, np.full(len(x), row_number), marker="s", s=14, color=[COLOURS[outcome_in(row)] for row in of_cell])
+    panel.set_yticks(range(len(axes)), axes)
+    panel.set_xticks(np.arange(len(names)) + 0.4, names)
+    panel.invert_yaxis()
+    panel.grid(False)
+    for outcome in OUTCOMES:
+        panel.scatter([], [], marker="s", s=14, color=COLOURS[outcome], label=outcome.replace("_", " "))
+    made.legend(loc="outside upper center", ncols=len(OUTCOMES))
+    return picture(made, "stress")
 
 
 def notes(rows):

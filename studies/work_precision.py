@@ -6,12 +6,13 @@ import numpy as np
 
 from polyida.cli.study import main
 from polyida.show.style import INK
-from polyida.study.drawing import drawn, legend, loglog, panels, saved
+from polyida.study.drawing import curves, drawn, legend, loglog, panels
 from polyida.study.harness import Study
-from polyida.study.kinds.work_precision import cheapest, measure
+from polyida.study.kinds.work_precision import cheapest
 from polyida.study.members import FIXED, IDA_FORMS, RADAU
 from polyida.study.rows import column, each, least, pick, stopped
 from work_precision import radau_accuracy, tip_accuracy
+from work_precision.cases import measure
 from work_precision.selection import EVENT, STIFF, not_run, tasks
 
 FAMILIES = {  # figure: its members, and those of other families for comparison
@@ -155,7 +156,7 @@ def problems_of(rows, family):
     return each([row for row in rows if row["integrator"] in FAMILIES[family][0]], "problem")
 
 
-def cpu_figure(family, part, rows, folder):
+def cpu_figure(family, part, rows):
     problems = problems_of(rows, family)
     made, axes = panels(len(problems), width=7.2, height=2.3, columns=3)
     for k, (axis, problem) in enumerate(zip(axes, problems)):
@@ -163,10 +164,10 @@ def cpu_figure(family, part, rows, folder):
         mark_known(axis, rows, problem, part)
         axis.set(title=problem, xlabel=f"error in {part}, {unit(problem, part)}", ylabel="" if k % 3 else "CPU seconds")
     legend(made, axes, 3)
-    return saved(made, folder, f"work-precision-{family}-{part}")
+    return curves(made, f"work-precision-{family}-{part}", f"CPU time against the error in {part} at the end, problem by problem.")
 
 
-def counts_figure(family, rows, folder):
+def counts_figure(family, rows):
     problems = problems_of(rows, family)
     made, axes = panels(2 * len(problems), width=9.0, height=2.1, columns=4)
     for k, problem in enumerate(problems):
@@ -175,7 +176,7 @@ def counts_figure(family, rows, folder):
             mark_known(axis, rows, problem, "q")
             axis.set(title=problem, xlabel=f"error in q, {unit(problem, 'q')}", ylabel=work)
     legend(made, axes, 4)
-    return saved(made, folder, f"work-counts-{family}")
+    return curves(made, f"work-counts-{family}", "Residuals and factorizations against the error in q at the end, problem by problem.")
 
 
 def figure_of(function, *settings):

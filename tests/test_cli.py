@@ -104,8 +104,8 @@ def test_compare_prints_a_table_and_writes_the_folder(folder, capsys):
 def test_report_stands_alone_and_figures_are_numbers(folder):
     assert main(["compare", "double-plate-motors", *SMALL, "--out", "r"]) == 0
     page = (folder / "r" / "report.html").read_text()
-    assert page.count('src="data:image/png;base64,') == 7
-    assert 'src="http' not in page and "href=" not in page and "GeneralizedAlpha(h=0.001" in page
+    assert page.count('<figure class="picture">') == page.count('href="data:text/csv') == 7
+    assert 'src="http' not in page and 'href="http' not in page and "GeneralizedAlpha(h=0.001" in page
     data = json.loads((folder / "r" / "figures.json").read_text())
     assert set(data) == {"figures", "rows", "machine", "command"}
     assert all(isinstance(value, int | float) for value in data["figures"].values())

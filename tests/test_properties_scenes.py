@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 import polyida as pi
-from polyida.study.energy import unbalanced
+from polyida.results.balance import unbalanced
 
 PROFILE = settings(derandomize=True, deadline=None, max_examples=25, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
 THOROUGH = settings(PROFILE, max_examples=60)

@@ -5,55 +5,31 @@ Exit codes: 0 done, 1 a run failed (what it has is kept), 2 the input was wrong.
 
 import shlex
 import sys
+from json import loads
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from polyida.cli import names, options, running, tables
 from polyida.cli.garbage import collect_rarely
+from polyida.cli.help import COMPUTE, FIRST, LOOK, START, STUDY, Groups, examples
+from polyida.cli.options import flag, option
 from polyida.cli.places import free, made, make
-from polyida.cli.terminal import bars, error, lines, table, tolerate_letters, writable
+from polyida.cli.progress import bars
+from polyida.cli.terminal import document, error, lines, tolerate_letters, writable
+from polyida.cli.told import run_told, show_run
 from polyida.errors import InputError
 
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
-LISTED = {"compared": "quantity", "source": "source"}
-HELP = "Flexible multibody dynamics with polygonal finite elements. Start with: polyida compare double-plate"
-app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None, help=HELP)
-
-
-def _option(kind, text, *names):
-    return Annotated[kind | None, typer.Option(*names, help=text)]
-
-
-def _step(text):
-    return text if text == "auto" else float(text)
-
-
-SCENE_HELP = "A name from `polyida list`, or my_scene.py:build (the file is executed)."
-Scene = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP)]
-SceneOrNone = Annotated[str | None, typer.Argument(metavar="SCENE", help=SCENE_HELP, show_default=False)]
-RESUME_HELP = (
-    "Go on with a run that did not reach its end, or to a later --time, in the same file; SCENE is needed "
-    "only where a user's file holds functions."
+app = typer.Typer(
+    cls=Groups, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None, help=FIRST, epilog=examples(START)
 )
-RunFile = Annotated[Path, typer.Argument(metavar="RUN.h5", help="A run saved by `polyida run` or `polyida compare`.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", "--force", help="Replace what is there.")]
-Cells = _option(int, "Polygons in each plate.")
-Time = _option(float, "Time to simulate, s.")
-Step = _option(float, "Step of generalized-alpha and energy-momentum, s; with it Radau IIA keeps to one.")
-StepOrAuto = Annotated[
-    Any,
-    typer.Option(
-        parser=_step,
-        metavar="FLOAT|auto",
-        help="Step of generalized-alpha and energy-momentum, s; with it Radau IIA keeps to one. auto: by the error of the run.",
-    ),
-]
-RhoInf = _option(float, "Spectral radius of generalized-alpha at infinite frequency, in [0, 1).")
-Rtol = _option(float, "Relative tolerance of IDA and Radau IIA.")
-Atol = _option(float, "Absolute tolerance of IDA and Radau IIA for q, m.")
-Integrator = _option(str, "alpha (generalized-alpha; the default), ida, radau (Radau IIA), or energy (energy-momentum).")
-Frames = _option(int, "Frames at most, evenly spread in time; all by default.")
+
+
+def _command(group, shown, name=None, **settings):
+    """A command of a group, with {what is typed: what it does}."""
+    return app.command(name, rich_help_panel=group, epilog=examples(shown), **settings)
 
 
 def main(args=None):
@@ -93,215 +69,217 @@ def _start(version: Annotated[bool, typer.Option("--version", help="Print the ve
         raise typer.Exit
 
 
-@app.command()
+@_command(
+    COMPUTE,
+    {
+        "polyida compare double-plate": "generalized-alpha, IDA and Radau IIA against a refined run",
+        "polyida compare my_scene.py:build --time 2": "what a function of yours returns",
+        "polyida compare pendulum --integrators alpha,ida,my.py:Mine": "your integrator beside two of ours",
+        "polyida compare pendulum --json > pendulum.json": "the numbers, for another program",
+    },
+)
 def compare(
     context: typer.Context,
-    scene: Scene,
-    out: _option(Path, "Folder of the report; SCENE-compare by default.") = None,
-    cells: Cells = None,
-    time: Time = None,
-    step: Step = None,
-    rtol: Rtol = None,
-    overwrite: Overwrite = False,
+    scene: options.Scene,
+    out: option(Path, "Folder of the report; SCENE-compare by default.") = None,
+    cells: options.Cells = None,
+    time: options.Time = None,
+    step: options.Step = None,
+    rtol: options.Rtol = None,
+    integrators: options.Integrators = None,
+    overwrite: options.Overwrite = False,
+    json: options.Json = False,
 ):
-    """Run the integrators and a refined run on one scene: a table, and a folder with the report."""
+    """Compare integrators on one scene: a table and a report.
+
+    Each is measured against a refined run; the report is a folder with a page, figures, their numbers and the runs.
+    """
     from polyida.show import page, report
     from polyida.show.press import Press
+    from polyida.study import chosen
     from polyida.study.compare import measured, prepared, timed
     from polyida.study.job import load
 
-    with Press() as press:
+    with document(json) as answer, Press() as press:
         job = load(scene, time=time, step=step, cells=cells)
+        choices = chosen.choices(_listed(integrators))
+        members = chosen.compared(choices, job, step=step, rtol=rtol)
         folder = free(out, Path(f"{job.name}-compare"), overwrite, lines)
-        with made(folder), bars() as tell:
-            members = prepared(job, rtol, tell)
+        with made(folder), bars() as tell, chosen.code(choices):
+            prepared(job, members, tell)
             press.ready()
             runs = timed(job, members, tell)
             report.begin(job, runs, press)
-            found = measured(job, runs, rtol, tell)
+            found = measured(job, runs, tell)
             written = report.write(found, folder, context.obj, press, lambda what: tell("writing the report", None, what))
-    headings, rows = page.table(found)
-    columns = [[heading, *values] for heading, *values in zip(headings, *rows)]
-    table(f"{job.name}: {page.system(job)}", columns[0], columns[1:])
-    lines(*found.notes, style="red")
-    lines(*(f"{label}: {run.message}" for label, run in found.runs.items() if run.success and run.message))
-    frames = folder / "frames" / "run.pvd"
-    lines(page.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
+        answer(loads((folder / "figures.json").read_text(encoding="utf-8")))
+        grid = tables.Grid(*page.table(found))
+        tables.show(f"{job.name}: {page.system(job)}", grid.turned(), grid, whole="the report")
+        lines(*found.notes, style="red")
+        lines(*(f"{label}: {run.message}" for label, run in found.runs.items() if run.success and run.message))
+        frames = folder / "frames" / "run.pvd"
+        lines(page.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
     if not found.success:
         raise typer.Exit(1)
 
 
-@app.command()
+@_command(
+    COMPUTE,
+    {
+        "polyida run double-plate --integrator ida --rtol 1e-7": "to double-plate-ida.h5",
+        "polyida run my_scene.py:build --integrator my.py:Mine --step 1e-3": "with an integrator of yours",
+        "polyida run --resume double-plate-ida.h5 --time 3": "goes on from where it ended",
+    },
+)
 def run(
-    scene: SceneOrNone = None,
-    integrator: Integrator = None,
-    cells: Cells = None,
-    time: Time = None,
-    step: StepOrAuto = None,
-    rho_inf: RhoInf = None,
-    rtol: Rtol = None,
-    atol: Atol = None,
-    out: _option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None,
-    overwrite: Overwrite = False,
-    resume: _option(Path, RESUME_HELP) = None,
+    context: typer.Context,
+    scene: options.SceneOrNone = None,
+    integrator: options.Integrator = None,
+    cells: options.Cells = None,
+    time: options.Time = None,
+    step: options.StepOrAuto = None,
+    rho_inf: options.RhoInf = None,
+    rtol: options.Rtol = None,
+    atol: options.Atol = None,
+    out: option(Path, "HDF5 file; SCENE-INTEGRATOR.h5 by default.") = None,
+    overwrite: options.Overwrite = False,
+    resume: option(Path, options.RESUME_HELP) = None,
+    json: options.Json = False,
 ):
-    """Run one integrator on a scene, written to an HDF5 file as it goes."""
-    if resume:
-        given = {
-            "step": step,
-            "rho-inf": rho_inf,
-            "rtol": rtol,
-            "atol": atol,
-            "out": out,
-            "overwrite": overwrite or None,
-            "integrator": integrator,
-            "cells": None if scene else cells,
-        }
-        _require_none(given, "--resume goes on with the file's own integrator, settings and place")
-        _resumed(resume, scene, cells, time)
-        return
-    if scene is None:
-        raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
-    from polyida.integrate.solve import solve
-    from polyida.study.compare import warm_up
-    from polyida.study.job import integrator_of, load
-
-    job, integrator = load(scene, time=time, step=None if step == "auto" else step, cells=cells), integrator or "alpha"
-    member = integrator_of(integrator, job, step=step, rho_inf=rho_inf, rtol=rtol, atol=atol)
-    path = free(out, Path(f"{job.name}-{integrator}.h5"), overwrite, lines)
-    make(path.parent)
-    with bars() as tell, job.code():
-        tell("preparing kernels", None)
-        warm_up(job, member)
-        result = solve(
-            job.model,
-            job.time,
-            member,
-            q0=job.q0,
-            v0=job.v0,
-            progress=lambda t: tell(integrator, t / job.time),
-            out=path,
-            overwrite=overwrite,
-        )
-    _saved(result, path)
+    """Run one integrator on a scene, into an HDF5 file as it goes."""
+    settings = {"step": step, "rho_inf": rho_inf, "rtol": rtol, "atol": atol}
+    with document(json) as answer:
+        if resume:
+            given = settings | {"out": out, "overwrite": overwrite or None, "integrator": integrator, "cells": None if scene else cells}
+            running.require_none(given, "--resume goes on with the file's own integrator, settings and place")
+            ended, path = running.resumed(resume, scene, cells, time), resume
+        elif scene:
+            ended, path = running.begun(scene, integrator or "alpha", {"time": time, "cells": cells}, settings, out, overwrite)
+        else:
+            raise InputError("run: name a SCENE (polyida list), or --resume RUN.h5")
+        if json:
+            answer(run_told(ended, path, context.obj))
+        lines(ended.summary(), style=None if ended.success else "red")
+        lines(f"Saved: {path}")
+    if not ended.success:
+        raise typer.Exit(INTERRUPTED if ended.status == "interrupted" else 1)
 
 
-def _require_none(options, why):
-    """Raise InputError for an option that was given."""
-    if strange := [name for name, value in options.items() if value is not None]:
-        raise InputError(f"run: --{strange[0]} has no place here: {why}")
+def _listed(listed):
+    """Names out of a list with commas; those that are compared by default where it is None."""
+    from polyida.study.chosen import COMPARED
+
+    names = [name.strip() for name in (listed or ",".join(COMPARED)).split(",")]
+    if "" in names:
+        raise InputError(f"--integrators {listed}: a name is missing between commas")
+    return names
 
 
-def _resumed(path, scene, cells, time):
-    """Go on with the run in a file; the model comes from `scene` where that is given."""
-    from contextlib import nullcontext
+@_command(
+    STUDY,
+    {"polyida list": "what the other commands know by name", "polyida list my_file.py": "with what a file of yours adds"},
+    name="list",
+)
+def list_names(
+    file: Annotated[Path | None, typer.Argument(metavar="FILE.py", help="A file of yours, with what it adds.")] = None,
+    json: options.Json = False,
+):
+    """List scenes, integrators and studies that have a name."""
+    with document(json) as answer:
+        if file:
+            from polyida.study import scene_file
 
-    from polyida.integrate.resume import resume
-    from polyida.study.job import load
-
-    job = load(scene, time=time, cells=cells) if scene else None
-    end = time or _load(path).plan.get("t_end") or 1.0
-    with bars() as tell, job.code() if job else nullcontext():
-        result = resume(path, time, model=job and job.model, progress=lambda t: tell("going on", t / end))
-    _saved(result, path)
-
-
-def _saved(result, path):
-    """Say how a run ended and where it is; leave with 1 where it failed."""
-    lines(result.summary(), style=None if result.success else "red")
-    lines(f"Saved: {path}")
-    if not result.success:
-        raise typer.Exit(INTERRUPTED if result.status == "interrupted" else 1)
+            scene_file.executed(file)
+        found = {"problems": names.problems(), "integrators": names.integrators(), "studies": names.studies()}
+        answer(found) if json else names.show(found)
 
 
-@app.command("list")
-def list_scenes(file: Annotated[Path | None, typer.Argument(metavar="FILE.py", help="A file of yours, with what it adds.")] = None):
-    """List the problems and studies that have a name: what is compared with which reference."""
-    from polyida import registry
-    from polyida.problems.about import ABOUT
-    from polyida.study import scene_file
-
-    if file:
-        scene_file.executed(file)
-
-    def brief(name):
-        about = [f"{told}: {ABOUT[name][key].split(';')[0]}" for told, key in LISTED.items() if name in ABOUT]
-        return "\n".join([_description(registry.find(registry.problems, name)), *about, ""])
-
-    table(None, ["name", "what it is"], [[name, brief(name)] for name in registry.problems])
-    if registry.studies:
-        table(None, ["study", "what it is"], [[name, registry.find(registry.studies, name).title] for name in registry.studies])
+@_command(
+    LOOK, {"polyida show run.h5": "how it ended, its work, and what it was made with", "polyida show run.h5 --json": "the same as data"}
+)
+def show(context: typer.Context, file: options.RunFile, json: options.Json = False):
+    """Show what a saved run holds."""
+    with document(json) as answer:
+        loaded = running.loaded(file)
+        if json:
+            answer(run_told(loaded, file, context.obj))
+        else:
+            show_run(loaded, file)
 
 
-@app.command()
-def show(file: RunFile):
-    """Show what a saved run holds: how it ended, its work, and what it was made with."""
-    loaded = _load(file)
-    counts, machine = (", ".join(f"{key} {value}" for key, value in data.items()) for data in (loaded.counts.as_dict(), loaded.machine))
-    kind, n, m = type(loaded.model).__name__, loaded.q.shape[1], loaded.lam.shape[1]
-    table(
-        str(file),
-        ["", ""],
-        [
-            ["run", loaded.summary()],
-            ["frames", f"{len(loaded.t)}" + (f", t = {loaded.t[0]:g} .. {loaded.t[-1]:g} s" if len(loaded.t) else "")],
-            ["model", f"{kind}, {n} coordinates, {m} constraints"],
-            ["integrator", repr(loaded.integrator)],
-            ["counts", counts],
-            ["time", f"{loaded.cpu_seconds:.2f} CPU s, {loaded.wall_seconds:.2f} s"],
-            ["made with", machine],
-        ],
-    )
-
-
-@app.command()
+@_command(LOOK, {"polyida animate run.h5": "run.gif", "polyida animate run.h5 --out run.mp4": "a film (pip install 'polyida[movie]')"})
 def animate(
-    file: RunFile,
-    out: _option(Path, "GIF file; beside the run by default.") = None,
-    frames: Annotated[int, typer.Option(help="Pictures at most.")] = 80,
-    overwrite: Overwrite = False,
+    file: options.RunFile,
+    out: option(Path, "File, its suffix .gif or .mp4 (which needs polyida[movie]); a GIF beside the run by default.") = None,
+    frames: option(int, "Pictures at most; 80 of a GIF, 25 a second of MP4 by default.") = None,
+    overwrite: options.Overwrite = False,
 ):
-    """Draw the plates of a saved run as an animated GIF, coloured by von Mises stress."""
-    from polyida.show.animation import gif
+    """Draw the plates of a saved run as an animated GIF or as MP4, coloured by von Mises stress."""
+    from polyida.show.animation import animation
 
-    loaded, path = _load(file), free(out, file.with_suffix(".gif"), overwrite, lines)
+    loaded, path = running.loaded(file), free(out, file.with_suffix(".gif"), overwrite, lines)
     make(path.parent)
-    total = min(frames, len(loaded.t))
     with bars() as tell:
-        gif(loaded, path, frames=frames, overwrite=overwrite, progress=lambda done: tell("drawing", done / total))
+        animation(loaded, path, frames=frames, overwrite=overwrite, progress=lambda done: tell("drawing", done))
     lines(f"Written: {path}")
 
 
-@app.command()
+@_command(LOOK, {"polyida export run.h5 --vtu frames": "frames/run.pvd opens in ParaView"})
 def export(
-    file: RunFile,
+    file: options.RunFile,
     vtu: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the VTU frames.")],
-    frames: Frames = None,
-    overwrite: Overwrite = False,
+    frames: options.Frames = None,
+    overwrite: options.Overwrite = False,
 ):
     """Write the frames of a saved run as VTU files with a PVD collection, for ParaView."""
     from polyida.show.vtu import vtu as write
 
-    loaded = _load(file)
+    loaded = running.loaded(file)
     make(vtu.parent)
     lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
-def study(context: typer.Context, name: Annotated[str, typer.Argument(metavar="NAME", help="A script in ./studies, or my_study.py:NAME.")]):
-    """Run a study of the folder ./studies or of a file of yours; options after NAME (--quick, --out, --fresh) go to it."""
-    import subprocess
-
+@_command(
+    STUDY,
+    {
+        "polyida study": "lists them",
+        "polyida study work-precision --quick": "to ./work_precision-quick; the same command goes on where it was stopped",
+        "polyida study my_study.py:mine --out mine": "a study of yours",
+        "polyida study conditioning --help": "the study's own options",
+    },
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []},
+)
+def study(
+    context: typer.Context,
+    name: options.StudyOrNone = None,
+    quick: flag("A small selection, under a minute.", "--quick") = False,
+    out: option(Path, "Folder of figures.json and pictures; NAME in the current folder by default.") = None,
+    fresh: flag("Run every part again, also those that have a result.", "--fresh") = False,
+    json: options.Json = False,
+    help_: flag("Show this message; with NAME, the study's own options.", "--help") = False,
+):
+    """Run a study that comes with polyida, or one of yours; without NAME, list them."""
     from polyida import registry
+    from polyida.cli import scripts
 
-    if ".py" in name or name in registry.studies:
-        _run_study(name, context.args, context.obj)
-        return
-    script = Path("studies") / f"{name}.py"
-    if not script.is_file():
-        known = ", ".join(sorted(path.stem for path in Path("studies").glob("*.py"))) or "none; run it in a clone of the repository"
-        raise InputError(f"no study {name!r} in ./studies; there are: {known}")
-    raise typer.Exit(subprocess.run([sys.executable, str(script), *context.args], check=False).returncode)
+    given = {"--quick": quick, "--fresh": fresh, "--json": json, "--help": help_}
+    arguments = [text for text, is_given in given.items() if is_given] + (["--out", str(out)] if out else []) + context.args
+    if name is None and help_:
+        typer.echo(context.get_help())
+    elif name is None:
+        _list_studies(json)
+    elif ".py" in name or name in registry.studies:
+        _run_study(name, arguments, context.obj)
+    elif scripts.typed(name) in scripts.scripts():
+        scripts.run(name, arguments)
+    else:
+        raise InputError(f"no study {name!r}; there are {', '.join([*scripts.scripts(), *registry.studies])}, or give my_study.py:NAME")
+
+
+def _list_studies(json):
+    with document(json) as answer:
+        found = {"studies": names.studies()}
+        answer(found) if json else names.show(found)
 
 
 def _run_study(name, arguments, command):
@@ -311,20 +289,5 @@ def _run_study(name, arguments, command):
     from polyida.study import scene_file
     from polyida.study.harness import Study
 
-    book = registry.studies
-    run_study(registry.find(book, name) or scene_file.named(name, book, Study, "studies"), arguments, command)
-
-
-def _load(file):
-    """A saved run; InputError where there is none."""
-    from polyida.io.load import load
-
-    if not file.is_file():
-        raise InputError(f"{file}: there is no such file")
-    return load(file)
-
-
-def _description(function):
-    """First line of what a problem's function, or its module where that holds one problem, says of itself."""
-    described = sys.modules[function.__module__] if getattr(function, "__name__", "") == "problem" else function
-    return (described.__doc__ or "").strip().split("\n")[0]
+    book, is_one = registry.studies, lambda value: isinstance(value, Study)
+    run_study(registry.find(book, name) or scene_file.named(name, book, is_one, "studies"), arguments, command)

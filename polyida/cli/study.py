@@ -1,26 +1,31 @@
-"""The command line of the scripts in studies/: options, progress, table, figures.json, pictures."""
+"""The command line of the scripts in studies/: options, progress, table, figures.json, the report with its pictures."""
 
 import argparse
 import json
+import re
 import sys
-from itertools import chain
+from contextvars import ContextVar
 from pathlib import Path
 
+from polyida.cli import tables
 from polyida.cli.garbage import collect_rarely
-from polyida.cli.terminal import tolerate_letters, writable
+from polyida.cli.progress import Parts, bars
+from polyida.cli.terminal import document, tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.page import finite
-from polyida.study.findings import findings
+from polyida.study.findings import columns_of, findings
 from polyida.study.harness import of_other_code, plain, results, write_whole
+from polyida.study.report import write_page
 
-CELL = 40  # characters of a table's cell
+PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
+MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table keeps, beside what was varied
 
 
 def main(study, arguments=None, command=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`. command: what was typed, of a study that is no script.
+    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`. command: what was typed, of a study that is no script.
 
-    Prints the table, writes figures.json and pictures. Failed tasks are rows and lines; figures that need them are
+    Prints the table, writes figures.json and report.html with its pictures. Failed tasks are rows and lines; figures that need them are
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
     kept.
     """
@@ -31,9 +36,11 @@ def main(study, arguments=None, command=None):
     tasks = out / "tasks"
     try:
         study, typed = _meant(study, options)
-        rows = _results(study, options, out)
-        found = findings(study, rows, out)
+        with bars() as tell:
+            rows = _results(study, options, out, Parts(study.name, tell))
+        found = findings(study, rows)
         data = _write_figures(command or typed, rows, found, out)
+        page = write_page(study, rows, found, data, out)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
@@ -43,8 +50,9 @@ def main(study, arguments=None, command=None):
         sys.exit(f"error: {error}; what is done is in {tasks}, the same command goes on from there")
     other = of_other_code(study, options.quick, tasks)
     try:
-        with writable():
-            _print(study, rows, found, out)
+        with writable(), document(options.json) as answer:
+            answer(data)
+            _print(study, rows, found, [out / "figures.json", page])
             _print_age(other, rows)
     except InputError as error:
         print(f"error: {error}; the figures are in {out}", file=sys.stderr)
@@ -57,9 +65,14 @@ def _given(study, options):
     return {name: getattr(options, name) for name in study.options if getattr(options, name) is not None}
 
 
+def _program(study):
+    """What starts the study, as it is typed."""
+    return PROGRAM.get() or f"python studies/{study.name}.py"
+
+
 def _meant(study, options):
     """(Study that its own options make of this one, the command)."""
-    command, meant = f"python studies/{study.name}.py{' --quick' if options.quick else ''}", study
+    command, meant = f"{_program(study)}{' --quick' if options.quick else ''}", study
     for name, value in _given(study, options).items():
         meant, command = study.options[name][1](value), f"{command} --{name} {value}"
     return meant, command
@@ -70,7 +83,7 @@ def _print_age(other, rows):
         print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
 
 
-def _results(study, options, out):
+def _results(study, options, out, progress):
     tasks = out / "tasks"
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; give a folder with --out")
@@ -79,7 +92,7 @@ def _results(study, options, out):
     if options.fresh and tasks.is_dir():
         for path in tasks.glob("*.json"):
             path.unlink()
-    return results(study, options.quick, tasks, _shown)
+    return results(study, options.quick, tasks, progress)
 
 
 def _write_figures(command, rows, found, out):
@@ -93,43 +106,34 @@ def _write_figures(command, rows, found, out):
 
 def parser(study):
     """The command line of a study."""
-    made = argparse.ArgumentParser(prog=f"studies/{study.name}.py", description=study.title)
+    made = argparse.ArgumentParser(prog=_program(study), description=study.title)
     made.add_argument("--quick", action="store_true", help="a small selection, under a minute")
     made.add_argument("--out", help=f"folder for figures.json, pictures and one file a task (default {study.name})")
     made.add_argument("--fresh", action="store_true", help="run every task again, also those that have a result")
+    made.add_argument("--json", action="store_true", help="what figures.json holds on standard output, and nothing else there")
     for name, (meaning, _) in study.options.items():
         made.add_argument(f"--{name}", metavar=name.upper(), help=meaning)
     return made
 
 
-def _shown(done, total, task):
-    if sys.stderr.isatty() or done in (0, total):
-        name = ", ".join(f"{key} {value}" for key, value in task.items())
-        print(f"\r\033[K{done}/{total} {name[:100]}", end="" if done < total else "\n", file=sys.stderr, flush=True)
-
-
-def _print(study, rows, found, out):
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=None if sys.stdout.isatty() else 160)
-    columns = study.columns or [name for name in dict.fromkeys(chain(*rows)) if name not in ("error", "traceback")]
-    table = Table(*columns, title=study.title)
-    for row in rows:
-        table.add_row(*(shown(row.get(name, "")) for name in columns))
-    console.print(table)
+def _print(study, rows, found, written):
+    console = tables.console_of(sys.stdout)
+    columns = list(columns_of(study, rows))
+    varied = {name for task in study.tasks(True) + study.tasks(False) for name in task}
+    details = [name for name in columns if name not in varied and not re.search(MAIN, name)]
+    grid = tables.Grid(columns, [[shown(row.get(name, "")) for name in columns] for row in rows], details)
+    tables.show(study.title, grid, whole=str(written[-1]))
     for name, value in found.figures.items():
         console.print(f"{name}: {value:.6g}", highlight=False)
     console.print("What failed, and what the numbers mean:" if found.notes else "Nothing failed.")
     for line in found.notes:
         console.print(f"  {line}", highlight=False, markup=False)
-    for path in [out / "figures.json", *found.pictures]:
-        console.print(f"wrote {path}", highlight=False)
+    for path in written:
+        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
 
 
 def shown(value):
-    """A table's cell; long texts are cut, figures.json has them whole."""
+    """A table's cell."""
     if isinstance(value, float):
         return f"{value:.4g}"
-    text = "" if value is None else str(value)
-    return text if len(text) <= CELL else f"{text[: CELL - 1]}…"
+    return "" if value is None else " ".join(str(value).split())

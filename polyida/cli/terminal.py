@@ -1,13 +1,11 @@
-"""The terminal: tables, lines and progress bars on it, and what it cannot take: letters without a code, output to a place that is full."""
+"""Standard output and the error stream: lines on them, one document, and what they cannot take: letters without a code, a full place."""
 
+import json
 import os
 import sys
-import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 
 from polyida.errors import InputError
-
-EVERY = 0.2  # s between two drawings of a progress bar
 
 
 def tolerate_letters():
@@ -40,21 +38,6 @@ def _give_up():
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def table(title, headings, rows):
-    """Print a table, the last of two columns to the left, of more to the right."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    drawn = Table(title=title and Text(title), title_justify="left", box=box.SIMPLE_HEAD, show_header=any(headings))
-    for i, heading in enumerate(headings):
-        drawn.add_column(heading, justify="left" if i == 0 or len(headings) == 2 else "right", overflow="fold")
-    for row in rows:
-        drawn.add_row(*map(Text, row))
-    Console().print(drawn)
-
-
 def lines(*given, style=None):
     """Print lines, empty ones left out."""
     from rich.console import Console
@@ -76,42 +59,17 @@ def error(message, trace=""):
 
 
 @contextmanager
-def bars():
-    """Context that gives `tell(label, fraction, detail="")`: one bar a label on the error stream; fraction None: end unknown.
+def document(wanted):
+    """Context of `--json`, where that is `wanted`: what is printed within goes to the error stream.
 
-    Drawn by whoever reports: no thread takes time from the run that is measured.
+    Gives a function that takes the one document, plain data, which goes to standard output at the end, also where the command leaves with 1.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    out, given = sys.stdout, []
+    try:
+        with redirect_stdout(sys.stderr) if wanted else nullcontext():
+            yield given.append
+    finally:
+        if wanted and given:
+            from polyida.show.page import finite
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[detail]}"),
-    )
-    console = Console(stderr=True)
-    quiet = {"auto_refresh": False, "transient": True, "redirect_stdout": False, "redirect_stderr": False}
-    with Progress(*columns, console=console, disable=not console.is_terminal, **quiet) as progress:
-        tasks, drawn = {}, [0.0]
-
-        def tell(label, fraction, detail=""):
-            new = label not in tasks
-            now = time.monotonic()
-            if not new and now - drawn[0] < EVERY and not (fraction is not None and fraction >= 1):
-                return
-            drawn[0] = now
-            if new:
-                _finish(progress, tasks)
-                tasks[label] = progress.add_task(label, total=None if fraction is None else 1.0, detail="")
-            progress.update(tasks[label], completed=fraction or 0.0, detail=detail)
-            progress.refresh()
-
-        yield tell
-
-
-def _finish(progress, tasks):
-    """A stage begins, so those before it are over, also those whose end was not known."""
-    for task in tasks.values():
-        progress.update(task, total=1.0, completed=1.0)
+            print(json.dumps(finite(given[-1]), indent=1, allow_nan=False), file=out)

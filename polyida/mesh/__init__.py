@@ -1,6 +1,10 @@
 """Polygon meshes: the container, the mesher and its domains, structured meshes, files."""
 
-from polyida.mesh.files import read, write
+from polyida.mesh.files.files import read, write
+from polyida.mesh.files.lists import from_lists
+from polyida.mesh.files.raw import RawMesh
+from polyida.mesh.files.registry import FORMATS, Format
+from polyida.mesh.files.units import MeshWarning
 from polyida.mesh.make.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union
 from polyida.mesh.make.mesher import polygonize
 from polyida.mesh.make.rectangles import quads, rectangle, triangles
@@ -9,16 +13,21 @@ from polyida.mesh.quality import MeshQuality
 from polyida.mesh.sections import Section
 
 __all__ = [
+    "FORMATS",
     "Circle",
     "Difference",
     "Domain",
+    "Format",
     "Intersection",
     "Link",
     "MeshQuality",
+    "MeshWarning",
     "PolygonMesh",
+    "RawMesh",
     "Rectangle",
     "Section",
     "Union",
+    "from_lists",
     "polygonize",
     "quads",
     "read",

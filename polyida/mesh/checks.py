@@ -1,9 +1,11 @@
 """What a PolygonMesh must be, checked once at construction; every message names the cell or node and its place."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import reals
+from polyida.given import floats, is_flag, is_whole, reals
 from polyida.mesh import topology
 from polyida.mesh.overlap import overlapping_cells
 
@@ -68,6 +70,22 @@ def section_nodes(name, values, n_nodes):
     if len(np.unique(nodes)) < nodes.size:
         raise InputError(f"section {name!r} names a node twice")
     return nodes
+
+
+def node_pairs(what, given, n_nodes, kind):
+    """{node: (x, y)} with both as kind, bool or float; InputError for other nodes and other values."""
+    if not isinstance(given, Mapping):
+        raise InputError(f"mesh {what} are {repr(given)[:80]}; they must be a dictionary, node -> (x, y)")
+    right = "two of True or False, whether x and y are fixed" if kind is bool else "two finite numbers, N"
+    pairs = {}
+    for node, value in given.items():
+        if not is_whole(node, 0, n_nodes - 1):
+            raise InputError(f"mesh {what} name node {node!r}; the mesh has 0..{n_nodes - 1}")
+        pair = floats([float(part) if is_flag(part) else part for part in value] if np.iterable(value) else value)
+        if pair is None or pair.shape != (2,) or (kind is bool and not np.isin(pair, (0.0, 1.0)).all()):
+            raise InputError(f"mesh {what} at node {node} are {repr(value)[:80]}; they must be {right}")
+        pairs[int(node)] = tuple(map(kind, pair.tolist()))
+    return pairs
 
 
 def _place(mesh, cell):

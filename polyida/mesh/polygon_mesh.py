@@ -24,7 +24,9 @@ class PolygonMesh:
     """A plane mesh of polygons. Immutable: the arrays are read-only copies of what was given.
 
     points (n_nodes, 2) in m; nodes: the corner nodes of all cells, one cell after the other, each counter-clockwise;
-    offsets (n_cells + 1): cell i has the corners nodes[offsets[i]:offsets[i + 1]]; sections: name -> node indices.
+    offsets (n_cells + 1): cell i has the corners nodes[offsets[i]:offsets[i + 1]]; sections: name -> node indices;
+    supports: node -> (whether x is fixed, whether y is); loads: node -> (Fx, Fy), N: as files bring them, for joints and
+    `PointLoad` to be made of; no scene takes them by itself.
 
     Raises InputError for points that are not finite, nodes out of range, repeated in a cell or used by no cell, cells
     with fewer than three corners, clockwise or crossing themselves, and cells that overlap.
@@ -35,6 +37,8 @@ class PolygonMesh:
     nodes: np.ndarray
     offsets: np.ndarray
     sections: dict = field(default_factory=dict)
+    supports: dict = field(default_factory=dict)
+    loads: dict = field(default_factory=dict)
 
     def __post_init__(self):
         points = checks.point_array(self.points)
@@ -45,10 +49,12 @@ class PolygonMesh:
         for name, array in (("points", points), ("nodes", nodes), ("offsets", offsets)):
             object.__setattr__(self, name, array)
         object.__setattr__(self, "sections", MappingProxyType(named))
+        object.__setattr__(self, "supports", MappingProxyType(checks.node_pairs("supports", self.supports, len(points), bool)))
+        object.__setattr__(self, "loads", MappingProxyType(checks.node_pairs("loads", self.loads, len(points), float)))
         checks.require_valid_cells(self)
 
     def __reduce__(self):
-        return PolygonMesh, (self.points, self.nodes, self.offsets, dict(self.sections))
+        return PolygonMesh, (self.points, self.nodes, self.offsets, *map(dict, (self.sections, self.supports, self.loads)))
 
     def __repr__(self):
         return f"PolygonMesh({self.n_cells} cells, {self.n_nodes} nodes, sections {', '.join(self.sections) or 'none'})"

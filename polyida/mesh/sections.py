@@ -42,7 +42,7 @@ def select(mesh, selector):
         nodes, name = _by_mask(mesh, selector), getattr(selector, "__name__", "function")
     else:
         nodes, name = _by_index(mesh, selector), "nodes"
-    edges = _edges_within(mesh, nodes)
+    edges = edges_within(mesh, nodes)
     found = chains(nodes, edges)
     order = ordered(mesh.points, nodes, found)
     lengths = _tributary_lengths(mesh.points, order, edges, mesh.n_nodes)
@@ -80,7 +80,8 @@ def _by_index(mesh, selector):
     return checks.section_nodes("by index", nodes, mesh.n_nodes)
 
 
-def _edges_within(mesh, nodes):
+def edges_within(mesh, nodes):
+    """Boundary edges (n, 2) with both ends among the nodes."""
     inside = np.zeros(mesh.n_nodes, dtype=bool)
     inside[nodes] = True
     return mesh.boundary_edges[inside[mesh.boundary_edges].all(axis=1)]

@@ -1,41 +1,85 @@
-"""Animated GIF of the deformed plates."""
+"""The motion of a run as a file: an animated GIF, or MP4."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.show import plates
-from polyida.show.style import INK, STICK, box, colour_top, equal, figure, height_for, lay_out, settings
+from polyida.show.style import INK, STICK, box, colour_top, equal, lay_out, scaled, settings, stress_key
+
+GIF, RATE = 80, 25  # pictures of a GIF at most, and of an MP4 in a second
 
 
-def gif(run, path, frames=80, seconds=None, width=6.4, overwrite=False, progress=None):
-    """Write the motion of a run as an animated GIF, coloured by von Mises stress; returns the path.
+def animation(run, path, frames=None, seconds=None, width=6.4, overwrite=False, progress=None):
+    """Write the motion of a run as an animated GIF or as MP4, coloured by von Mises stress; returns the path.
 
-    frames: how many pictures at most, evenly spread in time. seconds: how long one pass takes; by default the simulated
-    time, held to 4..12 s. progress: called with the number of pictures done. Raises InputError for a suffix other than
-    .gif or an existing file.
+    frames: how many pictures at most, evenly spread in time; by default GIF of them, or RATE a second of MP4. seconds: how long one pass
+    takes; by default the simulated time, held to 4..12 s. progress: called with the part that is done. Raises InputError for a suffix other
+    than .gif and .mp4, an existing file, and for MP4 where imageio-ffmpeg is missing.
     """
     if not isinstance(path, (str, Path)):
         raise InputError(f"animation {path!r} must be the path of a file")
     plates.require_run("animation", run, overwrite)
     path = Path(path)
-    if path.suffix.lower() != ".gif":
-        raise InputError(f"animation {path}: only .gif can be written")
+    write = _writer(path)
     if path.exists() and not overwrite:
         raise InputError(f"animation {path} exists: choose another name or say overwrite")
-    chosen = plates.spread(run, frames)
     seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else seconds
-    picture = Picture(run, chosen, width)
-    palette, images = picture.at(chosen[len(chosen) // 2]).quantize(128), []
-    for k in chosen:
-        images.append(picture.at(k).quantize(palette=palette, dither=0))
-        if progress:
-            progress(len(images))
-    images[0].save(
-        path, save_all=True, append_images=images[1:], loop=0, optimize=False, duration=max(20, round(1000 * seconds / len(images)))
-    )
+    chosen = plates.spread(run, (GIF if write is _gif else max(1, round(RATE * seconds))) if frames is None else frames)
+    write(path, _told(Picture(run, chosen, width), chosen, progress), seconds / len(chosen))
     return path
+
+
+def _writer(path):
+    """The function that writes a file of this suffix."""
+    writers = {".gif": _gif, ".mp4": _mp4}
+    if path.suffix.lower() not in writers:
+        raise InputError(f"animation {path}: only .gif and .mp4 can be written")
+    if path.suffix.lower() == ".mp4":
+        _ffmpeg()
+    return writers[path.suffix.lower()]
+
+
+def _told(picture, chosen, progress):
+    """The images one after the other, each told when it is taken; first the middle one, for its colours."""
+    yield picture.at(chosen[len(chosen) // 2])
+    for done, k in enumerate(chosen, start=1):
+        yield picture.at(k)
+        if progress:
+            progress(done / len(chosen))
+
+
+def _gif(path, images, each):
+    palette = next(images).quantize(128)
+    first, *others = [image.quantize(palette=palette, dither=0) for image in images]
+    first.save(path, save_all=True, append_images=others, loop=0, optimize=False, duration=max(20, round(1000 * each)))
+
+
+def _mp4(path, images, each):
+    """A film that plays everywhere: H.264 in even numbers of pixels; under another name until it is whole."""
+    size = [length // 2 * 2 for length in next(images).size]
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.part.mp4")
+    look = {"fps": 1 / each, "quality": 8, "macro_block_size": 2, "ffmpeg_log_level": "error"}
+    film = _ffmpeg().write_frames(str(partial), size, **look)
+    try:
+        film.send(None)
+        for image in images:
+            film.send(image.crop((0, 0, *size)).tobytes())
+        film.close()
+        os.replace(partial, path)
+    finally:
+        film.close()
+        partial.unlink(missing_ok=True)
+
+
+def _ffmpeg():
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise InputError("animation: MP4 needs imageio-ffmpeg: pip install 'polyida[movie]'") from None
+    return imageio_ffmpeg
 
 
 class Picture:
@@ -56,7 +100,7 @@ class Picture:
         self.stress = {k: run.von_mises(k) / 1e3 for k in chosen}
         look = {"cmap": "viridis", "clim": (0, colour_top([*self.stress.values()])), "edgecolors": "face", "linewidths": 0.2}
         with settings():
-            made, self.axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
+            made, self.axes, side = scaled(low, high, width, bool(run.model.drawn))
             cells = [Outline(corners) for corners in np.split(self.corners, offsets[1:-1])] if len(self.corners) else []
             self.cells = self.axes.add_collection(PathCollection(cells, animated=True, **look))
             self.outline = self.axes.add_collection(LineCollection(self.ends, colors=INK, linewidths=0.5, animated=True))
@@ -64,7 +108,7 @@ class Picture:
             self.title = self.axes.set_title(self._time(chosen[0]), loc="left", animated=True)
             equal(self.axes, low, high)
             if run.model.drawn:
-                made.colorbar(self.cells, ax=self.axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
+                stress_key(made, self.axes, self.cells, side)
             lay_out(made)
             self.canvas = FigureCanvasAgg(made)
             self.canvas.draw()

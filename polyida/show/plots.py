@@ -6,11 +6,29 @@
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.results.balance import unbalanced
 from polyida.show import plates
-from polyida.show.style import INK, PALETTE, STICK, box, colour_top, equal, figure, height_for, line, plain, settings
-from polyida.study.energy import unbalanced
+from polyida.show.style import (
+    INK,
+    PALETTE,
+    STICK,
+    box,
+    colour_top,
+    equal,
+    figure,
+    height_for,
+    line,
+    nested,
+    plain,
+    scaled,
+    settings,
+    stress_key,
+)
 
 DISTINCT = 20_000  # polygons in one picture, beyond which they are an image in a PDF: nobody can tell them apart
+SHADES = {4: "#F3F7FA", 5: "#D5E5F0", 6: "#A9CBE2", 7: "#7DB1D4"}  # of a polygon with so many corners; fewer as 4, more as 7
+ENERGIES = {"kinetic": "o", "potential": "^", "strain": "s", "total": "x"}  # and their markers: colours and dashes are of runs
+INTERVALS, LEAST = 30, 1e-17  # of a drift, the largest in each of so many; what is less is drawn there
 
 
 def mesh(model):
@@ -25,11 +43,20 @@ def mesh(model):
         made, axes = figure(6.4, height_for(low, high, 6.4, 0.75))
         nodes, offsets = plates.connectivity(model)
         count = np.diff(offsets)
-        shades = np.array(["#F3F7FA", "#D5E5F0", "#A9CBE2", "#7DB1D4"])[np.clip(count - 4, 0, 3)]
-        axes.add_collection(PolyCollection(cells, facecolors=shades, edgecolors=PALETTE[0], linewidths=0.4))
+        shades = np.array(list(SHADES.values()))[np.clip(count, 4, 7) - 4]
+        axes.add_collection(PolyCollection(cells, facecolors=shades, edgecolors=PALETTE[0], linewidths=0.4, label="mesh"))
         equal(axes, low, high)
         axes.set_title(f"{len(cells)} polygons of {count.min()} to {count.max()} corners, {nodes.max() + 1} nodes")
+        made.legend(handles=_corner_key(np.unique(np.clip(count, 4, 7)), count), loc="outside lower center", ncols=4)
         return made
+
+
+def _corner_key(kinds, count):
+    """Handles of a legend: what the shade of a polygon means."""
+    from matplotlib.patches import Patch
+
+    ends = {4: f"{count.min()} or 4" if count.min() < 4 else "4", 7: f"7 to {count.max()}" if count.max() > 7 else "7"}
+    return [Patch(facecolor=SHADES[kind], edgecolor=PALETTE[0], label=f"{ends.get(kind, kind)} corners") for kind in kinds]
 
 
 def deformed(run, times=None, snapshots=6, width=6.4):
@@ -44,41 +71,56 @@ def deformed(run, times=None, snapshots=6, width=6.4):
         shapes = [plates.polygons(run.model, run.node_positions(k)) for k in frames]
         stress = [run.von_mises(k) / 1e3 for k in frames]
         low, high = box(np.concatenate([plates.places(run, k) for k in frames]))
-        made, axes = figure(width, height_for(low, high, 0.82 * width, 0.6))
+        made, axes, side = scaled(low, high, width, bool(run.model.drawn))
         top = colour_top(stress)
         fine = sum(map(len, shapes)) > DISTINCT
         look = {"cmap": "viridis", "clim": (0, top), "edgecolors": "face", "linewidths": 0.2, "rasterized": fine}
         for k, cells, values in zip(frames, shapes, stress):
-            drawn = PolyCollection(cells, array=values, **look)
+            drawn = PolyCollection(cells, array=values, label=f"t = {run.t[k]:.6g} s", **look)
             edges = plates.outlines(run.model, run.node_positions(k))
             axes.add_collection(drawn)
             axes.add_collection(LineCollection(edges, colors=INK, linewidths=0.4, rasterized=fine))
         for k in frames:
-            axes.add_collection(LineCollection(plates.sticks(run, k), colors=STICK, linewidths=1.6, capstyle="round"))
-        _label_times(axes, run, frames)
+            label = f"sticks, t = {run.t[k]:.6g} s"
+            axes.add_collection(LineCollection(plates.sticks(run, k), colors=STICK, linewidths=1.6, capstyle="round", label=label))
+        _label_times(axes, run, frames, 0.05 * (high - low).max())
         equal(axes, low, high, margin=0.09)
         if run.model.drawn:
-            made.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02, extend="max").set_label("von Mises stress, kPa")
+            stress_key(made, axes, drawn, side)
         return made
 
 
-def tip(runs, point="tip", reference=None):
-    """Path of a named point and its two coordinates against time, one line a run."""
+def tip(runs, point="tip"):
+    """Path of a named point in the first run, and what its coordinates in the others are away from there against time.
+
+    Between its frames the first run is the cubic with its places and velocities. With one run, the coordinates themselves.
+    """
     with settings():
+        (base, first), *others = runs.items()
         made, axes = figure(6.4, 3.7, nrows=2, ncols=2, width_ratios=[1.15, 1])
         path, history = _wide_left(made, axes)
-        lines = dict(runs) | ({reference[0]: reference[1]} if reference else {})
-        for i, (label, run) in enumerate(lines.items()):
-            place = run.position(point)
-            path.plot(*place.T, label=plain(label), **line(i))
-            for axis, values in zip(history, place.T):
-                axis.plot(run.t, values, label=plain(label), **line(i))
-        path.set(xlabel="x, m", ylabel="y, m", title=f"path of {plain(point)}")
+        path.plot(*first.position(point).T, label=plain(base), **line(0))
+        path.set(xlabel="x, m", ylabel="y, m", title=f"path of {plain(point)}, {plain(base)}")
         path.set_aspect("equal", adjustable="box")
-        history[0].set(ylabel="x, m", title=f"{plain(point)} against time")
-        history[1].set(xlabel="t, s", ylabel="y, m")
-        _legend(made, path)
+        between = _cubic(first, point)
+        for i, (label, run) in enumerate(others or [(base, first)], start=bool(others)):
+            found = run.position(point) - between(run.t) if others else run.position(point)
+            for axis, values in zip(history, found.T):
+                axis.plot(run.t, values, label=plain(label), **line(i))
+        delta, title = ("Δ", f"difference from {plain(base)}") if others else ("", f"{plain(point)} against time")
+        history[0].set(ylabel=f"{delta}x, m", title=title)
+        history[1].set(xlabel="t, s", ylabel=f"{delta}y, m")
+        _legend(made, [path, *history])
         return made
+
+
+def _cubic(run, point):
+    """Function of times: the place of a named point between frames, from places and velocities."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    t, kept = np.unique(run.t, return_index=True)
+    velocity = run.model.position(point, run.v) - run.model.position(point, np.zeros_like(run.v))
+    return CubicHermiteSpline(t, run.position(point)[kept], velocity[kept], extrapolate=False)
 
 
 def reactions(runs, names, limit=8):
@@ -103,19 +145,22 @@ def reactions(runs, names, limit=8):
 
 
 def energy(runs):
-    """Kinetic, potential, strain and total energy, and what is gained or lost beside the work of parts and what they dissipate."""
+    """Kinetic, potential, strain and total energy of the first run, a marker each, and what every run has gained or lost beside the work
+    of parts and what they dissipate. A colour is a run.
+    """
     with settings():
-        made, axes = figure(6.4, 3.0, ncols=2, width_ratios=[1.25, 1])
+        made, axes = figure(6.4, 3.2, ncols=2, width_ratios=[1.25, 1])
         first_label, first = next(iter(runs.items()))
-        for i, part in enumerate(("kinetic", "potential", "strain", "total")):
-            axes[0].plot(first.t, getattr(first.energy, part), label=part, **line(i))
-        axes[0].set(xlabel="t, s", ylabel="energy, J", title=f"energy, {plain(first_label)}")
+        for i, (part, marker) in enumerate(ENERGIES.items()):
+            look = {"marker": marker, "markersize": 4, "markerfacecolor": "none", "markevery": (0.02 + 0.03 * i, 0.12)}
+            axes[0].plot(first.t, getattr(first.energy, part), label=part, **line(0) | {"linewidth": 0.8} | look)
+        axes[0].set(xlabel="t, s", ylabel="energy, J", title=f"energies of {plain(first_label)}")
         axes[0].legend(loc="best")
         for i, (label, run) in enumerate(runs.items()):
             axes[1].plot(run.t, unbalanced(run), label=plain(label), **line(i))
         axes[1].set(xlabel="t, s", ylabel="change of total less work, J")
         axes[1].set_title("gained or lost", loc="right")
-        _legend(made, axes[1])
+        _legend(made, axes[1:])
         return made
 
 
@@ -147,31 +192,44 @@ def errors(series, unit="m"):
 
 
 def drift(runs):
-    """Largest violation of the constraints and of their time derivative, on logarithmic axes."""
+    """Largest violation of the constraints and of their time derivative in each of INTERVALS intervals of time, on logarithmic axes."""
     with settings():
-        made, axes = figure(6.4, 2.8, ncols=2)
+        made, axes = figure(6.4, 2.9, ncols=2)
         for axis, kind, title in zip(axes, ("drift", "velocity_drift"), ("position", "velocity")):
             for i, (label, run) in enumerate(runs.items()):
-                axis.semilogy(run.t, np.maximum(getattr(run, kind), 1e-17), label=plain(label), linewidth=0.8, **line(i))
-            axis.set(xlabel="t, s", title=f"violation of the {title} constraints")
-        axes[0].set_ylabel(r"$\max|\phi|$")
-        axes[1].set_ylabel(r"$\max|\dot\phi|$")
-        _legend(made, axes[0])
+                axis.semilogy(*_largest(run.t, getattr(run, kind)), label=plain(label), **line(i) | nested(i, len(runs)))
+            axis.set(xlabel="t, s", title=f"{title} constraints, largest violation")
+        axes[0].set_ylabel("max|φ|")
+        axes[1].set_ylabel("max|dφ/dt|")
+        _legend(made, axes)
         return made
 
 
+def _largest(t, values):
+    """(times, the largest of `values` in each interval that has frames), at the frame that has it."""
+    interval = np.minimum(INTERVALS * (t - t[0]) / max(t[-1] - t[0], 1e-300), INTERVALS - 1).astype(int)
+    order = np.lexsort((-np.nan_to_num(values, nan=-1.0), interval))
+    top = order[np.unique(interval[order], return_index=True)[1]]
+    return t[top], np.maximum(values[top], LEAST)
+
+
 def _legend(made, axes):
-    """One legend above all panels, where it hides nothing."""
-    handles, labels = axes.get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    """One legend above all panels, where it hides nothing; each label once."""
+    known = {label: handle for axis in np.ravel(axes) for handle, label in zip(*axis.get_legend_handles_labels())}
+    made.legend(known.values(), known, loc="outside upper center", ncols=len(known))
 
 
-def _label_times(axes, run, frames):
-    """Write each time beside the outermost place of the last body, on the side that it moves along."""
-    last = plates.bodies(run.model)[-1:]
+def _label_times(axes, run, frames, apart):
+    """Write each time beside the outermost place of the last body, on the side that it moves along; where places are less than `apart`, m,
+    from each other, the last time alone.
+    """
+    last, labelled = plates.bodies(run.model)[-1:], []
     end = int(np.argmax(last[0].points[:, 0])) if last else -1
-    for k in frames:
+    for k in reversed(frames):
         positions = run.node_positions(k)[last[0].nodes] if last else plates.sticks(run, k).reshape(-1, 2)
+        if any(np.hypot(*(positions[end] - other)) < apart for other in labelled):
+            continue
+        labelled.append(positions[end])
         along = positions[end] - positions.mean(axis=0)
         beyond = 12 * along / (np.hypot(*along) + 1e-300)
         axes.annotate(

@@ -7,17 +7,17 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from pathlib import Path
 
 from polyida.machine import cores
+from polyida.show.numbers import csv
 from polyida.show.style import figure, rendered
 
-KINDS = ("png", "pdf")
+KINDS = ("png", "pdf", "svg")
 START = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); from polyida.show.press import serve; serve()"
 
 
 class Press:
-    """Draws figures as PNG and PDF in a process of its own, one after the other; use it in a `with`.
+    """Draws figures, {kind: bytes} of each, in a process of its own, one after the other; use it in a `with`.
 
     That process has imported what it needs when `ready` comes back, and takes no time until a figure comes. What it
     cannot draw, for want of a second core or for any other reason, is drawn here.
@@ -48,16 +48,19 @@ class Press:
     def __contains__(self, name):
         return name in self.sheets
 
+    def __getitem__(self, name):
+        return self.sheets[name][0]
+
     def give(self, name, made):
-        """Have a figure drawn, to be name.png and name.pdf."""
+        """Have a figure drawn."""
         self.sheets[name] = made, self.line.submit(self._drawn, _pickled(made))
 
-    def write(self, folder):
-        """Write the files of all figures that were given. Those at the end that the other process has not begun are drawn here."""
+    def files(self):
+        """{name: {kind: bytes}} of all figures that were given. Those at the end that the other process has not begun are drawn here."""
+        found = {}
         for name, (made, sent) in reversed(self.sheets.items()):
-            files = (None if sent.cancel() else sent.result()) or drawn(made)
-            for kind, content in files.items():
-                (Path(folder) / f"{name}.{kind}").write_bytes(content)
+            found[name] = (None if sent.cancel() else sent.result()) or drawn(made)
+        return found
 
     def _drawn(self, sheet):
         """The files of a pickled figure, {kind: bytes}, or None where they are to be drawn here."""
@@ -77,8 +80,8 @@ class Press:
 
 
 def drawn(made):
-    """The files of a figure, {kind: bytes}."""
-    return {kind: rendered(made, kind) for kind in KINDS}
+    """The files of a figure, {kind: bytes}, its numbers among them."""
+    return {kind: rendered(made, kind) for kind in KINDS} | {"csv": csv(made).encode()}
 
 
 def _pickled(made):

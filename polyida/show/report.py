@@ -1,14 +1,20 @@
-"""The folder of a comparison: report.html, its pictures as PNG and PDF, figures.json, the runs, VTU frames."""
+"""The folder of a comparison: report.html, its pictures as PNG, PDF and CSV, figures.json, the runs, VTU frames."""
 
 import json
 from contextlib import suppress
 from pathlib import Path
 
 from polyida.machine import machine_info
-from polyida.show import plates, plots
-from polyida.show.page import finite, page
+from polyida.show import html, plates, plots
+from polyida.show.page import columns, finite, gap, system
 
 FRAMES = 50  # VTU frames written at most
+ERRORS = (
+    "Errors are distances from the refined run, which is Radau IIA with a tolerance of 1e-9, or a thousandth of theirs, on the same mesh: "
+    "they are errors in time, not of the mesh. CPU seconds do not contain the compilation of kernels. The energy change is that of "
+    "kinetic, strain and gravity energy together, less the work of the motors."
+)
+SETTINGS = {"run": ("", "{}"), "settings": ("settings", "code")}
 
 
 def begin(job, runs, press):
@@ -30,33 +36,51 @@ def write(comparison, folder, command, press, tell=lambda what: None):
         run.save(folder / f"{label}.h5", overwrite=True)
     data = {"figures": comparison.figures, "rows": finite(comparison.rows), "machine": machine, "command": command}
     (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    captions = _give(comparison, press)
+    found = _pictures(comparison, press)
     if (shown := _drawable(comparison.runs)) and shown.model.drawn:
         from polyida.show.vtu import vtu
 
         tell("frames")
         vtu(shown, folder / "frames", overwrite=True, frames=FRAMES)
     tell("pictures")
-    press.write(folder)
-    text = page(comparison, folder, captions, machine, command)
-    (folder / "report.html").write_text(text, encoding="utf-8")
-    return folder / "report.html"
+    title, lead = f"{comparison.job.name}: {' and '.join(comparison.runs)}", f"{system(comparison.job)}."
+    return html.write(folder, title, _blocks(comparison, shown, found), command, machine, lead, press)
 
 
-def _give(comparison, press):
-    """Give to the press what it does not have yet; {name of a picture: caption} of all, in their order."""
+def _blocks(comparison, shown, found):
+    """What the page consists of. shown: a run whose motion can be drawn, or None. found: the pictures."""
+    moving = [html.Heading("Motion"), html.Movie(shown, f"The motion by {_label(comparison, shown)}.")] if shown else []
+    return [
+        html.Notes(comparison.notes),
+        html.Heading("Result"),
+        html.Table(columns(comparison), comparison.rows),
+        html.Text(f"{ERRORS} {gap(comparison)}"),
+        html.Heading("Settings"),
+        html.Table(SETTINGS, comparison.rows),
+        *moving,
+        html.Heading("Figures"),
+        *found,
+    ]
+
+
+def _label(comparison, run):
+    return next(label for label, other in comparison.runs.items() if other is run)
+
+
+def _pictures(comparison, press):
+    """The pictures of a comparison; what the press does not have yet is given to it."""
     found = pictures(comparison.job, comparison.runs, comparison)
     for name, (draw, _) in found.items():
         if name not in press:
             press.give(name, draw())
-    return {name: caption for name, (_, caption) in found.items()}
+    return [html.Picture(name, caption, press[name]) for name, (_, caption) in found.items()]
 
 
 def pictures(job, runs, comparison=None):
     """{file name: (function that draws it, caption)} of what these runs can show, with a Comparison also how far they are from the refined run."""
     moving, shown, found = {label: run for label, run in runs.items() if len(run.t) > 1}, _drawable(runs), {}
     if shown and shown.model.drawn:
-        found["mesh"] = lambda: plots.mesh(job.model), "The polygon meshes at rest, shaded by number of corners."
+        found["mesh"] = lambda: plots.mesh(job.model), "The polygon meshes at rest; a shade is a number of corners."
     if shown:
         caption = "The plates at several times, coloured by the von Mises stress of every element."
         found["deformed"] = lambda: plots.deformed(shown), caption
@@ -67,7 +91,7 @@ def _curves(job, runs, comparison):
     """The pictures that any model has, in the form of `pictures`."""
     model, point, found = job.model, job.point, {}
     if point:
-        found["tip"] = lambda: plots.tip(runs, point), f"Path of {point}, and its coordinates against time."
+        found["tip"] = lambda: plots.tip(runs, point), f"Path of {point}, and how far it is from there in the other runs."
     else:
         found["coordinates"] = lambda: plots.coordinates(runs), "The first coordinates."
     if comparison:
@@ -77,9 +101,13 @@ def _curves(job, runs, comparison):
     if model.rows:
         caption = "What each joint does to the body on its far side."
         found["reactions"] = lambda: plots.reactions(runs, list(model.rows)), caption
-    found["energy"] = lambda: plots.energy(runs), "Energy, and what is gained or lost beside the work of parts and what they dissipate."
+    caption = "Energies of the first run, and what each run gains or loses beside the work of parts and what they dissipate."
+    found["energy"] = lambda: plots.energy(runs), caption
     if model.m:
-        found["drift"] = lambda: plots.drift(runs), "How well the constraints hold."
+        found["drift"] = (
+            lambda: plots.drift(runs),
+            f"How well the constraints hold: the largest violation in each of {plots.INTERVALS} intervals of time.",
+        )
     return found
 
 

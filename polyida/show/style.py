@@ -8,7 +8,9 @@ import numpy as np
 INK, STICK = "#222222", "#8C5A2B"  # of lines and text, and of bodies without a mesh
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
-PRINT_DPI = 400  # of what is an image in a PDF
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
+UPRIGHT = 2.4  # inches of a figure's side, below which the label of a colorbar would not fit along it in one line
+SAVED = {"pdf": {"metadata": {"CreationDate": None}, "dpi": 400}, "svg": {"metadata": {"Date": None}}}  # dpi: of what is an image in a PDF
 SETTINGS = {
     "font.size": 9,
     "axes.titlesize": 9,
@@ -20,7 +22,8 @@ SETTINGS = {
     "mathtext.fontset": "dejavusans",
     "pdf.fonttype": 42,
     "ps.fonttype": 42,  # matplotlib 3.11 splits a PDF's fonts by this one: the minus sign would be embedded as a second font
-    "svg.fonttype": "path",
+    "svg.fonttype": "none",  # text stays text
+    "svg.hashsalt": "polyida",
     "axes.linewidth": 0.6,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -61,6 +64,17 @@ def line(i):
     return {"color": PALETTE[i % len(PALETTE)], "linestyle": DASHES[i % len(DASHES)]}
 
 
+def nested(i, count):
+    """Hollow markers of the i-th of `count` lines that may lie on each other: the first the widest, so that every one is seen."""
+    return {
+        "marker": MARKERS[i % len(MARKERS)],
+        "markersize": 2.5 + 2.2 * (count - 1 - i),
+        "markerfacecolor": "none",
+        "markeredgewidth": 0.8,
+        "linewidth": 0.8,
+    }
+
+
 def save(figure, path):
     """Write a figure to a file, its format given by the suffix; returns the path. Equal figures give equal files."""
     path = Path(path)
@@ -69,14 +83,14 @@ def save(figure, path):
 
 
 def rendered(figure, kind):
-    """The bytes of a figure's file of a kind, "png" or "pdf".
+    """The bytes of a figure's file of a kind, "png", "pdf" or "svg".
 
     What is laid out the first time stays so: the same figure of another kind has the same places.
     """
-    file, extra = BytesIO(), {"metadata": {"CreationDate": None}, "dpi": PRINT_DPI} if kind == "pdf" else {}
+    file = BytesIO()
     with settings():
         lay_out(figure)
-        figure.savefig(file, format=kind, **extra)
+        figure.savefig(file, format=kind, **SAVED.get(kind, {}))
     return file.getvalue()
 
 
@@ -100,6 +114,22 @@ def box(points):
 def height_for(low, high, width, rest):
     """Height in inches of a figure whose axes, `width` inches wide, show a box to scale; `rest` is for labels."""
     return float(np.clip(width * (high - low)[1] / max((high - low)[0], 1e-300) + rest, 1.4, 1.05 * width))
+
+
+def scaled(low, high, width, keyed):
+    """As `figure`, so wide and as high as a box to scale is, and where its colours are explained: "right", or "bottom" if it is too low for
+    the label of a colorbar. keyed: whether there is one at all.
+    """
+    height = height_for(low, high, 0.82 * width, 0.6)
+    side = "right" if height > UPRIGHT else "bottom"
+    return *figure(width, height + 0.7 * (keyed and side == "bottom")), side
+
+
+def stress_key(made, axes, drawn, side):
+    """A colorbar of von Mises stress on a side of the axes."""
+    look = {"shrink": 0.8, "pad": 0.02} if side == "right" else {"shrink": 0.9, "pad": 0.04, "aspect": 30}
+    label = "von Mises stress, kPa" if made.get_figwidth() > UPRIGHT else "von Mises\nstress, kPa"
+    made.colorbar(drawn, ax=axes, location=side, extend="max", **look).set_label(label)
 
 
 def equal(axes, low, high, margin=0.04):

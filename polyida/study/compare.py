@@ -7,14 +7,17 @@ from itertools import combinations
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_number
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.running.sampling import between
 from polyida.integrate.state import Counts, StepFailure
 from polyida.machine import one_blas_thread
 from polyida.model.guarded import guard
-from polyida.study.energy import motor_work, unbalanced
+from polyida.results.balance import motor_work, unbalanced
+from polyida.study import chosen
 
 FINE, FINER = 1e-9, 1e-3  # rtol of the refined run: the one, or the other times that of the runs where that is less
+FINEST = 1e-13  # but no less: round-off is as large
 REFINED = "refined run"
 LONGEST = 60  # characters of a label: four bytes each are below the 255 of a file's name
 
@@ -44,7 +47,7 @@ class Comparison:
     @property
     def figures(self):
         """{name: number}, names as `alpha_error_max`; only what is a finite number."""
-        short = {"generalized-alpha": "alpha", "IDA": "ida", "Radau IIA": "radau", REFINED: "refined"}
+        short = {label: name for name, (_, label, _) in chosen.KNOWN.items()} | {REFINED: "refined"}
         numbers = {f"{short.get(row['run'], row['run'])}_{key}": value for row in self.rows for key, value in row.items()}
         numbers["gap_end"] = self.gap
         return {
@@ -69,35 +72,30 @@ def heeded(run):
     return run
 
 
-def integrators(job, rtol=None):
-    """{label: integrator}: generalized-alpha with the job's step; IDA and Radau IIA, with rtol where it is given."""
-    from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-    from polyida.integrate.ida.integrator import IDA
-    from polyida.integrate.radau.radau_iia import RadauIIA
-
-    given = {} if rtol is None else {"rtol": rtol}
-    return {"generalized-alpha": GeneralizedAlpha(h=job.step), "IDA": IDA(**given), "Radau IIA": RadauIIA(**given)}
+def integrators(job, names=chosen.COMPARED, **settings):
+    """{label: integrator} of names that a command takes, made for a job; settings (step, rtol) go to those that take them."""
+    return chosen.compared(chosen.choices(names), job, **settings)
 
 
-def compare(job, rtol=None, progress=None, others=None):
-    """Run generalized-alpha, IDA, Radau IIA and the refined run of a Job; returns a Comparison.
+def compare(job, rtol=None, progress=None, members=None):
+    """Run integrators and the refined run of a Job; returns a Comparison.
 
-    others: {label: integrator}, more of them.
+    members: {label: integrator}, a user's own among them; generalized-alpha with the job's step, IDA and Radau IIA where None.
     The refined run is Radau IIA with rtol 1e-9, or a thousandth of the runs'; an error is the distance of the watched point
     (or of all coordinates, for a model without points) from it. rtol: of IDA and Radau IIA. progress: callable(label, fraction done),
     fraction None while kernels compile. Failures of a run do not raise: they are in `notes`. InputError is raised
     before the first run.
     """
     tell = progress or (lambda label, fraction: None)
-    return measured(job, timed(job, prepared(job, rtol, tell, others), tell), rtol, tell)
+    members = integrators(job, rtol=rtol) if members is None else members
+    return measured(job, timed(job, prepared(job, members, tell), tell), tell)
 
 
-def prepared(job, rtol=None, tell=lambda label, fraction: None, others=None):
+def prepared(job, members, tell=lambda label, fraction: None):
     """{label: integrator} of what `compare` runs, looked at, their kernels loaded: nothing is left to do but the runs."""
     from polyida.integrate.solve import require_run
 
-    members = integrators(job, rtol)
-    members |= _others({} if others is None else others, {*members, REFINED})
+    _require_labels(members)
     for member in members.values():
         require_run(job.model, job.time, 0.0, member)
     tell("preparing kernels", None)
@@ -111,9 +109,9 @@ def timed(job, members, tell=lambda label, fraction: None):
     return {label: _run(job, member, label, tell) for label, member in members.items()}
 
 
-def measured(job, runs, rtol=None, tell=lambda label, fraction: None):
+def measured(job, runs, tell=lambda label, fraction: None):
     """The Comparison of {label: Trajectory} with the refined run, which is made here."""
-    refined = refine(job, rtol, np.unique(np.concatenate([run.t for run in runs.values()])), tell)
+    refined = refine(job, _tightest(runs), np.unique(np.concatenate([run.t for run in runs.values()])), tell)
     distances = {label: (run.t, refined.distance(run)) for label, run in runs.items()}
     rows = [_row(label, run, distances[label][1]) | published(job, run.q[-1], run.success) for label, run in runs.items()]
     rows.append(refined.row() | published(job, refined.watched[-1], not refined.message))
@@ -123,17 +121,21 @@ def measured(job, runs, rtol=None, tell=lambda label, fraction: None):
     return Comparison(job, runs, distances, rows, notes, quantity, unit)
 
 
-def _others(others, taken):
-    """Further integrators, looked at: their labels are names of files in the report, too."""
-    if not isinstance(others, dict):
-        raise InputError(f"compare: others = {others!r} must be a dictionary {{label: integrator}}")
-    for label in others:
-        if not isinstance(label, str) or not label or set(label) & set("/\\\0") or label in taken or len(label) > LONGEST:
+def _tightest(runs):
+    """The smallest relative tolerance that runs were given, or None."""
+    given = [getattr(run.integrator, "rtol", None) for run in runs.values()]
+    return min(filter(is_number, given), default=None)
+
+
+def _require_labels(members):
+    """Raise InputError unless these are integrators by labels, which are names of files in the report, too."""
+    if not isinstance(members, dict) or not members:
+        raise InputError(f"compare: members = {members!r} must be a dictionary {{label: integrator}}")
+    for label in members:
+        if not isinstance(label, str) or not label or set(label) & set("/\\\0") or label == REFINED or len(label) > LONGEST:
             raise InputError(
-                f"compare: label {label!r} must be the name of a file, no longer than {LONGEST} characters, "
-                f"and none of {', '.join(sorted(taken))}"
+                f"compare: label {label!r} must be the name of a file, no longer than {LONGEST} characters, and not {REFINED!r}"
             )
-    return others
 
 
 def watch(job):
@@ -194,7 +196,7 @@ def refine(job, rtol, times, tell):
     from polyida.integrate.radau.radau_iia import RadauIIA
     from polyida.integrate.start import consistent_state
 
-    fine, counts, look = RadauIIA(rtol=FINE if rtol is None else min(FINE, FINER * rtol)), Counts(), watch(job)
+    fine, counts, look = RadauIIA(rtol=FINE if rtol is None else max(FINEST, min(FINE, FINER * rtol))), Counts(), watch(job)
     begin, message = time.process_time(), ""
     with job.code(), one_blas_thread():
         before = consistent_state(job.model, 0.0, job.q0, job.v0)

@@ -1,12 +1,28 @@
 """What the figures of all studies share: logarithmic panels, slopes beside the data, PNG and PDF of each figure."""
 
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import wraps
 
 import numpy as np
 
-from polyida.show.style import DASHES, INK, PALETTE, figure, save, settings
+from polyida.show.html.blocks import Picture
+from polyida.show.style import DASHES, INK, PALETTE, figure, settings
+from polyida.study.slopes import positive
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
+
+
+@contextmanager
+def on_axes(axes=None):
+    """matplotlib axes to draw on: those that are given, or new ones of pyplot, in the look of this package."""
+    if axes is not None:
+        yield axes
+        return
+    from matplotlib import pyplot
+
+    with settings():
+        yield pyplot.subplots(figsize=(6.4, 3.8), layout="constrained")[1]
 
 
 def panels(count, width=6.8, height=3.0, columns=2, **layout):
@@ -37,7 +53,7 @@ def look(i):
 
 def loglog(axes, x, y, i, label=None):
     """One line of finite positive values on two logarithmic axes."""
-    axes.loglog(*_positive(x, y), label=label, **look(i))
+    axes.loglog(*positive(x, y), label=label, **look(i))
 
 
 def nested(colour, ring, rings, dash="-"):
@@ -111,34 +127,31 @@ def _two_decades(axis):
     axis.set_minor_formatter(NullFormatter())
 
 
-def saved(made, folder, name):
-    """Write a figure as PNG and PDF into the folder; returns both paths. LookupError where no line has a point."""
+def curves(made, name, caption=""):
+    """`picture` of a figure of lines. LookupError where none has a point."""
     if not any(len(line.get_xdata()) for axes in made.axes for line in axes.get_lines() if line.get_label()[:1] != "_"):
         raise LookupError("no rows to draw")
     for axis in [axis for axes in made.axes for axis in (axes.xaxis, axes.yaxis) if axis.get_scale() == "log"]:
         _two_decades(axis)
-    return [save(made, folder / f"{name}.{kind}") for kind in ("png", "pdf")]
+    return picture(made, name, caption)
+
+
+def picture(made, name, caption=""):
+    """A figure as a study's report takes it: a list of one Picture."""
+    return [Picture(name, caption, made)]
 
 
 def drawn(function):
-    """A study's figure, `draw(rows, folder)`, of the rows that did not fail, in the settings of this package."""
+    """A study's figure, `draw(rows)`, of the rows that did not fail, in the settings of this package.
+
+    A picture without a caption has the first line of what the function says of itself.
+    """
 
     @wraps(function)
-    def draw(rows, folder):
+    def draw(rows):
         with settings():
-            return function([row for row in rows if not row.get("error")], folder)
+            made = function([row for row in rows if not row.get("error")])
+        about = (function.__doc__ or "").strip().partition("\n")[0]
+        return [picture if picture.caption else replace(picture, caption=about or picture.name) for picture in made]
 
     return draw
-
-
-def fitted(x, y):
-    """Slope of log y over log x by least squares; NaN where there are fewer than two finite positive points."""
-    x, y = _positive(x, y)
-    return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len(np.unique(x)) > 1 else float("nan")
-
-
-def _positive(x, y):
-    """The points whose coordinates are finite and positive both."""
-    x, y = np.asarray(x, float), np.asarray(y, float)
-    good = np.isfinite(x) & np.isfinite(y) & (x > 0) & (y > 0)
-    return x[good], y[good]

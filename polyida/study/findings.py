@@ -2,18 +2,19 @@
 
 import math
 from dataclasses import dataclass, field
+from itertools import chain
 
 
 @dataclass
 class Findings:
-    """figures: {name: number}, NaN where it could not be formed; notes: lines; pictures: paths."""
+    """figures: {name: number}, NaN where it could not be formed; notes: lines; pictures: of the report."""
 
     figures: dict
     notes: list
     pictures: list = field(default_factory=list)
 
 
-def findings(study, rows, folder):
+def findings(study, rows):
     """All of a study's findings, whatever rows failed: the `headline` figures are there in any case.
 
     figures, notes and draw of a study are a function of the rows each, or a tuple of such functions, each formed alone.
@@ -23,9 +24,14 @@ def findings(study, rows, folder):
         figures |= {name: float(value) for name, value in found.items()}
     missing = [name for name, value in figures.items() if not math.isfinite(value)]
     lines = [line for found in _formed(study.notes, unformed, rows) for line in found]
-    pictures = [path for found in _formed(study.draw, unformed, rows, folder) for path in found]
+    pictures = [path for found in _formed(study.draw, unformed, rows) for path in found]
     lines += [f"no value, no run that went well gives one: {', '.join(missing)}"] if missing else []
     return Findings(figures, lines + unformed + failures(study, rows), pictures)
+
+
+def columns_of(study, rows):
+    """The columns of a study's table."""
+    return study.columns or tuple(name for name in dict.fromkeys(chain(*rows)) if name not in ("error", "traceback"))
 
 
 def failures(study, rows):

@@ -5,12 +5,14 @@ import inspect
 import json
 import os
 from collections.abc import Callable
-from contextlib import suppress
+from concurrent.futures import BrokenExecutor, Future, as_completed
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
-from polyida.study.isolation import Worker, attempt, plain
+from polyida.errors import InputError
+from polyida.study.isolation import Isolated, Serial, attempt, plain, told
 
 
 @dataclass(frozen=True)
@@ -18,8 +20,8 @@ class Study:
     """What to vary, what to measure, what to plot.
 
     tasks(quick): list of dictionaries of plain values, one a run. run(**task): a dictionary of plain values, the row's
-    results. figures(rows): {name: number}, the study's findings. draw(rows, folder): writes pictures, returns their
-    paths. notes(rows): lines that say what failed and what the numbers mean. figures, draw and notes may be tuples of
+    results. figures(rows): {name: number}, the study's findings. draw(rows): pictures of
+    the report (`polyida.show.html.Picture`). notes(rows): lines that say what failed and what the numbers mean. figures, draw and notes may be tuples of
     such functions, each formed alone: rows that are missing spoil no more than what needs them. headline: names of
     figures that are there in any case, NaN where their rows are missing. columns: of the table, all where empty.
     isolated: run each task in a process of its own, so that a crash is a row; limit: seconds after which it counts as
@@ -33,7 +35,7 @@ class Study:
     tasks: Callable
     run: Callable
     figures: Callable | tuple
-    draw: Callable | tuple = lambda rows, folder: []
+    draw: Callable | tuple = lambda rows: []
     columns: tuple = ()
     isolated: bool = False
     limit: float = 600.0
@@ -52,6 +54,11 @@ def key_of(study, task):
 def code_mark(study):
     """A mark of the source of the package and of what lies beside the study: results with another one were made by other code."""
     return _mark(_folder(study.run))
+
+
+def package_mark():
+    """The same of the package alone."""
+    return _mark(None)
 
 
 @lru_cache(maxsize=4)
@@ -90,34 +97,105 @@ def write_whole(path, text):
 
 def results(study, quick, folder, progress=lambda done, total, task: None):
     """The rows of all tasks: those with a whole file in `folder` are read, the others run. A failing run is a row."""
-    folder.mkdir(parents=True, exist_ok=True)
-    _remove_litter(folder)
-    rows, tasks = [], study.tasks(quick)
-    with Worker() as worker:
-        for done, task in enumerate(tasks):
-            progress(done, len(tasks), task)
-            path = folder / f"{key_of(study, task)}.json"
-            if _read(path) is None:
-                row = _run(study, worker, task)
-                write_whole(path, json.dumps({"row": task | row, "code": code_mark(study)}, default=plain))
-            rows.append(_read(path)["row"])
-    progress(len(tasks), len(tasks), {})
-    return rows
+    tasks = study.tasks(quick)
+    with Isolated(study.limit, study.fresh) if study.isolated else Serial() as executor:
+        names = [key_of(study, task) for task in tasks]
+        return collected(partial(executor.submit, attempt, function=study.run), tasks, names, Shelf(folder, code_mark(study)), progress)[0]
+
+
+def collected(submit, tasks, names, shelf, progress=lambda done, total, task: None):
+    """(rows of all tasks in their order, how many were run now): those that the shelf has are read, the others run.
+
+    submit(arguments=task): a concurrent.futures.Future of the task's row. names: one a task; what is there twice runs once.
+    Rows are put on the shelf as they come. progress: called with how many rows there are, of how many, and the first task that has none,
+    {} in the end. Ctrl-C, and what progress raises, calls off the tasks that have not begun.
+    """
+    shelf.tidy()
+    rows = {name: row for name in dict.fromkeys(names) if (row := shelf.read(name)) is not None}
+    waiting = {name: task for name, task in zip(names, tasks) if name not in rows}
+    total, ran = len(rows) + len(waiting), len(waiting)
+    progress(len(rows), total, next(iter(waiting.values()), {}))
+    with closing(_ended(submit, dict(waiting))) as ended:
+        for name, row in ended:
+            rows[name] = shelf.put(name, waiting.pop(name) | row)
+            progress(len(rows), total, next(iter(waiting.values()), {}))
+    return [rows[name] for name in names], ran
+
+
+def _ended(submit, waiting):
+    """(name, row) of each task as it ends."""
+    futures = {}
+    try:
+        for name, task in waiting.items():
+            future = _submitted(submit, task)
+            if future.done():
+                yield name, _row(future)
+            else:
+                futures[future] = name
+        for future in as_completed(futures):
+            yield futures[future], _row(future)
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+def _submitted(submit, task):
+    """The future of a task; one that failed where the executor broke before."""
+    try:
+        return submit(arguments=task)
+    except BrokenExecutor as error:
+        future = Future()
+        future.set_exception(error)
+        return future
+    except RuntimeError as error:
+        raise InputError(f"executor: it takes no work: {error}") from None
+
+
+def _row(future):
+    """What a future gives; where its process or its machine was lost, {"error"}."""
+    try:
+        return future.result()
+    except Exception as error:  # noqa: BLE001, whatever an executor answers
+        return {"error": told(error)}
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """Rows by name, one file each in `folder`, whole or not at all; without a folder nothing is kept.
+
+    code: mark of what makes them, written beside each. again: rows with an error count as not there.
+    """
+
+    folder: Path | None = None
+    code: str = ""
+    again: bool = False
+
+    def tidy(self):
+        """Have the folder there, without what killed processes left half written."""
+        if self.folder:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            _remove_litter(self.folder)
+
+    def read(self, name):
+        """The row of a name, or None."""
+        data = _read(self._path(name)) if self.folder else None
+        return None if data is None or self.again and data["row"].get("error") else data["row"]
+
+    def put(self, name, row):
+        """Keep a row; returns it as it is read."""
+        text = json.dumps({"row": row, "code": self.code}, default=plain)
+        if self.folder:
+            write_whole(self._path(name), text)
+        return json.loads(text)["row"]
+
+    def _path(self, name):
+        return self.folder / f"{name}.json"
 
 
 def of_other_code(study, quick, folder):
     """How many tasks have a result that was made by other code than this."""
     found = [_read(folder / f"{key_of(study, task)}.json") for task in study.tasks(quick)]
     return sum(data is not None and data["code"] != code_mark(study) for data in found)
-
-
-def _run(study, worker, task):
-    if not study.isolated:
-        return attempt(study.run, task)
-    row = worker.call(study.run, task, study.limit)
-    if study.fresh:
-        worker.close()
-    return row
 
 
 def _read(path):

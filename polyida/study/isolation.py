@@ -4,6 +4,11 @@ import json
 import multiprocessing
 import signal
 import traceback
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from typing import Any
+
+from polyida.integrate.running.ctrl_c import heard
 
 GRACE = 5.0  # s beyond its limit after which a task ends itself, should nobody be left to end it
 
@@ -65,6 +70,45 @@ class Worker:
         self.close()
 
 
+class Serial(Executor):
+    """An executor of concurrent.futures that runs what it is given here and now."""
+
+    def submit(self, function: Callable, /, *arguments: Any, **named: Any) -> Future:
+        """The Future of `function(*arguments, **named)`, done already."""
+        return _done(function, *arguments, **named)
+
+
+class Isolated(Executor):
+    """An executor of concurrent.futures that runs one call after the other in a process of its own, replaced after a crash or a hang.
+
+    limit: seconds after which a call counts as hanging. fresh: a new process for each call. Crashes and hangs are rows; starting a process
+    takes about a second. Use it in a `with`, or `shutdown` it. The functions must be of modules, as for processes always.
+    """
+
+    def __init__(self, limit: float = 600.0, fresh: bool = False) -> None:
+        self._worker, self._limit, self._fresh = Worker(), limit, fresh
+
+    def submit(self, function: Callable, /, **named: Any) -> Future:  # type: ignore[override]
+        """The Future of what `Worker.call` gives for `function(**named)`, done already."""
+        future = _done(self._worker.call, function, named, self._limit)
+        if self._fresh:
+            self._worker.close()
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the process."""
+        self._worker.close()
+
+
+def _done(function, /, *arguments, **named):
+    future = Future()
+    try:
+        future.set_result(function(*arguments, **named))
+    except Exception as error:  # noqa: BLE001, the future has it
+        future.set_exception(error)
+    return future
+
+
 def run_isolated(function, arguments, limit):
     """`Worker.call` in a process of its own."""
     with Worker() as worker:
@@ -72,11 +116,23 @@ def run_isolated(function, arguments, limit):
 
 
 def attempt(function, arguments):
-    """{"error": ""} and the dictionary that `function(**arguments)` gives, or the exception as {"error", "traceback"}."""
+    """{"error": ""} and the dictionary that `function(**arguments)` gives, or the exception as {"error", "traceback"}.
+
+    Raises KeyboardInterrupt where Ctrl-C ended a run within.
+    """
+    before = heard()
     try:
-        return {"error": ""} | function(**arguments)
-    except Exception as error:  # noqa: BLE001, whatever it is, a task's failure is a row of the table
-        return {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc(limit=-4)}
+        row = {"error": ""} | function(**arguments)
+    except (Exception, SystemExit) as error:  # noqa: BLE001, whatever it is, a task's failure is a row of the table
+        row = {"error": told(error), "traceback": traceback.format_exc(limit=-4)}
+    if heard() > before:
+        raise KeyboardInterrupt
+    return row
+
+
+def told(error):
+    """An exception as a row's text."""
+    return f"{type(error).__name__}: {error}"
 
 
 def plain(value):

@@ -46,7 +46,7 @@ def load(spec, time=None, step=None, **build_options):
     """
     given = {key: value for key, value in build_options.items() if value is not None}
     if ".py" in spec:
-        file, build = Path(spec.rpartition(":")[0]), scene_file.named(spec, registry.problems)
+        file, build = Path(spec.rpartition(":")[0]), scene_file.named(spec, registry.problems, callable, "functions")
         with scene_file.users_code(file):
             job = _job(_name(file, spec), _call(spec, build, given), file)
     else:
@@ -119,42 +119,3 @@ def _default_point(model):
 
     masses = [name for name, part in model.parts.items() if isinstance(part, PointMass)]
     return "tip" if "tip" in masses else masses[-1] if masses else None
-
-
-def integrator_of(name, job, step=None, rho_inf=None, rtol=None, atol=None):
-    """ "alpha", "ida", "radau", "energy" or a registered integrator with the settings given; alpha, and what must have one, with the job's
-    step. step: s, or "auto": the integrator decides.
-
-    Raises InputError for an unknown name and for a setting of another one.
-    """
-    from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-    from polyida.integrate.energy.energy_momentum import EnergyMomentum
-    from polyida.integrate.ida.integrator import IDA
-    from polyida.integrate.radau.radau_iia import RadauIIA
-
-    makers = {
-        "alpha": (GeneralizedAlpha, ("step", "rho_inf")),
-        "ida": (IDA, ("rtol", "atol")),
-        "energy": (EnergyMomentum, ("step",)),
-        "radau": (RadauIIA, ("step", "rtol", "atol")),
-    }
-    if name not in makers and name not in registry.integrators:
-        raise InputError(f"integrator {name!r} is unknown; there are {', '.join([*makers, *registry.integrators])}")
-    maker, own = makers.get(name) or _registered_integrator(name)
-    given = {key: value for key, value in (("step", step), ("rho_inf", rho_inf), ("rtol", rtol), ("atol", atol)) if value is not None}
-    if strange := [key for key in given if key not in own]:
-        raise InputError(f"--{strange[0].replace('_', '-')} is no setting of {name}; its settings are {', '.join(own)}")
-    needed = "step" in own and inspect.signature(maker).parameters["h"].default is inspect.Parameter.empty
-    if given.pop("step", None) == "auto":
-        if needed:
-            raise InputError(f"--step auto is no setting of {name}, which must have a step, s")
-        return maker(**given)
-    fixed = needed or maker is GeneralizedAlpha or ("step" in own and step is not None)
-    return maker(h=job.step, **given) if fixed else maker(**given)
-
-
-def _registered_integrator(name):
-    """(its class, which of the settings it takes)."""
-    maker = registry.find(registry.integrators, name)
-    taken = inspect.signature(maker).parameters
-    return maker, [key for key in ("step", "rho_inf", "rtol", "atol") if key.replace("step", "h") in taken]

@@ -3,7 +3,6 @@
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -22,21 +21,22 @@ class SceneFileError(InputError):
         self.trace = trace
 
 
-def named(spec, book, kind=Callable, what="functions"):
-    """What `file.py:name` names: a `kind` of the file's, or one that it has added to `book`, a dictionary of the registry.
+def named(spec, book, is_one, what):
+    """What `file.py:name` names: one of the file's, or one that it has added to `book`, a dictionary of the registry.
 
-    Raises InputError where file or name is missing or the file fails.
+    is_one: tells of a value whether it can be what is meant; what: the word for these. Raises InputError where file or name is missing or
+    the file fails.
     """
     path, _, name = spec.rpartition(":")
     if not path.endswith(".py"):
-        raise InputError(f"{spec}: say which of its {what} is meant, as in my_scene.py:build")
+        raise InputError(f"{spec}: say which of its {what} is meant, as in {spec}:NAME")
     module = executed(Path(path))
     found = getattr(module, name, None) or registry.find(book, name)
-    if not isinstance(found, kind):
+    if not is_one(found):
         own = [
             key
             for key, value in vars(module).items()
-            if isinstance(value, kind) and getattr(value, "__module__", module.__name__) == module.__name__
+            if is_one(value) and (not hasattr(value, "__qualname__") or value.__module__ == module.__name__)
         ]
         raise InputError(f"{path}: it has no {name!r}; {what} there: {', '.join(own) or 'none'}")
     return found

@@ -14,9 +14,9 @@ from against_peers.own import LABELS, OWN, TIMES, largest, seconds, seen, tip_of
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
-from polyida.study.drawing import drawn, legend, loglog, panels, saved
-from polyida.study.families import explicit
+from polyida.study.drawing import curves, drawn, legend, loglog, panels
 from polyida.study.kinds.work_precision import cheapest
+from polyida.study.reference.families import explicit
 from step_cost.measure import model_of
 from step_cost.side import cells_for
 
@@ -130,7 +130,7 @@ def notes(rows):
 
 
 @drawn
-def figure(rows, folder):
+def figure(rows):
     """Work-precision of generalized-alpha and Radau IIA alone."""
     found, labels = [row for row in rows if row.get("points")], LABELS | {BEFORE: "generalized-alpha, before"}
     made, axes = panels(len(found))
@@ -141,4 +141,4 @@ def figure(rows, folder):
                 loglog(axis, *np.array(points).T, k, label)
         axis.set(title=f"{row['scene']}, {row['n']} coordinates", xlabel="largest error of the tip, m", ylabel="CPU time of 1 s, s")
     legend(made, axes, 3)
-    return saved(made, folder, "radau_gain")
+    return curves(made, "radau_gain")

@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from conditioning.systems import alpha_blocks, alpha_scaling
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.whole import sizes, whole_matrix
 from polyida.linear.condition import scaled
 from polyida.linear.kkt import assemble
 from polyida.linear.matrix import dense
-from polyida.study.kinds.conditioning import alpha_blocks, alpha_scaling
 
 REGULARISATION = 1e-8  # of the LDL^T without pivoting, on the multipliers' diagonal
 

@@ -11,7 +11,7 @@ from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.problems import Problem
-from polyida.study import references
+from work_precision.cases import sudden_blow
 
 REFINED = 1e-10  # rtol of Radau IIA, whose runs are the references
 TIMES = 201  # of a run, at which errors are looked at
@@ -27,7 +27,7 @@ MAKERS = {
 def problem(name):
     """The Problem of a name; also "sudden-blow" of the references, a pulse of 5 ms in a run of 2 s."""
     if name == "sudden-blow":
-        return Problem(name, references.sudden_blow(20, 2.0), None, None, 2.0)
+        return Problem(name, sudden_blow(20, 2.0), None, None, 2.0)
     return problems.get(name)
 
 

@@ -4,10 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from polyida.integrate.solve import solve
 from polyida.joint.revolute import Revolute
 from polyida.problems import plates
 from polyida.scene import Scene
+from polyida.study.kinds.energy import energy
 from polyida.study.members import by_tolerance, integrator
 
 WEIGHTS_FALL = 9.81 * (
@@ -38,32 +38,30 @@ def thrown(cells):
     return model, np.concatenate(v0).ravel()
 
 
-def momenta(model, q, v):
-    """(linear momentum x, y in kg m/s, angular momentum about the origin in kg m2/s) of every frame, (frames, 3)."""
-    M, found = model.mass(), []
-    for place, velocity in zip(q, v):
-        push = (M @ velocity).reshape(-1, 2)
-        x = model.reference + place.reshape(-1, 2)
-        found.append([*push.sum(axis=0), np.sum(x[:, 0] * push[:, 1] - x[:, 1] * push[:, 0])])
-    return np.array(found)
-
-
 def balance(scene, member, x, time, cells, frames=400):
     """One run: how far energy (of its scale) and, thrown, momenta (of their size) go from where they began."""
     model, v0 = (thrown if scene == "thrown" else swinging)(cells)
-    steps = 2000 if by_tolerance(member) else time / x
-    run = solve(model, time, integrator(member, x), v0=v0, every=max(1, int(steps / frames)))
-    energy, keep = run.energy, slice(None, None, max(1, len(run.t) // frames))
-    scale = float(energy.kinetic[0]) if scene == "thrown" else WEIGHTS_FALL
-    change = (energy.total - energy.total[0]) / scale
-    outcome = {"dof": model.n, "outcome": "done" if run.success else run.message, "steps": run.counts.steps, "cpu_s": run.cpu_seconds}
-    drift = {"energy_drift": float(np.abs(change).max()), "energy_change": float(change[-1]) * scale}
-    row = outcome | drift | {"t": run.t[keep], "energy": change[keep]}
-    return row | momentum_drift(momenta(model, run.q, run.v), keep) if scene == "thrown" else row
+    every = max(1, int((2000 if by_tolerance(member) else time / x) / frames))
+    study = energy(model, time, v0=v0, integrators={member: integrator(member, x)}, frames=frames, every=every)
+    (row,), (found,) = study.rows, study.histories.values()
+    scale = float(found["kinetic"][0]) if scene == "thrown" else WEIGHTS_FALL
+    outcome = {
+        "dof": model.n,
+        "outcome": "done" if row["status"] == "done" else row["message"],
+        "steps": row["steps"],
+        "cpu_s": row["cpu_s"],
+    }
+    drift = {"energy_drift": row["energy_drift"] / scale, "energy_change": row["energy_change"]}
+    return (
+        outcome
+        | drift
+        | {"t": found["t"], "energy": found["unbalanced"] / scale}
+        | (_momenta(row, found, model, v0) if scene == "thrown" else {})
+    )
 
 
-def momentum_drift(found, keep):
-    """How far momenta (frames, 3) go from the first, of its size; the angular one over time as well."""
-    drift, angular = np.abs(found - found[0]).max(axis=0), abs(found[0, 2])
-    linear = float(drift[:2].max() / np.linalg.norm(found[0, :2]))
-    return {"linear_drift": linear, "angular_drift": float(drift[2] / angular), "angular": (found[keep, 2] - found[0, 2]) / angular}
+def _momenta(row, found, model, v0):
+    """Drifts of momenta of their size; the angular one over time as well."""
+    linear, angular = float(np.linalg.norm(model.momenta(np.zeros(model.n), v0)[:2])), float(found["angular_momentum"][0])
+    drifts = {"linear_drift": row["momentum_drift"] / linear, "angular_drift": row["angular_drift"] / abs(angular)}
+    return drifts | {"angular": (found["angular_momentum"] - angular) / abs(angular)}

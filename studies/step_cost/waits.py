@@ -11,7 +11,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import polyida
-from polyida.study.drawing import legend, loglog, panels, saved
+from polyida.show.style import save
+from polyida.study.drawing import curves, legend, loglog, panels
 from polyida.study.rows import number
 
 COMMAND = "import sys; from polyida.cli.main import main; sys.exit(main(sys.argv[1:]))"
@@ -41,14 +42,14 @@ def animation(folder):
 
 def largest_figure(folder):
     """A figure of as many logarithmic panels as the largest of all studies has, drawn and saved as PNG and PDF."""
-    return lambda k: clocked(partial(draw_panels, folder))
+    return lambda k: clocked(partial(panels_written, folder))
 
 
 WAITS = {"comparison": comparison, "animation": animation, "figure": largest_figure}
 
 
-def draw_panels(folder):
-    """Write the figure of `largest_figure`; its paths."""
+def panels_written(folder):
+    """Write the figure of `largest_figure` as PNG and PDF; its paths."""
     x = 10.0 ** np.arange(-8, 0)
     made, axes = panels(PANELS, width=9.0, height=2.1, columns=4)
     for k, axis in enumerate(axes):
@@ -56,7 +57,8 @@ def draw_panels(folder):
             loglog(axis, x, x ** (0.5 + 0.1 * i), i, f"line {i}")
         axis.set(title=f"panel {k}", xlabel="error, m", ylabel="work")
     legend(made, axes)
-    return saved(made, folder, "panels")
+    (sheet,) = curves(made, "panels")
+    return [save(sheet.figure, folder / f"panels.{kind}") for kind in ("png", "pdf")]
 
 
 def command(*arguments):

@@ -3,9 +3,10 @@
 import numpy as np
 
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.study.drawing import drawn, fitted, legend, nested, panels, saved, slope_line
-from polyida.study.kinds.sensitivity import after_steps, decades, order_errors, reference_floor
+from polyida.study.drawing import curves, drawn, legend, nested, panels, slope_line
 from polyida.study.rows import column, last, value
+from polyida.study.slopes import fitted
+from step_size_sensitivity.errors import after_steps, decades, order_errors, reference_floor
 from step_size_sensitivity.slopes import PARTS, above_floor, runs_of
 
 FORMS = {"ggl": {}, "index3": {"form": "index3"}, "index3, v as it is": {"form": "index3", "project": False}}
@@ -58,7 +59,7 @@ def figures(rows):
 
 
 @drawn
-def figure(rows, folder):
+def figure(rows):
     """Errors of q, v and lam against the step: on smooth motion driven by motors, and after four tiny steps."""
     made, axes = panels(6, width=7.4, height=2.6, columns=3)
     for row, (part, scene, title) in enumerate(((ORDER, "motors", "smooth motors"), (TINY, SCENE, "four steps, scene 2"))):
@@ -75,4 +76,4 @@ def figure(rows, folder):
                 axis.set(xscale="log", yscale="log")
         axes[3 * row].set_ylabel("largest relative error")
     legend(made, axes, 3)
-    return saved(made, folder, "radau")
+    return curves(made, "radau")

@@ -3,8 +3,8 @@
 import numpy as np
 
 from polyida.linear.kkt import SCALINGS
-from polyida.study.drawing import fitted
 from polyida.study.rows import column, pick, value
+from polyida.study.slopes import fitted
 
 PARTS = ("q", "v", "a", "lam")
 METHOD = {"q": 3, "v": 2, "a": 2, "lam": 2}  # theory, after a few steps

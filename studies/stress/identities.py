@@ -6,9 +6,9 @@ Reversal: going back returns to the start.
 
 import numpy as np
 
+from conditioning.systems import freed
 from polyida import profile
 from polyida.integrate.solve import solve
-from polyida.study.kinds.conditioning import freed
 from stress import scenes
 from stress.outcome import COLLAPSED, Check, Stop, balance, extent, held, integrator, tip
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polyida.study.drawing import fitted
 from polyida.study.rows import column, farthest, number, pick
+from polyida.study.slopes import fitted
 from work_precision import tip_accuracy
 
 FIXED = "radau, fixed"

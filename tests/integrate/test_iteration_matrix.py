@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from conditioning import systems as conditioning
 from polyida import condition_number
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.iteration_matrix import iteration_matrix
@@ -14,7 +15,6 @@ from polyida.integrate.state import StepFailure
 from polyida.linear.condition import condition
 from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
 from polyida.problems import plates
-from polyida.study.kinds import conditioning
 
 SMALL = 10.0 ** -np.arange(5.0, 10.0)
 

@@ -11,7 +11,7 @@ import pytest
 import polyida as pi
 from polyida.cli.main import main
 from polyida.problems import plates
-from polyida.show.animation import gif
+from polyida.show.animation import animation
 
 FRAMES = ("t", "q", "v", "a", "lam")
 ALPHA = pi.GeneralizedAlpha(h=1e-3, linear="kkt")
@@ -156,7 +156,7 @@ def test_overwrite_is_true_or_false(model, whole, tmp_path, overwrite):
         lambda: whole.save(tmp_path / "run.h5", overwrite=overwrite),
         lambda: pi.solve(model, 0.01, ALPHA, out=tmp_path / "run.h5", overwrite=overwrite),
         lambda: pi.export.vtu(whole, tmp_path / "frames", overwrite=overwrite),
-        lambda: gif(whole, tmp_path / "run.gif", overwrite=overwrite),
+        lambda: animation(whole, tmp_path / "run.gif", overwrite=overwrite),
     ):
         with pytest.raises(pi.InputError, match=f"overwrite = {overwrite!r} must be"):
             write()

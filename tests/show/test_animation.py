@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -5,24 +7,52 @@ from PIL import Image
 
 from polyida.errors import InputError
 from polyida.show import plates
-from polyida.show.animation import Picture, gif
+from polyida.show.animation import Picture, animation
 from polyida.show.style import settings
 
 
 def test_gif_has_the_frames_and_lasts_as_long_as_asked(run, tmp_path):
     seen = []
-    path = gif(run, tmp_path / "a.gif", frames=4, seconds=1.0, width=3.0, progress=seen.append)
+    path = animation(run, tmp_path / "a.gif", frames=4, seconds=1.0, width=3.0, progress=seen.append)
     with Image.open(path) as image:
         assert image.n_frames == 4 and image.info["duration"] == 250
-    assert seen == [1, 2, 3, 4]
+    assert seen == [0.25, 0.5, 0.75, 1.0]
 
 
-def test_gif_refuses_other_formats_and_existing_files(run, tmp_path):
-    with pytest.raises(InputError, match="only .gif"):
-        gif(run, tmp_path / "a.mp4")
+def test_mp4_has_the_frames_at_the_rate_asked_for(run, tmp_path):
+    film = pytest.importorskip("imageio_ffmpeg")
+    path = animation(run, tmp_path / "a.mp4", frames=6, seconds=0.5, width=3.01)
+    about, *images = film.read_frames(str(path))
+    assert about["codec"] == "h264" and about["fps"] == pytest.approx(12) and len(images) == 6 and about["duration"] == pytest.approx(0.5)
+    first, last = (np.frombuffer(image, np.uint8).reshape(*about["size"][::-1], 3).astype(int) for image in (images[0], images[-1]))
+    picture = Picture(run, plates.spread(run, 6), 3.01)
+    for k, shown in ((0, first), (len(run.t) - 1, last)):
+        meant = np.asarray(picture.at(k))[: len(shown), : len(shown[0])].astype(int)
+        assert np.abs(shown - meant).mean() < 4
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_film_that_fails_leaves_what_was_there(run, tmp_path, monkeypatch):
+    pytest.importorskip("imageio_ffmpeg")
+    (tmp_path / "a.mp4").write_text("mine")
+    monkeypatch.setattr(Picture, "_time", lambda picture, k: 1 / 0 if k else "t")
+    with pytest.raises(ZeroDivisionError):
+        animation(run, tmp_path / "a.mp4", frames=3, overwrite=True)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_mp4_names_the_extra_where_its_package_is_missing(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError, match=r"polyida\[movie\]"):
+        animation(run, tmp_path / "a.mp4")
+
+
+def test_animations_refuse_other_formats_and_existing_files(run, tmp_path):
+    with pytest.raises(InputError, match="only .gif and .mp4"):
+        animation(run, tmp_path / "a.avi")
     (tmp_path / "a.gif").write_text("mine")
     with pytest.raises(InputError, match="exists"):
-        gif(run, tmp_path / "a.gif")
+        animation(run, tmp_path / "a.gif")
     assert (tmp_path / "a.gif").read_text() == "mine"
 
 

@@ -38,10 +38,69 @@ def test_more_polygons_than_can_be_told_apart_are_one_image_in_a_pdf(run, monkey
     assert rendered(fine, "png") == rendered(whole, "png")
 
 
-def test_tip_shows_the_path_of_every_run(runs):
-    path = plots.tip(runs).axes[-1]
-    for line, run in zip(path.lines, runs.values(), strict=True):
-        assert line.get_xydata() == pytest.approx(run.position("tip"))
+def test_tip_shows_the_first_path_and_what_the_others_are_away_from_it(runs):
+    *history, path = plots.tip(runs).axes
+    first, other = runs["generalized-alpha"], runs["IDA"]
+    assert [line.get_xydata() == pytest.approx(first.position("tip")) for line in path.lines] == [True]
+    for axis, k in zip(history, (0, 1), strict=True):
+        (line,) = axis.lines
+        assert line.get_label() == "IDA" and line.get_color() != path.lines[0].get_color()
+        at = np.interp(other.t, first.t, first.position("tip")[:, k])
+        bent = np.abs(np.diff(first.position("tip")[:, k], 2)).max() / 8  # a chord is no farther from a cubic than this
+        assert line.get_ydata() == pytest.approx(other.position("tip")[:, k] - at, abs=1.5 * bent)
+    assert np.abs(history[0].lines[0].get_ydata()).max() < 1e-5
+
+
+def test_between_its_frames_the_first_run_is_as_exact_as_its_frames(model):
+    """A run against itself with half the frames: what is left is of fourth order in the time between them."""
+    run = pi.solve(model, 0.04, pi.GeneralizedAlpha(h=1e-4))
+    few = pi.solve(model, 0.04, pi.GeneralizedAlpha(h=1e-4), output=run.t[::8])
+    away = max(np.abs(axes.lines[0].get_ydata()).max() for axes in plots.tip({"few": few, "all": run}).axes[:2])
+    chord = max(np.abs(np.interp(run.t, few.t, few.position("tip")[:, k]) - run.position("tip")[:, k]).max() for k in (0, 1))
+    assert away < 1e-2 * chord
+
+
+def test_one_run_alone_shows_its_coordinates(run):
+    for axis, values in zip(plots.tip({"alpha": run}).axes, run.position("tip").T):
+        assert axis.lines[0].get_ydata() == pytest.approx(values)
+
+
+def test_a_colour_of_the_energy_is_a_run_in_both_panels(runs):
+    of_parts, of_runs = plots.energy(runs).axes
+    assert {line.get_color() for line in of_parts.lines} == {of_runs.lines[0].get_color()}
+    assert len({line.get_marker() for line in of_parts.lines}) == len(of_parts.lines) == 4
+    assert len({line.get_color() for line in of_runs.lines}) == len(runs)
+
+
+def test_drift_is_the_largest_of_each_interval(runs):
+    for axis, kind in zip(plots.drift(runs).axes, ("drift", "velocity_drift")):
+        for line, run in zip(axis.lines, runs.values(), strict=True):
+            size, (t, drawn) = np.maximum(getattr(run, kind), plots.LEAST), line.get_data()
+            ends = np.linspace(0, run.t[-1] * (1 + 1e-12), plots.INTERVALS + 1)
+            parts = [size[(run.t >= low) & (run.t < high)] for low, high in zip(ends, ends[1:])]
+            assert drawn == pytest.approx([part.max() for part in parts if len(part)]) and set(t) <= set(run.t)
+    assert len({line.get_marker() for line in axis.lines}) == len({line.get_markersize() for line in axis.lines}) == len(runs)
+
+
+def test_the_key_of_a_mesh_says_what_its_shades_mean(model):
+    made = plots.mesh(model)
+    (cells,), (key,) = drawn(made), made.legends
+    corners = np.diff(plates.connectivity(model)[1])
+    meant = {tuple(patch.get_facecolor()): text.get_text() for patch, text in zip(key.get_patches(), key.get_texts(), strict=True)}
+    for colour, count in zip(cells.get_facecolors(), corners, strict=True):
+        assert str(min(count, 7)) in meant[tuple(colour)]
+
+
+@pytest.mark.parametrize("width", [2.0, 3.0, 6.4])
+def test_no_label_is_cut_off(run, scenes, width):
+    """A motion that is flat and one that is high."""
+    scene, upper, lower = scenes.pair()
+    scene.add(pi.Clamp(pi.ground.at((0.0, 0.0)), upper.section("left"), name="wall"))
+    for shown in (run, pi.solve(scene.build(), 0.5, pi.GeneralizedAlpha(h=5e-3))):
+        made = plots.deformed(shown, width=width)
+        rendered(made, "png")
+        found, (width, height) = made.get_tightbbox(), made.get_size_inches()
+        assert found.x0 >= 0 and found.y0 >= 0 and found.x1 <= width and found.y1 <= height
 
 
 def test_reactions_have_a_panel_a_component_and_say_the_unit(runs):

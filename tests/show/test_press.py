@@ -3,6 +3,7 @@ import threading
 import pytest
 
 from polyida.show import plots, press, style
+from polyida.show.numbers import csv
 from polyida.show.press import KINDS, Press
 
 
@@ -19,35 +20,33 @@ def here(monkeypatch):
     return kinds
 
 
-def names(folder):
-    return {path.name for path in folder.iterdir()}
+DRAWN = {*KINDS, "csv"}
 
 
-def test_the_other_process_writes_what_this_one_would(two, here, runs, tmp_path):
+def test_the_other_process_gives_what_this_one_would(two, here, runs):
     with Press() as given:
         given.ready()
         given.give("drift", plots.drift(runs))
         assert "drift" in given and "tip" not in given
         given.sheets["drift"][1].result()
-        assert not names(tmp_path)
-        given.write(tmp_path)
-    assert not here and names(tmp_path) == {"drift.png", "drift.pdf"}
-    for kind in KINDS:
-        assert (tmp_path / f"drift.{kind}").read_bytes() == style.save(plots.drift(runs), tmp_path / f"here.{kind}").read_bytes()
+        files = given.files()
+    assert not here and set(files) == {"drift"} and set(files["drift"]) == DRAWN
+    own = plots.drift(runs)
+    assert files["drift"] == {kind: style.rendered(own, kind) for kind in KINDS} | {"csv": csv(own).encode()}
     assert given.process.returncode is not None
 
 
-def test_each_figure_is_drawn_once_on_one_side(two, here, runs, tmp_path):
+def test_each_figure_is_drawn_once_on_one_side(two, here, runs):
     with Press() as given:
         for name in "abcd":
             given.give(name, plots.energy(runs))
         there = [sent for _, sent in given.sheets.values()]
-        given.write(tmp_path)
-    assert len(here) == 2 * sum(sent.cancelled() for sent in there)
-    assert names(tmp_path) == {f"{name}.{kind}" for name in "abcd" for kind in KINDS}
+        files = given.files()
+    assert len(here) == len(KINDS) * sum(sent.cancelled() for sent in there)
+    assert {name: set(kinds) for name, kinds in files.items()} == dict.fromkeys("abcd", DRAWN)
 
 
-def test_what_cannot_go_there_is_drawn_here(two, here, runs, tmp_path):
+def test_what_cannot_go_there_is_drawn_here(two, here, runs):
     with Press() as given:
         given.ready()
         made = plots.energy(runs)
@@ -58,31 +57,30 @@ def test_what_cannot_go_there_is_drawn_here(two, here, runs, tmp_path):
         given.process.wait()
         given.give("late", plots.energy(runs))
         given.sheets["late"][1].result()
-        given.write(tmp_path)
-    assert here == ["png", "pdf"] * 2 and len(names(tmp_path)) == 4
+        assert set(given.files()) == {"locked", "late"}
+    assert here == [*KINDS] * 2
 
 
-def test_one_core_draws_alone(monkeypatch, here, runs, tmp_path):
+def test_one_core_draws_alone(monkeypatch, here, runs):
     monkeypatch.setattr(press, "cores", lambda: 1)
     with Press() as given:
         given.ready()
         given.give("energy", plots.energy(runs))
         assert given.process is None
-        given.write(tmp_path)
-    assert here == ["png", "pdf"] and len(names(tmp_path)) == 2
+        assert set(given.files()) == {"energy"}
+    assert here == [*KINDS]
 
 
-def test_what_a_figure_raises_is_raised_here(two, runs, tmp_path):
+def test_what_a_figure_raises_is_raised_here(two, runs):
     made = plots.energy(runs)
     made.axes[0].set_title(r"$\nothing{$")
     with Press() as given, pytest.raises(ValueError, match="nothing"):
         given.give("wrong", made)
         given.sheets["wrong"][1].result()
-        given.write(tmp_path)
-    assert not names(tmp_path)
+        given.files()
 
 
-def test_what_else_the_other_process_says_is_no_figure(two, here, runs, tmp_path, monkeypatch):
+def test_what_else_the_other_process_says_is_no_figure(two, here, runs, monkeypatch):
     """A line before the answers, by a program that Python runs at its start: no answer may be taken for that to another figure."""
     monkeypatch.setattr(press, "START", f"print('N', flush=True); {press.START}")
     with Press() as given:
@@ -90,6 +88,6 @@ def test_what_else_the_other_process_says_is_no_figure(two, here, runs, tmp_path
         for name in "abcd":
             given.give(name, plots.energy(runs))
             given.sheets[name][1].result()
-        given.write(tmp_path)
+        files = given.files()
     for name in "abcd":
-        assert (tmp_path / f"{name}.png").read_bytes() == style.save(plots.energy(runs), tmp_path / "here.png").read_bytes()
+        assert files[name]["png"] == style.rendered(plots.energy(runs), "png")

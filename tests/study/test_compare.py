@@ -9,9 +9,9 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.problems import plates
+from polyida.results.balance import motor_work, unbalanced
 from polyida.show.page import gap
 from polyida.study.compare import compare, refine, watch
-from polyida.study.energy import motor_work, unbalanced
 from polyida.study.job import Job, load
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from conditioning import solve_error
+from conditioning import systems as conditioning
 from polyida.linear.kkt import assemble, scaling_factors
-from polyida.study.drawing import fitted
-from polyida.study.kinds import conditioning
+from polyida.study.slopes import fitted
 
 STEPS = 1e-6 * 10.0 ** -np.arange(4)
 

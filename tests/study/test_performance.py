@@ -269,7 +269,7 @@ def test_a_command_that_is_waited_for_must_end_well(tmp_path):
 
 
 def test_the_largest_figure_has_its_panels_in_both_files(tmp_path):
-    paths = waits.draw_panels(tmp_path)
+    paths = waits.panels_written(tmp_path)
     assert [path.suffix for path in paths] == [".png", ".pdf"] and all(path.stat().st_size for path in paths)
     assert paths[1].read_bytes().count(b"/FontFile2") == 1
 

@@ -12,11 +12,15 @@ from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration
 from polyida.model import Model
 from polyida.problems import andrews_digits, plates
-from polyida.study import families, references
-from polyida.study.families import last_state
-from polyida.study.kinds.sensitivity import smooth
-from polyida.study.kinds.work_precision import cheapest, measure
+from polyida.study.kinds.work_precision import cheapest
+from polyida.study.measured import errors
 from polyida.study.members import FIXED, IDA_FORMS, integrator
+from polyida.study.reference import agreed, families
+from polyida.study.reference.families import last_state
+from polyida.study.subject import Subject
+from step_size_sensitivity.errors import smooth
+from work_precision import cases
+from work_precision.cases import measure
 
 CLASSICAL = ("pendulum", "car-axis", "andrews")
 
@@ -29,7 +33,7 @@ def test_explicit_runs_meet_the_closed_solution_of_the_pendulum():
 
 
 def test_explicit_runs_give_every_time_that_is_asked_for_and_stop_at_kinks():
-    model = references.sudden_blow(4, 0.02)
+    model = cases.sudden_blow(4, 0.02)
     times = np.linspace(0.0, 0.02, 5)
     states = families.explicit(model, 0.02, 1e-8, times=times)
     alone = families.explicit(model, 0.02, 1e-8)[0]
@@ -45,10 +49,10 @@ def test_explicit_runs_are_put_back_on_the_constraints_that_they_drift_off():
 
 
 def test_explicit_and_fine_runs_of_the_integrators_agree():
-    given = references.with_explicit("pair", plates.double_plate_motors(cells=4).build(), 0.02, (1e-2, 10.0))
-    run = solve(given.model, 0.02, GeneralizedAlpha(h=5e-6, extrapolate=True, tolerance=1e-9), every=10**9)
-    errors = given.errors(last_state(run))
-    assert errors["error_q"] < 1e-10 and errors["error_v"] < 1e-6 and given.known["q"] < 1e-9
+    given = cases.by_two("pair", plates.double_plate_motors(cells=4).build(), 0.02)
+    run = solve(given.subject.model, 0.02, GeneralizedAlpha(h=5e-6, extrapolate=True, tolerance=1e-9), every=10**9)
+    found = errors(run, given.reference)
+    assert found["error_q"] < 1e-10 and found["error_v"] < 1e-6 and given.reference["known_to"]["q"] < 1e-9
 
 
 def test_three_families_agree_as_well_as_their_steps_allow():
@@ -63,9 +67,9 @@ def test_three_families_agree_as_well_as_their_steps_allow():
 
 @pytest.mark.parametrize("name", ["double-plate", "double-plate-motors"])
 def test_radau_and_explicit_runs_agree_on_the_undamped_plates(name):
-    given = references.case(name, True)
-    assert given.known["q"] < 1e-11 and given.known["v"] < 1e-7 and given.known["lam"] < 1e-5
-    assert given.how.startswith("DOP853") and "Radau IIA" in given.how
+    given = cases.case(name, True).reference
+    assert given["known_to"]["q"] < 1e-11 and given["known_to"]["v"] < 1e-7 and given["known_to"]["lam"] < 1e-5
+    assert [how.split(",")[0] for how in given["made_by"]] == ["Radau IIA", "DOP853 on the index-1 equations"]
 
 
 @pytest.mark.parametrize("name", CLASSICAL)
@@ -90,19 +94,56 @@ def test_printed_digits_of_andrews_are_farther_off_than_what_is_known():
         assert 100 * p.known_to[part] < error < 1e-6 * np.abs(p.reference[part]).max()
 
 
+def pair_of(apart):
+    """A family that is so far from Radau IIA in every part, level by level."""
+    asked = []
+
+    def other(subject, level):
+        asked.append(level)
+        return f"other {level}", {part: value + apart[level] for part, value in agreed._radau(subject, level)[1].items()}
+
+    return asked, other
+
+
+def swing():
+    p = problems.get("pendulum")
+    return Subject("pendulum", p.model, 0.2, p.q0, p.v0)
+
+
 def test_a_reference_is_known_as_well_as_an_unlike_method_agrees():
     """Not as well as it agrees with itself: what both runs of one family share is seen."""
-    one, other = ({part: np.array([1.0, x]) for part in families.PARTS} for x in (2.0, 2.0 + 1e-3))
-    given = references.agreed("pair", None, 1.0, (1.0, 1.0), ("this", one), ("that", other))
-    assert given.known == {part: pytest.approx(1e-3) for part in families.PARTS} and given.reference is one
-    assert given.how.startswith("this; that")
+    asked, other = pair_of((1e-3, 1e-3, 1e-3))
+    found = agreed.agreed(swing(), others=(other,))
+    assert found["known_to"] == {part: pytest.approx(1e-3) for part in families.PARTS} and asked == [0, 1]  # no nearer: no further level
+    assert np.array_equal(found["q"], agreed._radau(swing(), 0)[1]["q"]) and [how[:5] for how in found["made_by"]] == ["Radau", "other"]
+
+
+def test_a_reference_is_refined_until_it_is_known_to_a_tenth_of_what_is_measured():
+    asked, other = pair_of((1e-3, 1e-5, 1e-7))
+    found = agreed.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 2e-4), others=(other,))
+    assert asked == [0, 1] and found["known_to"]["q"] == pytest.approx(1e-5)
+
+
+def test_another_family_is_asked_where_one_does_not_come_there_or_near():
+    def broken(subject, level):
+        raise RuntimeError("it broke")
+
+    (_, far), (_, near) = pair_of((1e-3,) * 3), pair_of((1e-6,) * 3)
+    found = agreed.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 1e-4), others=(broken, far, near))
+    assert found["known_to"]["q"] == pytest.approx(1e-6, rel=1e-3) and found["failed"] == ["it broke"]
+    assert agreed.agreed(swing(), others=(broken,)) == {"failed": ["it broke"]}
 
 
 def test_a_stiff_reference_shares_no_family_with_its_judge():
-    given = references.too_stiff_for_explicit("pair", smooth("load", 4), 0.02, (1e-2, 10.0), 2e-3)
-    exact = families.by_explicit(given.model, 0.02, 1e-11)
-    off = families.distance(given.reference, exact)
-    assert all(off[part] <= 1.5 * given.known[part] for part in off) and "energy-momentum" in given.how
+    given = cases.by_two("pair", smooth("load", 4), 0.02, agreed.BY_ENERGY_MOMENTUM).reference
+    off = families.distance(given, families.by_explicit(smooth("load", 4), 0.02, 1e-11))
+    assert all(off[part] <= 1.5 * given["known_to"][part] for part in off) and given["made_by"][1].startswith("energy-momentum")
+
+
+def test_explicit_runs_that_would_take_too_long_are_not_made():
+    model = plates.double_plate(cells=4, material=plates.Material(E=2e14, nu=0.3, rho=1000.0)).build()
+    with pytest.raises(families.TooStiff, match="evaluations, for the motion is stiff"):
+        families.by_explicit(model, 1.0, 1e-9, spare=True)
 
 
 class RunsAway(Model):
@@ -133,9 +174,10 @@ def test_the_digits_are_printed_with_what_they_are_known_to(capsys):
 
 @pytest.mark.parametrize("name", CLASSICAL)
 def test_multipliers_of_the_digits_are_those_of_their_state(name):
-    given = references.case(name, True)
-    lam = consistent_acceleration(given.model, given.t_end, given.reference["q"], given.reference["v"])[1]
-    assert np.abs(lam - given.reference["lam"]).max() < given.known["lam"] and set(given.reference) == set(families.PARTS)
+    given = cases.case(name, True)
+    motion, known = given.subject, given.reference
+    lam = consistent_acceleration(motion.model, motion.t_end, known["q"], known["v"])[1]
+    assert np.abs(lam - known["lam"]).max() < known["known_to"]["lam"]
 
 
 @pytest.mark.parametrize("name", [*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS)])

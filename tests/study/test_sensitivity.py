@@ -2,8 +2,8 @@
 
 import pytest
 
-from polyida.study.drawing import fitted
-from polyida.study.kinds import sensitivity
+from polyida.study.slopes import fitted
+from step_size_sensitivity import errors as sensitivity
 from step_size_sensitivity import slopes
 
 STEPS = [1e-2 / 2**k for k in range(4)]

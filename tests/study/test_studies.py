@@ -9,7 +9,7 @@ import pytest
 
 from against_peers import gain
 from polyida.cli import study as cli_study
-from polyida.study import drawing, findings
+from polyida.study import drawing, findings, slopes
 from work_precision import tip_accuracy
 from work_precision.selection import left_out, not_run, tasks
 
@@ -146,12 +146,6 @@ def study_of(name):
 STUDIES = {path.stem: study_of(path.stem) for path in sorted(FOLDER.glob("*.py")) if path.stem != "digits"}
 
 
-@pytest.fixture(autouse=True)
-def nothing_is_saved(monkeypatch):
-    monkeypatch.setattr(drawing, "save", lambda made, path: path)
-    monkeypatch.setattr("polyida.show.style.save", lambda made, path: path)
-
-
 def rows_of(study):
     return [task | {"error": ""} | made_up(study.name, task) for task in study.tasks(True)]
 
@@ -181,29 +175,30 @@ def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
 def test_each_single_row_failed(name, monkeypatch):
     study, rows = STUDIES[name], rows_of(STUDIES[name])
     monkeypatch.setattr("polyida.study.findings.failures", lambda study, rows: [])
-    silent = study.__class__(**{**study.__dict__, "draw": lambda rows, folder: []})
-    whole = findings.findings(silent, rows, None)
+    silent = study.__class__(**{**study.__dict__, "draw": lambda rows: []})
+    whole = findings.findings(silent, rows)
     assert all(np.isfinite(whole.figures[key]) for key in REQUIRED.get(name, ()))
     assert not [line for line in whole.notes if "not formed" in line]
     for k, task in enumerate(study.tasks(True)):
         broken = rows[:k] + [task | BROKEN] + rows[k + 1 :]
-        assert not [line for line in findings.findings(silent, broken, None).notes if "not formed" in line], task
+        assert not [line for line in findings.findings(silent, broken).notes if "not formed" in line], task
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_what_can_be_drawn_is_drawn(name, tmp_path):
+def test_what_can_be_drawn_is_drawn(name):
     study, rows = STUDIES[name], rows_of(STUDIES[name])
-    whole = findings.findings(study, rows, tmp_path)
+    whole = findings.findings(study, rows)
     assert whole.pictures and not [line for line in whole.notes if "not formed" in line]
+    assert all(len(picture.caption) > 20 for picture in whole.pictures), [picture.name for picture in whole.pictures]
     few = rows[:: max(1, len(rows) // 5)]
     for row in few:
         broken = [{key: row[key] for key in study.tasks(True)[0] if key in row} | BROKEN if other is row else other for other in few]
-        found = findings.findings(study, broken, tmp_path)
+        found = findings.findings(study, broken)
         assert found.pictures and all(line.endswith("no rows to draw") for line in found.notes if line.startswith("not formed"))
 
 
 def test_a_part_that_cannot_be_formed_keeps_no_other_from_it(tmp_path, monkeypatch, capsys):
-    def bad(rows, *folder):
+    def bad(rows):
         return {"lost": [row["value"] for row in rows][0]}
 
     study = findings_study(bad)
@@ -221,7 +216,7 @@ def findings_study(bad):
         lambda quick: [{"number": 1}],
         None,
         (bad, lambda rows: {"kept": 1}),
-        (bad, lambda rows, folder: []),
+        (bad, lambda rows: []),
         notes=(bad, lambda rows: ["a line"]),
         headline=("lost",),
     )
@@ -229,7 +224,7 @@ def findings_study(bad):
 
 def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):
     text = "x" * 100
-    data = command(findings_study(lambda rows, *folder: {}), [{"number": 1, "outcome": text, "error": ""}], tmp_path, monkeypatch)
+    data = command(findings_study(lambda rows: {}), [{"number": 1, "outcome": text, "error": ""}], tmp_path, monkeypatch)
     assert text not in capsys.readouterr().out and data["rows"][0]["outcome"] == text
     assert cli_study.shown(text) == "x" * 39 + "…" and cli_study.shown("x" * 40) == "x" * 40
 
@@ -248,7 +243,7 @@ def test_logarithmic_axes_never_cut_the_data():
         with drawing.settings():
             made, axes = drawing.panels(1)
             drawing.loglog(axes[0], [low, high], [low, high], 0, "line")
-            drawing.saved(made, Path("nowhere"), "x")
+            drawing.curves(made, "x")
         for limits in (axes[0].get_xlim(), axes[0].get_ylim()):
             assert limits[0] < low and limits[1] > high
             decades = np.floor(np.log10(limits[1]) + 1e-9) - np.ceil(np.log10(limits[0]) - 1e-9)
@@ -256,8 +251,8 @@ def test_logarithmic_axes_never_cut_the_data():
 
 
 def test_slopes_of_too_few_points_are_nan():
-    assert np.isnan(drawing.fitted([1e-3], [1.0])) and np.isnan(drawing.fitted([1e-3, 1e-3], [1.0, 2.0]))
-    assert drawing.fitted([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)
+    assert np.isnan(slopes.fitted([1e-3], [1.0])) and np.isnan(slopes.fitted([1e-3, 1e-3], [1.0, 2.0]))
+    assert slopes.fitted([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("kind, value, text", [("h", 2e-3, "h = 2e-3"), ("h", 2.5e-3, "h = 2.5e-3"), ("rtol", 1e-5, "rtol 1e-5")])

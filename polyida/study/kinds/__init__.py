@@ -1,1 +1,1 @@
-"""Ready kinds of study: rows of work against error, of errors against h, of condition numbers against h."""
+"""The kinds of study: a function and its Result each."""

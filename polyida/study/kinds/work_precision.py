@@ -1,34 +1,91 @@
-"""One run of work against precision: an integrator at one step or tolerance on one case."""
+"""Work against precision: what each integrator costs at which error, on one motion."""
 
-from functools import lru_cache
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from polyida.integrate.solve import solve
-from polyida.study.families import last_state
-from polyida.study.members import by_tolerance, integrator
-from polyida.study.references import case
+from polyida.errors import InputError
+from polyida.given import is_one_of, is_whole
+from polyida.keywords import named_keywords
+from polyida.study.kinds.precision import Precision, against_reference
+from polyida.study.progress import teller
+from polyida.study.subject import PARTS, members, subject
 
-COUNTS = ("steps", "rejected", "newton_iterations", "residuals", "tangents", "factorizations", "solves")
+WORK = {"cpu_s": "CPU seconds", "steps": "steps", "residuals": "residuals", "factorizations": "factorizations", "solves": "solves"}
+COLUMNS = {
+    "integrator": ("integrator", "{}"),
+    "setting": ("setting", "{}"),
+    "error_q": ("error in q", "{:.1e}"),
+    "error_v": ("error in v", "{:.1e}"),
+    "error_lam": ("error in lam", "{:.1e}"),
+    "cpu_s": ("CPU s", "{:.3g}"),
+    "steps": ("steps", "{}"),
+    "residuals": ("residuals", "{}"),
+    "factorizations": ("factorizations", "{}"),
+    "status": ("status", "{}"),
+}
 
 
-@lru_cache(maxsize=64)
-def warm(name, member, quick):
-    """Two steps, so that compiling or loading kernels counts as nobody's time."""
-    given = case(name, quick)
-    h = 1e-4 * given.t_end
-    solve(given.model, 2 * h, integrator(member, 1e-4 if by_tolerance(member) else h, given.sizes, h), q0=given.q0, v0=given.v0)
+class WorkPrecision(Precision):
+    """What `work_precision` found: a row a run, the reference, orders, and error against cost as a picture."""
+
+    columns = COLUMNS
+
+    def __init__(self, name, rows, notes, reference):
+        super().__init__(rows, notes, reference)
+        self.title = f"work against precision: {name}"
+
+    def plot(self, part: str = "q", axes=None, work: str = "cpu_s"):
+        """Draw work against the error in `part` ("q", "v", "lam") at the end, a line an integrator; returns the axes.
+
+        work: "cpu_s", "steps", "residuals", "factorizations" or "solves". Points whose error is below what is known of the reference
+        are hollow and stand at that, in the grey: how far below they are nobody knows. Raises InputError for another name.
+        """
+        from polyida.study.kinds.precision_plot import against_error
+
+        for name, value, known in (("part", part, PARTS), ("work", work, tuple(WORK))):
+            if not is_one_of(value, known):
+                raise InputError(f"plot: {name} = {value!r} must be one of {', '.join(known)}")
+        return against_error(self, part, work, WORK[work], axes)
+
+    def pictures(self) -> dict:
+        """CPU time against the error in q, v and lam, and residuals against that in q."""
+        drawn = {f"error-{part}": (f"CPU seconds against the error in {part} at the end.", part, "cpu_s") for part in PARTS}
+        drawn["residuals"] = ("Evaluations of the residual against the error in q at the end.", "q", "residuals")
+        return {
+            name: (caption, lambda axes, part=part, work=work: self.plot(part, axes, work)) for name, (caption, part, work) in drawn.items()
+        }
 
 
-def measure(name, member, x, quick):
-    """Errors at the end, CPU seconds and counts of one run; one that fails has its message as outcome, no errors."""
-    given = case(name, quick)
-    warm(name, member, quick)
-    chosen = integrator(member, x, given.sizes, given.t_end / 20, given.newton)
-    run = solve(given.model, given.t_end, chosen, q0=given.q0, v0=given.v0, every=10**9)
-    outcome = {"outcome": "done" if run.success else run.message, "t": float(run.t[-1]), "cpu_s": run.cpu_seconds}
-    outcome |= {key: getattr(run.counts, key) for key in COUNTS} | {"reference": given.how, "known": given.known}
-    return (given.errors(last_state(run)) if run.success else {}) | outcome
+@named_keywords
+def work_precision(
+    model: object,
+    t_end: float | None = None,
+    *,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    integrators: dict[str, object] | None = None,
+    reference: object = None,
+    repeats: int = 1,
+    progress: Callable[[int, int, str], object] | bool | None = None,
+) -> WorkPrecision:
+    """Run every setting of every integrator from (q0, v0) to t_end, one after the other, and measure errors there, in q, v and lam.
+
+    model: a Model, a Scene, a Problem or the name of one, whose own start and end are taken where none are given. integrators:
+    {label: [settings]}, a user's own too. reference: None: the digits of a published problem, or else what Radau IIA and a method of
+    another family agree on, refined until they do to a tenth of the smallest error; or {"q", "v", "lam"} at t_end, a run or a state there.
+    repeats: of each run; CPU seconds are their median. progress: function of (done, total, what), or True: a bar.
+
+    Errors are the largest absolute deviations, in the units of q, v and lam. Runs are timed, so nothing else should go on meanwhile. A run
+    that fails is a row with its status and message. Raises InputError before the first run.
+    """
+    given = subject("work_precision", model, t_end, q0, v0)
+    known = members("work_precision", given, integrators)
+    if not is_whole(repeats):
+        raise InputError(f"work_precision: repeats = {repeats!r} must be a whole number of at least 1")
+    with teller("work_precision", progress) as tell:
+        return WorkPrecision(given.name, *against_reference("work_precision", given, known, reference, repeats, tell))
 
 
 def cheapest(rows, error, level):

@@ -8,6 +8,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from conditioning.systems import freed
 from polyida import profile
 from polyida.force.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
@@ -16,8 +17,7 @@ from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, start_values
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.problems import plates
-from polyida.study.families import explicit
-from polyida.study.kinds.conditioning import freed
+from polyida.study.reference.families import explicit
 
 PARTS = ("q", "v", "a", "lam")
 STEPS = 4  # of each h at tiny steps

@@ -16,22 +16,29 @@ from polyida.machine import one_blas_thread
 
 PARTS = ("q", "v", "lam")
 LEGS = 32  # of explicit runs: angle motors drift by 2e-10 rad in 1 s without, by round-off within a leg
+MOST, SMALL = 2e7, 200  # evaluations times (coordinates + SMALL) that an explicit run may take: some ten seconds; their projection stops it
+TOLD = 2000  # evaluations after which the projection is made
 
 
-def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1):
+class TooStiff(Exception):
+    """An explicit run would take too many steps."""
+
+
+def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, spare=False):
     """[(q, v, a, lam)] at the increasing `times` (default t_end alone), by DOP853 on (q, v)' = (v, a) with a of the
     index-1 equations.
 
     It shares the model's equations and the consistent start with the integrators, no formula of a step. Pieces end at
     the kinks of loads and motors. legs: equal parts of the time, between which q and v, which drift off nonlinear
-    constraints, are put back on them.
+    constraints, are put back on them. spare: raise TooStiff rather than take long.
     """
     state, wanted, found = consistent_state(model, t0, q0, v0), np.atleast_1d(t_end if times is None else times), []
     y, t, put_back = np.concatenate([state.q, state.v]), t0, np.linspace(t0, wanted[-1], legs + 1)[1:-1]
+    rate = _Rate(model, t0, wanted[-1], spare)
     with one_blas_thread():
         for end in sorted({*model.kinks(t0, wanted[-1]), *put_back, wanted[-1]}):
             within = (wanted > t) & (wanted <= end) | (wanted == t0) & (t == t0)
-            values, y = _piece(model, t, end, y, wanted[within], rtol)
+            values, y = _piece(rate, t, end, y, wanted[within], rtol)
             y = _put_back(model, end, y) if end in put_back else y
             found, t = found + values, end
     return found
@@ -42,30 +49,42 @@ def _put_back(model, t, y):
     return np.concatenate([state.q, state.v])
 
 
-def _piece(model, t, end, y, wanted, rtol):
+class _Rate:
+    """The right side (t, y) -> y', which counts how often it was asked."""
+
+    def __init__(self, model, t0, t_end, spare):
+        self.model, self.t0, self.t_end, self.spare, self.count = model, t0, t_end, spare, 0
+
+    def __call__(self, t, y):
+        n, self.count = self.model.n, self.count + 1
+        if self.spare and self.count % TOLD == 0 and t > self.t0:
+            projected = self.count * (self.t_end - self.t0) / (t - self.t0)
+            if projected * (n + SMALL) > MOST:
+                raise TooStiff(f"DOP853: it would take {projected:.1g} evaluations, for the motion is stiff")
+        return np.concatenate([y[n:], consistent_acceleration(self.model, t, y[:n], y[n:])[0]])
+
+
+def _piece(rate, t, end, y, wanted, rtol):
     """States at the wanted times in (t, end], and y at the end."""
     from scipy.integrate import solve_ivp
 
-    n = model.n
-
-    def rate(t, y):
-        return np.concatenate([y[n:], consistent_acceleration(model, t, y[:n], y[n:])[0]])
-
-    at = np.union1d(wanted, [end])
+    model, n, at = rate.model, rate.model.n, np.union1d(wanted, [end])
     run = solve_ivp(rate, (t, end), y, method="DOP853", t_eval=at, rtol=rtol, atol=rtol * 1e-3, first_step=min(1e-6, end - t))
+    if not run.success:
+        raise RuntimeError(f"DOP853: {run.message}")
     known = dict(zip(at, run.y.T))
     return [(known[s][:n], known[s][n:], *consistent_acceleration(model, s, known[s][:n], known[s][n:])) for s in wanted], run.y[:, -1]
 
 
-def by_explicit(model, t_end, rtol, q0=None, v0=None):
+def by_explicit(model, t_end, rtol, q0=None, v0=None, spare=False):
     """{"q", "v", "lam"} at t_end by `explicit`."""
-    q, v, _, lam = explicit(model, t_end, rtol, q0=q0, v0=v0, legs=LEGS)[0]
+    q, v, _, lam = explicit(model, t_end, rtol, q0=q0, v0=v0, legs=LEGS, spare=spare)[0]
     return {"q": q, "v": v, "lam": lam}
 
 
 def by_radau(model, t_end, rtol, q0=None, v0=None):
     """{"q", "v", "lam"} at t_end by Radau IIA of order 5 with error control. RuntimeError where it does not come there."""
-    return _end(model, t_end, RadauIIA(rtol=rtol), q0, v0)
+    return end_by(model, t_end, RadauIIA(rtol=rtol), q0, v0)
 
 
 def by_energy_momentum(model, t_end, h):
@@ -73,11 +92,12 @@ def by_energy_momentum(model, t_end, h):
 
     RuntimeError where one of both runs does not come there.
     """
-    coarse, fine = (_end(model, t_end, EnergyMomentum(h=step)) for step in (h, h / 2))
+    coarse, fine = (end_by(model, t_end, EnergyMomentum(h=step)) for step in (h, h / 2))
     return {part: (4 * fine[part] - coarse[part]) / 3 for part in PARTS}
 
 
-def _end(model, t_end, integrator, q0=None, v0=None):
+def end_by(model, t_end, integrator, q0=None, v0=None):
+    """{"q", "v", "lam"} at t_end by an integrator. RuntimeError where it does not come there."""
     run = solve(model, t_end, integrator, q0=q0, v0=v0, every=10**9)
     if not run.success:
         raise RuntimeError(f"reference by {integrator}: {run.message}")

@@ -1,0 +1,147 @@
+"""Read and write mesh files: whatever plane cells a file holds become one PolygonMesh, or one InputError that names the file."""
+
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.given import is_flag, is_number
+from polyida.keywords import named_keywords
+from polyida.mesh.files.registry import FORMATS, format_of
+from polyida.mesh.files.repair import repaired
+from polyida.mesh.files.units import MeshWarning, hint, metres, scale_of
+from polyida.mesh.polygon_mesh import PolygonMesh
+
+
+@named_keywords
+def read(path: str | Path, tolerance: float = 1e-9, unit: str | float | None = None, format: str | None = None) -> PolygonMesh:
+    """PolygonMesh of a file of triangles, quads and polygons, of one or several kinds.
+
+    The suffix tells the format, or format does: .mat (PolyMesher), .msh (Gmsh 2.2, 4.0, 4.1), .inp (Abaqus), .vtu, .vtk, .obj,
+    .mesh (MEDIT), and what you add to `pi.mesh.FORMATS`. unit: of the file's lengths, 'mm', 'in', ... or the metres in one;
+    without it they are metres. Points closer than tolerance times the mesh's size merge (0: none), unused ones go, clockwise cells
+    turn, elements of higher order become their corners. Whatever is changed so is said by one MeshWarning. Nodes are renumbered
+    where that narrows the bandwidth by a fifth, cells always sorted along them.
+
+    Sections: the file's named physical groups and node sets, groups without a name by their number, what write stored, and left,
+    right, top, bottom and 'hole 0', ... found from the boundary. Of supports: 'support', 'support x', 'support y', of loads 'load'.
+    Raises InputError, naming the file, for anything it cannot use.
+    """
+    path = _there(path)
+    kind, tolerance = format_of(path, format), merge_tolerance(tolerance)
+    if kind.read is None:
+        raise InputError(f"mesh file {path} is of a format that can only be written")
+    if unit is not None:
+        metres(unit, f"mesh file {path}:")
+    mesh, notes = _mesh(path, kind, tolerance, unit)
+    if notes:
+        warnings.warn(f"mesh file {path}: {'; '.join(notes)}", MeshWarning, stacklevel=3)
+    return mesh
+
+
+@named_keywords
+def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: str | float = "m", format: str | None = None) -> Path:
+    """Write a mesh and return the path; the suffix tells the format as in `read`, or format does: 'msh4' for Gmsh 4.1, 2.2 without.
+
+    .mat, .vtu, .vtk and .obj hold polygons, the others triangles and quads. All but .obj and .mesh keep the names of sections, .mat
+    and .inp the supports and loads too; a MeshWarning says what is left out. unit: of the lengths in the file.
+    Whole or not at all: a temporary file beside it is renamed. Raises InputError for an existing file without overwrite=True
+    and for formats that cannot hold the mesh.
+    """
+    if not isinstance(mesh, PolygonMesh):
+        raise InputError(f"mesh to write is {repr(mesh)[:80]}; it must be a PolygonMesh")
+    path = _path(path)
+    kind, size = format_of(path, format), metres(unit, f"mesh file {path}:")
+    if not is_flag(overwrite):
+        raise InputError(f"mesh file {path}: overwrite = {overwrite!r} must be True or False")
+    _require_room(mesh, path, kind)
+    if path.exists() and not overwrite:
+        raise InputError(f"mesh file {path} exists; pass overwrite=True to replace it")
+    _publish(mesh if size == 1.0 else _scaled(mesh, size), path, kind)
+    lost = _left_out(mesh, kind)
+    if lost:
+        warnings.warn(f"mesh file {path}: its format does not hold {' and '.join(lost)}, which were left out", MeshWarning, stacklevel=3)
+    return path
+
+
+def _mesh(path, kind, tolerance, unit):
+    """(PolygonMesh, notes) of a file; every failure inside names it."""
+    try:
+        with np.errstate(all="ignore"):
+            raw = kind.read(path)
+            mesh, notes = repaired(raw, tolerance, scale_of(unit, raw.metres, ""))
+        return mesh, notes + hint(mesh.points, unit, raw.metres)
+    except InputError as error:
+        raise InputError(f"mesh file {path}: {error}") from None
+    except Exception as error:
+        raise InputError(f"mesh file {path} holds inconsistent data: {type(error).__name__}: {str(error)[:200]}") from error
+
+
+def _require_room(mesh, path, kind):
+    if kind.write is None:
+        raise InputError(f"mesh file {path} is of a format that can only be read")
+    sizes = np.diff(mesh.offsets)
+    if kind.largest is not None and sizes.max() > kind.largest:
+        able = ", ".join(suffix for suffix, known in FORMATS.items() if known.write and known.largest is None)
+        raise InputError(
+            f"mesh file {path}: its format holds triangles and quads only; cell {np.argmax(sizes)} has {sizes.max()} corners. "
+            f"Polygons go into {able}"
+        )
+
+
+def _publish(mesh, path, kind):
+    partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        kind.write(mesh, partial)
+        os.replace(partial, path)
+    except OSError as error:
+        raise InputError(f"mesh file {path} cannot be written: {error.strerror or error}") from None
+    except InputError as error:
+        raise InputError(f"mesh file {path} cannot be written: {error}") from None
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _scaled(mesh, metres_a_unit):
+    return PolygonMesh(mesh.points / metres_a_unit, mesh.nodes, mesh.offsets, dict(mesh.sections), dict(mesh.supports), dict(mesh.loads))
+
+
+def _left_out(mesh, kind):
+    """[what of the mesh the format does not hold]; sections of the boundary are found again."""
+    lost = []
+    if not kind.names and (named := [name for name in mesh.sections if not _found_again(name)]):
+        lost.append("the sections " + ", ".join(map(repr, named)))
+    if not kind.forces and (mesh.supports or mesh.loads):
+        lost.append("supports and loads")
+    return lost
+
+
+def _found_again(name):
+    return name in ("left", "right", "top", "bottom") or name.startswith("hole ")
+
+
+def merge_tolerance(tolerance):
+    if not is_number(tolerance) or not 0 <= tolerance < 1:
+        raise InputError(f"merge tolerance is {tolerance!r}; it must be a share of the mesh's size from 0 to below 1")
+    return float(tolerance)
+
+
+def _path(path):
+    try:
+        return Path(path)
+    except TypeError:
+        raise InputError(f"mesh file {path!r} must be a path") from None
+
+
+def _there(path):
+    """The path of a file that there is, as Path; outlines are read so too."""
+    path = _path(path)
+    try:
+        exists = path.is_file()
+    except (OSError, ValueError):
+        exists = False
+    if not exists:
+        raise InputError(f"mesh file {str(path)!r} does not exist or is not a file")
+    return path

@@ -1,0 +1,73 @@
+"""RawMesh: what a reader finds in a file, before anything of it is checked."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.keywords import named_keywords
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class RawMesh:
+    """Points, cells and names as a file has them; `pi.mesh.read` repairs and checks them.
+
+    points (n, 2) or (n, 3) in the file's unit; cells: lists of points by number, or arrays (m, k) of m cells of k corners;
+    sections: name -> points; supports: point -> (x fixed, y fixed); loads: point -> (Fx, Fy), N; notes: what to tell the user;
+    metres: of one unit, where the file says it; first: the number of the first point.
+    """
+
+    points: np.ndarray
+    cells: Iterable
+    sections: Mapping = field(default_factory=dict)
+    supports: Mapping = field(default_factory=dict)
+    loads: Mapping = field(default_factory=dict)
+    notes: tuple = ()
+    metres: float | None = None
+    first: int = 0
+
+
+def joined(cells):
+    """(corners of all cells, offsets (m + 1)) of lists of points and of arrays of cells with the same number of corners."""
+    blocks = _blocks(cells)
+    if not blocks:
+        raise InputError("holds no triangles, quads or polygons")
+    sizes = np.concatenate([np.full(len(block), block.shape[1]) for block in blocks])
+    nodes = np.concatenate([block.ravel() for block in blocks])
+    return nodes, np.concatenate([[0], np.cumsum(sizes)])
+
+
+def _blocks(cells):
+    blocks, number = [], 0
+    for given in cells:
+        block = _block(given, number)
+        number += len(block)
+        if block.size:
+            blocks.append(block)
+    return blocks
+
+
+def _block(given, number):
+    try:
+        array = np.atleast_2d(np.asarray(given))
+    except ValueError:
+        array = np.empty((0, 0, 0))
+    whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and np.array_equal(array, np.round(array)))
+    if array.ndim != 2 or not whole or (array.size and array.shape[1] < 3) or np.abs(array).max(initial=0) > 2**31:
+        raise InputError(f"cell {number} is {repr(given)[:80]}; it must be a list of at least 3 nodes by number")
+    return array.astype(np.int64)
+
+
+def require_range(nodes, offsets, n_points, first):
+    """InputError for the first cell with a point that there is not; nodes from 0, first: the number of the first point."""
+    outside = np.flatnonzero((nodes < 0) | (nodes >= n_points))
+    if not outside.size:
+        return
+    cell = int(np.searchsorted(offsets, outside[0], side="right")) - 1
+    from_one = first == 0 and nodes.min() == 1 and nodes.max() == n_points
+    raise InputError(
+        f"cell {cell} names point {nodes[outside[0]] + first}; there are points {first}..{n_points - 1 + first}"
+        + ("; where points are counted from 1 pass first=1" if from_one else "")
+    )

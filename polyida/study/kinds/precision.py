@@ -1,0 +1,101 @@
+"""What work_precision and step_sizes share: runs, one after the other, measured against one reference."""
+
+from polyida.study.measured import errors, measured, smallest_errors
+from polyida.study.reference.agreed import agreed, given
+from polyida.study.result import Result
+from polyida.study.rows import NAN
+from polyida.study.slopes import fitted
+from polyida.study.subject import PARTS, setting
+
+ABOVE = 10.0  # times what is known of the reference: errors above it are fitted
+
+
+class Precision(Result):
+    """Rows of runs with their errors at the end, in q, v and lam, against `reference`.
+
+    reference: {"q", "v", "lam": at t_end, "made_by": [by what], "known_to": {part: how far it may be off}}.
+    """
+
+    def __init__(self, rows, notes, reference):
+        super().__init__(rows, notes)
+        self.reference = reference
+        self.lead = _made(reference, self.known_to)
+
+    @property
+    def known_to(self) -> dict[str, float]:
+        """{part: how far the reference may be off}; an error below it is not known."""
+        return {part: float(self.reference.get("known_to", {}).get(part, NAN)) for part in PARTS}
+
+    @property
+    def labels(self) -> list[str]:
+        """The integrators' labels."""
+        return list(dict.fromkeys(row["integrator"] for row in self.rows))
+
+    @property
+    def orders(self) -> dict[str, dict[str, float]]:
+        """{label: {part: fitted order}}: slope of the error over the length of a step, t / steps, on logarithmic axes, of the runs whose error
+        is ten times above what is known. NaN where fewer than two are, and of integrators that choose their steps.
+        """
+        return {label: {part: self._order(label, part) for part in PARTS} for label in self.labels}
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """known_to and orders, by names such as "known_to_q" and "order_q RATTLE"."""
+        found = {f"known_to_{part}": value for part, value in self.known_to.items()}
+        orders = {f"order_{part} {label}": value for label, parts in self.orders.items() for part, value in parts.items()}
+        return found | {name: value for name, value in orders.items() if value == value}
+
+    def known(self, row, part):
+        """Whether the error of a row is above what is known of the reference."""
+        return row[f"error_{part}"] > self._floor(part)
+
+    def of(self, label):
+        """The rows of an integrator that came to their end."""
+        return [row for row in self.rows if row["integrator"] == label and row["status"] in ("done", "stopped")]
+
+    def _order(self, label, part):
+        rows = [row for row in self.of(label) if row["h"] is not None and row[f"error_{part}"] > ABOVE * self._floor(part)]
+        return fitted([row["t"] / row["steps"] for row in rows], [row[f"error_{part}"] for row in rows])
+
+    def _floor(self, part):
+        known = self.known_to[part]
+        return known if known == known else 0.0
+
+
+def against_reference(study, given_subject, members, reference, repeats, tell):
+    """(rows, notes, reference): every integrator's runs, one after the other, then the reference, made where None is given."""
+    reference = given(study, given_subject, reference) if reference is not None else given_subject.published
+    reference = given(study, given_subject, reference) if reference else None
+    rows, runs, total = [], [], sum(map(len, members.values()))
+    for label, settings in members.items():
+        given_subject.warm_up(settings[0])
+        for integrator in settings:
+            words = setting(integrator, settings)
+            tell(len(rows), total + 1, f"{label}, {words}")
+            row, run = measured(given_subject, integrator, repeats)
+            rows.append({"integrator": label, "setting": words, "h": _step(integrator)} | row)
+            runs.append(run)
+    reference = reference or agreed(given_subject, smallest_errors(runs), lambda what: tell(total, total + 1, what))
+    rows = [row | errors(run, reference) for row, run in zip(rows, runs)]
+    tell(total + 1, total + 1, "")
+    return rows, [*_stopped(rows), *_unknown(reference)], reference
+
+
+def _step(integrator):
+    h = getattr(integrator, "h", None)
+    return float(h) if isinstance(h, (int, float)) and getattr(integrator, "rtol", None) is None else None
+
+
+def _stopped(rows):
+    return [f"{row['integrator']}, {row['setting']}: {row['message']}" for row in rows if row["status"] not in ("done", "stopped")]
+
+
+def _made(reference, known_to):
+    """By what the reference was made, and how far it is known."""
+    known = ", ".join(f"{part} {value:.1e}" for part, value in known_to.items() if value == value)
+    told = f"known to {known}" if known else "how far it is known is not said"
+    return f"Reference: {'; '.join(reference['made_by'])}; {told}." if "q" in reference else ""
+
+
+def _unknown(reference):
+    return [] if "q" in reference else ["no reference, so no errors: no two methods came to the end", *reference["failed"]]

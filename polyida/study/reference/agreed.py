@@ -1,0 +1,134 @@
+"""The end of a motion by two families of methods that agree, refined until they agree well enough for what is measured against it.
+
+The values are those of Radau IIA; they are known as well as a method of another family agrees with them. The first other one that comes
+there is taken: DOP853 on the index-1 equations, where its steps are not too many; BDF by IDA; the energy-momentum method and
+generalized-alpha, extrapolated. A pair is refined as long as that brings the two nearer to each other.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.energy.energy_momentum import EnergyMomentum
+from polyida.integrate.ida.integrator import IDA
+from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.study.reference.families import PARTS, TooStiff, by_explicit, distance, end_by
+
+RADAU = (1e-9, 1e-11, 1e-13)  # rtol, level by level
+SHARE = 0.1  # of the smallest error that is measured: what a reference may be off by
+ENOUGH = 1e-12  # of a part's size: nearer than that two methods need not come
+BETTER = 0.5  # of the distance before: what a level must come to for the next to be tried
+STEPS = (1000, 4000, 16000)  # of extrapolated methods, level by level
+
+
+def _explicit(subject, level):
+    rtol = (1e-9, 1e-11, 1e-13)[level]
+    found = by_explicit(subject.model, subject.t_end, rtol, subject.q0, subject.v0, spare=True)
+    return f"DOP853 on the index-1 equations, rtol {rtol:g}", found
+
+
+def _bdf(subject, level):
+    rtol = (1e-8, 1e-10, 1e-12)[level]
+    return f"IDA (BDF), rtol {rtol:g}", _end(subject, IDA(rtol=rtol, max_num_steps=300_000))
+
+
+def _extrapolated(subject, level, name, method):
+    h = subject.t_end / STEPS[level]
+    coarse, fine = (_end(subject, method(h=step)) for step in (h, h / 2))
+    return f"{name}, h = {h:g} s and half of it, extrapolated", {part: (4 * fine[part] - coarse[part]) / 3 for part in PARTS}
+
+
+BY_EXPLICIT, BY_BDF = _explicit, _bdf
+BY_ENERGY_MOMENTUM = partial(_extrapolated, name="energy-momentum", method=EnergyMomentum)
+BY_ALPHA = partial(_extrapolated, name="generalized-alpha", method=partial(GeneralizedAlpha, tolerance=1e-11))
+OTHERS = (BY_EXPLICIT, BY_BDF, BY_ENERGY_MOMENTUM, BY_ALPHA)
+
+
+def _radau(subject, level):
+    return f"Radau IIA, rtol {RADAU[level]:g}", _end(subject, RadauIIA(rtol=RADAU[level]))
+
+
+def _end(subject, integrator):
+    return end_by(subject.model, subject.t_end, integrator, subject.q0, subject.v0)
+
+
+def agreed(subject, errors=lambda values: {}, tell=lambda what: None, others=OTHERS, first=0):
+    """A reference {"q", "v", "lam", "made_by": [two methods], "known_to": {part: their distance}, "failed": [what did not come there]}.
+
+    errors(values): {part: the smallest error, above zero, that is measured against these values}; the reference is refined until it is
+    known to a tenth of that, or to 1e-12 of the part's size, or as long as the two come nearer to each other. others: the families beside
+    Radau IIA, in the order in which they are tried; first: the level to begin with. Without two that come there it has "failed" alone.
+    """
+    mine, failed, best = {}, [], {}
+    for make in others:
+        pair = _refined(subject, make, range(first, len(RADAU)), mine, failed, errors, tell)
+        best = pair if pair and (not best or _off(pair, best) < 1) else best
+        if best and _enough(best, errors):
+            break
+    return best | {"failed": failed}
+
+
+def _refined(subject, make, levels, mine, failed, errors, tell):
+    """The best pair of Radau IIA and another family over the levels, {} where one of both does not come there."""
+    best = {}
+    for level in levels:
+        try:
+            tell(f"reference, level {level + 1}")
+            if level not in mine:
+                mine[level] = _radau(subject, level)
+            other = make(subject, level)
+        except (RuntimeError, InputError, TooStiff) as error:
+            failed.append(str(error))
+            return best
+        pair = mine[level][1] | {"made_by": [mine[level][0], other[0]], "known_to": distance(mine[level][1], other[1])}
+        nearer = not best or _off(pair, best) < BETTER
+        best = pair if not best or _off(pair, best) < 1 else best
+        if not nearer or _enough(best, errors):
+            break
+    return best
+
+
+def _off(pair, other):
+    """How much farther apart a pair is than another one, at the part where it is worst off of those that are not at round-off."""
+    sizes = {part: ENOUGH * max(1e-300, np.abs(pair[part]).max(initial=0)) for part in PARTS}
+    return max(max(pair["known_to"][part], sizes[part]) / max(other["known_to"][part], sizes[part]) for part in PARTS)
+
+
+def _enough(pair, errors):
+    smallest = errors(pair)
+    return all(
+        known <= max(SHARE * smallest.get(part, 0.0), ENOUGH * np.abs(pair[part]).max(initial=0))
+        for part, known in pair["known_to"].items()
+    )
+
+
+def given(study, subject, reference):
+    """The reference that a user gives: {"q", "v", "lam"} at t_end, with "made_by" and "known_to" where these are known (as the
+    `reference` of another study is), or a run or state there. Raises InputError for another form, time or shape.
+    """
+    if not isinstance(reference, dict):
+        reference = _of_state(study, subject, reference)
+    n, m = subject.model.n, subject.model.m
+    found = dict(reference)
+    for part, size in zip(PARTS, (n, n, m)):
+        value = np.asarray(found.get(part, np.nan), float)
+        if value.shape != (size,) or not np.isfinite(value).all():
+            raise InputError(f"{study}: reference[{part!r}] must be {size} finite numbers, at t = {subject.t_end:g} s")
+        found[part] = value
+    made_by = found.get("made_by", "given")
+    known = found.get("known_to", {})
+    if not isinstance(known, dict):
+        raise InputError(f"{study}: reference['known_to'] = {known!r} must be a dictionary {{'q': ..., 'v': ..., 'lam': ...}}")
+    return found | {"made_by": [made_by] if isinstance(made_by, str) else list(made_by), "known_to": dict(known), "failed": []}
+
+
+def _of_state(study, subject, reference):
+    state = getattr(reference, "state", reference)
+    if not all(hasattr(state, part) for part in ("t", *PARTS)):
+        wanted = "must be a dictionary of q, v and lam, a run, a State, or None"
+        raise InputError(f"{study}: reference = {type(reference).__name__} {wanted}")
+    if abs(state.t - subject.t_end) > 1e-9 * subject.t_end:
+        raise InputError(f"{study}: the reference ends at t = {state.t:g} s, the study at t_end = {subject.t_end:g} s")
+    return {part: getattr(state, part) for part in PARTS} | {"made_by": [repr(getattr(reference, "integrator", "a state"))]}

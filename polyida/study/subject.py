@@ -1,0 +1,115 @@
+"""What a study runs: a model, a scene, a problem or its name, with its start and end; and with which integrators."""
+
+from dataclasses import dataclass, field, fields, is_dataclass
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.given import is_number
+from polyida.integrate.solve import require_run, solve
+from polyida.integrate.start import consistent_state
+from polyida.model import Model
+
+PARTS = ("q", "v", "lam")
+SHORT = 2e-4  # of the time, for which an integrator that has no step of its own runs beforehand
+LONGEST = 60  # characters of a setting
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model and the motion that is studied: from (q0, v0) at t = 0 to t_end, s. published: digits at t_end, as references.given takes them."""
+
+    name: str
+    model: Model
+    t_end: float
+    q0: object = None
+    v0: object = None
+    published: dict = field(default_factory=dict)
+
+    def run(self, integrator, **options):
+        """The Trajectory by an integrator; Ctrl-C goes on to who asked."""
+        run = solve(self.model, self.t_end, integrator, q0=self.q0, v0=self.v0, **options)
+        if run.status == "interrupted":
+            raise KeyboardInterrupt
+        return run
+
+    def warm_up(self, integrator):
+        """Two steps, so that compiling or loading kernels counts as nobody's time."""
+        h = getattr(integrator, "h", None)
+        short = 2 * h if is_number(h) else SHORT * self.t_end
+        solve(self.model, min(short, self.t_end), integrator, q0=self.q0, v0=self.v0)
+
+
+def subject(study, model, t_end, q0=None, v0=None):
+    """The Subject of what a user gives: a Model, a Scene, a Problem, or the name of one, whose start and end are its own where none are given.
+
+    Raises InputError for anything else, for a name that is unknown, and for a time or a start that cannot be.
+    """
+    from polyida import problems
+    from polyida.scene import Scene
+
+    if isinstance(model, str):
+        model = problems.get(model)
+    if isinstance(model, problems.Problem):
+        return _of_problem(study, model, t_end, q0, v0)
+    built = model.build() if isinstance(model, Scene) else model
+    if not isinstance(built, Model):
+        wanted = "a Model, a Scene, a Problem or the name of one is needed"
+        raise InputError(f"{study}: the model is {type(model).__name__}; {wanted}")
+    return _checked(study, Subject(type(model).__name__, built, t_end, q0, v0))
+
+
+def _of_problem(study, problem, t_end, q0, v0):
+    q0, v0 = (own if given is None else given for given, own in ((q0, problem.q0), (v0, problem.v0)))
+    as_it_is = t_end in (None, problem.t_end) and q0 is problem.q0 and v0 is problem.v0
+    known = problem.reference if as_it_is and set(PARTS) <= set(problem.reference) else {}
+    published = (
+        {part: problem.reference[part] for part in PARTS} | {"known_to": problem.known_to, "made_by": [problem.source]} if known else {}
+    )
+    return _checked(study, Subject(problem.name, problem.model, problem.t_end if t_end is None else t_end, q0, v0, published))
+
+
+def _checked(study, given):
+    if not (is_number(given.t_end) and given.t_end > 0):
+        raise InputError(f"{study}: t_end = {given.t_end!r} must be a positive time in s")
+    consistent_state(given.model, 0.0, given.q0, given.v0)
+    return given
+
+
+def members(study, given, integrators, several=True):
+    """{label: [integrators]} of what a user gives, each of which can run. Raises InputError for what is none."""
+    if not isinstance(integrators, dict) or not integrators:
+        raise InputError(
+            f"{study}: integrators = {integrators!r} must be a dictionary {{label: {'[integrators]' if several else 'integrator'}}}"
+        )
+    found = {}
+    for label, settings in integrators.items():
+        if not isinstance(label, str) or not label:
+            raise InputError(f"{study}: label {label!r} of an integrator must be a text")
+        found[label] = list(settings) if isinstance(settings, (list, tuple)) else [settings]
+        if not found[label] or not several and len(found[label]) != 1:
+            raise InputError(
+                f"{study}: integrators[{label!r}] = {settings!r} must be {'one or more integrators' if several else 'one integrator'}"
+            )
+        for integrator in found[label]:
+            require_run(given.model, given.t_end, 0.0, integrator)
+    return found
+
+
+def setting(integrator, beside):
+    """In what an integrator differs from those beside it, in words: "h=0.001"; all of it where that does not tell."""
+    if not is_dataclass(integrator) or any(type(other) is not type(integrator) for other in beside):
+        return repr(integrator)[:LONGEST]
+    names = [item.name for item in fields(integrator) if item.repr and item.init]
+    varied = [name for name in names if any(not _same(getattr(integrator, name), getattr(other, name)) for other in beside)]
+    shown = varied or [name for name in ("h", "rtol") if getattr(integrator, name, None) is not None]
+    text = ", ".join(f"{name}={_short(getattr(integrator, name))}" for name in shown)
+    return (text or repr(integrator))[:LONGEST]
+
+
+def _same(one, other):
+    return bool(np.array_equal(one, other))
+
+
+def _short(value):
+    return f"{value:g}" if is_number(value) else repr(value)

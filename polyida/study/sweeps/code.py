@@ -1,0 +1,202 @@
+"""A mark of a function: of its code, of what it names in modules of the user's own, and of the values that come with it."""
+
+import copyreg
+import dis
+import hashlib
+import importlib.util
+import sys
+from contextlib import suppress
+from functools import cached_property
+from inspect import isgetsetdescriptor
+from itertools import chain
+from pathlib import Path
+from types import CellType, CodeType, FunctionType, MethodType, ModuleType
+
+from polyida.errors import InputError
+
+PLAIN = (int, float, complex, str, bytes, bool, type(None), type(Ellipsis))
+FILLING = {"append", "extend", "insert", "add", "update", "setdefault", "clear", "pop", "popitem", "remove", "discard"}
+LOADS = {"LOAD_GLOBAL": "", "LOAD_NAME": "", "LOAD_DEREF": "", "LOAD_ATTR": ".", "LOAD_METHOD": "."}  # and what is written before the name
+STORES = ("STORE_GLOBAL", "STORE_DEREF")
+BESIDE = ("co_code", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount", "co_kwonlyargcount", "co_flags")
+
+
+def mark_of(function):
+    """A text that changes with what a function does, as far as its code shows.
+
+    It is made of the code as it is loaded (comments and the places of lines are not in it), defaults, closures, and all functions,
+    classes and values that the code names in modules of the user's own, and so on from there. What is installed (Python's library,
+    packages, polyida) counts by its name alone. A list, dictionary or variable that a function itself fills is its log or its store and
+    does not count. Raises InputError for a value of which no mark can be made.
+    """
+    reader = _Reader(getattr(function, "__name__", type(function).__name__))
+    reader.add(function)
+    return reader.digest.hexdigest()
+
+
+class _Reader:
+    """Walks what a function is made of, each thing once, and digests it in the order of the walk."""
+
+    def __init__(self, name):
+        self.name, self.digest = name, hashlib.sha256()
+        self.seen, self.alive = {}, []  # numbers by id, and the things themselves: the id of one that is gone is given again
+
+    def note(self, *texts):
+        for text in texts:
+            data = text if isinstance(text, bytes) else str(text).encode("utf-8", "surrogatepass")
+            self.digest.update(b"%d:%s" % (len(data), data))
+
+    def add(self, thing):
+        if type(thing) in PLAIN:
+            self.note(type(thing).__name__, repr(thing))
+        elif id(thing) in self.seen:
+            self.note("again", self.seen[id(thing)])
+        else:
+            self.seen[id(thing)] = len(self.seen)
+            self.alive.append(thing)
+            self._walk(thing)
+
+    def _all(self, things):
+        things = list(things)
+        self.note(len(things))
+        for thing in things:
+            self.add(thing)
+
+    def _walk(self, thing):
+        """Digest a thing that is not plain by what it is made of."""
+        self.note(type(thing).__name__)
+        if isinstance(thing, ModuleType):
+            self.note(thing.__name__)
+        elif isinstance(thing, (FunctionType, type)) and _installed(thing.__module__):
+            self.note(thing.__module__, thing.__qualname__)
+        elif isinstance(thing, CodeType):
+            self._code(thing)
+        elif isinstance(thing, FunctionType):
+            self._function(thing)
+        elif isinstance(thing, type):
+            self._class(thing)
+        elif type(thing) in (set, frozenset):
+            self._all(sorted(map(mark_of, thing)))
+        elif type(thing) in (list, tuple):
+            self._all(thing)
+        elif type(thing) is dict:
+            self._all(chain.from_iterable(thing.items()))
+        else:
+            self._all(_wrapped(thing) or self._reduced(thing))
+
+    def _code(self, code):
+        self.note(*(getattr(code, name) for name in BESIDE))
+        self._all(code.co_consts)
+
+    def _function(self, function):
+        self.add(function.__code__)
+        self._all([function.__defaults__, function.__kwdefaults__])
+        filled = _filled(function.__code__)
+        cells = dict(zip(function.__code__.co_freevars, function.__closure__ or ()))
+        values = {name: cell.cell_contents for name, cell in cells.items() if name not in filled and cell != CellType()}
+        values |= _named(function, filled)
+        self._all(chain.from_iterable(values.items()))
+
+    def _class(self, kind):
+        self._all(kind.__bases__)
+        for name, value in vars(kind).items():
+            parts = _wrapped(value)
+            if parts or isinstance(value, (FunctionType, type)) or not (isgetsetdescriptor(value) or name.startswith(("__", "_abc_"))):
+                self.note(name)
+                self._all(parts or [value])
+
+    def _reduced(self, thing):
+        """What pickle takes an object apart into, without what it has worked out for itself."""
+        try:
+            reduce = copyreg.dispatch_table.get(type(thing))
+            found = reduce(thing) if reduce else thing.__reduce_ex__(4)
+        except Exception as error:  # noqa: BLE001, whatever a user's object answers
+            raise InputError(
+                f"sweep: {self.name} uses a {type(thing).__name__}, of which nobody can say whether it changed ({error}); make it within the "
+                "function, give what it is made of by the case, or sweep without a folder"
+            ) from None
+        if isinstance(found, str):
+            return [type(thing), found]
+        make, arguments, state, entries, items = (*found, None, None, None)[:5]
+        if isinstance(state, dict):
+            state = {name: value for name, value in state.items() if not isinstance(getattr(type(thing), name, None), cached_property)}
+        return [make, arguments, state, list(entries or ()), list(items or ())]
+
+
+def _wrapped(thing):
+    """The functions that a descriptor or a compiled or cached function is about; empty for anything else."""
+    if isinstance(thing, property):
+        return [thing.fget, thing.fset, thing.fdel]
+    if isinstance(thing, cached_property):
+        return [thing.func]
+    if isinstance(thing, (staticmethod, classmethod)):
+        return [thing.__func__]
+    if isinstance(thing, MethodType):
+        return [thing.__func__, thing.__self__]
+    inner = getattr(thing, "__wrapped__", None) if callable(thing) else None
+    return [inner] if isinstance(inner, FunctionType) else []
+
+
+def _codes(code):
+    """A code and those of the functions and classes within it."""
+    yield code
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _codes(inner)
+
+
+def _filled(code):
+    """Names of what a function itself assigns or fills: `log.append(x)`, `store[key] = x`, `global count`; of a module's with a dot before."""
+    found = set()
+    for part in _codes(code):
+        steps = list(dis.get_instructions(part))
+        for step, after, beyond in zip(steps, steps[1:], steps[2:]):
+            called = after.opname in ("LOAD_METHOD", "LOAD_ATTR") and after.argval in FILLING
+            stored = beyond.opname == "STORE_SUBSCR" or (beyond.opname, beyond.argval) == ("COPY", 2)  # x[k] = y, x[k] += y
+            if step.opname in STORES or step.opname in LOADS and (called or stored):
+                found.add(LOADS.get(step.opname, "") + step.argval)
+    return found
+
+
+def _named(function, filled):
+    """{name: value} of what a function's code names and does not fill: globals, and what it takes from modules of the user's own."""
+    names = sorted({name for code in _codes(function.__code__) for name in code.co_names})
+    known = function.__globals__
+    found = {name: known[name] for name in names if name in known and name not in filled}
+    modules = {value.__name__: value for value in [*found.values(), *_imported(function)] if isinstance(value, ModuleType)}
+    waiting = list(modules.values())
+    while waiting:
+        module = waiting.pop(0)
+        if not _installed(module.__name__):
+            parts = {name: vars(module)[name] for name in names if name in vars(module) and f".{name}" not in filled}
+            found |= {f"{module.__name__}.{name}": value for name, value in parts.items()}
+            further = {value.__name__: value for value in parts.values() if isinstance(value, ModuleType)}
+            waiting += [value for name, value in further.items() if name not in modules]
+            modules |= further
+    return found
+
+
+def _imported(function):
+    """The modules of the user's own that a function imports when it is called."""
+    found = []
+    for code in _codes(function.__code__):
+        steps = list(dis.get_instructions(code))
+        for level, _, step in zip(steps, steps[1:], steps[2:]):
+            if step.opname == "IMPORT_NAME":
+                with suppress(Exception):  # what cannot be imported the case will tell
+                    name = importlib.util.resolve_name("." * level.argval + step.argval, function.__globals__.get("__package__"))
+                    found += [] if _installed(name) else [importlib.import_module(name)]
+    return found
+
+
+def _installed(name):
+    """Whether a module is Python's, polyida's or one of an installed package, known by its name; else it is the user's own."""
+    if not isinstance(name, str) or name == "__main__":
+        return False
+    top = name.partition(".")[0]
+    if top in sys.stdlib_module_names or top == "polyida":
+        return True
+    module = sys.modules.get(name)
+    spec = importlib.util.find_spec(top) if module is None else None
+    places = [getattr(module, "__file__", None) or getattr(spec, "origin", None), *getattr(module, "__path__", ())]
+    return any(part in ("site-packages", "dist-packages") for place in places if place for part in Path(place).parts)

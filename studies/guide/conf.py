@@ -1,0 +1,49 @@
+"""Sphinx's settings of the guide: `python -m sphinx -W --keep-going -b html studies/guide OUT` builds it, without a network."""
+
+import sys
+from pathlib import Path
+from typing import TypeVar
+
+import numpy.typing
+
+numpy.typing.ArrayLike, numpy.typing.NDArray = (
+    TypeVar("ArrayLike"),
+    TypeVar("NDArray"),
+)  # signatures show their names, not what they are made of
+
+import polyida  # noqa: E402
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+project = "polyida"
+author = copyright = "polyida developers"
+release = version = polyida.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery", "rendering.mathml", "rendering.docstrings"]
+exclude_patterns = ["examples", "rendering"]
+smartquotes = False  # texts are code more often than speech
+html_theme = "furo"
+html_title = "polyida"
+html_show_sourcelink = False
+html_static_path = ["static"]
+html_css_files = ["guide.css"]
+html_math_renderer = "mathml"
+pygments_dark_style = "github-dark"
+myst_enable_extensions = ["dollarmath", "amsmath", "deflist"]
+myst_heading_anchors = 3
+myst_url_schemes = ["http", "https"]
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+sphinx_gallery_conf = {
+    "examples_dirs": [str(HERE / "examples")],
+    "gallery_dirs": ["gallery"],
+    "filename_pattern": r"\.py$",  # all of them are run
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "download_all_examples": False,
+    "write_computation_times": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+    "image_srcset": ["2x"],
+}

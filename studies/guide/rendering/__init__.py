@@ -1,0 +1,1 @@
+"""What the guide's build adds to Sphinx."""

@@ -1,0 +1,276 @@
+"""pi.study as a library: rows, orders, references, reports, of models, scenes, problems and integrators of a user's own."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.errors import InputError
+from polyida.integrate.state import StepFailure
+from polyida.problems import plates
+
+STEPS = (1e-2, 5e-3, 2.5e-3)
+
+
+class Swing(pi.Model):
+    """A pendulum of 1 kg and 1 m."""
+
+    n, m = 2, 1
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, 9.81])
+
+    def phi(self, t, q):
+        return np.array([q @ q - 1.0])
+
+    def phi_q(self, t, q):
+        return 2.0 * q[None]
+
+    def potential(self, q):
+        return 9.81 * q[1]
+
+
+@dataclass(frozen=True)
+class Projected:
+    """An integrator of a user's own, of order 1: v by a, then q by v, both put on the constraints."""
+
+    h: float
+
+    def steps(self, model, state, t_end, counts):
+        count = round((t_end - state.t) / self.h)
+        for k in range(1, count + 1):
+            q = state.q + self.h * (state.v + self.h * state.a)
+            q /= np.linalg.norm(q)
+            v = (q - state.q) / self.h
+            state = pi.consistent_state(model, t_end * k / count, q, v - q * (q @ v))
+            counts.steps += 1
+            yield state
+
+
+@dataclass(frozen=True)
+class Stops:
+    """An integrator that stops half way."""
+
+    h: float = 0.1
+
+    def steps(self, model, state, t_end, counts):
+        raise StepFailure("newton", "it does not converge", 0.5 * t_end)
+        yield
+
+
+def start():
+    return {"q0": [1.0, 0.0]}
+
+
+@pytest.fixture(scope="module")
+def study():
+    members = {
+        "own": [Projected(h) for h in STEPS],
+        "alpha": [pi.GeneralizedAlpha(h=h) for h in STEPS],
+        "radau": [pi.RadauIIA(rtol=r) for r in (1e-4, 1e-6)],
+    }
+    return pi.study.work_precision(Swing(), 0.5, **start(), integrators=members)
+
+
+def test_rows_say_what_ran_and_what_it_came_to(study):
+    assert [row["integrator"] for row in study.rows] == ["own"] * 3 + ["alpha"] * 3 + ["radau"] * 2
+    assert [row["setting"] for row in study.rows[:4]] == ["h=0.01", "h=0.005", "h=0.0025", "h=0.01"] and study.rows[-1][
+        "setting"
+    ] == "rtol=1e-06"
+    assert [row["steps"] for row in study.rows[:6]] == [50, 100, 200] * 2 and all(row["status"] == "done" for row in study.rows)
+
+
+def test_orders_are_those_of_the_methods(study):
+    assert study.orders["own"]["q"] == pytest.approx(1.0, abs=0.15) and study.orders["alpha"]["q"] == pytest.approx(2.0, abs=0.05)
+    assert study.orders["alpha"]["lam"] == pytest.approx(2.0, abs=0.05) and np.isnan(study.orders["radau"]["q"])
+
+
+def test_the_reference_is_made_by_two_families_and_known_to_a_tenth_of_every_error(study):
+    assert [how.split(",")[0] for how in study.reference["made_by"]] == ["Radau IIA", "DOP853 on the index-1 equations"]
+    for part in ("q", "v", "lam"):
+        assert study.known_to[part] <= 0.1 * min(row[f"error_{part}"] for row in study.rows)
+
+
+def test_the_reference_is_right_as_far_as_it_is_known(study):
+    """The pendulum's speed follows from its height: v^2 = -2 g y; its multiplier from both."""
+    q, v, lam = (study.reference[part] for part in ("q", "v", "lam"))
+    assert v @ v == pytest.approx(-2 * 9.81 * q[1], abs=50 * study.known_to["v"])
+    assert 2 * lam[0] == pytest.approx(v @ v - 9.81 * q[1], abs=100 * study.known_to["v"])
+
+
+def test_another_study_takes_the_reference_of_one(study):
+    again = pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"own": Projected}, h=STEPS, reference=study.reference)
+    assert again.known_to == study.known_to and [row["error_q"] for row in again.rows] == [row["error_q"] for row in study.rows[:3]]
+    assert [row["h"] for row in again.rows] == list(STEPS) and again.orders["own"] == study.orders["own"]
+
+
+def test_a_run_is_a_reference_of_unknown_precision():
+    run = pi.solve(Swing(), 0.5, pi.RadauIIA(rtol=1e-10), **start())
+    study = pi.study.work_precision(Swing(), 0.5, **start(), integrators={"alpha": pi.GeneralizedAlpha(h=1e-2)}, reference=run)
+    assert study.rows[0]["error_q"] > 1e-6 and np.isnan(study.known_to["q"]) and "how far it is known is not said" in str(study)
+
+
+def test_problems_by_name_have_their_own_start_end_and_digits():
+    study = pi.study.work_precision("pendulum", integrators={"radau": pi.RadauIIA(rtol=1e-8)})
+    p = pi.problems.get("pendulum")
+    assert study.reference["made_by"] == [p.source] and study.known_to["q"] == p.known_to["q"] and study.rows[0]["error_q"] < 1e-5
+    shorter = pi.study.work_precision(p, 0.1, integrators={"radau": pi.RadauIIA(rtol=1e-8)})
+    assert len(shorter.reference["made_by"]) == 2 and shorter.rows[0]["t"] == pytest.approx(0.1)
+
+
+def test_scenes_are_built(tmp_path):
+    scene = plates.double_plate(cells=4)
+    study = pi.study.step_sizes(scene, 0.02, integrators={"alpha": lambda h: pi.GeneralizedAlpha(h=h)}, h=(2e-3, 1e-3))
+    assert study.known_to["q"] <= 0.1 * min(row["error_q"] for row in study.rows) and study.orders["alpha"]["q"] > 1
+    assert (study.report(tmp_path / "plates") / "report.html").exists()
+
+
+def test_a_run_that_stops_is_a_row_without_errors():
+    study = pi.study.work_precision(Swing(), 0.5, **start(), integrators={"stops": Stops(), "alpha": pi.GeneralizedAlpha(h=1e-2)})
+    assert study.rows[0]["status"] == "newton" and np.isnan(study.rows[0]["error_q"]) and study.rows[1]["error_q"] > 0
+    assert any("stops" in note and "does not converge" in note for note in study.notes) and len(study.plot().lines) >= 1
+
+
+def test_points_below_what_is_known_are_hollow_and_stand_at_it(study):
+    blunt = type(study)("blunt", study.rows, [], study.reference | {"known_to": {"q": 1e-3, "v": 1e-3, "lam": 1e-3}})
+    lines = {line.get_label(): line for line in blunt.plot("q").lines}
+    below = [line for line in blunt.plot("q").lines if line.get_label() == "_below"]
+    assert min(lines["radau"].get_xdata()) == 1e-3 and "what is known of the reference" in lines
+    assert sum(len(line.get_xdata()) for line in below) == sum(row["error_q"] <= 1e-3 for row in study.rows)
+    assert all(line.get_markerfacecolor() == "white" for line in below)
+
+
+def test_plots_are_drawn_on_the_axes_that_are_given(study):
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    assert study.plot("lam", axes) is axes and [line.get_label() for line in axes.lines[:3]] == ["own", "alpha", "radau"]
+    assert axes.get_xlabel() == "error in lam at the end" and study.plot("q", work="steps").get_ylabel() == "steps"
+
+
+def test_rows_as_a_data_frame_and_a_data_set(study):
+    frame = study.to_dataframe()
+    assert list(frame.columns)[:3] == ["integrator", "setting", "error_q"] and len(frame) == 8
+    assert frame.groupby("integrator").error_q.min()["radau"] == study.rows[-1]["error_q"]
+    assert study.to_xarray()["steps"].values.tolist() == [row["steps"] for row in study.rows]
+
+
+def test_a_report_has_page_numbers_and_pictures_and_is_not_overwritten(study, tmp_path):
+    folder = study.report(tmp_path / "report", command="python mine.py")
+    data = json.loads((folder / "figures.json").read_text())
+    assert [row["error_q"] for row in data["rows"]] == [row["error_q"] for row in study.rows] and data["command"] == "python mine.py"
+    assert data["figures"]["order_q alpha"] == study.orders["alpha"]["q"] and "polyida" in data["machine"]
+    page = (folder / "report.html").read_text()
+    assert "DOP853 on the index-1 equations" in page and "python mine.py" in page
+    assert {path.name for path in folder.iterdir()} >= {
+        f"error-{part}.{kind}" for part in ("q", "v", "lam") for kind in ("png", "pdf", "csv")
+    }
+    with pytest.raises(InputError, match="has something in it"):
+        study.report(folder)
+    assert study.report(folder, overwrite=True) == folder
+
+
+def test_texts_are_short_and_tables_whole(study):
+    assert len(repr(study)) < 100 and "8 rows" in repr(study)
+    lines = str(study).splitlines()
+    assert len(lines) > 9 and all(len(line) < 160 for line in lines[:10]) and study._repr_html_().count("<tr>") == 9
+
+
+@dataclass(frozen=True)
+class Euler:
+    """An integrator with an iteration matrix of its own."""
+
+    def steps(self, model, state, t_end, counts):
+        yield from ()
+
+    def iteration_matrix(self, model, state, h):
+        return np.block([[model.mass(state.q) / h, model.phi_q(state.t, state.q).T], [model.phi_q(state.t, state.q), np.zeros((1, 1))]])
+
+
+def test_condition_numbers_fall_as_theory_says():
+    model = Swing()
+    state = pi.consistent_state(model, 0.0, [1.0, 0.0])
+    members = {
+        "raw": lambda h: pi.GeneralizedAlpha(h=h, scaling="none"),
+        "scaled": pi.GeneralizedAlpha(),
+        "IDA": pi.IDA(form="index3", linear="whole", scaling="none"),
+        "own": Euler(),
+    }
+    study = pi.study.conditioning(model, state, members, h=[10.0**-k for k in range(3, 9)])
+    assert (
+        len(study.rows) == 24 and study.slopes["raw"] == pytest.approx(-4, abs=0.05) and study.slopes["IDA"] == pytest.approx(-3, abs=0.1)
+    )
+    assert abs(study.slopes["scaled"]) < 0.05 and study.slopes["own"] == pytest.approx(-2, abs=0.05)
+    assert len(study.plot().lines) == 4
+
+
+def test_energy_and_drift_follow_whole_runs(tmp_path):
+    members = {"alpha": pi.GeneralizedAlpha(h=1e-2), "energy-momentum": pi.EnergyMomentum(h=1e-2)}
+    kept = pi.study.energy(Swing(), 2.0, **start(), integrators=members, frames=50)
+    by_label = {row["integrator"]: row for row in kept.rows}
+    assert by_label["energy-momentum"]["energy_drift"] < 1e-7 < by_label["alpha"]["energy_drift"]
+    data = kept.to_xarray()
+    assert data["unbalanced"].dims == ("run", "frame") and data.sizes == {"run": 2, "frame": 50} and float(data["t"].max()) == 2.0
+    off = pi.study.drift(Swing(), 2.0, **start(), integrators=members | {"IDA": pi.IDA(rtol=1e-4)})
+    assert all(row["drift"] < 1e-6 for row in off.rows) and off.plot("velocity_drift").get_yscale() == "log"
+    assert np.isnan(off.to_xarray()["drift"].sel(run="IDA").values).sum() == 201 - off.rows[2]["steps"] - 1
+    assert (kept.report(tmp_path / "kept") / "unbalanced.csv").exists() and (off.report(tmp_path / "off") / "drift.csv").exists()
+
+
+def test_progress_tells_how_far_a_study_is():
+    told = []
+    pi.study.step_sizes(Swing(), 0.1, **start(), integrators={"own": Projected}, h=(1e-2, 5e-3), progress=lambda *how: told.append(how))
+    assert [done for done, total, _ in told if "own" in _] == [0, 1] and {total for _, total, _ in told} == {3} and told[-1][:2] == (3, 3)
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ((3, 1.0), "the model is int; a Model, a Scene, a Problem or the name of one"),
+        (("nothing", 1.0), "problem 'nothing' is unknown"),
+        ((Swing(), -1.0), "t_end = -1.0 must be a positive time"),
+        ((Swing(), None), "t_end = None must be a positive time"),
+    ],
+)
+def test_what_cannot_be_run_is_an_error_before_the_first_run(arguments, message):
+    with pytest.raises(InputError, match=message):
+        pi.study.work_precision(*arguments, **start(), integrators={"alpha": [pi.GeneralizedAlpha(h=1e-2)]})
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        ({"integrators": None}, "integrators = None must be a dictionary"),
+        ({"integrators": {"alpha": []}}, r"integrators\['alpha'\] = \[\] must be one or more integrators"),
+        ({"integrators": {"alpha": ["alpha"]}}, "'alpha' is no integrator"),
+        ({"integrators": {3: [pi.IDA()]}}, "label 3 of an integrator must be a text"),
+        ({"integrators": {"IDA": pi.IDA()}, "repeats": 0}, "repeats = 0 must be a whole number of at least 1"),
+        ({"integrators": {"IDA": pi.IDA()}, "reference": {"q": [1.0]}}, r"reference\['q'\] must be 2 finite numbers"),
+        ({"integrators": {"IDA": pi.IDA()}, "progress": 3}, "progress = 3 must be a function"),
+    ],
+)
+def test_wrong_options_of_work_precision_are_named(options, message):
+    with pytest.raises(InputError, match=message):
+        pi.study.work_precision(Swing(), 0.1, **start(), **options)
+
+
+def test_wrong_options_of_the_others_are_named(study):
+    with pytest.raises(InputError, match="h = .* must be positive steps"):
+        pi.study.step_sizes(Swing(), 0.1, **start(), integrators={"own": Projected}, h=(0.0,))
+    with pytest.raises(InputError, match="must be a class or a function of h"):
+        pi.study.step_sizes(Swing(), 0.1, **start(), integrators={"own": Projected(1e-2)})
+    with pytest.raises(InputError, match="one integrator"):
+        pi.study.energy(Swing(), 0.1, **start(), integrators={"alpha": [pi.GeneralizedAlpha(h=1e-2)] * 2})
+    with pytest.raises(InputError, match="the reference ends at"):
+        pi.study.work_precision(
+            Swing(), 0.2, **start(), integrators={"IDA": pi.IDA()}, reference=pi.solve(Swing(), 0.1, pi.IDA(), **start())
+        )
+    for wrong in ({"part": "a"}, {"work": "time"}):
+        with pytest.raises(InputError, match="must be one of"):
+            study.plot(**wrong)
