@@ -30,8 +30,8 @@ def notes(rows):
 @drawn
 def draw(rows):
     """The cells: a square where a thing was seen, a cross where it is not there."""
-    from polyida.show.style import PALETTE, save
-    from polyida.study.drawing import panels
+    from polyida.show.style import PALETTE
+    from polyida.study.drawing import panels, picture
 
     good = [row for row in rows if not row.get("error")]
     peers, names = each(good, "peer"), [name for name in ROWS if pick(good, row=name)]
@@ -46,7 +46,7 @@ def draw(rows):
     axes.set_yticks(range(len(names)), names)
     axes.invert_yaxis()
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return [save(made, folder / f"peers_table.{kind}") for kind in ("png", "pdf")]
+    return picture(made, "peers_table")
 
 
 study = Study(
