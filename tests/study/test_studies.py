@@ -102,6 +102,8 @@ def made_up(name, task):
 
 
 def performance(name, task):
+    if name == "peers_table":
+        return {"found": "seen", "version": "1.0", "says": "it was there"}
     if name == "skip":
         return {"off": "", "counted": "", "count_on": 1, "count_off": 2, "cpu_on_s": 1.0, "cpu_off_s": 2.0, "times": 2.0}
     if name == "stress":
@@ -223,8 +225,8 @@ def findings_study(bad):
 def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):
     text = "x" * 100
     data = command(findings_study(lambda rows: {}), [{"number": 1, "outcome": text, "error": ""}], tmp_path, monkeypatch)
-    assert text not in capsys.readouterr().out and data["rows"][0]["outcome"] == text
-    assert cli_study.shown(text) == "x" * 39 + "…" and cli_study.shown("x" * 40) == "x" * 40
+    out = capsys.readouterr().out
+    assert text not in out and "x" * 39 + "…" in out and data["rows"][0]["outcome"] == text
 
 
 @pytest.mark.parametrize("quick", [True, False])
