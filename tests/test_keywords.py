@@ -27,7 +27,7 @@ PUBLIC |= {
     for name in ("constant", "polynomial", "quintic", "ramp", "linear", "sine", "from_function")
 }
 PUBLIC |= {f"pi.sensor.{name}": getattr(pi.sensor, name) for name in pi.sensor.__all__}
-PUBLIC |= {"pi.export.vtu": pi.export.vtu}
+PUBLIC |= {"pi.export.vtu": pi.export.vtu, "pi.study.sweep": pi.study.sweep}
 
 
 @pytest.mark.parametrize("name", PUBLIC)

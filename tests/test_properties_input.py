@@ -418,7 +418,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "model": NOTHING + LISTS + [BOARD, pi.Scene()],
             "state": [value for value in NOTHING if value is not None] + LISTS,
             "input": [value for value in ARRAY if not isinstance(value, type)] + [None],
-            "output": [value for value in ARRAY if not isinstance(value, (dict, list))],
+            "output": [value for value in ARRAY if not isinstance(value, (dict, list))] + [{}, []],
             "frequencies": NOTHING + [[], np.zeros((2, 2)), [np.nan, 0.0], ["1", "b"], [1j, 0.0], "ab"],
             "modes": [value for value in COUNT[:-3] if value is not None] + [10**6],
         },
