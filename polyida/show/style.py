@@ -40,6 +40,8 @@ SETTINGS = {
     "legend.frameon": False,
     "axes.formatter.limits": (-3, 4),
     "axes.formatter.use_mathtext": True,
+    "figure.autolayout": False,
+    "figure.constrained_layout.use": False,
     "savefig.dpi": 200,  # two pixels for each of the 640 that a report shows
     "figure.dpi": 100,
 }
@@ -116,7 +118,7 @@ def lay_out(figure):
         to_scale = any(axes.get_aspect() != "auto" for axes in figure.axes)
         for _ in range(2 if to_scale else 1):  # where axes to scale come to lie shows only when the others have their place
             engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)  # not "none": with that each drawing is made twice
 
 
 def box(points):

@@ -115,16 +115,16 @@ def _numeric(values):
     return bool(there) and all(isinstance(value, Real) and not isinstance(value, bool) for value in there)
 
 
-def _class(numeric):
-    return ' class="number"' if numeric else ""
+def _class(numeric, empty=False):
+    classes = " ".join(["number"] * numeric + ["empty"] * empty)
+    return f' class="{classes}"' if classes else ""
 
 
 def _cell(value, form, numeric):
     order = f' data-value="{float(value)!r}"' if numeric and not missing(value) else ""
-    empty = ' class="empty"' if missing(value) else _class(numeric)
     code = form == "code" and not missing(value)
     text = escape(shown(value, "{}" if form == "code" else form))
-    return f"<td{empty}{order}>{f'<code>{text}</code>' if code else text}</td>"
+    return f"<td{_class(numeric, missing(value))}{order}>{f'<code>{text}</code>' if code else text}</td>"
 
 
 def _link(name, csv):
