@@ -24,7 +24,7 @@ JOBS = {  # job: its parts in order, executed one after the other
         "run": f"assert {STEP}.success",
     },
     "main job": {
-        "import": "from polyida.study.compare import compare\nfrom polyida.study.job import load",
+        "import": "from polyida.study.comparison.compare import compare\nfrom polyida.study.comparison.job import load",
         "build": 'job = load("double-plate")',
         "run": "assert compare(job).success",
     },

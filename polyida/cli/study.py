@@ -7,10 +7,10 @@ import sys
 from contextvars import ContextVar
 from pathlib import Path
 
-from polyida.cli import tables
 from polyida.cli.garbage import collect_rarely
-from polyida.cli.progress import Parts, bars
-from polyida.cli.terminal import document, tolerate_letters, writable
+from polyida.cli.screen import tables
+from polyida.cli.screen.progress import Parts, bars
+from polyida.cli.screen.streams import document, tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.page import finite

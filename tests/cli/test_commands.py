@@ -12,7 +12,7 @@ import polyida as pi
 from polyida.cli import complete, scripts
 from polyida.cli.main import app, main
 from polyida.cli.study import PROGRAM
-from polyida.study.chosen import KNOWN
+from polyida.study.comparison.chosen import KNOWN
 
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]
 SCRIPT = '''"""Squares of numbers: a study that comes along.
