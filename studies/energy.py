@@ -104,7 +104,7 @@ def draw_change(axis, rows, scene, what):
     for i, member in enumerate(DRAWN):
         for dash, row in zip(("-", (0, (4, 1.6))), pick(rows, scene=scene, integrator=member)):
             t, size, cut = running(row, what)
-            style = look(i) | {"marker": "", "linestyle": dash}
+            style = look(i) | {"linestyle": dash, "markerfacecolor": "none", "markevery": (0.03 * i, 0.25)}
             axis.semilogy(t[1:], size[1:], label=label(row), **style)
             if cut and len(t) > 1:
                 axis.plot(t[-1], size[-1], "x", color=style["color"], markersize=7, markeredgewidth=1.8)

@@ -97,6 +97,10 @@ class _Book:
             key = self.meshes[id(mesh)] = f"mesh {len(self.meshes)}"
             self.arrays |= {f"{key}/points": mesh.points, f"{key}/nodes": mesh.nodes, f"{key}/offsets": mesh.offsets}
             self.arrays |= {f"{key}/section {number}": nodes for number, nodes in enumerate(mesh.sections.values())}
+            pairs = {"supports": mesh.supports, "loads": mesh.loads}
+            self.arrays |= {
+                f"{key}/{name}": np.array([[n, *at] for n, at in given.items()], float) for name, given in pairs.items() if given
+            }
         return self.meshes[id(mesh)]
 
 
@@ -170,7 +174,8 @@ class _Reader:
         arrays = self.arrays
         if key not in self.meshes:
             sections = {name: arrays[f"{key}/section {number}"] for number, name in enumerate(names)}
-            self.meshes[key] = PolygonMesh(arrays[f"{key}/points"], arrays[f"{key}/nodes"], arrays[f"{key}/offsets"], sections)
+            pairs = [{int(n): at for n, *at in arrays.get(f"{key}/{name}", np.zeros((0, 3))).tolist()} for name in ("supports", "loads")]
+            self.meshes[key] = PolygonMesh(arrays[f"{key}/points"], arrays[f"{key}/nodes"], arrays[f"{key}/offsets"], sections, *pairs)
         return self.meshes[key]
 
     def _side(self, side):

@@ -2,11 +2,13 @@
 
 from polyida.mesh.files.files import read, write
 from polyida.mesh.files.lists import from_lists
+from polyida.mesh.files.outlines import read_outline, svg_path
 from polyida.mesh.files.raw import RawMesh
 from polyida.mesh.files.registry import FORMATS, Format
 from polyida.mesh.files.units import MeshWarning
 from polyida.mesh.make.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union
 from polyida.mesh.make.mesher import polygonize
+from polyida.mesh.make.outline import Outline
 from polyida.mesh.make.rectangles import quads, rectangle, triangles
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.quality import MeshQuality
@@ -22,6 +24,7 @@ __all__ = [
     "Link",
     "MeshQuality",
     "MeshWarning",
+    "Outline",
     "PolygonMesh",
     "RawMesh",
     "Rectangle",
@@ -31,7 +34,9 @@ __all__ = [
     "polygonize",
     "quads",
     "read",
+    "read_outline",
     "rectangle",
+    "svg_path",
     "triangles",
     "write",
 ]

@@ -43,7 +43,7 @@ def corner_seeds(domain, corners, spacing):
         starts = np.flatnonzero(inside & ~np.roll(inside, 1))
         theta = inside.mean() * 2 * np.pi
         if starts.size == 1 and theta > np.pi + 0.05:
-            count = int(np.clip(np.ceil(theta / (2 * np.pi - theta) - 0.1), 2, 8))
+            count = int(np.clip(np.ceil(theta / (2 * np.pi - theta) - 0.1), 2, 20))
             angle = rays[starts[0]] - np.pi / 720 + theta * (np.arange(count) + 0.5) / count
             seeds.append(corner + 0.55 * spacing * np.stack([np.cos(angle), np.sin(angle)], axis=1))
     seeds = np.concatenate(seeds) if seeds else np.zeros((0, 2))

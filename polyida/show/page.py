@@ -5,7 +5,7 @@ import math
 from polyida.show.html.blocks import shown
 
 COLUMNS = {  # key of a row -> heading, format
-    "run": ("", "{}"),
+    "run": ("run", "{}"),
     "error_max": ("error, largest", "{:.2e}"),
     "error_end": ("error, at the end", "{:.2e}"),
     "published_error": ("from published", "{:.2e}"),

@@ -18,8 +18,8 @@ from polyida.show.style import (
     equal,
     figure,
     height_for,
+    hollow,
     line,
-    nested,
     plain,
     scaled,
     settings,
@@ -47,7 +47,8 @@ def mesh(model):
         shades = np.array(list(SHADES.values()))[np.clip(count, 4, 7) - 4]
         axes.add_collection(PolyCollection(cells, facecolors=shades, edgecolors=PALETTE[0], linewidths=0.4, label="mesh"))
         equal(axes, low, high)
-        axes.set_title(f"{len(cells)} polygons of {count.min()} to {count.max()} corners, {nodes.max() + 1} nodes")
+        corners = " to ".join(map(str, np.unique([count.min(), count.max()])))
+        axes.set_title(f"{len(cells)} polygons of {corners} corners, {nodes.max() + 1} nodes")
         made.legend(handles=_corner_key(np.unique(np.clip(count, 4, 7)), count), loc="outside lower center", ncols=4)
         return made
 
@@ -116,7 +117,7 @@ def tip(runs, point="tip"):
         path, history = _wide_left(made, axes)
         path.plot(*first.position(point).T, label=plain(base), **line(0))
         path.set(xlabel="x, m", ylabel="y, m", title=f"path of {plain(point)}, {plain(base)}")
-        path.set_aspect("equal", adjustable="box")
+        path.set_aspect("equal", adjustable="datalim")
         between = _cubic(first, point)
         for i, (label, run) in enumerate(others or [(base, first)], start=bool(others)):
             found = run.position(point) - between(run.t) if others else run.position(point)
@@ -168,9 +169,13 @@ def energy(runs):
         first_label, first = next(iter(runs.items()))
         for i, (part, marker) in enumerate(ENERGIES.items()):
             look = {"marker": marker, "markersize": 4, "markerfacecolor": "none", "markevery": (0.02 + 0.03 * i, 0.12)}
-            axes[0].plot(first.t, getattr(first.energy, part), label=part, **line(0) | {"linewidth": 0.8} | look)
+            values = getattr(first.energy, part)
+            if part == "kinetic" or np.nan_to_num(values).any():
+                axes[0].plot(first.t, values, label=part, **line(0) | {"linewidth": 0.8} | look)
         axes[0].set(xlabel="t, s", ylabel="energy, J", title=f"energies of {plain(first_label)}")
-        axes[0].legend(loc="best")
+        low, high = axes[0].get_ylim()
+        axes[0].set_ylim(low, high + 0.14 * (high - low))  # for the legend
+        axes[0].legend(loc="upper center", ncols=4, columnspacing=0.8, handlelength=1.4, handletextpad=0.4, borderpad=0.1)
         for i, (label, run) in enumerate(runs.items()):
             axes[1].plot(run.t, unbalanced(run), label=plain(label), **line(i))
         axes[1].set(xlabel="t, s", ylabel="change of total less work, J")
@@ -212,7 +217,7 @@ def drift(runs):
         made, axes = figure(6.4, 2.9, ncols=2)
         for axis, kind, title in zip(axes, ("drift", "velocity_drift"), ("position", "velocity")):
             for i, (label, run) in enumerate(runs.items()):
-                axis.semilogy(*largest(run.t, getattr(run, kind)), label=plain(label), **line(i) | nested(i, len(runs)))
+                axis.semilogy(*largest(run.t, getattr(run, kind)), label=plain(label), **line(i) | hollow(i, len(runs)))
             axis.set(xlabel="t, s", title=f"{title} constraints, largest violation")
         axes[0].set_ylabel("max|φ|")
         axes[1].set_ylabel("max|dφ/dt|")

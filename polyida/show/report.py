@@ -14,7 +14,8 @@ ERRORS = (
     "they are errors in time, not of the mesh. CPU seconds do not contain the compilation of kernels. The energy change is that of "
     "kinetic, strain and gravity energy together, less the work of the motors."
 )
-SETTINGS = {"run": ("", "{}"), "settings": ("settings", "code")}
+STICKS = "The bodies at several times, each drawn between its points."
+SETTINGS = {"run": ("run", "{}"), "settings": ("settings", "code")}
 
 
 def begin(job, runs, press):
@@ -43,7 +44,8 @@ def write(comparison, folder, command, press, tell=lambda what: None):
         tell("frames")
         vtu(shown, folder / "frames", overwrite=True, frames=FRAMES)
     tell("pictures")
-    title, lead = f"{comparison.job.name}: {' and '.join(comparison.runs)}", f"{system(comparison.job)}."
+    *others, last = comparison.runs
+    title, lead = f"{comparison.job.name}: {', '.join(others)} and {last}".replace(":  and", ":"), f"{system(comparison.job)}."
     return html.write(folder, title, _blocks(comparison, shown, found), command, machine, lead, press)
 
 
@@ -82,7 +84,7 @@ def pictures(job, runs, comparison=None):
     if shown and shown.model.drawn:
         found["mesh"] = lambda: plots.mesh(job.model), "The polygon meshes at rest; a shade is a number of corners."
     if shown:
-        caption = "The plates at several times, coloured by the von Mises stress of every element."
+        caption = "The plates at several times, coloured by the von Mises stress of every element." if shown.model.drawn else STICKS
         found["deformed"] = lambda: plots.deformed(shown), caption
     return found | (_curves(job, moving, comparison) if moving else {})
 

@@ -161,5 +161,5 @@ def spin_up(nx, ny, h, rho_inf=0.9):
 
 
 def result(model, errors):
-    """The row of a case."""
-    return {"dof": model.n, "deviation": float(np.abs(errors).max())}
+    """The row of a case. above: whether what is farthest from the reference is more than that."""
+    return {"dof": model.n, "deviation": float(np.abs(errors).max()), "above": bool(errors[np.abs(errors).argmax()] > 0)}

@@ -102,6 +102,8 @@ def made_up(name, task):
 
 
 def performance(name, task):
+    if name == "peers_table":
+        return {"found": "seen", "version": "1.0", "says": "it was there"}
     if name == "skip":
         return {"off": "", "counted": "", "count_on": 1, "count_off": 2, "cpu_on_s": 1.0, "cpu_off_s": 2.0, "times": 2.0}
     if name == "stress":

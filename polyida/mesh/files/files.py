@@ -29,7 +29,7 @@ def read(path: str | Path, tolerance: float = 1e-9, unit: str | float | None = N
     right, top, bottom and 'hole 0', ... found from the boundary. Of supports: 'support', 'support x', 'support y', of loads 'load'.
     Raises InputError, naming the file, for anything it cannot use.
     """
-    path = _there(path)
+    path = existing(path)
     kind, tolerance = format_of(path, format), merge_tolerance(tolerance)
     if kind.read is None:
         raise InputError(f"mesh file {path} is of a format that can only be written")
@@ -135,7 +135,7 @@ def _path(path):
         raise InputError(f"mesh file {path!r} must be a path") from None
 
 
-def _there(path):
+def existing(path):
     """The path of a file that there is, as Path; outlines are read so too."""
     path = _path(path)
     try:

@@ -90,7 +90,7 @@ def _cell(row, number, n_nodes):
 
 
 def _table(value, name, n_nodes):
-    """{node from 0: (a, b)} of rows (node, a, b)."""
+    """{node from 0: (a, b)} of rows (node, a, b); a node fixed by several rows is fixed by any."""
     rows = _numbers(np.zeros((0, 3)) if value is None or np.size(value) == 0 else value, name)
     if rows.ndim != 2 or rows.shape[1] != 3:
         raise InputError(f"{name} has shape {rows.shape}; it must have rows (node, x, y)")
@@ -98,11 +98,12 @@ def _table(value, name, n_nodes):
     for i, (node, *pair) in enumerate(rows.tolist(), 1):
         if node not in range(1, n_nodes + 1):
             raise InputError(f"{name}({i},1) is {node:g}; it must be a node, 1..{n_nodes}")
-        if int(node) - 1 in table:
-            raise InputError(f"{name}({i},1) is {node:g}, which an earlier row has; each node has one row")
         if not np.isfinite(pair).all():
             raise InputError(f"{name}({i},:) is {[node, *pair]}; all must be finite")
-        table[int(node) - 1] = tuple(pair)
+        before = table.get(int(node) - 1)
+        if before and name == "Load":
+            raise InputError(f"{name}({i},1) is {node:g}, which an earlier row has; each node has one row")
+        table[int(node) - 1] = tuple(map(max, pair, before or pair))
     return table
 
 

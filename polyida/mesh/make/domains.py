@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.errors import InputError
 from polyida.given import floats, reals
 from polyida.keywords import named_keywords
+from polyida.mesh.concave import domain_corners
 from polyida.mesh.make import walls as w
 
 
@@ -51,6 +52,10 @@ class Domain:
     def distance(self, points: NDArray) -> NDArray:
         """Signed distance, m: negative inside, exact at the walls, a bound elsewhere."""
         return np.max([wall.distance(points) for wall in self.walls], axis=0)
+
+    def corners(self) -> NDArray:
+        """(n, 2) points of the boundary where two walls meet."""
+        return np.zeros((0, 2)) if self.convex else domain_corners(self)
 
     def on_boundary(self, points: NDArray) -> NDArray:
         """(n,) mask: on a wall, with points of the domain nearby (walls that coincide may have none)."""
@@ -162,6 +167,12 @@ class Moved(Domain):
 
     def distance(self, points: NDArray) -> NDArray:
         return self.domain.distance(points - self.offset)
+
+    def corners(self) -> NDArray:
+        return self.domain.corners() + self.offset
+
+    def on_boundary(self, points: NDArray) -> NDArray:
+        return self.domain.on_boundary(points - self.offset)
 
 
 @named_keywords

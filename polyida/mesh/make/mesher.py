@@ -71,7 +71,7 @@ def raw_polygons(domain, cells, seed, iterations):
     """
     rng = np.random.default_rng(seed)
     area = voronoi.estimated_area(domain, rng)
-    corners = np.zeros((0, 2)) if domain.convex else concave.domain_corners(domain)
+    corners = domain.corners()
     for _ in range(ATTEMPTS - 1):
         with suppress(voronoi.Unresolved):
             return _attempt(domain, cells, rng, area, corners, iterations)
@@ -87,7 +87,7 @@ def _attempt(domain, cells, rng, area, corners, iterations, tolerance=5e-3):
     def to_wall(points):
         return to_boundary(points, domain)
 
-    polygons = concave.place_corners(snapped(seeds, diagram, domain, spacing), corners, spacing)
+    polygons = concave.place_corners(snapped(seeds, diagram, domain, spacing, corners), corners, spacing)
     polygons = cleanup.collapse(cleanup.drop_flat_rim_nodes(polygons), project=to_wall)
     polygons = concave.split_concave_cells(cleanup.relax(polygons, to_wall))
     _require_resolved(polygons, domain, area, corners)
@@ -118,7 +118,7 @@ def _needed(wall, domain):
     return 0 if part == 0.0 else (ON_CIRCLE if part == 1.0 and wall.closed else 2)
 
 
-def snapped(seeds, diagram, domain, spacing):
+def snapped(seeds, diagram, domain, spacing, corners):
     """Polygons of the seeds' cells; nodes between a seed and its image move onto that wall, of two to a corner."""
     own = diagram.ridges < diagram.n
     cell = np.concatenate([np.repeat(diagram.ridges[own[:, side], side], 2) for side in (0, 1)])
@@ -131,7 +131,7 @@ def snapped(seeds, diagram, domain, spacing):
     touched = _touched_walls(seeds, diagram, domain.walls)
     rim = touched.any(axis=1)
     points[rim], rank[rim] = to_boundary(points[rim], domain), 1
-    _snap_corners(points, rank, touched, domain, spacing)
+    _snap_corners(points, rank, touched, domain, spacing, corners)
     return cleanup.compact(points, cell[order], corner[order], rank)
 
 
@@ -153,13 +153,17 @@ def _touched_walls(seeds, diagram, walls):
     return touched
 
 
-def _snap_corners(points, rank, touched, domain, spacing):
+def _snap_corners(points, rank, touched, domain, spacing, corners):
+    """Nodes that touch two walls move to where these meet; where a wall's extension meets another there is no corner."""
+    size = float(np.max(domain.upper - domain.lower))
     for i, first in enumerate(domain.walls):
         for j, second in enumerate(domain.walls[:i]):
             both = np.flatnonzero(touched[:, i] & touched[:, j])
             if both.size:
                 corner = meet(points[both], first, second)
                 real = np.linalg.norm(corner - points[both], axis=1) < 0.5 * spacing
+                if not domain.convex:
+                    real &= (np.linalg.norm(corner[:, None] - corners, axis=2) < 1e-6 * size).any(axis=1)
                 points[both[real]] = corner[real]
                 rank[both[real]] = 2
 

@@ -52,7 +52,7 @@ def reflections(seeds, domain, reach):
     images, index = [], []
     for i, wall in enumerate(domain.walls):
         distance = wall.distance(seeds)
-        near = np.abs(distance) < reach
+        near = (np.abs(distance) < reach) & wall.faces(seeds)
         distance = distance[near]
         image = seeds[near] - 2.0 * distance[:, None] * wall.normal(seeds[near])
         image = image[domain.distance(image) > 0.9 * np.abs(distance)]

@@ -24,6 +24,10 @@ class Line:
         n[:, self.axis] = self.sign
         return n
 
+    def faces(self, points):
+        """(n,) mask: mirror images through the wall may bound cells."""
+        return np.ones(len(points), bool)
+
     def samples(self, lower, upper):
         """(200, 2) points of the wall within a box."""
         share = (np.arange(200) + 0.5) / 200
@@ -64,6 +68,10 @@ class Capsule:
         """(n, 2), gradient of the distance (zero on the segment)."""
         away = self._from_segment(points)
         return self.sign * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-300)[:, None]
+
+    def faces(self, points):
+        """(n,) mask: mirror images through the wall may bound cells."""
+        return np.ones(len(points), bool)
 
     def samples(self, lower, upper):
         """(200, 2) points of the wall, wherever they are."""

@@ -34,7 +34,7 @@ for (const movie of document.querySelectorAll(".movie")) {
         pen.lineTo(x(b), y(b));
       }
       pen.strokeStyle = colour;
-      pen.lineWidth = (width * canvas.width) / 736;
+      pen.lineWidth = (width * canvas.width) / (canvas.clientWidth || 736);
       pen.stroke();
     };
     lines(data.edges, ink.getPropertyValue("--ink"), 0.7);
@@ -49,7 +49,7 @@ for (const movie of document.querySelectorAll(".movie")) {
   };
   const step = (now) => {
     if (began === null) return;
-    const through = (now - began) / (1000 * data.seconds);
+    const through = Math.max(0, now - began) / (1000 * data.seconds); // a frame's time may be before that of the click
     if (through >= 1) {
       began = now;
       rounds -= 1;

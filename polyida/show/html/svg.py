@@ -13,6 +13,8 @@ COLOURS = {  # of a figure -> of the page, which has them light and dark
     "#777777": "quiet",
     "#555555": "quiet",
     "#9a9a9a": "quiet",
+    "#0072b2": "blue",
+    "#56b4e9": "sky",
 }
 
 

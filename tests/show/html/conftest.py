@@ -10,6 +10,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 QUIET = ("gpu", "quic", "background-networking", "component-update", "sync", "dev-shm-usage", "extensions")
 LIMIT = 60  # s that an answer may take
@@ -27,6 +29,15 @@ def installed():
     found = [path for path in map(shutil.which, NAMES) if path]
     kept = Path(os.environ.get("PLAYWRIGHT_BROWSERS_PATH") or Path.home() / ".cache" / "ms-playwright")
     return next(iter(found + sorted(map(str, kept.glob("chromium-*/chrome-linux*/chrome")))), None)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """A Browser, where one is installed."""
+    if installed() is None:
+        pytest.skip("no chromium is installed")
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        yield opened
 
 
 class Browser:

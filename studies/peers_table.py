@@ -1,0 +1,68 @@
+"""The guide's table against peers, checked: what the packages that are installed do when they are asked, a small call for each cell."""
+
+from peers_table.cells import FOUND, checks_of, run
+from peers_table.rows import PEERS, ROWS
+from polyida.cli.study import main
+from polyida.study.drawing import drawn
+from polyida.study.harness import Study
+from polyida.study.rows import each, pick
+
+ALWAYS = ("polyida", "scikit-sundae")  # what an installed polyida has beside it
+
+
+def tasks(quick):
+    """Each cell that has a check; in the small selection those of what is always installed."""
+    return [{"peer": peer, "row": row} for peer in (ALWAYS if quick else PEERS) for row in ROWS if row in checks_of(peer)]
+
+
+def figures(rows):
+    """How many cells of each peer were seen."""
+    good = [row for row in rows if not row.get("error")]
+    return {f"{peer}_seen": float(len(pick(good, peer=peer, found="seen"))) for peer in each(good, "peer")}
+
+
+def notes(rows):
+    """What is not installed, with the command that installs it."""
+    missing = {row["peer"] for row in rows if row.get("found") == "not installed"}
+    return [f"{peer} is not installed: {PEERS[peer].install}" for peer in PEERS if peer in missing]
+
+
+@drawn
+def draw(rows):
+    """The cells: a square where a thing was seen, a cross where it is not there."""
+    from polyida.show.style import PALETTE
+    from polyida.study.drawing import panels, picture
+
+    good = [row for row in rows if not row.get("error")]
+    peers, names = each(good, "peer"), [name for name in ROWS if pick(good, row=name)]
+    if not good:
+        raise LookupError("no rows to draw")
+    made, (axes,) = panels(1, columns=1, height=0.8 + 0.2 * len(names))
+    for k, (found, marker) in enumerate(zip(FOUND, "sx.")):
+        places = [(peers.index(row["peer"]), names.index(row["row"])) for row in good if row["found"] == found]
+        if places:
+            axes.plot(*zip(*places), marker, color=PALETTE[k], label=found)
+    axes.set_xticks(range(len(peers)), peers, rotation=30, ha="right")
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    return picture(made, "peers_table")
+
+
+study = Study(
+    "peers_table",
+    "What peers do when they are asked",
+    tasks,
+    run,
+    figures,
+    draw,
+    notes=notes,
+    headline=("polyida_seen", "scikit-sundae_seen"),
+    columns=("peer", "version", "row", "found", "says"),
+    isolated=True,
+    fresh=False,
+    limit=120.0,
+)
+
+if __name__ == "__main__":
+    main(study)

@@ -1,0 +1,203 @@
+"""Outlines from coordinates and drawings: areas, exact corners, round holes, units, and every bad one with its place."""
+
+import numpy as np
+import pytest
+
+from polyida.errors import InputError
+from polyida.mesh import Circle, MeshWarning, Outline, polygonize, read_outline, svg_path
+
+ELL = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+
+
+def circle(count, radius, center):
+    angle = 2 * np.pi * np.arange(count) / count
+    return radius * np.column_stack([np.cos(angle), np.sin(angle)]) + center
+
+
+def star(points, outer=1.0, inner=0.45):
+    angle = np.pi * np.arange(2 * points) / points + 0.3
+    return np.where(np.arange(2 * points) % 2, inner, outer)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def area(points):
+    x, y = np.transpose(points)
+    return 0.5 * abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+SLOT = np.concatenate([circle(64, 0.5, (0, 0))[16:49], circle(64, 0.5, (0, 0))[48:] + [2, 0], circle(64, 0.5, (0, 0))[:17] + [2, 0]])
+SHAPES = {  # outline, holes, cells
+    "L": (ELL, [], 60),
+    "clockwise and closed": ([*ELL[::-1], ELL[-1]], [], 60),
+    "star": (star(5), [], 100),
+    "square ring": (circle(4, 1.0, (0, 0)), [circle(4, 0.4, (0.05, 0))], 100),
+    "acute": ([(0, 0), (2, 0), (0.3, 0.4)], [], 50),
+    "flat bends": ([(0, 0), (1, 0.01), (2, 0), (2, 1), (1, 1.02), (0, 1)], [], 60),
+    "triangle hole": ([(0, 0), (1, 0), (1, 1), (0, 1)], [[(0.4, 0.4), (0.5, 0.7), (0.6, 0.4)]], 150),
+    "far away": (np.add(ELL, 1e5), [], 60),
+}
+
+
+class TestOutline:
+    @pytest.mark.parametrize("name", SHAPES)
+    def test_straight_sides_are_meshed_exactly(self, name):
+        points, holes, cells = SHAPES[name]
+        mesh = polygonize(Outline(points, holes), cells, seed=1)
+        assert mesh.area == pytest.approx(area(np.subtract(points, points[0])) - sum(area(hole) for hole in holes), rel=1e-9)
+        quality = mesh.quality()
+        assert (quality.holes, quality.pieces, quality.convex) == (len(holes), 1, True) and quality.shortest_edge > 0.05
+        for corner in np.concatenate([points, *holes]):
+            assert np.linalg.norm(mesh.points - corner, axis=1).min() < 1e-9
+
+    def test_curves_of_chords_are_followed_and_rings_of_them_are_circles(self):
+        domain = Outline(SLOT, holes=[circle(32, 0.2, (0, 0)), circle(48, 0.2, (2, 0))])
+        mesh = polygonize(domain, 120)
+        assert len(domain.corners()) == 0 and mesh.area == pytest.approx(2 + np.pi / 4 - 2 * np.pi * 0.04, rel=5e-3)
+        assert np.abs(domain.distance(mesh.points[mesh.boundary_nodes])).max() < 1e-12
+        for name, center in (("hole 0", (0.0, 0.0)), ("hole 1", (2.0, 0.0))):
+            rim = mesh.section(name)
+            assert np.allclose(np.linalg.norm(mesh.points[rim.nodes] - center, axis=1), 0.2, rtol=1e-12)
+            assert np.allclose(rim.weights @ mesh.points[rim.nodes], center, atol=1e-12)
+
+    def test_it_combines_with_other_domains(self):
+        mesh = polygonize(Outline(star(5)) - Circle(0.2), 120)
+        assert mesh.quality().holes == 1 and mesh.area == pytest.approx(area(star(5)) - np.pi * 0.04, rel=6e-3)
+
+    def test_the_distance_is_that_to_the_nearest_edge_negative_inside(self):
+        ring = Outline([(0, 0), (3, 0), (3, 3), (0, 3)], holes=[[(1, 1), (2, 1), (2, 2), (1, 2)]])
+        assert np.allclose(ring.distance(np.array([[0.5, 0.5], [1.5, 1.4], [4.0, 4.0], [0.5, 1.5]])), [-0.5, 0.4, np.sqrt(2), -0.5])
+
+    def test_corners_are_as_told(self):
+        octagon = circle(8, 1.0, (0, 0))
+        assert len(Outline(octagon).corners()) == 8
+        assert len(Outline(circle(32, 1.0, (0, 0))).corners()) == 0
+        assert len(Outline(circle(32, 1.0, (0, 0)), corner=5.0).corners()) == 32
+
+    def test_where_the_points_begin_does_not_matter(self):
+        one, two = (polygonize(Outline(np.roll(ELL, shift, axis=0)), 40) for shift in (0, 3))
+        assert one.points.tobytes() == two.points.tobytes()
+
+    @pytest.mark.parametrize(
+        "make, message",
+        [
+            (lambda: Outline([(0, 0), (2, 1), (2, 0), (0, 1.5)]), "crosses or touches itself near"),
+            (lambda: Outline([(0, 0), (2, 0), (1, 0), (1, 1)]), "folds back on itself at|crosses"),
+            (lambda: Outline([(0, 0), (1, 0)]), "2 different corners"),
+            (lambda: Outline([(0, 0), (1, 0), (2, 0)]), "area"),
+            (lambda: Outline([(0, 0), (1, 0), (np.nan, 1)]), "finite"),
+            (lambda: Outline([(0, 0, 0), (1, 0, 0), (1, 1, 0)]), r"\(n, 2\)"),
+            (lambda: Outline(ELL, holes=[circle(8, 0.1, (5, 5))]), "hole 0 at .* not within the outline"),
+            (lambda: Outline(ELL, holes=[circle(8, 0.3, (0.5, 0.5)), circle(8, 0.1, (0.5, 0.5))]), "hole 1 at .* within outline hole 0"),
+            (lambda: Outline(ELL, holes=[circle(8, 0.6, (0.5, 0.5))]), "touches outline hole 0"),
+            (
+                lambda: Outline(ELL, holes=[[(0.5, 0.2), (0.5, 0.8), (0.6, 0.2)]]),
+                r"hole 0 cuts into .* corner of 9.46 degrees at \[0.5, 0.8\]",
+            ),
+            (lambda: Outline(ELL, holes=3.0), "holes are 3.0"),
+            (lambda: Outline(ELL, corner=0.0), "corner is 0.0"),
+            (lambda: polygonize(Outline(ELL, holes=[circle(32, 0.02, (0.5, 0.5))]), 20), "use more cells"),
+        ],
+    )
+    def test_bad_ones(self, make, message):
+        with pytest.raises(InputError, match=message):
+            make()
+
+
+SVG = """<svg xmlns="http://www.w3.org/2000/svg" {size} viewBox="0 0 200 100">
+<g id="plate" transform="translate(10,0)"><path id="rim" d="M0,0 H180 V80 H0 Z M20,20 a10,10 0 1 0 20,0 a10,10 0 1 0 -20,0 z"/></g>
+<circle id="eye" cx="100" cy="40" r="10"/><path d="M 0 0 L 5 5"/></svg>"""
+
+
+@pytest.fixture
+def svg(tmp_path):
+    def written(size='width="100mm" height="50mm"'):
+        (tmp_path / "plate.svg").write_text(SVG.format(size=size))
+        return tmp_path / "plate.svg"
+
+    return written
+
+
+class TestSvg:
+    def test_the_page_says_the_unit_and_y_is_turned_up(self, svg):
+        with pytest.warns(MeshWarning, match="plate.svg: left out 1 curve not closed$"):
+            outline = read_outline(svg())
+        assert np.allclose([outline.lower, outline.upper], [[0.005, 0.01], [0.095, 0.05]], atol=1e-15)
+        assert np.allclose([wall.start for wall in outline.walls[4:]], [[0.02, 0.04], [0.05, 0.03]])
+
+    def test_a_part_by_its_id_and_a_unit_of_ones_own(self, svg):
+        for part in ("rim", "plate"):
+            outline = read_outline(svg(), part=part, unit="mm")
+            assert len(outline.walls) == 5 and np.allclose(outline.upper, [0.19, 0.1])
+        with pytest.raises(InputError, match="plate.svg: has no element with the id 'wing'; there are 'plate', 'rim', 'eye'"):
+            read_outline(svg(), part="wing")
+
+    def test_without_a_unit_it_is_metres_and_asked(self, svg):
+        with pytest.warns(MeshWarning, match="it is 180 m wide; if its numbers are millimetres pass unit='mm'"):
+            assert np.allclose(read_outline(svg(""), part="plate").upper, [190.0, 100.0])
+
+    def test_the_text_of_a_path(self):
+        outline = svg_path("M 0 0 h 2 v -1 h -2 z m .5 -.3 v -.2 h .3 v .2 z")
+        assert polygonize(outline, 60).area == pytest.approx(2.0 - 0.06, rel=1e-12) and np.allclose(outline.upper, [2, 1])
+
+    @pytest.mark.parametrize(
+        "text, message", [("M 0 0 h 1", "no closed curve .left out 1 curve"), ("", "no closed"), ("M 0 0 h x", "read"), (3, "text")]
+    )
+    def test_bad_paths(self, text, message):
+        with pytest.raises(InputError, match=message):
+            svg_path(text)
+
+    def test_bad_files(self, tmp_path):
+        (tmp_path / "noise.svg").write_bytes(bytes(range(256)))
+        (tmp_path / "plate.png").write_bytes(b"")
+        for name, message in (("noise.svg", "cannot be read as SVG"), ("plate.png", "known are .svg, .dxf"), ("none.svg", "not exist")):
+            with pytest.raises(InputError, match=message):
+                read_outline(tmp_path / name)
+
+
+def drawing(path, units, draw):
+    ezdxf = pytest.importorskip("ezdxf")
+    document = ezdxf.new(units=units)
+    draw(document.modelspace())
+    document.saveas(path)
+    return path
+
+
+class TestDxf:
+    def test_curves_of_all_kinds_join_to_rings(self, tmp_path):
+        def draw(space):
+            space.add_lwpolyline([(0, 0), (100, 0), (100, 50, 0, 0, 1.0), (0, 50)], close=True)
+            space.add_circle((20, 20), 5)
+            for start, end in (((50, 10), (60, 10)), ((60, 20), (60, 10)), ((60, 20), (50, 10))):
+                space.add_line(start, end)
+            space.add_ellipse((80, 25), (8, 0), 0.5)
+            space.add_text("a title")
+            space.add_line((70, 70), (71, 71))
+
+        with pytest.warns(MeshWarning, match="left out 1 TEXT; left out 1 curve not closed"):
+            outline = read_outline(drawing(tmp_path / "plate.dxf", 4, draw))
+        mesh = polygonize(outline, 250)
+        whole = 0.1 * 0.05 + np.pi * 0.05**2 / 2 - np.pi * 0.005**2 - 0.5e-4 - np.pi * 0.008 * 0.004
+        assert mesh.quality().holes == 3 and mesh.area == pytest.approx(whole, rel=5e-3)
+        assert [wall.radius for wall in outline.walls if hasattr(wall, "radius")] == pytest.approx([0.005])
+
+    def test_a_layer_and_no_unit(self, tmp_path):
+        def draw(space):
+            space.add_circle((0, 0), 2, dxfattribs={"layer": "rim"})
+            space.add_circle((9, 0), 2)
+
+        path = drawing(tmp_path / "plate.dxf", 0, draw)
+        assert np.allclose(read_outline(path, part="rim").upper, 2.0)
+        with pytest.raises(InputError, match="not within the outline; part= takes one"):
+            read_outline(path)
+        with pytest.raises(InputError, match="nothing on the layer 'eye'; there are '0', 'rim'$"):
+            read_outline(path, part="eye")
+
+    def test_no_drawing(self, tmp_path):
+        (tmp_path / "noise.dxf").write_bytes(bytes(range(256)))
+        with pytest.raises(InputError, match="noise.dxf: it cannot be read as DXF"):
+            read_outline(tmp_path / "noise.dxf")
+
+
+def test_a_library_that_is_missing_is_named_with_the_extra(svg, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "svgelements", None)
+    with pytest.raises(InputError, match=r"it needs svgelements: pip install 'polyida\[mesh\]'"):
+        read_outline(svg())
