@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from polyida.errors import InputError
-from polyida.mesh import Link, PolygonMesh, polygonize, quads, read, rectangle, triangles, write
+from polyida.mesh import quads, read, triangles, write
 
 SQUARES = np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]], dtype=float)
 
@@ -59,51 +59,6 @@ $EndElements
 def gmsh(path, points, cells, **more):
     meshio.Mesh(points, cells, **more).write(path, file_format="gmsh22")
     return path
-
-
-class TestRoundTrip:
-    @pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".obj"])
-    def test_polygons(self, tmp_path, suffix):
-        mesh = rectangle(1.0, 0.1, 60, seed=2)
-        write(mesh, tmp_path / f"plate{suffix}")
-        again = read(tmp_path / f"plate{suffix}")
-        assert np.array_equal(again.points, mesh.points)
-        assert np.array_equal(again.nodes, mesh.nodes) and np.array_equal(again.offsets, mesh.offsets)
-        assert {k: v.tolist() for k, v in again.sections.items()} == {k: v.tolist() for k, v in mesh.sections.items()}
-
-    @pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh"])
-    def test_named_sections(self, tmp_path, suffix):
-        mesh = triangles(1.0, 0.2, 6, 2)
-        mesh = PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, {"grip (left), 1": [0, 1]})
-        write(mesh, tmp_path / f"plate{suffix}")
-        assert read(tmp_path / f"plate{suffix}").sections["grip (left), 1"].tolist() == [0, 1]
-
-    def test_link_keeps_its_holes(self, tmp_path):
-        mesh = polygonize(Link(1.0, 0.3, 0.08), 100)
-        write(mesh, tmp_path / "link.vtu")
-        again = read(tmp_path / "link.vtu")
-        assert np.array_equal(again.sections["hole 1"], np.sort(mesh.sections["hole 1"]))
-        rim = again.section("hole 1")
-        assert np.allclose(rim.weights @ again.points[rim.nodes], [1.0, 0.0], atol=1e-15)
-
-    def test_overwrite_only_when_told(self, tmp_path):
-        path = tmp_path / "plate.vtu"
-        write(quads(1.0, 1.0, 1, 1), path)
-        before = path.read_bytes()
-        with pytest.raises(InputError, match="exists.*overwrite"):
-            write(quads(1.0, 1.0, 2, 2), path)
-        assert path.read_bytes() == before
-        write(quads(1.0, 1.0, 2, 2), path, overwrite=True)
-        assert read(path).n_cells == 4 and len(list(tmp_path.iterdir())) == 1
-
-    def test_formats_that_cannot_hold_the_mesh(self, tmp_path):
-        with pytest.raises(InputError, match="triangles and quads only"):
-            write(rectangle(1.0, 0.2, 40), tmp_path / "plate.msh")
-        with pytest.raises(InputError, match="suffix"):
-            write(quads(1.0, 1.0, 1, 1), tmp_path / "plate.png")
-        with pytest.raises(InputError, match="written"):
-            write(quads(1.0, 1.0, 1, 1), tmp_path / "nowhere" / "plate.vtu")
-        assert list(tmp_path.iterdir()) == []
 
 
 class TestRepair:

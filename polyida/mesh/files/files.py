@@ -19,7 +19,7 @@ from polyida.mesh.polygon_mesh import PolygonMesh
 def read(path: str | Path, tolerance: float = 1e-9, unit: str | float | None = None, format: str | None = None) -> PolygonMesh:
     """PolygonMesh of a file of triangles, quads and polygons, of one or several kinds.
 
-    The suffix tells the format, or format does: .mat (PolyMesher), .msh (Gmsh 2.2, 4.0, 4.1), .inp (Abaqus), .vtu, .vtk, .obj,
+    The suffix tells the format, or format does: .mat (PolyMesher), .msh (Gmsh 2.2, 4.1), .inp (Abaqus), .vtu, .vtk, .obj,
     .mesh (MEDIT), and what you add to `pi.mesh.FORMATS`. unit: of the file's lengths, 'mm', 'in', ... or the metres in one;
     without it they are metres. Points closer than tolerance times the mesh's size merge (0: none), unused ones go, clockwise cells
     turn, elements of higher order become their corners. Whatever is changed so is said by one MeshWarning. Nodes are renumbered

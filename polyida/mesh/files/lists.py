@@ -34,14 +34,15 @@ def from_lists(
         raise InputError(f"mesh of lists: first is {first!r}; it must be 0 or 1, the number of the first node")
     if not isinstance(cells, Iterable) or isinstance(cells, (str, bytes, Mapping)):
         raise InputError(f"mesh of lists: cells are {repr(cells)[:80]}; they must be a list of lists of nodes")
-    if not isinstance(sections or {}, Mapping):
+    sections = {} if sections is None else sections
+    if not isinstance(sections, Mapping):
         raise InputError(f"mesh of lists: sections are {repr(sections)[:80]}; they must be a dictionary, name -> nodes")
     scale, tolerance = scale_of(unit, None, "mesh of lists:"), merge_tolerance(tolerance)
     given = reals(points)
     if given is None:
         raise InputError(f"mesh of lists: points are {repr(points)[:80]}; they must be an (n, 2) array of numbers")
     try:
-        mesh, notes = repaired(RawMesh(given, cells, sections or {}, first=first), tolerance, scale, numbered=False)
+        mesh, notes = repaired(RawMesh(given, cells, sections, first=first), tolerance, scale, numbered=False)
     except InputError as error:
         raise InputError(f"mesh of lists: {error}") from None
     if notes := notes + hint(mesh.points, unit, None):
