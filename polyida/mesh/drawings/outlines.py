@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
-from polyida.mesh.files import dxf, svg
+from polyida.mesh.drawings import dxf, svg
 from polyida.mesh.files.files import existing
 from polyida.mesh.files.units import MeshWarning, hint, metres, scale_of
 from polyida.mesh.make.outline import Outline

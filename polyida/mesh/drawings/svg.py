@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.mesh.files.drawing import CHORDS, Drawing, library
+from polyida.mesh.drawings.drawing import CHORDS, Drawing, library
 from polyida.mesh.files.guarded import guarded
 
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "Q": 2.5e-4}  # metres

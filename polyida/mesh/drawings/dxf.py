@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.mesh.files.drawing import CHORDS, Drawing, library
+from polyida.mesh.drawings.drawing import CHORDS, Drawing, library
 from polyida.mesh.files.guarded import guarded
 
 GAP = 1e-6  # of the drawing's size, that ends of one ring may be apart
