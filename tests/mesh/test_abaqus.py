@@ -122,6 +122,7 @@ def test_sets_of_lines_are_sections_and_those_of_cells_are_not(inp):
         ('Root, "Free End"', "Rot", r"set 'BOTH' names the set 'Rot', which no \*NSET"),
         ("*Heading", "*Include, input=more.inp", "line 1: it cannot be read as .inp: other files are not followed"),
         ("*Node", "*Nodes", "names node 1, which no"),
+        ("1, 11, 10", "1, 999999999999, 1", "line 17: it generates 999999999999 numbers, more than a file can have"),
     ],
 )
 def test_wrong_ones_are_told_by_the_line(inp, old, new, message):

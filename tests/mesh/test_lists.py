@@ -26,7 +26,7 @@ def test_numbers_stay_as_they_are():
 def test_counted_from_one():
     one = from_lists(POINTS, [np.add(cell, 1) for cell in CELLS], first=1, sections={"grip": [1, 4]})
     assert np.array_equal(one.nodes, from_lists(POINTS, CELLS).nodes) and one.sections["grip"].tolist() == [0, 3]
-    with pytest.raises(InputError, match="cell 1 names point 6; there are points 0..5; where points are counted from 1 pass first=1"):
+    with pytest.raises(InputError, match="cell 1 names point 6; there are points 0..5; these cells count from 1, as first=1"):
         from_lists(POINTS, [np.add(cell, 1) for cell in CELLS])
     with pytest.raises(InputError, match=r"cell 0 names point 0; there are points 1..6$"):
         from_lists(POINTS, CELLS, first=1)

@@ -14,6 +14,7 @@ from polyida.mesh.files.raw import RawMesh
 PLANE = re.compile(r"(?:CPS|CPEG|CPE|CAX|CGAX|M3D|SFM3D|DC2D|DCAX|AC2D|R3D|STRI|S)([34689])")  # and the count of nodes
 PASSED = re.compile(r"B\d|T\dD|PIPE|RB\dD|CONN|SPRING|DASHPOT|MASS|ROTARY|GAP|F2D|R2D|SAX|SFMAX|MAX")  # lines and points
 CORNERS = {3: 3, 6: 3, 4: 4, 8: 4, 9: 4}
+MOST = 10_000_000  # members of a set
 FIXED = {"ENCASTRE": (1, 2), "PINNED": (1, 2), "XSYMM": (1,), "YSYMM": (2,), "ZSYMM": (), "XASYMM": (2,), "YASYMM": (1,)}
 
 
@@ -102,6 +103,8 @@ def _targets(options, rows):
     """Numbers and names in the rows of a set."""
     if "GENERATE" in options:
         rows = [range(int(first), int(last) + 1, int(step[0]) if step else 1) for first, last, *step in rows]
+        if sum(map(len, rows)) > MOST:
+            raise InputError(f"it generates {sum(map(len, rows))} numbers, more than a file can have")
     return [part for row in rows for part in row]
 
 
@@ -117,7 +120,7 @@ class _Part:
         if not self.points:
             raise InputError("it cannot be read as .inp: it has no *NODE")
         supports = {node: (1 in axes, 2 in axes) for node, axes in self.fixed.items() if axes & {1, 2}}
-        return RawMesh(np.array(self.points), self.cells, dict(self.sets.values()), supports, self.forces, tuple(self.notes))
+        return RawMesh(np.array(self.points), self.cells, dict(self.sets.values()), supports, self.forces, tuple(dict.fromkeys(self.notes)))
 
     def take_assembly(self, options, rows):
         self.in_assembly = True

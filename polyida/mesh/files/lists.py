@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.given import is_whole, reals
 from polyida.keywords import named_keywords
-from polyida.mesh.files.files import merge_tolerance
 from polyida.mesh.files.raw import RawMesh
+from polyida.mesh.files.read_write import merge_tolerance
 from polyida.mesh.files.repair import repaired
 from polyida.mesh.files.units import MeshWarning, hint, scale_of
 from polyida.mesh.polygon_mesh import PolygonMesh
@@ -37,12 +37,12 @@ def from_lists(
     sections = {} if sections is None else sections
     if not isinstance(sections, Mapping):
         raise InputError(f"mesh of lists: sections are {repr(sections)[:80]}; they must be a dictionary, name -> nodes")
-    scale, tolerance = scale_of(unit, None, "mesh of lists:"), merge_tolerance(tolerance)
     given = reals(points)
     if given is None:
         raise InputError(f"mesh of lists: points are {repr(points)[:80]}; they must be an (n, 2) array of numbers")
     try:
-        mesh, notes = repaired(RawMesh(given, cells, sections, first=first), tolerance, scale, numbered=False)
+        raw = RawMesh(given, cells, sections, first=first)
+        mesh, notes = repaired(raw, merge_tolerance(tolerance), scale_of(unit, None), numbered=False)
     except InputError as error:
         raise InputError(f"mesh of lists: {error}") from None
     if notes := notes + hint(mesh.points, unit, None):
