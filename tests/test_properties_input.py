@@ -294,6 +294,8 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "cells": NOTHING + LISTS + SCALARS + [[[0, 1, 99]], [[0, -1, 2]], [[0.5, 1, 2]], [["a", "b", "c"]]],
             "first": [-1, 2, 0.5, None, "1", True],
             "sections": without(NOTHING[2:], dict) + LISTS[1:] + [{"left": [99]}, {"left": "a"}, {"left": [0.5]}, {"left": None}],
+            "supports": without(NOTHING[2:], dict) + LISTS[1:] + [{0: 1.0}, {99: (True, True)}, {0: ("a", 1)}],
+            "loads": without(NOTHING[2:], dict) + LISTS[1:] + [{0: 1.0}, {99: (1.0, 1.0)}, {0: ("a", 1)}, {0: (np.nan, 1.0)}],
             "unit": NUMBER[1:-1] + [0, -1.0, "inch"],
             "tolerance": NUMBER[:-1] + [-1.0, 1.0],
         },

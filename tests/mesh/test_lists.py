@@ -24,7 +24,9 @@ def test_numbers_stay_as_they_are():
 
 
 def test_counted_from_one():
-    one = from_lists(POINTS, [np.add(cell, 1) for cell in CELLS], first=1, sections={"grip": [1, 4]})
+    more = dict(sections={"grip": [1, 4]}, supports={1: (True, False)}, loads={6: (0.0, -0.5)})
+    one = from_lists(POINTS, [np.add(cell, 1) for cell in CELLS], first=1, **more)
+    assert dict(one.supports) == {0: (True, False)} and dict(one.loads) == {5: (0.0, -0.5)} and one.sections["load"].tolist() == [5]
     assert np.array_equal(one.nodes, from_lists(POINTS, CELLS).nodes) and one.sections["grip"].tolist() == [0, 3]
     with pytest.raises(InputError, match="cell 1 names point 6; there are points 0..5; these cells count from 1, as first=1"):
         from_lists(POINTS, [np.add(cell, 1) for cell in CELLS])
@@ -85,6 +87,8 @@ def test_units():
         (dict(tolerance=2.0), "merge tolerance is 2.0"),
         (dict(sections={"grip": [6]}), "section 'grip' names points 6..6; there are points 0..5"),
         (dict(sections=[1]), "sections are"),
+        (dict(first=1, cells=[[1, 2, 5]], loads={0: (1.0, 2.0)}), "loads name point 0, which is no corner of a cell"),
+        (dict(cells=CELLS[:1], loads={5: (1.0, 2.0)}), "loads name point 5, which is no corner of a cell"),
     ],
 )
 def test_wrong_ones(change, message):
@@ -105,5 +109,7 @@ def test_wrong_ones(change, message):
 )
 def test_wrong_supports_and_loads(change, message):
     mesh = from_lists(POINTS, CELLS)
+    with pytest.raises(InputError, match=message):
+        from_lists(POINTS, CELLS, **change)
     with pytest.raises(InputError, match=message):
         PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, **change)

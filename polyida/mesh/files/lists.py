@@ -21,13 +21,16 @@ def from_lists(
     cells: Iterable,
     first: int = 0,
     sections: Mapping | None = None,
+    supports: Mapping | None = None,
+    loads: Mapping | None = None,
     unit: str | float | None = None,
     tolerance: float = 1e-9,
 ) -> PolygonMesh:
     """PolygonMesh of points (n, 2) and cells, a list of nodes each, as PolyTop has them.
 
-    first: the number of the first node, 0 or 1 (MATLAB), in cells and sections (name -> nodes). Repaired as `pi.mesh.read` does
-    and said so, but where nothing is to repair nodes and cells keep their numbers. unit, tolerance: as there.
+    first: the number of the first node, 0 or 1 (MATLAB), in cells, in sections (name -> nodes), supports (node -> (x fixed, y fixed))
+    and loads (node -> (Fx, Fy), N). Repaired as `pi.mesh.read` does and said so, but where nothing is to repair nodes and cells keep
+    their numbers. unit, tolerance: as there.
     Raises InputError naming the cell or node that is wrong.
     """
     if not is_whole(first, 0, 1):
@@ -41,7 +44,7 @@ def from_lists(
     if given is None:
         raise InputError(f"mesh of lists: points are {repr(points)[:80]}; they must be an (n, 2) array of numbers")
     try:
-        raw = RawMesh(given, cells, sections, first=first)
+        raw = RawMesh(given, cells, sections, {} if supports is None else supports, {} if loads is None else loads, first=first)
         mesh, notes = repaired(raw, merge_tolerance(tolerance), scale_of(unit, None), numbered=False)
     except InputError as error:
         raise InputError(f"mesh of lists: {error}") from None
