@@ -279,8 +279,34 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "sections": without(NOTHING[2:], dict) + LISTS[1:] + [{"left": [99]}, {"left": "a"}, {"left": [0.5]}, {"left": None}],
         },
     ),
+    "mesh.Outline": (
+        made(pi.mesh.Outline, points=[(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]),
+        {
+            "points": NOTHING + LISTS + SCALARS,
+            "holes": without(NOTHING, dict, range) + SCALARS[:3],
+            "corner": NUMBER[:-1] + [0, -1.0, 180.0],
+        },
+    ),
+    "mesh.from_lists": (
+        made(pi.mesh.from_lists, points=MESH.points, cells=[MESH.cell(i) for i in range(8)]),
+        {
+            "points": NOTHING + LISTS + SCALARS,
+            "cells": NOTHING + LISTS + SCALARS + [[[0, 1, 99]], [[0, -1, 2]], [[0.5, 1, 2]], [["a", "b", "c"]]],
+            "first": [-1, 2, 0.5, None, "1", True],
+            "sections": without(NOTHING[2:], dict) + LISTS[1:] + [{"left": [99]}, {"left": "a"}, {"left": [0.5]}, {"left": None}],
+            "supports": without(NOTHING[2:], dict) + LISTS[1:] + [{0: 1.0}, {99: (True, True)}, {0: ("a", 1)}],
+            "loads": without(NOTHING[2:], dict) + LISTS[1:] + [{0: 1.0}, {99: (1.0, 1.0)}, {0: ("a", 1)}, {0: (np.nan, 1.0)}],
+            "unit": NUMBER[1:-1] + [0, -1.0, "inch"],
+            "tolerance": NUMBER[:-1] + [-1.0, 1.0],
+        },
+    ),
     "mesh.read": (pi.mesh.read, {"path": FILE + ["a.msh", "a.xyz"]}),
-    "mesh.write": (made(pi.mesh.write, mesh=MESH, path="a.vtu"), {"mesh": MESHES, "path": FILE + ["a.xyz", "noext"]}),
+    "mesh.read_outline": (pi.mesh.read_outline, {"path": FILE + ["a.svg", "a.xyz"]}),
+    "mesh.svg_path": (pi.mesh.svg_path, {"path": NOTHING + LISTS + SCALARS + ["M 0 0 h 1"]}),
+    "mesh.write": (
+        made(pi.mesh.write, mesh=MESH, path="a.vtu"),
+        {"mesh": MESHES, "path": FILE + ["a.xyz", "noext"], "overwrite": [None, 1.0, "yes"], "unit": NUMBER[:-1] + [0, -1.0, "inch"]},
+    ),
     "profile.constant": (pi.profile.constant, {"value": NUMBER}),
     "profile.polynomial": (
         pi.profile.polynomial,

@@ -105,24 +105,29 @@ def _ring(points, corner, sign):
 def _points(given, what, orientation):
     """(n, 2) of different neighbours, counter-clockwise for orientation 1."""
     points = floats(given)
-    if points is None or points.ndim != 2 or points.shape[1] != 2:
+    if points is None or points.ndim != 2 or points.shape[1] != 2 or not len(points):
         raise InputError(f"{what} is {repr(given)[:80]}; it must be an (n, 2) array of finite numbers")
-    size = float(np.ptp(points, axis=0).max(initial=0.0)) if len(points) else 0.0
-    points = points[np.hypot(*(points - np.roll(points, 1, axis=0)).T) > SAME * size] if size else points[:1]
+    size = float(np.ptp(points, axis=0).max())
+    points = points[np.hypot(*(points - np.roll(points, 1, axis=0)).T) > SAME * size]
     area = signed_area(points) if len(points) > 2 else 0.0
     if not abs(area) > 1e-12 * size**2:
         raise InputError(f"{what} has {len(points)} different corners and the area {abs(area):.3g}; it must go around an area")
-    back = np.flatnonzero(np.abs(_turns(points)) > FOLD)
+    points = points if area * orientation > 0 else points[::-1]
+    _require_room(points, what)
+    return np.roll(points, -int(np.lexsort(points.T)[0]), axis=0)
+
+
+def _require_room(points, what):
+    """InputError for spikes without width, and for corners so far re-entrant that no cells fit around them."""
+    turn = _turns(points)
+    back = np.flatnonzero(np.abs(turn) > FOLD)
     if back.size:
         raise InputError(f"{what} folds back on itself at {points[back[0]].tolist()}")
-    points = points if area * orientation > 0 else points[::-1]
-    sharp = np.flatnonzero(_turns(points) < -REENTRANT)
+    sharp = np.flatnonzero(turn < -REENTRANT)
     if sharp.size:
-        raise InputError(
-            f"{what} cuts into the domain by a corner of {180 + np.degrees(_turns(points)[sharp[0]]):.3g} degrees at "
-            f"{points[sharp[0]].tolist()}; it must be 20 or wider, or round"
-        )
-    return np.roll(points, -int(np.lexsort(points.T)[0]), axis=0)
+        angle = 180 + np.degrees(turn[sharp[0]])
+        place = points[sharp[0]].tolist()
+        raise InputError(f"{what} cuts into the domain by a corner of {angle:.3g} degrees at {place}; it must be 20 or wider, or round")
 
 
 def _turns(ring):
