@@ -154,7 +154,8 @@ class TestSvg:
 
 
 def drawing(path, units, draw):
-    ezdxf = pytest.importorskip("ezdxf")
+    import ezdxf
+
     document = ezdxf.new(units=units)
     draw(document.modelspace())
     document.saveas(path)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.keywords import named_keywords
-from polyida.mesh.make.chain import Chain
+from polyida.mesh.make.chain import Chain, nearest
 from polyida.mesh.make.domains import Domain
 from polyida.mesh.make.walls import Capsule
 from polyida.mesh.sections import ROUND, centre, signed_area
@@ -157,13 +157,14 @@ def _chains(ring, bend):
 
 def _depth(points, start, along):
     """(n,) distance to the nearest edge of a ring, negative where a ray crosses an even number of them: outside."""
-    away = points[:, None] - start
-    share = np.clip(np.einsum("nkx,kx->nk", away, along) / np.sum(along**2, axis=1), 0.0, 1.0)
-    nearest = np.sqrt(np.min(np.sum((away - share[..., None] * along) ** 2, axis=2), axis=1))
-    begins, ends = away[..., 1] < 0.0, (away - along)[..., 1] < 0.0
-    side = along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0]
-    crossed = (begins != ends) & ((side > 0.0) == (along[:, 1] > 0.0))
-    return np.where(crossed.sum(axis=1) % 2, nearest, -nearest)
+    edge, share = nearest(points, start, along)
+    away = np.hypot(*(points - start[edge] - share[:, None] * along[edge]).T)
+    above = points[:, 1:] >= start[:, 1]
+    point, edge = np.nonzero(above != np.roll(above, -1, axis=1))
+    to = points[point] - start[edge]
+    left = along[edge, 0] * to[:, 1] > along[edge, 1] * to[:, 0]
+    crossed = np.bincount(point[left == above[point, edge]], minlength=len(points))
+    return np.where(crossed % 2, away, -away)
 
 
 def _require_apart(rings):
