@@ -29,7 +29,7 @@ def notes(rows):
 
 @drawn
 def draw(rows):
-    """What was seen of each peer (squares), what is not there (crosses), and what is not installed (dots)."""
+    """Seen, in whole or in part (squares), not there (crosses), not installed (dots); an empty place has no call here but a source in the guide."""
     from polyida.show.style import PALETTE
 
     peers, names = each(rows, "peer"), [name for name in ROWS if pick(rows, row=name)]
