@@ -9,6 +9,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polyida.brief import cut
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.keywords import named_keywords
@@ -33,6 +34,11 @@ class Profile:
     kinks: tuple = ()
     formula: tuple = ()
     shortest: float | None = None
+
+    def __repr__(self):
+        """Kind and numbers; of a user's function its name."""
+        inner = getattr(self.value, "args", ())[:1] or [self.value]
+        return f"Profile({cut(', '.join(map(str, self.formula)) or getattr(inner[0], '__name__', type(inner[0]).__name__))})"
 
     def __call__(self, t: float) -> float:
         return self.value(t)

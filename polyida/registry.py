@@ -53,6 +53,10 @@ problems: dict[str, Any] = {
     "two-link-arm": "polyida.problems.mechanisms.two_link_arm:problem",
     "peaucellier": "polyida.problems.mechanisms.peaucellier:problem",
 }
+views: dict[str, Any] = {  # of a run, above it: what its attributes of these names give
+    "plot": "polyida.show.run_plots:RunPlots",
+    "drawing": "polyida.show.run_plots:drawing",
+}
 studies: dict[str, Any] = {}  # those of the repository are the scripts of ./studies
 
 

@@ -13,10 +13,11 @@ from polyida.body.material import number, vector2
 from polyida.body.own_part import OwnPart
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
+from polyida.brief import counted, cut, settings, short, table
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, require_element
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.given import is_one_of
+from polyida.given import is_number, is_one_of
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
@@ -39,6 +40,15 @@ class Scene:
         self.gravity = _gravity(gravity)
         self.parts: dict[str, Any] = {}
         self._built: set[str] = set()  # names of the parts that models hold on to
+
+    def __repr__(self):
+        return f"<Scene: {len(self.parts)} part{'s' * (len(self.parts) != 1)}{': ' * bool(self.parts)}{cut(counted(self.parts))}>"
+
+    def _repr_html_(self):
+        """A table of the parts, for notebooks."""
+        rows = [(name, type(part).__name__, settings(part)) for name, part in self.parts.items()]
+        gravity = ", ".join(f"{g:.6g}" if is_number(g) else short(g) for g in self.gravity)
+        return table(f"Scene, gravity ({gravity}) m/s²", ("name", "kind", "what it is given"), rows)
 
     def add(self, part: Part) -> Part:
         """Add a part and return it. Parts without a name are called by kind and number ("plate 1").

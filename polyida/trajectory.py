@@ -3,13 +3,15 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida import registry
 from polyida.assembly.told import left_out
 from polyida.assembly.told.rigidity import hint
+from polyida.brief import CELL, LONGEST, cut, short, table
 from polyida.errors import InputError
 from polyida.given import is_one_of, is_whole
 from polyida.integrate.state import Counts, Restart, State
@@ -24,6 +26,13 @@ from polyida.results.section_forces import SectionForces, section_forces
 from polyida.results.sensors import Sensors
 from polyida.results.strain import strains
 from polyida.results.stress import von_mises
+from polyida.results.tables import dataframe, dataset
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
+
+    from polyida.show.run_plots import RunPlots
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,6 +245,44 @@ class Trajectory:
     def _left_out(self):
         """What is said of reduced plates whose modes leave much out."""
         return left_out.hint(self.model, self.t, self.q, self.a) if self.model.few else ""
+
+    def __repr__(self):
+        return f"<Trajectory: {self._told()}>"
+
+    def _told(self):
+        """How it ended and how long it is, in few words."""
+        name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
+        end = f"t = {self.t[0]:.6g} to {self.t[-1]:.6g} s" if len(self) else "no frame"
+        n, m = (np.shape(x)[-1] for x in (self.q, self.lam))
+        return f"{self.status}, {cut(name, LONGEST)}, {end}, {len(self)} frames, {self.steps} steps, n = {n}, m = {m}"
+
+    def _repr_html_(self):
+        """How it went, its counts and its last frame, for notebooks."""
+        model = "not known" if self.model is None else short(self.model)
+        seconds = f"{self.cpu_seconds:.3g} CPU s, {self.wall_seconds:.3g} s by the clock"
+        rows = [("message", self.message)] * bool(self.message) + [("model", model), ("integrator", short(self.integrator, CELL))]
+        rows += [("time taken", seconds), ("counts", ", ".join(f"{name} {count}" for name, count in self.counts.as_dict().items()))]
+        return table(f"Trajectory: {self._told()}", (), rows) + registry.find(registry.views, "drawing")(self)
+
+    @property
+    def plot(self) -> "RunPlots":
+        """Pictures of the run on matplotlib axes, given or new: `run.plot.energy()`, `position("tip")`, `tip()`, `reactions("shoulder")`,
+        `drift()`, `deformed()`.
+        """
+        return registry.find(registry.views, "plot")(self)
+
+    def to_dataframe(self) -> "DataFrame":
+        """A pandas.DataFrame, a row a frame. Of a scene: `t`; `NAME.x`, `NAME.y`, m, where masses, loads and joints are; what joints do to
+        their side b, `NAME.force_x`, N, `NAME.torque`, N m; `energy.kinetic`, `.potential`, `.strain`, `.total`, J; `drift`. Of other
+        models: `t`, `q[0]`, ..., `v[0]`, ..., `lam[0]`, ...
+        """
+        return dataframe(self)
+
+    def to_xarray(self) -> "Dataset":
+        """An xarray.Dataset over t: q, v, a (t, coordinate), lam (t, constraint); of a scene also position (t, point, axis), reaction (t,
+        component), the energies and drift; what sensors gave over step, at t_step. Raises InputError where xarray is not installed.
+        """
+        return dataset(self)
 
     def save(self, path: str | Path, overwrite: bool = False) -> None:
         """Write to an HDF5 file. Raises InputError where it exists and overwrite is False."""

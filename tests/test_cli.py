@@ -201,7 +201,7 @@ def test_a_failed_run_gives_one_and_keeps_what_it_has(folder, capsys):
     [
         (["compare", "nonsense"], "double-plate"),
         (["compare", "nowhere.py:build"], "no such file"),
-        (["compare", "scene.py"], "my_scene.py:build"),
+        (["compare", "scene.py"], "scene.py:NAME"),
         (["run", "scene.py:absent"], "functions there: build, model"),
         (["run", "scene.py:negative"], ": Material: E = -1.0"),
         (["run", "scene.py:nothing"], "returned NoneType"),

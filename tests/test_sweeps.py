@@ -199,7 +199,7 @@ def test_the_command_says_which_results_are_of_other_code(tmp_path, capsys, monk
     assert CALLS == [0, 1, 2, 3] and "earlier" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("made, said", [("out", "is a file"), ("out/__init__.py", "is what the study is made of")])
+@pytest.mark.parametrize("made, said", [("out", "is a file"), ("out/mine.txt", "that no study made")])
 def test_the_commands_exit_codes(tmp_path, capsys, made, said):
     (tmp_path / made).parent.mkdir(exist_ok=True)
     (tmp_path / made).write_text("")

@@ -12,19 +12,19 @@ from polyida.model import Model
 class NamedPoints(Model):
     """A model with `parts`, `joints` and `places` of its bodies among the pairs of q."""
 
+    @property
+    def named(self):
+        """{name: what a mass, load or joint holds on to (a joint: its side b, or a where b is ground)}."""
+        joints = {name: part.a if part.b.body is None else part.b for name, part in self.parts.items() if isinstance(part, Joint)}
+        sides = {name: joints.get(name, getattr(part, "at", None)) for name, part in self.parts.items()}
+        return {name: side for name, side in sides.items() if isinstance(side, Attachment)}
+
     def attachment(self, name):
-        """What a mass, load or joint holds on to (a joint: its side b, or a where b is ground); InputError for another name."""
-        held = {
-            known: part
-            for known, part in self.parts.items()
-            if isinstance(part, Joint) or isinstance(getattr(part, "at", None), Attachment)
-        }
+        """One of `named`; InputError for another name."""
+        held = self.named
         if name not in held:
             raise InputError(f"no mass, load or joint is called {name!r}; known: {', '.join(map(repr, held))}")
-        part = held[name]
-        if isinstance(part, Joint):
-            return part.a if part.b.body is None else part.b
-        return part.at
+        return held[name]
 
     def held(self, side, part="point"):
         """(pairs of q, complex weights) of an attachment's "point" or "direction"; InputError where its body is another scene's."""

@@ -97,6 +97,10 @@ class SceneModel(Masses):
         """|g|, m/s^2."""
         return largest(self.gravity)
 
+    def __repr__(self):
+        bodies, joints = len(self.bodies) + len(self.few), len(self.joints)
+        return f"<SceneModel: n = {self.n}, m = {self.m}, {bodies} bod{'ies' if bodies != 1 else 'y'}, {joints} joint{'s' * (joints != 1)}>"
+
     def __reduce__(self):
         return type(self), (self.parts, self.gravity, self.treats_redundant)
 

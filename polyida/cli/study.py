@@ -87,8 +87,8 @@ def _results(study, options, out, progress):
     tasks = out / "tasks"
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; give a folder with --out")
-    if (out / "__init__.py").exists():
-        raise InputError(f"{out}: is what the study is made of; give another folder with --out")
+    if out.exists() and any(out.iterdir()) and not any((out / kept).exists() for kept in ("tasks", "figures.json")):
+        raise InputError(f"{out}: has something in it that no study made; give another folder with --out")
     if options.fresh and tasks.is_dir():
         for path in tasks.glob("*.json"):
             path.unlink()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike, NDArray
 
+from polyida.bar import require_progress
 from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.integrate.running.recorder import Recorder, require_sensors
@@ -39,7 +40,7 @@ def resume(
     model: Model | None = None,
     integrator: object = None,
     until: Callable[[float, NDArray, NDArray], float] | bool | None = None,
-    progress: Callable[[float], object] | None = None,
+    progress: Callable[[float], object] | bool | None = None,
     sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike] | Sensor] | bool | None = None,
     memory_limit: float = MEMORY_LIMIT,
 ) -> "Trajectory":
@@ -77,10 +78,10 @@ def _require(t_end, until, progress, memory_limit):
     for name, value, good, wanted in (
         ("t_end", t_end, t_end is None or is_number(t_end), "a finite time in s"),
         ("until", until, until is None or until is False or callable(until), "a function of t, q and v, or False"),
-        ("progress", progress, progress is None or callable(progress), "a function of t"),
     ):
         if not good:
             raise InputError(f"resume: {name} = {value!r} must be {wanted}")
+    require_progress("resume", progress)
     require_bytes("resume", memory_limit)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly.told import left_out
+from polyida.bar import require_progress
 from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.running.recorder import Recorder, require_sensors
@@ -48,7 +49,7 @@ def solve(
     every: int = 1,
     output: ArrayLike | None = None,
     until: Callable[[float, NDArray, NDArray], float] | None = None,
-    progress: Callable[[float], object] | None = None,
+    progress: Callable[[float], object] | bool | None = None,
     sensors: dict[str, Callable[[float, NDArray, NDArray], ArrayLike] | Sensor] | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
@@ -64,7 +65,7 @@ def solve(
     every: keep each `every`-th accepted step (the first and last always). output: increasing times; the frames are then
     exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a and lam linear).
     until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the
-    last frame is there. progress: called with t at every accepted step. sensors: {name: f(t, q, v), or one of `pi.sensor`}, each giving a
+    last frame is there. progress: called with t at every accepted step; True shows a bar of tqdm (extra `notebook`). sensors: {name: f(t, q, v), or one of `pi.sensor`}, each giving a
     number or an array of one shape; called at the start and at every accepted step, whatever becomes a frame: `run.sensors[name]` (steps,
     ...) at `run.sensors.t`, kept in memory and in files.
 
@@ -84,8 +85,7 @@ def solve(
     run so far. Raises InputError for a wrong input, before the run starts.
     """
     _require_start(model, t0, state, q0, v0)
-    if progress is not None and not callable(progress):
-        raise InputError(f"solve: progress = {progress!r} must be a function of t")
+    require_progress("solve", progress)
     require_sensors("solve", sensors)
     begin = t0 if state is None else state.t
     require_run(model, t_end, begin, integrator)

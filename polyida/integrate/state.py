@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from polyida.brief import brief
 from polyida.model import Model
 
 
@@ -28,6 +29,8 @@ class State:
     memory: dict = field(default_factory=dict)
     restart: bool = True
     within: Callable[[float], "State"] | None = None
+
+    __repr__ = brief
 
     def finite(self) -> bool:
         """Whether q and v, and lam, are finite: one product each tells."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.brief import brief
 from polyida.errors import InputError
 from polyida.given import is_flag, is_number, is_whole
 from polyida.integrate.state import State
@@ -37,6 +38,8 @@ class Modes:
     shapes: NDArray
     participation: NDArray | None
     mass: float
+
+    __repr__ = brief
 
     @property
     def frequencies(self) -> NDArray:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida.brief import brief
 from polyida.errors import InputError
 from polyida.given import floats
 from polyida.integrate.state import State
@@ -31,6 +32,8 @@ class FrequencyResponse:
     values: NDArray
     input: str
     outputs: tuple[str, ...]
+
+    __repr__ = brief
 
     @property
     def amplitude(self) -> NDArray:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida.brief import brief
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.modal.coordinates import Coordinates
@@ -34,6 +35,8 @@ class StateSpace:
     outputs: tuple[str, ...]
     motors: tuple[str, ...]
     shapes: NDArray
+
+    __repr__ = brief
 
     def to_scipy(self) -> Any:
         """The same as a `scipy.signal.StateSpace`."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.brief import table
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
 from polyida.linear.kkt import KKT
@@ -67,6 +68,18 @@ class Model:
     treats_redundant = "refuse"  # what a scene was told to do with redundant constraints
     redundant: Any = None  # rows of phi that it leaves out, as assembly/rows/redundant.py has them
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
+
+    def __repr__(self):
+        return f"<{type(self).__name__}: n = {getattr(self, 'n', '?')}, m = {getattr(self, 'm', '?')}>"
+
+    def _repr_html_(self):
+        """Its numbers, and a table of the parts, for notebooks."""
+        sizes = {body.name: f"{2 * (body.pairs.stop - body.pairs.start)} coordinates" for body in (*self.bodies, *self.few)}
+        counts = {name: rows.stop - rows.start for name, rows in self.rows.items()}
+        held = {name: f"{count} row{'s' * (count != 1)} of phi" for name, count in counts.items()}
+        told = lambda name: ", ".join(found[name] for found in (sizes, held) if name in found)  # noqa: E731
+        rows = [(name, type(part).__name__, told(name)) for name, part in self.parts.items()]
+        return table(repr(self)[1:-1], ("name", "kind", "in the model") if rows else (), rows)
 
     def mass(self, q: NDArray) -> Matrix:
         """Mass matrix M, (n, n), symmetric."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida import registry
+from polyida.brief import brief
 from polyida.errors import InputError
 from polyida.given import is_one_of, reals
 from polyida.keywords import named_keywords
@@ -38,6 +39,8 @@ class Problem:
     quantity: str = ""
     known_to: dict = field(default_factory=dict)
     measures: dict = field(default_factory=dict)
+
+    __repr__ = brief
 
     def errors(self, **found: ArrayLike) -> dict[str, float]:
         """{name: largest absolute deviation from the reference} of every given value, of the reference's shape.

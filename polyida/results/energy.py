@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.body.own_part import writes
+from polyida.brief import brief
 from polyida.force.force_element import ForceElement
 from polyida.io.frames import each
 from polyida.results.work import works
@@ -24,6 +25,8 @@ class Energy:
     potential: NDArray
     strain: NDArray
     _motion: Any = field(repr=False)  # the run's model, t, q, v, lam
+
+    __repr__ = brief
 
     @property
     def total(self) -> NDArray:

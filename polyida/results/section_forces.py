@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.material import vector2
 from polyida.body.plate import Plate
+from polyida.brief import brief
 from polyida.errors import InputError
 from polyida.given import complex_of_pairs, pairs_of
 from polyida.io.frames import each
@@ -31,6 +32,8 @@ class SectionForces:
     moment: NDArray
     point: NDArray
     direction: NDArray
+
+    __repr__ = brief
 
 
 def section_forces(motion, plate, at, normal, frame=None):

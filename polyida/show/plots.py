@@ -7,6 +7,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.results.balance import unbalanced
+from polyida.results.tables import quantity
 from polyida.show import plates
 from polyida.show.style import (
     INK,
@@ -64,30 +65,44 @@ def deformed(run, times=None, snapshots=6, width=6.4):
 
     times: at which to draw, s; by default `snapshots` times evenly spread over the run.
     """
-    from matplotlib.collections import LineCollection, PolyCollection
-
     with settings():
-        frames = plates.spread(run, snapshots) if times is None else plates.frames_at(run, times)
-        shapes = [plates.polygons(run.model, run.node_positions(k)) for k in frames]
-        stress = [run.von_mises(k) / 1e3 for k in frames]
-        low, high = box(np.concatenate([plates.places(run, k) for k in frames]))
-        made, axes, side = scaled(low, high, width, bool(run.model.drawn))
-        top = colour_top(stress)
-        fine = sum(map(len, shapes)) > DISTINCT
-        look = {"cmap": "viridis", "clim": (0, top), "edgecolors": "face", "linewidths": 0.2, "rasterized": fine}
-        for k, cells, values in zip(frames, shapes, stress):
-            drawn = PolyCollection(cells, array=values, label=f"t = {run.t[k]:.6g} s", **look)
-            edges = plates.outlines(run.model, run.node_positions(k))
-            axes.add_collection(drawn)
-            axes.add_collection(LineCollection(edges, colors=INK, linewidths=0.4, rasterized=fine))
-        for k in frames:
-            label = f"sticks, t = {run.t[k]:.6g} s"
-            axes.add_collection(LineCollection(plates.sticks(run, k), colors=STICK, linewidths=1.6, capstyle="round", label=label))
-        _label_times(axes, run, frames, 0.05 * (high - low).max())
-        equal(axes, low, high, margin=0.09)
+        frames = snapshots_of(run, times, snapshots)
+        made, axes, side = scaled(*_around(run, frames), width, bool(run.model.drawn))
+        drawn = draw_plates(axes, run, frames)
         if run.model.drawn:
             stress_key(made, axes, drawn, side)
         return made
+
+
+def snapshots_of(run, times, snapshots):
+    """Indices of the frames nearest to `times`, or of as many frames evenly spread where these are None."""
+    return plates.spread(run, snapshots) if times is None else plates.frames_at(run, times)
+
+
+def _around(run, frames):
+    return box(np.concatenate([plates.places(run, k) for k in frames]))
+
+
+def draw_plates(axes, run, frames):
+    """The plates in several frames on axes to scale, with their times; returns what a colorbar is made of, the last frame's stress in kPa."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    shapes = [plates.polygons(run.model, run.node_positions(k)) for k in frames]
+    stress = [run.von_mises(k) / 1e3 for k in frames]
+    fine = sum(map(len, shapes)) > DISTINCT
+    look = {"cmap": "viridis", "clim": (0, colour_top(stress)), "edgecolors": "face", "linewidths": 0.2, "rasterized": fine}
+    for k, cells, values in zip(frames, shapes, stress):
+        drawn = PolyCollection(cells, array=values, label=f"t = {run.t[k]:.6g} s", **look)
+        edges = plates.outlines(run.model, run.node_positions(k))
+        axes.add_collection(drawn)
+        axes.add_collection(LineCollection(edges, colors=INK, linewidths=0.4, rasterized=fine))
+    for k in frames:
+        label = f"sticks, t = {run.t[k]:.6g} s"
+        axes.add_collection(LineCollection(plates.sticks(run, k), colors=STICK, linewidths=1.6, capstyle="round", label=label))
+    low, high = _around(run, frames)
+    _label_times(axes, run, frames, 0.05 * (high - low).max())
+    equal(axes, low, high, margin=0.09)
+    return drawn
 
 
 def tip(runs, point="tip"):
@@ -134,7 +149,7 @@ def reactions(runs, names, limit=8):
         for (name, k), axis in zip(panels, axes.ravel()):
             for i, (label, run) in enumerate(runs.items()):
                 axis.plot(run.t, run.reaction(name)[:, k], label=plain(label), **line(i))
-            axis.set(title=plain(name), ylabel=_quantity(first.model, name, k))
+            axis.set(title=plain(name), ylabel=", ".join(filter(None, quantity(first.model, name, k))))
         for axis in axes.ravel()[len(panels) :]:
             axis.set_visible(False)
         for axis in axes.ravel()[max(len(panels) - columns, 0) : len(panels)]:
@@ -197,7 +212,7 @@ def drift(runs):
         made, axes = figure(6.4, 2.9, ncols=2)
         for axis, kind, title in zip(axes, ("drift", "velocity_drift"), ("position", "velocity")):
             for i, (label, run) in enumerate(runs.items()):
-                axis.semilogy(*_largest(run.t, getattr(run, kind)), label=plain(label), **line(i) | nested(i, len(runs)))
+                axis.semilogy(*largest(run.t, getattr(run, kind)), label=plain(label), **line(i) | nested(i, len(runs)))
             axis.set(xlabel="t, s", title=f"{title} constraints, largest violation")
         axes[0].set_ylabel("max|φ|")
         axes[1].set_ylabel("max|dφ/dt|")
@@ -205,7 +220,7 @@ def drift(runs):
         return made
 
 
-def _largest(t, values):
+def largest(t, values):
     """(times, the largest of `values` in each interval that has frames), at the frame that has it."""
     interval = np.minimum(INTERVALS * (t - t[0]) / max(t[-1] - t[0], 1e-300), INTERVALS - 1).astype(int)
     order = np.lexsort((-np.nan_to_num(values, nan=-1.0), interval))
@@ -252,15 +267,3 @@ def _wide_left(made, axes):
         axis.remove()
     axes[1, 1].sharex(axes[0, 1])
     return made.add_subplot(grid[:, 0]), axes[:, 1]
-
-
-def _quantity(model, name, k):
-    """Axis label of component k of a reaction, as the joint or its row says; a row without a unit has a multiplier."""
-    row, joint = model.rows[name].start + k, model.joints.get(name)
-    if joint is not None and joint.components:
-        axis, unit = joint.components[k]
-    else:
-        unit, label = (model.units[row], model.labels[row]) if model.units else ("", "")
-        axis = label.rsplit(" ", 1)[-1] if label.endswith((" x", " y")) else ""
-    word = {"N": "force", "N m": "torque"}.get(unit)
-    return f"{word} {axis}".rstrip() + f", {unit}" if word else f"multiplier {k}"

@@ -1,5 +1,6 @@
 """Look of all figures: fonts, the colour-blind-safe colours of Okabe and Ito, and how a figure is made and saved."""
 
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
@@ -57,6 +58,18 @@ def figure(width=6.4, height=3.6, **layout):
 
     made = Figure(figsize=(width, height), layout="constrained")
     return made, made.subplots(**layout)
+
+
+@contextmanager
+def on_axes(axes=None):
+    """matplotlib axes to draw on: those that are given, or new ones of pyplot, in the look of this package."""
+    if axes is not None:
+        yield axes
+        return
+    from matplotlib import pyplot
+
+    with settings():
+        yield pyplot.subplots(figsize=(6.4, 3.8), layout="constrained")[1]
 
 
 def line(i):

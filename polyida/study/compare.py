@@ -16,7 +16,7 @@ from polyida.model.guarded import guard
 from polyida.results.balance import motor_work, unbalanced
 from polyida.study import chosen
 
-FINE, FINER = 1e-9, 1e-3  # rtol of the refined run: the one, or the other times that of the runs where that is less
+FINE, FINER = 1e-9, 1000  # rtol of the refined run: the one, or that of the runs over the other where that is less
 FINEST = 1e-13  # but no less: round-off is as large
 REFINED = "refined run"
 LONGEST = 60  # characters of a label: four bytes each are below the 255 of a file's name
@@ -196,7 +196,7 @@ def refine(job, rtol, times, tell):
     from polyida.integrate.radau.radau_iia import RadauIIA
     from polyida.integrate.start import consistent_state
 
-    fine, counts, look = RadauIIA(rtol=FINE if rtol is None else max(FINEST, min(FINE, FINER * rtol))), Counts(), watch(job)
+    fine, counts, look = RadauIIA(rtol=FINE if rtol is None else max(FINEST, min(FINE, rtol / FINER))), Counts(), watch(job)
     begin, message = time.process_time(), ""
     with job.code(), one_blas_thread():
         before = consistent_state(job.model, 0.0, job.q0, job.v0)

@@ -1,6 +1,5 @@
 """What the figures of all studies share: logarithmic panels, slopes beside the data, PNG and PDF of each figure."""
 
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
 
@@ -11,18 +10,6 @@ from polyida.show.style import DASHES, INK, PALETTE, figure, settings
 from polyida.study.slopes import positive
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
-
-
-@contextmanager
-def on_axes(axes=None):
-    """matplotlib axes to draw on: those that are given, or new ones of pyplot, in the look of this package."""
-    if axes is not None:
-        yield axes
-        return
-    from matplotlib import pyplot
-
-    with settings():
-        yield pyplot.subplots(figsize=(6.4, 3.8), layout="constrained")[1]
 
 
 def panels(count, width=6.8, height=3.0, columns=2, **layout):

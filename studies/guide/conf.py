@@ -6,15 +6,25 @@ from typing import TypeVar
 
 import numpy.typing
 
-numpy.typing.ArrayLike, numpy.typing.NDArray = (
-    TypeVar("ArrayLike"),
-    TypeVar("NDArray"),
-)  # signatures show their names, not what they are made of
-
-import polyida  # noqa: E402
+import polyida
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
+
+
+def import_all():
+    """Import what the API shows, with numpy's types by their names: signatures would show all that these are made of."""
+    types = {name: getattr(numpy.typing, name) for name in ("ArrayLike", "NDArray")}
+    for name in types:
+        setattr(numpy.typing, name, TypeVar(name))
+    for place in (polyida, polyida.study):
+        for name in place.__all__:
+            getattr(place, name)
+    for name, known in types.items():
+        setattr(numpy.typing, name, known)
+
+
+import_all()
 
 project = "polyida"
 author = copyright = "polyida developers"
@@ -44,6 +54,7 @@ sphinx_gallery_conf = {
     "download_all_examples": False,
     "write_computation_times": False,
     "show_signature": False,
+    "capture_repr": (),  # what a line gives is not shown, what it prints is
     "remove_config_comments": True,
     "image_srcset": ["2x"],
 }

@@ -1,5 +1,8 @@
 """The comparison as data: what its errors are measured against, and that its numbers are those of the runs."""
 
+import re
+import sys
+
 import numpy as np
 import pytest
 
@@ -11,7 +14,7 @@ from polyida.integrate.solve import solve
 from polyida.problems import plates
 from polyida.results.balance import motor_work, unbalanced
 from polyida.show.page import gap
-from polyida.study.compare import compare, refine, watch
+from polyida.study.compare import compare, integrators, refine, watch
 from polyida.study.job import Job, load
 
 
@@ -74,19 +77,22 @@ def test_jobs_take_time_and_step_from_the_caller_first():
         load("pendulum", step=0.0)
 
 
-def test_a_further_integrator_is_compared_too():
-    found = compare(load("double-plate", cells=8, time=0.01), others={"energy-momentum": pi.EnergyMomentum(h=1e-3)})
-    assert [row["run"] for row in found.rows][3] == "energy-momentum" and found.success
+def test_members_of_a_user_s_own_are_what_is_compared():
+    members = {"two": pi.EnergyMomentum(h=1e-3), "IDA": pi.IDA(rtol=1e-8)}
+    found = compare(load("double-plate", cells=8, time=0.01), members=members)
+    assert [row["run"] for row in found.rows] == ["two", "IDA", "refined run"] and found.success
     ends = [run.position("tip")[-1] for run in found.runs.values()]
-    assert found.gap == pytest.approx(max(np.linalg.norm(a - b) for a in ends for b in ends), rel=1e-9)
-    assert {"alpha_error_end", "ida_error_end", "energy-momentum_error_end", "refined_steps"} <= set(found.figures)
-    assert "two of the integrators" in gap(found)
+    assert found.gap == pytest.approx(np.linalg.norm(ends[0] - ends[1]), rel=1e-9)
+    assert {"two_error_end", "ida_error_end", "refined_steps"} <= set(found.figures) and "alpha_error_end" not in found.figures
+    fine = float(re.search(r"rtol=([\d.e-]+)", found.rows[-1]["settings"])[1])
+    assert fine == pytest.approx(1e-11) and "two integrators" in gap(found)
 
 
 @pytest.mark.parametrize(
-    "others",
+    "members",
     [
         3,
+        {},
         pi.IDA(),
         {"mine": 3},
         {"mine": pi.IDA},
@@ -94,13 +100,93 @@ def test_a_further_integrator_is_compared_too():
         {"": pi.IDA()},
         {"a/b": pi.IDA()},
         {"n" * 300: pi.IDA()},
-        {"IDA": pi.IDA()},
         {"refined run": pi.IDA()},
     ],
 )
-def test_others_of_the_wrong_kind_are_refused(others):
-    with pytest.raises(InputError, match="others|no integrator|label"):
-        compare(load("double-plate", cells=8, time=0.01), others=others)
+def test_members_of_the_wrong_kind_are_refused(members):
+    with pytest.raises(InputError, match="members|no integrator|label"):
+        compare(load("double-plate", cells=8, time=0.01), members=members)
+
+
+OWN = """
+import polyida as pi
+
+class Mine:
+    def __init__(self, h):
+        self.h = h
+
+    def steps(self, model, state, t_end, counts):
+        return pi.EnergyMomentum(h=self.h).steps(model, state, t_end, counts)
+
+class Tight(Mine):
+    def __init__(self, rtol, h=0.25):
+        self.rtol = rtol
+        super().__init__(h)
+
+def halved(step):
+    return Mine(step / 2)
+
+def two(h, x):
+    return Mine(h)
+
+def no_step():
+    return Mine(1.0)
+
+def three(h):
+    return 3
+
+made = Mine(0.125)
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """A folder with a file of integrators, to stand in; a job with steps of 1e-2 s."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("own.py", "other.py"):
+        (tmp_path / name).write_text(OWN)
+    yield Job("job", plates.double_plate(cells=4).build(), step=1e-2)
+    for name in ("own", "other"):
+        sys.modules.pop(name, None)
+
+
+def test_classes_functions_of_a_step_and_objects_of_a_file_are_integrators(own):
+    names = ["energy", "own.py:Mine", "own.py:halved", "own.py:made", "own.py:Tight", "IDA"]
+    found = integrators(own, names, step=own.step, rtol=1e-3)
+    assert list(found) == ["energy-momentum", "Mine", "halved", "made", "Tight", "IDA"]
+    assert [getattr(member, "h", None) for member in found.values()] == [1e-2, 1e-2, 5e-3, 0.125, 0.25, None]
+    assert [getattr(member, "rtol", None) for member in found.values()] == [None, None, None, None, 1e-3, 1e-3]
+
+
+def test_what_is_compared_by_default_takes_the_step_and_the_tolerance_that_it_always_took(own):
+    assert list(integrators(own).values()) == [pi.GeneralizedAlpha(h=1e-2), pi.IDA(), pi.RadauIIA()]
+    assert list(integrators(own, step=own.step, rtol=1e-7).values()) == [
+        pi.GeneralizedAlpha(h=1e-2),
+        pi.IDA(rtol=1e-7),
+        pi.RadauIIA(rtol=1e-7),
+    ]
+
+
+def test_integrators_of_one_name_are_told_apart_by_their_files(own):
+    assert list(integrators(own, ["own.py:Mine", "other.py:Mine"])) == ["Mine (own)", "Mine (other)"]
+
+
+@pytest.mark.parametrize(
+    "names, settings, said",
+    [
+        (["nope"], {}, "'nope' is unknown; there are alpha, ida, radau, energy"),
+        (["own.py:nope"], {}, "integrators there: Mine, Tight, halved, two, three, made"),
+        (["own.py:two"], {}, "needs x"),
+        (["own.py:no_step"], {}, "has no 'no_step'"),
+        (["own.py:three"], {}, "3 is no integrator"),
+        (["own.py:Tight"], {}, "must have --rtol"),
+        (["alpha", "GeneralizedAlpha"], {}, "alpha and GeneralizedAlpha are the same"),
+        (["alpha", "energy"], {"rtol": 1e-3}, "--rtol is no setting of alpha, energy"),
+    ],
+)
+def test_an_integrator_that_cannot_be_is_told_with_those_that_can(own, names, settings, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        integrators(own, names, **settings)
 
 
 @pytest.mark.parametrize("rtol", ["1e-3", None.__class__, [1e-3]])

@@ -225,8 +225,8 @@ def findings_study(bad):
 def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):
     text = "x" * 100
     data = command(findings_study(lambda rows: {}), [{"number": 1, "outcome": text, "error": ""}], tmp_path, monkeypatch)
-    assert text not in capsys.readouterr().out and data["rows"][0]["outcome"] == text
-    assert cli_study.shown(text) == "x" * 39 + "…" and cli_study.shown("x" * 40) == "x" * 40
+    out = capsys.readouterr().out
+    assert text not in out and "x" * 39 + "…" in out and data["rows"][0]["outcome"] == text
 
 
 @pytest.mark.parametrize("quick", [True, False])

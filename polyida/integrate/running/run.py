@@ -6,6 +6,7 @@ from itertools import islice
 
 import numpy as np
 
+from polyida.bar import over_time
 from polyida.given import is_number
 from polyida.integrate.moves import unseen
 from polyida.integrate.running import ctrl_c
@@ -60,7 +61,7 @@ class Run:
     def go(self, state):
         """Run to the end; returns the Trajectory. A user's exception goes on, with the Trajectory as an attribute."""
         try:
-            with ctrl_c.noted() as heed:
+            with over_time(self.progress, state.t, self.plan["t_end"]) as self.progress, ctrl_c.noted() as heed:
                 status, message = self._steps(state, heed)
         except StepFailure as failure:
             beside = "" if isinstance(failure, SingularPosition) else self.watch.suspicion(failure.t)

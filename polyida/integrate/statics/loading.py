@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polyida.brief import brief
 from polyida.integrate.state import State, StepFailure
 from polyida.integrate.stepping.rest import equilibrium
 from polyida.linear.inertia import falling
@@ -29,6 +30,8 @@ class Equilibrium(State):
     falling: int | None = None
     parts: int = 1
     halved: int = 0
+
+    __repr__ = brief
 
     @property
     def stable(self) -> bool | None:

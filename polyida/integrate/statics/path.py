@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from polyida.brief import brief
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.directions import direction
@@ -38,6 +39,8 @@ class EquilibriumPath:
     states: tuple[Equilibrium, ...]
     turning: tuple[int, ...]
     message: str = ""
+
+    __repr__ = brief
 
     def __len__(self) -> int:
         return len(self.states)

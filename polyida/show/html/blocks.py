@@ -101,12 +101,12 @@ def missing(value):
 
 
 def shown(value, form="{}", dash=DASH):
-    """A value as text; a text in a column of numbers as it is."""
+    """A value as text; what is no number is as it is in a column of numbers."""
     if missing(value):
         return dash
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return str(value) if isinstance(value, str) else form.format(value)
+    return form.format(value) if isinstance(value, Real) else str(value)
 
 
 def _numeric(values):

@@ -15,7 +15,8 @@ from polyida.linear.condition import condition
 from polyida.model import Model
 from polyida.model.guarded import guard
 from polyida.scene import Scene
-from polyida.study.drawing import look, on_axes
+from polyida.show.style import on_axes
+from polyida.study.drawing import look
 from polyida.study.progress import teller
 from polyida.study.result import Result
 from polyida.study.slopes import fitted

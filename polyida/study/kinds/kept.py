@@ -4,7 +4,8 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_one_of, is_whole
-from polyida.study.drawing import look, on_axes
+from polyida.show.style import on_axes
+from polyida.study.drawing import look
 from polyida.study.result import Result
 from polyida.study.subject import setting
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polyida.show.style import INK
-from polyida.study.drawing import look, on_axes, slope_line
+from polyida.show.style import INK, on_axes
+from polyida.study.drawing import look, slope_line
 
 UNKNOWN = "#88888822"  # what lies below what is known of the reference
 

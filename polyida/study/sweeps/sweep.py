@@ -14,7 +14,8 @@ import polyida
 from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.keywords import named_keywords
-from polyida.study.drawing import look, on_axes
+from polyida.show.style import on_axes
+from polyida.study.drawing import look
 from polyida.study.harness import Shelf, collected, package_mark
 from polyida.study.isolation import Isolated, Serial
 from polyida.study.progress import teller

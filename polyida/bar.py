@@ -1,0 +1,38 @@
+"""How far something long is: a user's function, or the bar of tqdm, at a terminal or in a notebook."""
+
+from contextlib import contextmanager
+
+from polyida.errors import InputError
+
+
+def bar_for(part):
+    """tqdm's class of bars. Raises InputError where it is not installed."""
+    try:
+        from tqdm.auto import tqdm
+    except ImportError:
+        raise InputError(f"{part}: progress = True needs tqdm; pip install 'polyida[notebook]'") from None
+    return tqdm
+
+
+def require_progress(part, progress):
+    """Raise InputError unless it is None, False, a function of t, or True where tqdm is installed."""
+    if progress is True:
+        bar_for(part)
+    elif progress is not None and progress is not False and not callable(progress):
+        raise InputError(f"{part}: progress = {progress!r} must be a function of t, True or None")
+
+
+@contextmanager
+def over_time(progress, begin, t_end):
+    """What is called with t at every step, of what a user gave: the function, None, or a bar over the run's time."""
+    if progress is not True:
+        yield progress or None
+        return
+    form = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+    with bar_for("solve")(total=t_end - begin, bar_format=form, leave=False) as bar:
+
+        def tell(t):
+            bar.set_description_str(f"t = {t:.4g} of {t_end:.4g} s", refresh=False)
+            bar.update(t - begin - bar.n)
+
+        yield tell

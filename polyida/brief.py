@@ -1,0 +1,55 @@
+"""How things show themselves: on a line at the prompt, as a table in a notebook."""
+
+from dataclasses import fields, is_dataclass
+from html import escape
+
+import numpy as np
+
+FEW, LONGEST, CELL = 6, 60, 240  # entries of an array that are shown; characters of a value, and of a cell of a table
+
+
+def brief(thing: object) -> str:
+    """`Kind(name=value, ...)` of a dataclass on one line: of large arrays the shape, of long values the beginning."""
+    shown = (f"{entry.name}={short(getattr(thing, entry.name))}" for entry in fields(thing) if entry.repr)  # type: ignore[arg-type]
+    return f"{type(thing).__name__}({', '.join(shown)})"
+
+
+def short(value, longest=LONGEST):
+    """A value on one line of at most so many characters."""
+    if isinstance(value, np.ndarray) and value.size > FEW:
+        return f"<{' x '.join(map(str, value.shape))} numbers>"
+    if isinstance(value, (dict, list, tuple)) and len(value) > FEW:
+        return f"<{len(value)} entries>"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+
+
+def settings(part):
+    """What a dataclass was given beside its name and what it has by default, on one line."""
+    if not is_dataclass(part):
+        return short(part, CELL)
+    given = ((entry, getattr(part, entry.name)) for entry in fields(part) if entry.repr and entry.name != "name")
+    return ", ".join(f"{entry.name} {short(value, CELL // 2)}" for entry, value in given if not _is_default(entry, value))
+
+
+def _is_default(entry, value):
+    return type(value) is type(entry.default) and value == entry.default
+
+
+def counted(things, most=FEW):
+    """Names in a row, the first few of many."""
+    names = list(things)
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def table(title, headings, rows):
+    """An HTML table of a line of text, headings and rows; what they say is text, not HTML."""
+    cells = lambda kind, row: "".join(f"<{kind}>{escape(cut(str(cell)))}</{kind}>" for cell in row)  # noqa: E731
+    head = f"<thead><tr>{cells('th', headings)}</tr></thead>" if headings else ""
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
+    return f"<div><p>{escape(cut(title, 4 * CELL))}</p><table>{head}<tbody>{body}</tbody></table></div>"
+
+
+def cut(text, longest=CELL):
+    """A text of at most so many characters."""
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
