@@ -397,7 +397,7 @@ OWN = '''
 from dataclasses import dataclass
 import polyida as pi
 from polyida.problems import Problem
-from polyida.study.harness import Study
+from polyida.study.sweeps.harness import Study
 from scene import build
 
 class Slot(pi.Joint):

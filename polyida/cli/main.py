@@ -288,7 +288,7 @@ def _run_study(name, arguments, command):
     from polyida import registry
     from polyida.cli.study import main as run_study
     from polyida.study.comparison import scene_file
-    from polyida.study.harness import Study
+    from polyida.study.sweeps.harness import Study
 
     book, is_one = registry.studies, lambda value: isinstance(value, Study)
     run_study(registry.find(book, name) or scene_file.named(name, book, is_one, "studies"), arguments, command)

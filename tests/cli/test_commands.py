@@ -22,7 +22,7 @@ Further lines say more.
 
 from parts.square import square
 from polyida.cli.study import main
-from polyida.study.harness import Study
+from polyida.study.sweeps.harness import Study
 
 STUDY = Study("some_squares", "squares", lambda quick: [{"number": k} for k in range(2 if quick else 5)], square,
               lambda rows: {"largest": rows[-1]["square"]}, isolated=True, fresh=False)

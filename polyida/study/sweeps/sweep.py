@@ -17,11 +17,11 @@ from polyida.keywords import named_keywords
 from polyida.show.style import on_axes
 from polyida.show.style import plain as plain_text
 from polyida.study.drawing import look
-from polyida.study.harness import Shelf, collected, package_mark
-from polyida.study.isolation import Isolated, Serial
 from polyida.study.progress import teller
 from polyida.study.result import Result
 from polyida.study.sweeps.code import mark_of
+from polyida.study.sweeps.harness import Shelf, collected, package_mark
+from polyida.study.sweeps.isolation import Isolated, Serial
 from polyida.study.sweeps.measured import COSTS, RESERVED, measured, plain
 
 if TYPE_CHECKING:
