@@ -86,6 +86,18 @@ def test_what_is_no_row_is_told_in_one(gives, said):
     assert re.search(said, row["error"])
 
 
+def test_what_a_function_does_to_its_case_stays_in_it():
+    cases = [{"places": [1]}, {"places": [1, 2]}]
+
+    def case(places):
+        places.append(0)
+        return {"count": len(places)}
+
+    study = pi.study.sweep(case, cases)
+    assert cases == [{"places": [1]}, {"places": [1, 2]}]
+    assert [(row["places"], row["count"]) for row in study.rows] == [([1], 2), ([1, 2], 3)]
+
+
 def test_a_case_given_twice_runs_once():
     CALLS.clear()
     study = pi.study.sweep(square, [{"number": 1, "a": 2}, {"number": 2, "a": 2}, {"a": 2, "number": 1}])
