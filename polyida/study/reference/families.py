@@ -106,7 +106,7 @@ def end_by(model, t_end, integrator, q0=None, v0=None):
 
 def distance(one, other):
     """{part: the largest absolute difference} of what both know."""
-    return {part: float(np.abs(one[part] - other[part]).max()) for part in one if part in other}
+    return {part: float(np.abs(one[part] - other[part]).max(initial=0.0)) for part in one if part in other}
 
 
 def last_state(run):
