@@ -11,6 +11,7 @@ from polyida.show.html.svg import inline
 
 WITHIN = 2_000_000  # bytes of CSV that the page itself holds
 SHOWN = 60, 12  # rows and columns of numbers that the page shows as a table
+MANY = 10  # columns, beyond which a table is smaller on paper
 DASH = "\N{EN DASH}"
 
 
@@ -63,7 +64,8 @@ class Table:
             f"<tr>{''.join(_cell(row.get(key), form, numeric[key]) for key, (_, form) in self.columns.items())}</tr>" for row in self.rows
         )
         caption = f"<caption>{prose(self.caption)}</caption>" if self.caption else ""
-        table = f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        many = ' class="many"' if len(self.columns) > MANY else ""
+        table = f"<table{many}>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
         return scrolled(table, self.caption or "Table")
 
 
