@@ -11,7 +11,7 @@ import pytest
 import polyida as pi
 from polyida.cli.garbage import THRESHOLDS
 from polyida.cli.main import main
-from polyida.study.job import load
+from polyida.study.comparison.job import load
 
 SMALL = ("--cells", "8", "--time", "0.02")
 SCENE = """
@@ -116,7 +116,7 @@ def test_report_stands_alone_and_figures_are_numbers(folder):
 
 def test_nothing_is_drawn_while_runs_are_timed_and_every_picture_once(folder, monkeypatch):
     from polyida.show.press import Press
-    from polyida.study import compare
+    from polyida.study.comparison import compare
 
     told = []
     for place, name in ((Press, "ready"), (Press, "give"), (compare, "timed"), (compare, "refine")):
@@ -397,7 +397,7 @@ OWN = '''
 from dataclasses import dataclass
 import polyida as pi
 from polyida.problems import Problem
-from polyida.study.harness import Study
+from polyida.study.sweeps.harness import Study
 from scene import build
 
 class Slot(pi.Joint):

@@ -13,9 +13,9 @@ import pytest
 
 from polyida.cli import study as cli_study
 from polyida.errors import InputError
-from polyida.study import harness
-from polyida.study.harness import Study, key_of, results, write_whole
-from polyida.study.isolation import Worker, run_isolated
+from polyida.study.sweeps import harness
+from polyida.study.sweeps.harness import Study, key_of, results, write_whole
+from polyida.study.sweeps.isolation import Worker, run_isolated
 from stress.kills import killed_sweeps
 
 CALLS = []
@@ -106,7 +106,7 @@ def test_a_worker_takes_call_after_call():
 
 ORPHAN = """
 import os, sys, time
-from polyida.study.isolation import Worker, GRACE
+from polyida.study.sweeps.isolation import Worker, GRACE
 def long(place):
     open(place, "w").write(str(os.getpid()))
     time.sleep(60)
@@ -118,7 +118,7 @@ if __name__ == "__main__":
 def test_a_worker_left_alone_ends_itself(tmp_path):
     """The process that asked is killed while a task goes on: the task ends at its limit and does not stay for ever."""
     (tmp_path / "orphan.py").write_text(
-        ORPHAN.replace("import Worker, GRACE", "import Worker\nimport polyida.study.isolation as i\ni.GRACE = 0.5")
+        ORPHAN.replace("import Worker, GRACE", "import Worker\nimport polyida.study.sweeps.isolation as i\ni.GRACE = 0.5")
     )
     parent = subprocess.Popen(
         [sys.executable, tmp_path / "orphan.py", tmp_path / "pid", "limit"], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}

@@ -7,16 +7,16 @@ import sys
 from contextvars import ContextVar
 from pathlib import Path
 
-from polyida.cli import tables
 from polyida.cli.garbage import collect_rarely
-from polyida.cli.progress import Parts, bars
-from polyida.cli.terminal import document, tolerate_letters, writable
+from polyida.cli.screen import tables
+from polyida.cli.screen.progress import Parts, bars
+from polyida.cli.screen.streams import document, tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.page import finite
 from polyida.study.findings import columns_of, findings
-from polyida.study.harness import of_other_code, plain, results, write_whole
 from polyida.study.report import write_page
+from polyida.study.sweeps.harness import of_other_code, plain, results, write_whole
 
 PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
 MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table keeps, beside what was varied

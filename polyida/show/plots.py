@@ -18,8 +18,8 @@ from polyida.show.style import (
     equal,
     figure,
     height_for,
+    hollow,
     line,
-    nested,
     plain,
     scaled,
     settings,
@@ -225,7 +225,7 @@ def drift(runs):
         made, axes = figure(6.4, 2.9, ncols=2)
         for axis, kind, title in zip(axes, ("drift", "velocity_drift"), ("position", "velocity")):
             for i, (label, run) in enumerate(runs.items()):
-                axis.semilogy(*largest(run.t, getattr(run, kind)), label=plain(label), **line(i) | nested(i, len(runs)))
+                axis.semilogy(*largest(run.t, getattr(run, kind)), label=plain(label), **line(i) | hollow(i, len(runs)))
             axis.set(xlabel="t, s", title=f"{title} constraints, largest violation")
         axes[0].set_ylabel("max|φ|")
         axes[1].set_ylabel("max|dφ/dt|")

@@ -1,6 +1,6 @@
 """Pictures of one run on matplotlib axes, as `run.plot` gives them, and a drawing of its last frame for notebooks."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,8 +14,6 @@ from polyida.show.style import STICK, box, line, on_axes, plain
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from polyida.trajectory import Trajectory
-
 WIDTH, HEIGHTS, MOST = 320, (60, 240), 20_000  # pixels of a drawing; segments beyond which there is none
 DIGITS = 1000  # places in a drawing, from side to side
 
@@ -26,7 +24,7 @@ class RunPlots:
     Names are those of masses, loads and joints. Raises InputError for what the run does not have.
     """
 
-    def __init__(self, run: "Trajectory") -> None:
+    def __init__(self, run: Any) -> None:
         self._run = run
 
     def __repr__(self):
@@ -55,7 +53,7 @@ class RunPlots:
     def reactions(self, *names: str, axes: "Axes | None" = None) -> "Axes":
         """What joints do to their side b, N and N m, against time; of all joints where no name is given."""
         model = self._run.model
-        names = names or tuple(getattr(model, "joints", ()))
+        names = names or tuple(model.joints if model else ())
         if not names:
             raise InputError(f"run.plot.reactions: {type(model).__name__} has no joints")
         lines = {}

@@ -79,7 +79,7 @@ def line(i):
     return {"color": PALETTE[i % len(PALETTE)], "linestyle": DASHES[i % len(DASHES)]}
 
 
-def nested(i, count):
+def hollow(i, count):
     """Hollow markers of the i-th of `count` lines that may lie on each other: the first the widest, so that every one is seen."""
     return {
         "marker": MARKERS[i % len(MARKERS)],

@@ -14,7 +14,7 @@ _PLACES = {
     "drift": "kinds.drift",
     "sweep": "sweeps.sweep",
     "Sweep": "sweeps.sweep",
-    "Isolated": "isolation",
+    "Isolated": "sweeps.isolation",
     "Result": "result",
 }
 __all__ = list(_PLACES)

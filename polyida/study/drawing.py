@@ -6,10 +6,8 @@ from functools import wraps
 import numpy as np
 
 from polyida.show.html.blocks import Picture
-from polyida.show.style import DASHES, INK, PALETTE, figure, settings
+from polyida.show.style import DASHES, INK, MARKERS, PALETTE, figure, hollow, settings
 from polyida.study.slopes import positive
-
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
 
 
 def panels(count, width=6.8, height=3.0, columns=2, **layout):
@@ -45,15 +43,7 @@ def loglog(axes, x, y, i, label=None):
 
 def nested(colour, ring, rings, dash="-"):
     """Look of the `ring`-th of `rings` lines that may lie on each other: hollow markers of falling size, nested."""
-    return {
-        "color": PALETTE[colour % len(PALETTE)],
-        "linestyle": dash,
-        "marker": MARKERS[ring % len(MARKERS)],
-        "markersize": 2.5 + 2.2 * (rings - 1 - ring),
-        "markerfacecolor": "none",
-        "markeredgewidth": 0.8,
-        "linewidth": 0.8,
-    }
+    return {"color": PALETTE[colour % len(PALETTE)], "linestyle": dash} | hollow(ring, rings)
 
 
 def slope_line(axes, slope, x, y, label=None, beside=(2, 2)):

@@ -6,7 +6,7 @@ import time
 from contextlib import suppress
 
 from polyida.errors import InputError
-from polyida.study.isolation import attempt
+from polyida.study.sweeps.isolation import attempt
 
 COSTS = ("cpu_s", "wall_s", "memory_mb")
 RESERVED = ("error", *COSTS)

@@ -12,7 +12,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from polyida.errors import InputError
-from polyida.study.isolation import Isolated, Serial, attempt, plain, told
+from polyida.study.sweeps.isolation import Isolated, Serial, attempt, plain, told
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def package_mark():
 
 @lru_cache(maxsize=4)
 def _mark(folder):
-    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    package, digest = Path(__file__).parents[2], hashlib.sha256()
     beside = [*folder.glob("*.py"), *folder.glob("*/*.py")] if folder else []
     for root, paths in ((package, package.rglob("*.py")), (folder, beside)):
         for path in sorted(paths):
