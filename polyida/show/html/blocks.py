@@ -2,6 +2,7 @@
 
 import math
 import re
+from csv import reader
 from dataclasses import dataclass, field
 from html import escape
 from numbers import Real
@@ -138,11 +139,9 @@ def _link(name, csv):
     return f'<a download="{escape(name)}.csv" href="data:text/csv;charset=utf-8,{data}">numbers (CSV, {size})</a>'
 
 
-def _numbers(csv):
-    """Few numbers as a table behind a click; empty where there are many."""
-    import csv as reader
-
-    head, *rows = reader.reader(csv.splitlines())
+def _numbers(text):
+    """The few numbers of a CSV file as a table behind a click; empty where there are many."""
+    head, *rows = reader(text.splitlines())
     if not 0 < len(rows) <= SHOWN[0] or len(head) > SHOWN[1]:
         return ""
     columns = {str(i): (heading, "{:.6g}") for i, heading in enumerate(head)}
