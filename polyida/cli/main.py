@@ -7,6 +7,7 @@ import shlex
 import sys
 from json import loads
 from pathlib import Path
+from types import FunctionType
 from typing import Annotated
 
 import typer
@@ -245,7 +246,7 @@ def export(
     {
         "polyida study": "lists them",
         "polyida study work-precision --quick": "to ./work_precision-quick; the same command goes on where it was stopped",
-        "polyida study my_study.py:mine --out mine": "a study of yours",
+        "polyida study my_study.py:mine --out mine": "a study of yours: a function that returns a result of pi.study",
         "polyida study conditioning --help": "the study's own options",
     },
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []},
@@ -284,11 +285,16 @@ def _list_studies(json):
 
 
 def _run_study(name, arguments, command):
-    """Run a registered study, or the one that `my_study.py:NAME` names."""
+    """Run a registered study, or the one that `my_study.py:NAME` names: a Study, or a function that returns a Result."""
     from polyida import registry
+    from polyida.cli import own_study
     from polyida.cli.study import main as run_study
     from polyida.study.comparison import scene_file
     from polyida.study.sweeps.harness import Study
 
-    book, is_one = registry.studies, lambda value: isinstance(value, Study)
-    run_study(registry.find(book, name) or scene_file.named(name, book, is_one, "studies"), arguments, command)
+    book, is_one = registry.studies, lambda value: isinstance(value, (Study, FunctionType))
+    found = registry.find(book, name) or scene_file.named(name, book, is_one, "studies")
+    if isinstance(found, Study):
+        run_study(found, arguments, command)
+    else:
+        own_study.run(name, found, arguments, command)

@@ -16,6 +16,7 @@ _PLACES = {
     "Sweep": "sweeps.sweep",
     "Isolated": "sweeps.isolation",
     "Result": "result",
+    "Study": "sweeps.harness",
 }
 __all__ = list(_PLACES)
 
