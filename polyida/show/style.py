@@ -83,7 +83,7 @@ def hollow(i, count):
     """Hollow markers of the i-th of `count` lines that may lie on each other: the first the widest, so that every one is seen."""
     return {
         "marker": MARKERS[i % len(MARKERS)],
-        "markersize": 2.5 + 2.2 * (count - 1 - i),
+        "markersize": 2.5 + min(2.2, 8 / count) * (count - 1 - i),
         "markerfacecolor": "none",
         "markeredgewidth": 0.8,
         "linewidth": 0.8,

@@ -1,6 +1,6 @@
 """What a study runs: a model, a scene, a problem or its name, with its start and end; and with which integrators."""
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 
 import numpy as np
 
@@ -114,14 +114,22 @@ def require_labels(study, integrators, what):
 
 
 def setting(integrator, beside):
-    """In what an integrator differs from those beside it, in words: "h=0.001"; all of it where that does not tell."""
-    if not is_dataclass(integrator) or any(type(other) is not type(integrator) for other in beside):
+    """In what an integrator differs from those beside it, in words: "h=0.001"; where that does not tell, from its defaults: "IDA()"."""
+    if not is_dataclass(integrator):
         return repr(integrator)[:LONGEST]
-    names = [item.name for item in fields(integrator) if item.repr and item.init]
-    varied = [name for name in names if any(not _same(getattr(integrator, name), getattr(other, name)) for other in beside)]
-    shown = varied or [name for name in ("h", "rtol") if getattr(integrator, name, None) is not None]
-    text = ", ".join(f"{name}={_short(getattr(integrator, name))}" for name in shown)
-    return (text or repr(integrator))[:LONGEST]
+    names, kind = [item for item in fields(integrator) if item.repr and item.init], type(integrator)
+    if all(type(other) is kind for other in beside):
+        varied = [
+            item.name for item in names if any(not _same(getattr(integrator, item.name), getattr(other, item.name)) for other in beside)
+        ]
+        if varied:
+            return _listed(integrator, varied)[:LONGEST]
+    given = [item.name for item in names if item.default is MISSING or not _same(getattr(integrator, item.name), item.default)]
+    return f"{kind.__name__}({_listed(integrator, given)})"[:LONGEST]
+
+
+def _listed(integrator, names):
+    return ", ".join(f"{name}={_short(getattr(integrator, name))}" for name in names)
 
 
 def _same(one, other):

@@ -15,6 +15,10 @@ from polyida.errors import InputError
 from polyida.study.sweeps.isolation import Isolated, Serial, attempt, plain, told
 
 
+def _nothing(rows):
+    return []
+
+
 @dataclass(frozen=True)
 class Study:
     """What to vary, what to measure, what to plot.
@@ -35,11 +39,11 @@ class Study:
     tasks: Callable
     run: Callable
     figures: Callable | tuple
-    draw: Callable | tuple = lambda rows: []
+    draw: Callable | tuple = field(default_factory=lambda: _nothing)
     columns: tuple = ()
     isolated: bool = False
     limit: float = 600.0
-    notes: Callable | tuple = field(default=lambda rows: [])
+    notes: Callable | tuple = field(default_factory=lambda: _nothing)
     fresh: bool = True
     headline: tuple = ()
     options: dict = field(default_factory=dict)
