@@ -69,6 +69,10 @@ class TestRead:
             triangles = read(saved(Node=NODE, Element=np.array([[1, 2, 3, 4], [2, 5, 6, empty], [2, 6, 3, empty]])))
             assert mesh.n_cells == 2 and sorted(np.diff(triangles.offsets)) == [3, 3, 4]
 
+    def test_a_matrix_that_counts_from_0_is_no_padded_one(self, saved):
+        with pytest.raises(InputError, match=r"Element\{1\} names node 0; .* MATLAB counts from 1"):
+            read(saved(Node=NODE, Element=np.array([[0, 1, 2, 3], [1, 4, 5, 2]])))
+
     def test_a_node_that_is_fixed_by_two_rows(self, saved):
         assert dict(read(saved(Node=NODE, Element=ELEMENT, Supp=[[1, 1, 0], [1, 0, 1]])).supports) == {0: (True, True)}
 
