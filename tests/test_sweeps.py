@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -197,6 +198,14 @@ def test_the_command_says_which_results_are_of_other_code(tmp_path, capsys, monk
     CALLS.clear()
     command(tmp_path / "out", "--fresh")
     assert CALLS == [0, 1, 2, 3] and "earlier" not in capsys.readouterr().out
+
+
+def test_the_figures_of_another_study_are_kept(tmp_path, capsys):
+    command(tmp_path / "out")
+    there = {path: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
+    with pytest.raises(SystemExit):
+        cli_study.main(replace(study(range(4)), name="another"), ["--quick", "--out", str(tmp_path / "out")])
+    assert "has the figures of the study" in capsys.readouterr().err and all(path.read_bytes() == was for path, was in there.items())
 
 
 @pytest.mark.parametrize("made, said", [("out", "is a file"), ("out/mine.txt", "that no study made")])
