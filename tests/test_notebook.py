@@ -201,7 +201,8 @@ def test_pictures_show_the_run(run):
     assert np.array_equal(energy.lines[3].get_ydata(), run.energy.total)
     assert np.array_equal(path.lines[0].get_xydata(), run.position("tip"))
     assert [line.get_label() for line in pushed.lines][-1] == "joint: torque, N m" and len(pushed.lines) == 5
-    assert len(run.plot.deformed([0.0, 0.03]).collections) == 6  # cells, edges and sticks, twice
+    bodies = run.plot.deformed([0.0, 0.03])
+    assert (len(bodies.collections), len(bodies.patches)) == (4, 2)  # cells and sticks, outlines, each twice
     pyplot.close("all")
 
 
