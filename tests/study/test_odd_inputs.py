@@ -107,6 +107,14 @@ def test_the_line_of_an_order_has_the_slope_of_the_points():
     assert study.orders[label]["q"] == pytest.approx(slope)
 
 
+def test_the_line_of_an_order_ends_with_the_points_that_it_is_fitted_over():
+    reference = {"q": [np.cos(5.0)], "v": [-10 * np.sin(5.0)], "lam": [], "known_to": {"q": 2e-5, "v": 0.0}}
+    study = pi.study.step_sizes(Spring(), 0.5, q0=[1.0], integrators={"own": Leapfrog}, h=(1e-2, 5e-3, 2.5e-3, 1e-3), reference=reference)
+    low = [row["h"] for row in study.fitted("own", "q")]
+    guides = [line for line in study.plot("q").lines if line.get_label().startswith("_child") and len(line.get_xdata()) == 2]
+    assert len(low) == 2 and study.known(study.rows[2], "q") and sorted(guides[0].get_xdata()) == sorted(low)
+
+
 def test_every_setting_is_warmed_up():
     class Heard(pi.GeneralizedAlpha):
         def steps(self, model, state, t_end, counts, **more):

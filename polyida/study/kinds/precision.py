@@ -58,8 +58,12 @@ class Precision(Result):
         """The rows of an integrator that came to their end."""
         return [row for row in self.rows if row["integrator"] == label and row["status"] in ("done", "stopped")]
 
+    def fitted(self, label, part):
+        """The rows of an integrator that its order is fitted over."""
+        return [row for row in self.of(label) if row["h"] is not None and row[f"error_{part}"] > ABOVE * self._floor(part)]
+
     def _order(self, label, part):
-        rows = [row for row in self.of(label) if row["h"] is not None and row[f"error_{part}"] > ABOVE * self._floor(part)]
+        rows = self.fitted(label, part)
         return fitted([self._length(row) for row in rows], [row[f"error_{part}"] for row in rows])
 
     def _length(self, row):
