@@ -42,6 +42,8 @@ SETTINGS = {
     "axes.formatter.use_mathtext": True,
     "savefig.dpi": 200,  # two pixels for each of the 640 that a report shows
     "figure.dpi": 100,
+    "figure.autolayout": False,
+    "figure.constrained_layout.use": False,
 }
 
 
@@ -116,7 +118,7 @@ def lay_out(figure):
         to_scale = any(axes.get_aspect() != "auto" for axes in figure.axes)
         for _ in range(2 if to_scale else 1):  # where axes to scale come to lie shows only when the others have their place
             engine.execute(figure)
-        figure.set_layout_engine("none")
+        figure.set_layout_engine(None)  # "none" would leave an engine that does nothing: each file would be drawn twice for it
 
 
 def box(points):
