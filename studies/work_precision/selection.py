@@ -72,7 +72,7 @@ def tasks(quick):
 def ladder(problem, member, quick):
     """Steps or tolerances of a member on a problem, coarse to fine."""
     if member == radau_accuracy.FIXED and problem in radau_accuracy.ASYMPTOTIC:
-        return radau_accuracy.steps(problem)
+        return radau_accuracy.steps(problem, quick)
     if member in RADAU:
         return [COARSER * (CLASSICAL | SCENES)[problem] / 2**k for k in ((1, 3) if quick else range(6))]
     if member in FIXED:
@@ -81,7 +81,8 @@ def ladder(problem, member, quick):
     if member == "alpha, adaptive":
         return _powers(1e-4, 1e-6 if quick else 1e-8, quick)
     if member == "radau":
-        return _powers(1e-4, 1e-12 if problem in CLASSICAL else 1e-8, quick)
+        tight = radau_accuracy.TIGHT if quick else 1e-12
+        return _powers(1e-4, tight if problem in CLASSICAL else 1e-8, quick)
     return [1e-3, 1e-5] if member == "IDA index3" else _powers(1e-3, tightest(problem, quick), quick)
 
 

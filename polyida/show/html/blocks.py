@@ -11,6 +11,7 @@ from polyida.show.html.svg import inline
 
 WITHIN = 2_000_000  # bytes of CSV that the page itself holds
 SHOWN = 60, 12  # rows and columns of numbers that the page shows as a table
+LONG = 60  # letters, from which a cell is a sentence
 DASH = "\N{EN DASH}"
 
 
@@ -121,10 +122,10 @@ def _class(numeric):
 
 def _cell(value, form, numeric):
     order = f' data-value="{float(value)!r}"' if numeric and not missing(value) else ""
-    empty = ' class="empty"' if missing(value) else _class(numeric)
     code = form == "code" and not missing(value)
     text = escape(shown(value, "{}" if form == "code" else form))
-    return f"<td{empty}{order}>{f'<code>{text}</code>' if code else text}</td>"
+    look = ' class="empty"' if missing(value) else ' class="long"' if len(text) > LONG and not code else _class(numeric)
+    return f"<td{look}{order}>{f'<code>{text}</code>' if code else text}</td>"
 
 
 def _link(name, csv):
