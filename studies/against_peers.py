@@ -50,13 +50,13 @@ def tasks(quick):
     return made + [
         {
             "scene": scene,
-            "dof": 300 if quick else gain.DOF,
+            "dof": 100 if quick else gain.DOF,
             "solver": part,
             "setting": ROUNDS,
-            "fine": 0.0,
+            "fine": fine if quick else 0.0,
             "repeats": 1 if quick else ROUNDS,
         }
-        for scene, part in (("scene 1", "rounds"), ("scene 2", "rounds"), ("scene 1", "stiff"))
+        for scene, part, fine in (("scene 1", "rounds", 0.0), ("scene 2", "rounds", FINE), ("scene 1", "stiff", 0.0))
     ]
 
 
@@ -75,7 +75,7 @@ def run(scene, dof, solver, setting, fine, repeats):
     Solver "rounds": all points of the gains over generalized-alpha; "stiff": Radau IIA on plates of 200 GPa.
     """
     if solver in ("rounds", "stiff"):
-        return gain.in_rounds(scene, dof, repeats) if solver == "rounds" else gain.stiff_row(dof)
+        return gain.in_rounds(scene, dof, repeats, fine=fine) if solver == "rounds" else gain.stiff_row(dof)
     model = model_of(scene, dof)
     exact, doubt = reference(scene, dof, fine)
     if solver == "reference":
