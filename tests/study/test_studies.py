@@ -166,7 +166,7 @@ def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
     assert REQUIRED.get(name, set()) <= set(study.headline) <= set(data["figures"])
     assert all(data["figures"][key] is None for key in study.headline)
     assert sum(line.startswith("failed: ") for line in data["notes"]) == len(rows) == len(data["rows"])
-    assert {"figures", "notes", "rows", "machine", "command"} == set(data)
+    assert {"study", "figures", "notes", "rows", "machine", "command"} == set(data) and data["study"] == study.name
     assert data == json.loads((tmp_path / "figures.json").read_text())
     printed = capsys.readouterr().out
     assert "it broke" in printed and "figures.json" in printed and "where it broke" not in printed
