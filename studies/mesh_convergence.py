@@ -10,9 +10,9 @@ from polyida.cli.study import main
 from polyida.problems.spin_up_beam import EXTENSION
 from polyida.show.style import INK
 from polyida.study.drawing import aim_line, curves, drawn, legend, loglog, look, panels
-from polyida.study.harness import Study
 from polyida.study.rows import column, last, pick, value, worst
 from polyida.study.slopes import fitted
+from polyida.study.sweeps.harness import Study
 
 REFERENCES = {  # what a figure says of what errors are measured against: where that is slender, a plane body is some way from it
     "elastica": "plane body less elastica",
@@ -201,9 +201,9 @@ def convergence_figure(rows):
             loglog(axis, column(runs, "dof"), column(runs, "deviation"), i, ", ".join(member))
             more = [row for row in runs if row.get("above")]
             axis.plot(column(more, "dof"), column(more, "deviation"), **look(i) | {"linestyle": "", "markerfacecolor": "white"})
+        axis.margins(y=0.2)
         aim_line(axis, 1e-3, "0.1 %")
         axis.set(title=title, ylabel="relative error")
-        axis.set_ylim(bottom=axis.get_ylim()[0] / 3)
         if words := REFERENCES.get(wanted["case"]):
             told = words + (band(axis, left_out(rows, **wanted)) if wanted["case"] != "cantilever" else "")
             axis.annotate(told, (1, 0), (-3, 3), "axes fraction", "offset points", fontsize=7, color=INK, ha="right", va="bottom")

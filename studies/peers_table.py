@@ -3,9 +3,9 @@
 from peers_table.cells import FOUND, checks_of, run
 from peers_table.rows import PEERS, ROWS
 from polyida.cli.study import main
-from polyida.study.drawing import drawn
-from polyida.study.harness import Study
+from polyida.study.drawing import drawn, panels, picture
 from polyida.study.rows import each, pick
+from polyida.study.sweeps.harness import Study
 
 ALWAYS = ("polyida", "scikit-sundae")  # what an installed polyida has beside it
 
@@ -29,17 +29,13 @@ def notes(rows):
 
 @drawn
 def draw(rows):
-    """The cells: a square where a thing was seen, a cross where it is not there."""
+    """Seen, in whole or in part (squares), not there (crosses), not installed (dots); an empty place has no call here but a source in the guide."""
     from polyida.show.style import PALETTE
-    from polyida.study.drawing import panels, picture
 
-    good = [row for row in rows if not row.get("error")]
-    peers, names = each(good, "peer"), [name for name in ROWS if pick(good, row=name)]
-    if not good:
-        raise LookupError("no rows to draw")
-    made, (axes,) = panels(1, columns=1, height=0.8 + 0.2 * len(names))
+    peers, names = each(rows, "peer"), [name for name in ROWS if pick(rows, row=name)]
+    made, (axes,) = panels(1 if rows else 0, columns=1, height=0.8 + 0.2 * len(names))
     for k, (found, marker) in enumerate(zip(FOUND, "sx.")):
-        places = [(peers.index(row["peer"]), names.index(row["row"])) for row in good if row["found"] == found]
+        places = [(peers.index(row["peer"]), names.index(row["row"])) for row in pick(rows, found=found)]
         if places:
             axes.plot(*zip(*places), marker, color=PALETTE[k], label=found)
     axes.set_xticks(range(len(peers)), peers, rotation=30, ha="right")

@@ -11,7 +11,7 @@ import pytest
 import polyida as pi
 from polyida.cli.garbage import THRESHOLDS
 from polyida.cli.main import main
-from polyida.study.job import load
+from polyida.study.comparison.job import load
 
 SMALL = ("--cells", "8", "--time", "0.02")
 SCENE = """
@@ -116,7 +116,7 @@ def test_report_stands_alone_and_figures_are_numbers(folder):
 
 def test_nothing_is_drawn_while_runs_are_timed_and_every_picture_once(folder, monkeypatch):
     from polyida.show.press import Press
-    from polyida.study import compare
+    from polyida.study.comparison import compare
 
     told = []
     for place, name in ((Press, "ready"), (Press, "give"), (compare, "timed"), (compare, "refine")):
@@ -397,7 +397,7 @@ OWN = '''
 from dataclasses import dataclass
 import polyida as pi
 from polyida.problems import Problem
-from polyida.study.harness import Study
+from polyida.study.sweeps.harness import Study
 from scene import build
 
 class Slot(pi.Joint):
@@ -467,4 +467,29 @@ def test_what_a_file_adds_to_the_registry_is_found_when_the_file_is_named(own, f
 
 
 def test_a_study_that_a_file_does_not_have_is_told_with_those_it_has(own, capsys):
-    assert "own_things.py: it has no 'cubes'; studies there: none" in refused(capsys, "study", f"{own}:cubes")
+    assert "own_things.py: it has no 'cubes'; studies there: swing, square" in refused(capsys, "study", f"{own}:cubes")
+
+
+STUDY = """
+import polyida as pi
+
+def mine(quick=False, progress=None):
+    steps = (1e-2, 5e-3) if quick else (1e-2, 5e-3, 2.5e-3)
+    return pi.study.step_sizes("pendulum", 0.1, integrators={"alpha": lambda h: pi.GeneralizedAlpha(h=h)}, h=steps, progress=progress)
+
+def none():
+    return 3
+"""
+
+
+def test_a_function_that_returns_a_result_is_a_study(folder, capsys):
+    (folder / "my_study.py").write_text(STUDY)
+    assert main(["study", "my_study.py:mine", "--quick"]) == 0
+    out = capsys.readouterr().out
+    assert "order_q alpha: " in out and "Reference: Radau IIA" in out and (folder / "mine-quick" / "report.html").is_file()
+    assert main(["study", "my_study.py:mine", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert [row["h"] for row in data["rows"]] == [1e-2, 5e-3, 2.5e-3] and data["command"] == "polyida study my_study.py:mine --json"
+    assert "returned int; a result of pi.study is needed" in refused(capsys, "study", "my_study.py:none")
+    assert "takes no option --quick" in refused(capsys, "study", "my_study.py:none", "--quick")
+    assert "mine exists" in refused(capsys, "study", "my_study.py:mine", "--out", "mine")

@@ -21,13 +21,14 @@ NOT_CALLED = {
 }  # to be derived from, or handed out
 EACH_STEP = {"State", "Counts"}  # made in the loops of integrators
 PUBLIC = {f"pi.{name}": getattr(pi, name) for name in sorted({*pi.__all__} - NOT_CALLED - EACH_STEP) if callable(getattr(pi, name))}
-PUBLIC |= {f"pi.mesh.{name}": getattr(pi.mesh, name) for name in pi.mesh.__all__ if name not in ("Domain", "MeshQuality", "Section")}
+NO_CALLS = ("FORMATS", "Domain", "MeshQuality", "MeshWarning", "Section")
+PUBLIC |= {f"pi.mesh.{name}": getattr(pi.mesh, name) for name in pi.mesh.__all__ if name not in NO_CALLS}
 PUBLIC |= {
     f"pi.profile.{name}": getattr(pi.profile, name)
     for name in ("constant", "polynomial", "quintic", "ramp", "linear", "sine", "from_function")
 }
 PUBLIC |= {f"pi.sensor.{name}": getattr(pi.sensor, name) for name in pi.sensor.__all__}
-PUBLIC |= {"pi.export.vtu": pi.export.vtu}
+PUBLIC |= {"pi.export.vtu": pi.export.vtu, "pi.study.sweep": pi.study.sweep}
 
 
 @pytest.mark.parametrize("name", PUBLIC)

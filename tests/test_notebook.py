@@ -149,6 +149,16 @@ def test_a_run_as_a_data_frame(run):
     assert list(own.to_dataframe().columns) == ["t", "q[0]", "q[1]", "v[0]", "v[1]", "lam[0]"]
 
 
+def test_a_clamp_has_a_column_for_every_node_it_holds(scenes):
+    held = pi.solve(scenes.cantilever()[0].build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
+    (name,) = held.model.joints
+    count = held.reaction(name).shape[1]
+    frame, data = held.to_dataframe(), held.to_xarray()
+    forces = [f"{name}.force_{axis}_{node}" for node in range(1, count // 2 + 1) for axis in "xy"]
+    assert count > 2 and np.array_equal(frame[forces], held.reaction(name)) and list(data.component.values) == forces
+    assert np.array_equal(data.reaction, held.reaction(name)) and len(held.plot.reactions().lines) == count
+
+
 def test_a_run_as_a_data_set(run, monkeypatch):
     data = run.to_xarray()
     assert all(np.array_equal(data[part], getattr(run, part)) for part in ("t", "q", "v", "a", "lam", "drift"))
@@ -191,7 +201,8 @@ def test_pictures_show_the_run(run):
     assert np.array_equal(energy.lines[3].get_ydata(), run.energy.total)
     assert np.array_equal(path.lines[0].get_xydata(), run.position("tip"))
     assert [line.get_label() for line in pushed.lines][-1] == "joint: torque, N m" and len(pushed.lines) == 5
-    assert len(run.plot.deformed([0.0, 0.03]).collections) == 6  # cells, edges and sticks, twice
+    bodies = run.plot.deformed([0.0, 0.03])
+    assert (len(bodies.collections), len(bodies.patches)) == (4, 2)  # cells and sticks, outlines, each twice
     pyplot.close("all")
 
 

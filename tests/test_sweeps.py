@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,9 @@ import pytest
 
 from polyida.cli import study as cli_study
 from polyida.errors import InputError
-from polyida.study import harness
-from polyida.study.harness import Study, key_of, results, write_whole
-from polyida.study.isolation import Worker, run_isolated
+from polyida.study.sweeps import harness
+from polyida.study.sweeps.harness import Study, key_of, results, write_whole
+from polyida.study.sweeps.isolation import Worker, run_isolated
 from stress.kills import killed_sweeps
 
 CALLS = []
@@ -106,7 +107,7 @@ def test_a_worker_takes_call_after_call():
 
 ORPHAN = """
 import os, sys, time
-from polyida.study.isolation import Worker, GRACE
+from polyida.study.sweeps.isolation import Worker, GRACE
 def long(place):
     open(place, "w").write(str(os.getpid()))
     time.sleep(60)
@@ -118,7 +119,7 @@ if __name__ == "__main__":
 def test_a_worker_left_alone_ends_itself(tmp_path):
     """The process that asked is killed while a task goes on: the task ends at its limit and does not stay for ever."""
     (tmp_path / "orphan.py").write_text(
-        ORPHAN.replace("import Worker, GRACE", "import Worker\nimport polyida.study.isolation as i\ni.GRACE = 0.5")
+        ORPHAN.replace("import Worker, GRACE", "import Worker\nimport polyida.study.sweeps.isolation as i\ni.GRACE = 0.5")
     )
     parent = subprocess.Popen(
         [sys.executable, tmp_path / "orphan.py", tmp_path / "pid", "limit"], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
@@ -197,6 +198,14 @@ def test_the_command_says_which_results_are_of_other_code(tmp_path, capsys, monk
     CALLS.clear()
     command(tmp_path / "out", "--fresh")
     assert CALLS == [0, 1, 2, 3] and "earlier" not in capsys.readouterr().out
+
+
+def test_the_figures_of_another_study_are_kept(tmp_path, capsys):
+    command(tmp_path / "out")
+    there = {path: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
+    with pytest.raises(SystemExit):
+        cli_study.main(replace(study(range(4)), name="another"), ["--quick", "--out", str(tmp_path / "out")])
+    assert "has the figures of the study" in capsys.readouterr().err and all(path.read_bytes() == was for path, was in there.items())
 
 
 @pytest.mark.parametrize("made, said", [("out", "is a file"), ("out/mine.txt", "that no study made")])

@@ -7,17 +7,19 @@ import shlex
 import sys
 from json import loads
 from pathlib import Path
+from types import FunctionType
 from typing import Annotated
 
 import typer
 
-from polyida.cli import names, options, running, tables
+from polyida.cli import names, options, running
 from polyida.cli.garbage import collect_rarely
 from polyida.cli.help import COMPUTE, FIRST, LOOK, START, STUDY, Groups, examples
 from polyida.cli.options import flag, option
 from polyida.cli.places import free, made, make
-from polyida.cli.progress import bars
-from polyida.cli.terminal import document, error, lines, tolerate_letters, writable
+from polyida.cli.screen import tables
+from polyida.cli.screen.progress import bars
+from polyida.cli.screen.streams import document, error, lines, tolerate_letters, writable
 from polyida.cli.told import run_told, show_run
 from polyida.errors import InputError
 
@@ -96,9 +98,9 @@ def compare(
     """
     from polyida.show import page, report
     from polyida.show.press import Press
-    from polyida.study import chosen
-    from polyida.study.compare import measured, prepared, timed
-    from polyida.study.job import load
+    from polyida.study.comparison import chosen
+    from polyida.study.comparison.compare import measured, prepared, timed
+    from polyida.study.comparison.job import load
 
     with document(json) as answer, Press() as press:
         job = load(scene, time=time, step=step, cells=cells)
@@ -167,7 +169,7 @@ def run(
 
 def _listed(listed):
     """Names out of a list with commas; those that are compared by default where it is None."""
-    from polyida.study.chosen import COMPARED
+    from polyida.study.comparison.chosen import COMPARED
 
     names = [name.strip() for name in (listed or ",".join(COMPARED)).split(",")]
     if "" in names:
@@ -187,7 +189,7 @@ def list_names(
     """List scenes, integrators and studies that have a name."""
     with document(json) as answer:
         if file:
-            from polyida.study import scene_file
+            from polyida.study.comparison import scene_file
 
             scene_file.executed(file)
         found = {"problems": names.problems(), "integrators": names.integrators(), "studies": names.studies()}
@@ -244,7 +246,7 @@ def export(
     {
         "polyida study": "lists them",
         "polyida study work-precision --quick": "to ./work_precision-quick; the same command goes on where it was stopped",
-        "polyida study my_study.py:mine --out mine": "a study of yours",
+        "polyida study my_study.py:mine --out mine": "a study of yours: a function that returns a result of pi.study",
         "polyida study conditioning --help": "the study's own options",
     },
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []},
@@ -283,11 +285,16 @@ def _list_studies(json):
 
 
 def _run_study(name, arguments, command):
-    """Run a registered study, or the one that `my_study.py:NAME` names."""
+    """Run a registered study, or the one that `my_study.py:NAME` names: a Study, or a function that returns a Result."""
     from polyida import registry
+    from polyida.cli import own_study
     from polyida.cli.study import main as run_study
-    from polyida.study import scene_file
-    from polyida.study.harness import Study
+    from polyida.study.comparison import scene_file
+    from polyida.study.sweeps.harness import Study
 
-    book, is_one = registry.studies, lambda value: isinstance(value, Study)
-    run_study(registry.find(book, name) or scene_file.named(name, book, is_one, "studies"), arguments, command)
+    book, is_one = registry.studies, lambda value: isinstance(value, (Study, FunctionType))
+    found = registry.find(book, name) or scene_file.named(name, book, is_one, "studies")
+    if isinstance(found, Study):
+        run_study(found, arguments, command)
+    else:
+        own_study.run(name, found, arguments, command)

@@ -3,7 +3,8 @@
 import sys
 
 from polyida import registry
-from polyida.cli import scripts, tables
+from polyida.cli import scripts
+from polyida.cli.screen import tables
 
 LISTED = {"compared": "quantity", "source": "source"}
 
@@ -21,7 +22,7 @@ def problems() -> list[dict]:
 
 def integrators() -> list[dict]:
     """{name, what} of each; those of one class stand once, by the shorter name."""
-    from polyida.study.chosen import KNOWN
+    from polyida.study.comparison.chosen import KNOWN
 
     short = {of_class: name for name, (of_class, *_) in KNOWN.items()}
     return [

@@ -4,17 +4,17 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from polyida.cli.places import free, make
-from polyida.cli.progress import bars
-from polyida.cli.terminal import lines
+from polyida.cli.screen.progress import bars
+from polyida.cli.screen.streams import lines
 from polyida.errors import InputError
 
 
 def begun(scene, integrator, options, settings, out, overwrite):
     """(run, its file) of a scene with its options, by an integrator with its settings."""
     from polyida.integrate.solve import solve
-    from polyida.study import chosen
-    from polyida.study.compare import warm_up
-    from polyida.study.job import load
+    from polyida.study.comparison import chosen
+    from polyida.study.comparison.compare import warm_up
+    from polyida.study.comparison.job import load
 
     job, choice = load(scene, step=None if settings["step"] == "auto" else settings["step"], **options), chosen.choice(integrator)
     member = choice.made(job, **{name: value for name, value in settings.items() if value is not None})
@@ -36,7 +36,7 @@ def require_none(options, why):
 def resumed(path, scene, cells, time):
     """Go on with the run in a file; the model comes from `scene` where that is given."""
     from polyida.integrate.resume import resume
-    from polyida.study.job import load
+    from polyida.study.comparison.job import load
 
     job = load(scene, time=time, cells=cells) if scene else None
     end = time or loaded(path).plan.get("t_end") or 1.0

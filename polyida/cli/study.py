@@ -7,16 +7,16 @@ import sys
 from contextvars import ContextVar
 from pathlib import Path
 
-from polyida.cli import tables
 from polyida.cli.garbage import collect_rarely
-from polyida.cli.progress import Parts, bars
-from polyida.cli.terminal import document, tolerate_letters, writable
+from polyida.cli.screen import tables
+from polyida.cli.screen.progress import Parts, bars
+from polyida.cli.screen.streams import document, tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.page import finite
 from polyida.study.findings import columns_of, findings, shortened
-from polyida.study.harness import of_other_code, plain, results, write_whole
 from polyida.study.report import write_page
+from polyida.study.sweeps.harness import of_other_code, plain, results, write_whole
 
 PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
 MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table keeps, beside what was varied
@@ -40,7 +40,7 @@ def main(study, arguments=None, command=None):
             rows = _results(study, options, out, Parts(study.name, tell))
         found = findings(study, rows)
         found.notes += shortened(study) if options.quick else []
-        data = _write_figures(command or typed, rows, found, out)
+        data = _write_figures(study, command or typed, rows, found, out)
         page = write_page(study, rows, found, data, out)
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -90,16 +90,33 @@ def _results(study, options, out, progress):
         raise InputError(f"{out}: is a file; give a folder with --out")
     if out.exists() and any(out.iterdir()) and not any((out / kept).exists() for kept in ("tasks", "figures.json")):
         raise InputError(f"{out}: has something in it that no study made; give another folder with --out")
+    if (made := _study_of(out, study.name)) != study.name:
+        raise InputError(f"{out}: has the figures of the study {made}; give another folder with --out")
     if options.fresh and tasks.is_dir():
         for path in tasks.glob("*.json"):
             path.unlink()
     return results(study, options.quick, tasks, progress)
 
 
-def _write_figures(command, rows, found, out):
+def _study_of(out, mine):
+    """The name of the study whose figures are in a folder; mine where none says so."""
+    try:
+        return json.loads((out / "figures.json").read_text(encoding="utf-8")).get("study", mine)
+    except (OSError, ValueError, AttributeError):
+        return mine
+
+
+def _write_figures(study, command, rows, found, out):
     """figures.json, and what it holds: strict JSON, so that what is not finite is null there."""
     kept = [{name: value for name, value in row.items() if name != "traceback"} for row in rows]
-    data = {"figures": found.figures, "notes": found.notes, "rows": kept, "machine": machine_info(), "command": command}
+    data = {
+        "study": study.name,
+        "figures": found.figures,
+        "notes": found.notes,
+        "rows": kept,
+        "machine": machine_info(),
+        "command": command,
+    }
     text = json.dumps(finite(json.loads(json.dumps(data, default=plain))), indent=1, allow_nan=False)
     write_whole(out / "figures.json", text)
     return json.loads(text)

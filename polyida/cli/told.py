@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 
-from polyida.cli import tables
+from polyida.cli.screen import tables
 from polyida.errors import InputError
 
 

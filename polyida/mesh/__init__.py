@@ -1,9 +1,9 @@
 """Polygon meshes: the container, the mesher and its domains, structured meshes, files."""
 
-from polyida.mesh.files.files import read, write
+from polyida.mesh.drawings.outlines import read_outline, svg_path
 from polyida.mesh.files.lists import from_lists
-from polyida.mesh.files.outlines import read_outline, svg_path
 from polyida.mesh.files.raw import RawMesh
+from polyida.mesh.files.read_write import read, write
 from polyida.mesh.files.registry import FORMATS, Format
 from polyida.mesh.files.units import MeshWarning
 from polyida.mesh.make.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union

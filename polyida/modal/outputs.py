@@ -28,6 +28,8 @@ def outputs_of(part, model, state, given):
     """A list of Output of what a user gives: None, one, a list or a dictionary {label: one}. Raises InputError, in the name of `part`."""
     if given is None:
         given = default(model)
+    if isinstance(given, (dict, list)) and not given:
+        raise InputError(f"{part}: output {given!r} names nothing to look at; leave it out for masses, loads or all coordinates")
     if isinstance(given, dict):
         return [_output(part, model, state, one, str(label)) for label, one in given.items()]
     given = given if isinstance(given, list) else [given]

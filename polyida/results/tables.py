@@ -34,7 +34,16 @@ def reactions(run):
 
 
 def quantity(model, name, k):
-    """("force x", "N") of component k of a reaction, as the joint or its row says; a row without a unit has a multiplier."""
+    """("force x", "N") of component k of a reaction; where a joint has several of a name, as a clamp at each node, "force x 1" is the first."""
+    joint, rows = model.joints.get(name), model.rows[name]
+    count = len(joint.components) if joint is not None and joint.components else rows.stop - rows.start
+    said = [_said(model, name, i) for i in range(count)]
+    of_name = [i for i, one in enumerate(said) if one == said[k]]
+    return (f"{said[k][0]} {of_name.index(k) + 1}", said[k][1]) if len(of_name) > 1 else said[k]
+
+
+def _said(model, name, k):
+    """What the joint or its row says of component k; a row without a unit has a multiplier."""
     row, joint = model.rows[name].start + k, model.joints.get(name)
     if joint is not None and joint.components:
         axis, unit = joint.components[k]

@@ -45,8 +45,8 @@ def write(comparison, folder, command, press, tell=lambda what: None):
         vtu(shown, folder / "frames", overwrite=True, frames=FRAMES)
     tell("pictures")
     *others, last = comparison.runs
-    title, lead = f"{comparison.job.name}: {', '.join(others)} and {last}".replace(":  and", ":"), f"{system(comparison.job)}."
-    return html.write(folder, title, _blocks(comparison, shown, found), command, machine, lead, press)
+    title = f"{comparison.job.name}: {' and '.join(filter(None, [', '.join(others), last]))}"
+    return html.write(folder, title, _blocks(comparison, shown, found), command, machine, f"{system(comparison.job)}.", press)
 
 
 def _blocks(comparison, shown, found):

@@ -40,10 +40,10 @@ SETTINGS = {
     "legend.frameon": False,
     "axes.formatter.limits": (-3, 4),
     "axes.formatter.use_mathtext": True,
-    "savefig.dpi": 200,  # two pixels for each of the 640 that a report shows
-    "figure.dpi": 100,
     "figure.autolayout": False,
     "figure.constrained_layout.use": False,
+    "savefig.dpi": 200,  # two pixels for each of the 640 that a report shows
+    "figure.dpi": 100,
 }
 
 
@@ -83,7 +83,7 @@ def hollow(i, count):
     """Hollow markers of the i-th of `count` lines that may lie on each other: the first the widest, so that every one is seen."""
     return {
         "marker": MARKERS[i % len(MARKERS)],
-        "markersize": 2.5 + 2.2 * (count - 1 - i),
+        "markersize": 2.5 + min(2.2, 8 / count) * (count - 1 - i),
         "markerfacecolor": "none",
         "markeredgewidth": 0.8,
         "linewidth": 0.8,
@@ -118,7 +118,7 @@ def lay_out(figure):
         to_scale = any(axes.get_aspect() != "auto" for axes in figure.axes)
         for _ in range(2 if to_scale else 1):  # where axes to scale come to lie shows only when the others have their place
             engine.execute(figure)
-        figure.set_layout_engine(None)  # "none" would leave an engine that does nothing: each file would be drawn twice for it
+        figure.set_layout_engine(None)  # not "none": with that each drawing is made twice
 
 
 def box(points):

@@ -14,8 +14,9 @@ _PLACES = {
     "drift": "kinds.drift",
     "sweep": "sweeps.sweep",
     "Sweep": "sweeps.sweep",
-    "Isolated": "isolation",
+    "Isolated": "sweeps.isolation",
     "Result": "result",
+    "Study": "sweeps.harness",
 }
 __all__ = list(_PLACES)
 

@@ -19,16 +19,16 @@ def measured(subject, integrator, repeats=1):
 
 
 def errors(run, reference):
-    """{"error_q", "error_v", "error_lam"}: the largest absolute deviation of each part at the end; NaN where the run did not come there or
-    there is no reference.
+    """{"error_q", "error_v", "error_lam"}: the largest absolute deviation of each part at the end; NaN where the run did not come there,
+    there is no reference, or nothing in the part.
     """
     return {f"error_{part}": _error(run, part, reference) for part in PARTS}
 
 
 def _error(run, part, reference):
-    if not run.success or part not in reference:
+    if not run.success or not np.size(reference.get(part, ())):
         return NAN
-    return float(np.abs(getattr(run, part)[-1] - reference[part]).max(initial=0.0))
+    return float(np.abs(getattr(run, part)[-1] - reference[part]).max())
 
 
 def smallest_errors(runs):

@@ -26,7 +26,7 @@ def write(result, folder, overwrite, command=""):
     if folder.is_dir() and any(folder.iterdir()) and not overwrite:
         raise InputError(f"report: {folder} has something in it: choose another folder, or say overwrite=True")
     folder.mkdir(parents=True, exist_ok=True)
-    command = command or shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session"
+    command = command or (shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session")
     data = result.as_dict() | {"command": command}
     (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
     html.write(folder, result.title, blocks(result), command, data["machine"], result.lead)

@@ -1,14 +1,19 @@
 """What every study gives: rows, figures made of them, notes; as a table, a data frame, a plot, a report."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.html.blocks import shown
 from polyida.show.page import finite
-from polyida.study.isolation import plain
+from polyida.study.sweeps.isolation import plain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from xarray import Dataset
 
 CELL = 34  # characters of a cell of the printed table
 KEPT = ("status", "error")  # columns that are shown only where something failed
@@ -25,7 +30,7 @@ class Result:
     title, lead = "study", ""
     columns: dict = {}
 
-    def __init__(self, rows, notes=(), histories=None):
+    def __init__(self, rows: Iterable[dict], notes: Iterable[str] = (), histories: dict | None = None) -> None:
         self.rows, self.notes, self.histories = list(rows), list(notes), histories or {}
 
     @property
@@ -33,13 +38,13 @@ class Result:
         """{name: number}: what the rows come to."""
         return {}
 
-    def to_dataframe(self):
+    def to_dataframe(self) -> "DataFrame":
         """The rows as a pandas.DataFrame."""
         from pandas import DataFrame
 
         return DataFrame(self.rows, columns=self._names() or None)
 
-    def to_xarray(self):
+    def to_xarray(self) -> "Dataset":
         """The histories as an xarray.Dataset over (run, frame), NaN behind the last frame of each; the rows, over row, where there are none.
 
         Raises InputError where xarray is not installed.

@@ -1,6 +1,6 @@
 """What a study runs: a model, a scene, a problem or its name, with its start and end; and with which integrators."""
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 
 import numpy as np
 
@@ -27,8 +27,16 @@ class Subject:
     published: dict = field(default_factory=dict)
 
     def run(self, integrator, **options):
-        """The Trajectory by an integrator; Ctrl-C goes on to who asked."""
-        run = solve(self.model, self.t_end, integrator, q0=self.q0, v0=self.v0, **options)
+        """The Trajectory by an integrator, as far as it came where a user's function raised; Ctrl-C goes on to who asked."""
+        return self._until(self.t_end, integrator, **options)
+
+    def _until(self, t_end, integrator, **options):
+        try:
+            run = solve(self.model, t_end, integrator, q0=self.q0, v0=self.v0, **options)
+        except Exception as error:
+            run = getattr(error, "trajectory", None)
+            if run is None:
+                raise
         if run.status == "interrupted":
             raise KeyboardInterrupt
         return run
@@ -37,7 +45,7 @@ class Subject:
         """Two steps, so that compiling or loading kernels counts as nobody's time."""
         h = getattr(integrator, "h", None)
         short = 2 * h if is_number(h) else SHORT * self.t_end
-        solve(self.model, min(short, self.t_end), integrator, q0=self.q0, v0=self.v0)
+        self._until(min(short, self.t_end), integrator)
 
 
 def subject(study, model, t_end, q0=None, v0=None):
@@ -45,27 +53,32 @@ def subject(study, model, t_end, q0=None, v0=None):
 
     Raises InputError for anything else, for a name that is unknown, and for a time or a start that cannot be.
     """
+    name, built, problem = studied(study, model)
+    return _of_problem(study, problem, t_end, q0, v0) if problem else _checked(study, Subject(name, built, t_end, q0, v0))
+
+
+def studied(study, model):
+    """(name, Model, Problem or None) of a Model, a Scene, a Problem, or the name of one. Raises InputError for anything else."""
     from polyida import problems
     from polyida.scene import Scene
 
     if isinstance(model, str):
         model = problems.get(model)
     if isinstance(model, problems.Problem):
-        return _of_problem(study, model, t_end, q0, v0)
+        return model.name, model.model, model
     built = model.build() if isinstance(model, Scene) else model
     if not isinstance(built, Model):
         wanted = "a Model, a Scene, a Problem or the name of one is needed"
         raise InputError(f"{study}: the model is {type(model).__name__}; {wanted}")
-    return _checked(study, Subject(type(model).__name__, built, t_end, q0, v0))
+    return type(model).__name__, built, None
 
 
 def _of_problem(study, problem, t_end, q0, v0):
     q0, v0 = (own if given is None else given for given, own in ((q0, problem.q0), (v0, problem.v0)))
     as_it_is = t_end in (None, problem.t_end) and q0 is problem.q0 and v0 is problem.v0
-    known = problem.reference if as_it_is and set(PARTS) <= set(problem.reference) else {}
-    published = (
-        {part: problem.reference[part] for part in PARTS} | {"known_to": problem.known_to, "made_by": [problem.source]} if known else {}
-    )
+    published = {}
+    if as_it_is and set(PARTS) <= set(problem.reference) & set(problem.known_to):
+        published = {part: problem.reference[part] for part in PARTS} | {"known_to": problem.known_to, "made_by": [problem.source]}
     return _checked(study, Subject(problem.name, problem.model, problem.t_end if t_end is None else t_end, q0, v0, published))
 
 
@@ -78,14 +91,9 @@ def _checked(study, given):
 
 def members(study, given, integrators, several=True):
     """{label: [integrators]} of what a user gives, each of which can run. Raises InputError for what is none."""
-    if not isinstance(integrators, dict) or not integrators:
-        raise InputError(
-            f"{study}: integrators = {integrators!r} must be a dictionary {{label: {'[integrators]' if several else 'integrator'}}}"
-        )
+    require_labels(study, integrators, "[integrators]" if several else "integrator")
     found = {}
     for label, settings in integrators.items():
-        if not isinstance(label, str) or not label:
-            raise InputError(f"{study}: label {label!r} of an integrator must be a text")
         found[label] = list(settings) if isinstance(settings, (list, tuple)) else [settings]
         if not found[label] or not several and len(found[label]) != 1:
             raise InputError(
@@ -96,15 +104,32 @@ def members(study, given, integrators, several=True):
     return found
 
 
+def require_labels(study, integrators, what):
+    """Raises InputError unless these are {label: what}, by labels that a picture's key shows."""
+    if not isinstance(integrators, dict) or not integrators:
+        raise InputError(f"{study}: integrators = {integrators!r} must be a dictionary {{label: {what}}}")
+    for label in integrators:
+        if not isinstance(label, str) or not label or label.startswith("_"):
+            raise InputError(f"{study}: label {label!r} of an integrator must be a text that does not begin with _")
+
+
 def setting(integrator, beside):
-    """In what an integrator differs from those beside it, in words: "h=0.001"; all of it where that does not tell."""
-    if not is_dataclass(integrator) or any(type(other) is not type(integrator) for other in beside):
+    """In what an integrator differs from those beside it, in words: "h=0.001"; where that does not tell, from its defaults: "IDA()"."""
+    if not is_dataclass(integrator):
         return repr(integrator)[:LONGEST]
-    names = [item.name for item in fields(integrator) if item.repr and item.init]
-    varied = [name for name in names if any(not _same(getattr(integrator, name), getattr(other, name)) for other in beside)]
-    shown = varied or [name for name in ("h", "rtol") if getattr(integrator, name, None) is not None]
-    text = ", ".join(f"{name}={_short(getattr(integrator, name))}" for name in shown)
-    return (text or repr(integrator))[:LONGEST]
+    names, kind = [item for item in fields(integrator) if item.repr and item.init], type(integrator)
+    if all(type(other) is kind for other in beside):
+        varied = [
+            item.name for item in names if any(not _same(getattr(integrator, item.name), getattr(other, item.name)) for other in beside)
+        ]
+        if varied:
+            return _listed(integrator, varied)[:LONGEST]
+    given = [item.name for item in names if item.default is MISSING or not _same(getattr(integrator, item.name), item.default)]
+    return f"{kind.__name__}({_listed(integrator, given)})"[:LONGEST]
+
+
+def _listed(integrator, names):
+    return ", ".join(f"{name}={_short(getattr(integrator, name))}" for name in names)
 
 
 def _same(one, other):

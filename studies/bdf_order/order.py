@@ -13,8 +13,8 @@ from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.problems import plates
-from polyida.study.compare import watch
-from polyida.study.job import Job
+from polyida.study.comparison.compare import watch
+from polyida.study.comparison.job import Job
 
 
 @lru_cache(maxsize=8)

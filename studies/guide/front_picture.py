@@ -19,17 +19,18 @@ DARK = {"#ffffff": ("paper", "#15181c"), "#222222": ("ink", "#e8eaed"), "#dddddd
 
 
 def measured(problem, integrator):
-    """(CPU seconds, tip error in m) of a run; kernels are loaded by the first round."""
+    """(CPU seconds, tip error in m, steps) of a run; kernels are loaded by the first round."""
     runs = [pi.solve(problem.model, problem.t_end, integrator) for _ in range(ROUNDS)]
-    return min(run.cpu_seconds for run in runs), problem.compare(runs[0])["tip"]
+    return min(run.cpu_seconds for run in runs), problem.compare(runs[0])["tip"], runs[0].steps
 
 
 def drawn(points, problem):
-    """The figure of {label: [(CPU seconds, error)]}."""
+    """The figure of {label: [(CPU seconds, error, steps)]}."""
     with settings():
         made, axes = figure(6.4, 3.7)
-        for (label, pairs), colour, mark in zip(points.items(), PALETTE, MARKS):
-            axes.loglog(*zip(*pairs), color=colour, marker=mark, markersize=4.5, label=label)
+        for (label, found), colour, mark in zip(points.items(), PALETTE, MARKS):
+            cpu, error, _ = zip(*found)
+            axes.loglog(cpu, error, color=colour, marker=mark, markersize=4.5, label=label)
         axes.set(xlabel="CPU time of the run, s (one core)", ylabel="error of the tip after 1 s, m")
         axes.set_title(f"Two swinging plates, {problem.model.n} coordinates: what a digit costs", color=INK)
         axes.legend(loc="upper right", labelcolor=INK)
@@ -53,8 +54,9 @@ def main():
     problem = pi.problems.get("double-plate")
     points = {label: [measured(problem, member) for member in members] for label, members in MEMBERS.items()}
     PLACE.write_text(light_and_dark(rendered(drawn(points, problem), "svg").decode()), encoding="utf-8")
-    for label, pairs in points.items():
-        print(label, "  ".join(f"{cpu:.3g} s {error:.1e} m" for cpu, error in pairs))
+    for label, found in points.items():
+        for member, (cpu, error, steps) in zip(MEMBERS[label], found):
+            print(f"{label:18}{getattr(member, 'h', None) or member.rtol:9.3g} {steps:6} steps {cpu:7.3f} CPU s  tip off by {error:.1e} m")
 
 
 if __name__ == "__main__":

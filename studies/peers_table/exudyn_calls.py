@@ -208,6 +208,22 @@ def linear():
     return f"a mass on springs rests at {moved:.4f} m, omega^2 = {square:.4g}, M, K, D of the linearised system"
 
 
+def swung_by(given):
+    """Height of the pendulum's end, m, of a run with the step in a dictionary."""
+    exudyn, system, mass = pendulum()
+    system.SolveDynamic(settings(exudyn, h=given["h"]))
+    return float(position(exudyn, system, mass)[1])
+
+
+def varied():
+    """Three runs with three steps, by its own function for variations."""
+    from exudyn.processing import ParameterVariation
+
+    steps, heights = ParameterVariation(swung_by, {"h": [1e-2, 5e-3, 1e-3]}, showProgress=False)
+    require(len(heights) == 3 and np.ptp(heights) < 1e-3, f"{heights}")
+    return f"{len(heights)} runs, ends within {np.ptp(heights):.1e} m"
+
+
 def restarted():
     """A run of half the time writes its restart file; the same system, made anew, goes on from it to the end."""
     with tempfile.TemporaryDirectory() as folder:
@@ -244,5 +260,6 @@ CHECKS = {
     "condition number of the iteration matrix": condition,
     "counts of the work": counts,
     "statics, modes, linearisation": linear,
+    "many runs beside each other": varied,
     "a run that was killed goes on": restarted,
 }

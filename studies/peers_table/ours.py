@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -164,6 +165,30 @@ class Projected:
             yield pi.State(t_end if k == count - 1 else t, q, v, np.zeros(2), np.zeros(1))
 
 
+def precision():
+    """A small work-precision study of the pendulum, its reference by two families."""
+    steps = (1e-2, 5e-3)
+    integrators = {"generalized-alpha": [pi.GeneralizedAlpha(h=h) for h in steps], "own": [Projected(h=h) for h in steps]}
+    study = pi.study.work_precision(Pendulum(), T_END, **LEVEL, integrators=integrators)
+    require(len(study.rows) == 4 and all(row["status"] == "done" for row in study.rows), f"{study.rows}")
+    made, known = study.reference["made_by"], study.known_to["q"]
+    require(len(made) > 1 and known < 1e-8, f"reference by {made}, known to {known}")
+    return f"{len(study.rows)} rows, a reference by {' and '.join(made)}, known to {known:.1e} m"
+
+
+def side_by_side():
+    """Three pendulums on two threads, one of which fails and is a row."""
+    with ThreadPoolExecutor(2) as pool:
+        rows = pi.study.sweep(swung_by, [{"h": h} for h in (1e-2, 5e-3, -1.0)], executor=pool).rows
+    ends = [row.get("x") for row in rows]
+    require(ends[0] and ends[1] and rows[2]["error"], f"{rows}")
+    return f"3 rows, the last with the error {rows[2]['error'][:60]}"
+
+
+def swung_by(h):
+    return {"x": float(run_of(pi.GeneralizedAlpha(h=h)).q[-1, 0])}
+
+
 def counted():
     counts = run_of(pi.GeneralizedAlpha(h=1e-2)).counts
     found = {name: getattr(counts, name) for name in ("steps", "newton_iterations", "residuals", "tangents", "factorizations")}
@@ -220,7 +245,9 @@ CHECKS = {
     "energy-momentum": kept,
     "an integrator of one's own": lambda: swings(Projected(h=1e-3), 1e-2),
     "condition number of the iteration matrix": scaled,
+    "work-precision studies": precision,
     "counts of the work": counted,
     "statics, modes, linearisation": linear,
+    "many runs beside each other": side_by_side,
     "a run that was killed goes on": goes_on,
 }

@@ -30,6 +30,7 @@ STUDYING = (
     "statics, modes, linearisation",
     "gradients by adjoints",
     "GPU, or one model on many machines",
+    "many runs beside each other",
     "a run that was killed goes on",
 )
 ROWS = MODELS + INTEGRATORS + STUDYING

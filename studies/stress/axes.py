@@ -94,9 +94,7 @@ AXES = {
         cases.held_twice, cases.REDUNDANT, cases.REDUNDANT, ("alpha", "energy", "ggl2", "radau"), foreseen=cases.refused_as_redundant
     ),
     "pulse, s": Axis(cases.blow, (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8), (1e-2, 1e-4, 1e-8)),
-    "driven collapse, Pa": Axis(
-        _refined(scenes.collapsing, 1.1), (50e6, 20e6, 10e6, 5e6, 2e6, 1e6), (50e6, 1e6), foreseen=cases.too_soft
-    ),
+    "driven collapse, Pa": Axis(_refined(scenes.collapsing, 1.1), (50e6, 20e6, 10e6, 5e6, 2e6, 1e6), (50e6, 1e6), foreseen=cases.too_soft),
     "pressure over modulus": Axis(
         cases.pressing, (0.05, 0.1, 0.15, 0.18, 0.2, 0.25, 0.5, 1.0), (0.1, 0.18, 0.25), foreseen=cases.beyond_the_material
     ),

@@ -17,7 +17,7 @@ from polyida.integrate.solve import solve
 from polyida.io.file.layout import FRAMES
 from polyida.io.load import load
 from polyida.problems import plates
-from polyida.study.harness import Study, results
+from polyida.study.sweeps.harness import Study, results
 from stress.outcome import Check, integrator
 
 FLUSH, STRETCH = 50, 256  # steps between flushes; steps that the compiled code takes in one go

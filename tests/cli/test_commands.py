@@ -12,7 +12,7 @@ import polyida as pi
 from polyida.cli import complete, scripts
 from polyida.cli.main import app, main
 from polyida.cli.study import PROGRAM
-from polyida.study.chosen import KNOWN
+from polyida.study.comparison.chosen import KNOWN
 
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]
 SCRIPT = '''"""Squares of numbers: a study that comes along.
@@ -22,7 +22,7 @@ Further lines say more.
 
 from parts.square import square
 from polyida.cli.study import main
-from polyida.study.harness import Study
+from polyida.study.sweeps.harness import Study
 
 STUDY = Study("some_squares", "squares", lambda quick: [{"number": k} for k in range(2 if quick else 5)], square,
               lambda rows: {"largest": rows[-1]["square"]}, isolated=True, fresh=False)

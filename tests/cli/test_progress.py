@@ -2,7 +2,7 @@
 
 import pytest
 
-from polyida.cli import progress
+from polyida.cli.screen import progress
 
 
 @pytest.fixture

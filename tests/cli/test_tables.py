@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from polyida.cli import tables
-from polyida.cli.tables import Grid
+from polyida.cli.screen import tables
+from polyida.cli.screen.tables import Grid
 
 NUMBER = re.compile(r"-?\d\.\d+e[+-]\d+")
 RUNS = Grid(

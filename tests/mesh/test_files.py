@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from polyida.errors import InputError
-from polyida.mesh import Link, PolygonMesh, polygonize, quads, read, rectangle, triangles, write
+from polyida.mesh import MeshWarning, quads, read, triangles, write
 
 SQUARES = np.array([[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]], dtype=float)
 
@@ -61,51 +61,6 @@ def gmsh(path, points, cells, **more):
     return path
 
 
-class TestRoundTrip:
-    @pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".obj"])
-    def test_polygons(self, tmp_path, suffix):
-        mesh = rectangle(1.0, 0.1, 60, seed=2)
-        write(mesh, tmp_path / f"plate{suffix}")
-        again = read(tmp_path / f"plate{suffix}")
-        assert np.array_equal(again.points, mesh.points)
-        assert np.array_equal(again.nodes, mesh.nodes) and np.array_equal(again.offsets, mesh.offsets)
-        assert {k: v.tolist() for k, v in again.sections.items()} == {k: v.tolist() for k, v in mesh.sections.items()}
-
-    @pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh"])
-    def test_named_sections(self, tmp_path, suffix):
-        mesh = triangles(1.0, 0.2, 6, 2)
-        mesh = PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, {"grip (left), 1": [0, 1]})
-        write(mesh, tmp_path / f"plate{suffix}")
-        assert read(tmp_path / f"plate{suffix}").sections["grip (left), 1"].tolist() == [0, 1]
-
-    def test_link_keeps_its_holes(self, tmp_path):
-        mesh = polygonize(Link(1.0, 0.3, 0.08), 100)
-        write(mesh, tmp_path / "link.vtu")
-        again = read(tmp_path / "link.vtu")
-        assert np.array_equal(again.sections["hole 1"], np.sort(mesh.sections["hole 1"]))
-        rim = again.section("hole 1")
-        assert np.allclose(rim.weights @ again.points[rim.nodes], [1.0, 0.0], atol=1e-15)
-
-    def test_overwrite_only_when_told(self, tmp_path):
-        path = tmp_path / "plate.vtu"
-        write(quads(1.0, 1.0, 1, 1), path)
-        before = path.read_bytes()
-        with pytest.raises(InputError, match="exists.*overwrite"):
-            write(quads(1.0, 1.0, 2, 2), path)
-        assert path.read_bytes() == before
-        write(quads(1.0, 1.0, 2, 2), path, overwrite=True)
-        assert read(path).n_cells == 4 and len(list(tmp_path.iterdir())) == 1
-
-    def test_formats_that_cannot_hold_the_mesh(self, tmp_path):
-        with pytest.raises(InputError, match="triangles and quads only"):
-            write(rectangle(1.0, 0.2, 40), tmp_path / "plate.msh")
-        with pytest.raises(InputError, match="suffix"):
-            write(quads(1.0, 1.0, 1, 1), tmp_path / "plate.png")
-        with pytest.raises(InputError, match="written"):
-            write(quads(1.0, 1.0, 1, 1), tmp_path / "nowhere" / "plate.vtu")
-        assert list(tmp_path.iterdir()) == []
-
-
 class TestRepair:
     @pytest.mark.parametrize("named", [True, False])
     def test_gmsh_4_1_with_and_without_named_groups(self, tmp_path, named):
@@ -125,12 +80,16 @@ class TestRepair:
 
     def test_clockwise_cells_turn(self, tmp_path):
         cells = [("quad", [[3, 4, 1, 0]]), ("triangle", [[5, 2, 1], [1, 5, 4]])]
-        mesh = read(gmsh(tmp_path / "turned.msh", flat(SQUARES), cells))
+        with pytest.warns(MeshWarning, match="turned.msh: turned 2 clockwise cells of 3$"):
+            mesh = read(gmsh(tmp_path / "turned.msh", flat(SQUARES), cells))
         assert (mesh.cell_areas > 0).all() and mesh.area == 2.0
 
     def test_duplicates_merge_and_unused_points_go(self, tmp_path):
         points = flat(np.vstack([SQUARES[[0, 1, 4, 3]], [[7.0, 7.0]], SQUARES[[1, 2, 5, 4]] + 1e-11]))
-        mesh = read(gmsh(tmp_path / "torn.msh", points, [("quad", [[0, 1, 2, 3], [5, 6, 7, 8]])]))
+        with pytest.warns(
+            MeshWarning, match=r"merged 2 points with others within 1e-09 .*left out 1 point of no cell, the first at \[7.0, 7.0\]"
+        ):
+            mesh = read(gmsh(tmp_path / "torn.msh", points, [("quad", [[0, 1, 2, 3], [5, 6, 7, 8]])]))
         assert mesh.n_nodes == 6 and mesh.quality().pieces == 1
 
     def test_bandwidth_is_narrowed(self, tmp_path):
@@ -164,6 +123,27 @@ class TestRepair:
         )
         mesh = read(tmp_path / "sets.inp")
         assert (mesh.points[mesh.sections["grip"], 0] == 0.0).all() and len(mesh.sections["grip"]) == 2
+
+    @pytest.mark.parametrize("file_format, suffix", [("gmsh22", ".msh"), ("gmsh", ".msh"), ("vtu", ".vtu"), ("vtk", ".vtk")])
+    @pytest.mark.parametrize("kind", ["triangle6", "quad8", "quad9"])
+    def test_quadratic_elements_become_their_corners(self, tmp_path, file_format, suffix, kind):
+        corners, count = (3, 6) if kind == "triangle6" else (4, int(kind[-1]))
+        square = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])[:corners]
+        points = np.concatenate([square, 0.5 * (square + np.roll(square, -1, axis=0)) + 0.01, [[0.5, 0.5]]])[:count]
+        meshio.Mesh(flat(points), [(kind, [list(range(count))])]).write(tmp_path / f"curved{suffix}", file_format=file_format)
+        family = kind[:-1]
+        with pytest.warns(MeshWarning, match=f"1 {kind} became {family}s of their corners, curved edges straight; left out"):
+            mesh = read(tmp_path / f"curved{suffix}")
+        assert mesh.n_nodes == corners and mesh.area == pytest.approx(0.5 if corners == 3 else 1.0)
+
+    def test_groups_without_a_name_go_by_their_number(self, tmp_path):
+        cells = [("line", [[0, 3], [0, 1]]), ("vertex", [[5]]), ("quad", [[0, 1, 4, 3], [1, 2, 5, 4]])]
+        tags = [np.array([7, 0]), np.array([7]), np.array([1, 1])]
+        path = gmsh(tmp_path / "numbered.msh", flat(SQUARES), cells, cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags})
+        mesh = read(path)
+        assert np.array_equal(mesh.sections["7"], mesh.sections["left"]) and mesh.points[mesh.sections["point 7"]].tolist() == [[2, 1]]
+        meshio.Mesh(SQUARES, [cells[0], cells[2]], cell_data={"medit:ref": [tags[0], tags[2]]}).write(tmp_path / "labels.mesh")
+        assert np.array_equal(read(tmp_path / "labels.mesh").sections["7"], mesh.sections["left"])
 
 
 class TestBadFiles:
@@ -212,7 +192,8 @@ class TestBadFiles:
         with pytest.raises(InputError, match="mesh file"):
             read(path)
 
-    @pytest.mark.parametrize("suffix", [".vtu", ".msh", ".obj", ".vtk", ".inp", ".mesh"])
+    @pytest.mark.parametrize("suffix", [".vtu", ".msh", ".msh4", ".obj", ".vtk", ".inp", ".mesh", ".mat"])
+    @pytest.mark.filterwarnings("ignore::polyida.mesh.MeshWarning")
     def test_truncated_and_damaged(self, tmp_path, suffix):
         whole, part = tmp_path / f"whole{suffix}", tmp_path / f"part{suffix}"
         write(triangles(1.0, 0.2, 6, 2), whole)

@@ -118,7 +118,7 @@ def svg(tmp_path):
 
 class TestSvg:
     def test_the_page_says_the_unit_and_y_is_turned_up(self, svg):
-        with pytest.warns(MeshWarning, match="plate.svg: left out 1 curve not closed$"):
+        with pytest.warns(MeshWarning, match="plate.svg: left out 1 open curve$"):
             outline = read_outline(svg())
         assert np.allclose([outline.lower, outline.upper], [[0.005, 0.01], [0.095, 0.05]], atol=1e-15)
         assert np.allclose([wall.start for wall in outline.walls[4:]], [[0.02, 0.04], [0.05, 0.03]])
@@ -139,7 +139,7 @@ class TestSvg:
         assert polygonize(outline, 60).area == pytest.approx(2.0 - 0.06, rel=1e-12) and np.allclose(outline.upper, [2, 1])
 
     @pytest.mark.parametrize(
-        "text, message", [("M 0 0 h 1", "no closed curve .left out 1 curve"), ("", "no closed"), ("M 0 0 h x", "read"), (3, "text")]
+        "text, message", [("M 0 0 h 1", "no closed curve .left out 1 open curve"), ("", "no closed"), ("M 0 0 h x", "read"), (3, "text")]
     )
     def test_bad_paths(self, text, message):
         with pytest.raises(InputError, match=message):
@@ -148,13 +148,14 @@ class TestSvg:
     def test_bad_files(self, tmp_path):
         (tmp_path / "noise.svg").write_bytes(bytes(range(256)))
         (tmp_path / "plate.png").write_bytes(b"")
-        for name, message in (("noise.svg", "cannot be read as SVG"), ("plate.png", "known are .svg, .dxf"), ("none.svg", "not exist")):
+        for name, message in (("noise.svg", "noise.svg cannot be read"), ("plate.png", "known are .svg, .dxf"), ("none.svg", "not exist")):
             with pytest.raises(InputError, match=message):
                 read_outline(tmp_path / name)
 
 
 def drawing(path, units, draw):
-    ezdxf = pytest.importorskip("ezdxf")
+    import ezdxf
+
     document = ezdxf.new(units=units)
     draw(document.modelspace())
     document.saveas(path)
@@ -172,7 +173,7 @@ class TestDxf:
             space.add_text("a title")
             space.add_line((70, 70), (71, 71))
 
-        with pytest.warns(MeshWarning, match="left out 1 TEXT; left out 1 curve not closed"):
+        with pytest.warns(MeshWarning, match="left out 1 TEXT; left out 1 open curve"):
             outline = read_outline(drawing(tmp_path / "plate.dxf", 4, draw))
         mesh = polygonize(outline, 250)
         whole = 0.1 * 0.05 + np.pi * 0.05**2 / 2 - np.pi * 0.005**2 - 0.5e-4 - np.pi * 0.008 * 0.004
@@ -193,8 +194,24 @@ class TestDxf:
 
     def test_no_drawing(self, tmp_path):
         (tmp_path / "noise.dxf").write_bytes(bytes(range(256)))
-        with pytest.raises(InputError, match="noise.dxf: it cannot be read as DXF"):
+        with pytest.raises(InputError, match="noise.dxf cannot be read"):
             read_outline(tmp_path / "noise.dxf")
+
+
+@pytest.mark.filterwarnings("ignore::polyida.mesh.MeshWarning")
+@pytest.mark.parametrize("suffix", [".svg", ".dxf"])
+def test_damaged_drawings_end_in_one_message(svg, tmp_path, suffix):
+    path = svg() if suffix == ".svg" else drawing(tmp_path / "plate.dxf", 4, lambda space: space.add_circle((0, 0), 2))
+    data, rng = path.read_bytes(), np.random.default_rng(1)
+    for place in rng.integers(0, len(data), 6):
+        damaged = bytearray(data)
+        damaged[place] = int(rng.integers(256))
+        for content in (data[:place], bytes(damaged)):
+            path.write_bytes(content)
+            try:
+                read_outline(path)
+            except InputError as error:
+                assert path.name in str(error)
 
 
 def test_a_library_that_is_missing_is_named_with_the_extra(svg, monkeypatch):

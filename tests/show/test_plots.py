@@ -183,3 +183,11 @@ def test_reactions_are_labelled_by_their_components():
     run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
     made = plots.reactions({"alpha": run}, ["guide"])
     assert [axes.get_ylabel() for axes in made.axes[:3]] == ["force x, N", "force y, N", "torque, N m"]
+
+
+def test_long_labels_stand_below_each_other(runs):
+    named = {f"{label} of a name that is as long as a folder and a file": run for label, run in runs.items()}
+    for made in (plots.energy(named), plots.drift(named), plots.tip(named)):
+        rendered(made, "png")
+        found = made.get_tightbbox()
+        assert found.x0 >= 0 and found.x1 <= made.get_figwidth()

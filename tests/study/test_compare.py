@@ -14,8 +14,8 @@ from polyida.integrate.solve import solve
 from polyida.problems import plates
 from polyida.results.balance import motor_work, unbalanced
 from polyida.show.page import gap
-from polyida.study.compare import compare, integrators, refine, watch
-from polyida.study.job import Job, load
+from polyida.study.comparison.compare import compare, integrators, refine, watch
+from polyida.study.comparison.job import Job, load
 
 
 @pytest.fixture(scope="module")

@@ -209,7 +209,7 @@ def test_a_part_that_cannot_be_formed_keeps_no_other_from_it(tmp_path, monkeypat
 
 
 def findings_study(bad):
-    from polyida.study.harness import Study
+    from polyida.study.sweeps.harness import Study
 
     return Study(
         "two",

@@ -86,6 +86,18 @@ def test_what_is_no_row_is_told_in_one(gives, said):
     assert re.search(said, row["error"])
 
 
+def test_what_a_function_does_to_its_case_stays_in_it():
+    cases = [{"places": [1]}, {"places": [1, 2]}]
+
+    def case(places):
+        places.append(0)
+        return {"count": len(places)}
+
+    study = pi.study.sweep(case, cases)
+    assert cases == [{"places": [1]}, {"places": [1, 2]}]
+    assert [(row["places"], row["count"]) for row in study.rows] == [([1], 2), ([1, 2], 3)]
+
+
 def test_a_case_given_twice_runs_once():
     CALLS.clear()
     study = pi.study.sweep(square, [{"number": 1, "a": 2}, {"number": 2, "a": 2}, {"a": 2, "number": 1}])
@@ -333,6 +345,8 @@ def test_partials_lambdas_methods_and_closures_have_marks(marked):
     assert marked(name="short")[0] != marked(*CHANGES["a constant"], name="short")[0]
     closed = lambda factor: lambda x: {"y": factor * x}  # noqa: E731
     assert mark_of(closed(1.0)) == mark_of(closed(1.0)) != mark_of(closed(2.0))
+    adds = lambda scene: lambda x: {"y": scene.add(x)}  # noqa: E731, a thing that has an `add` is no list that is filled
+    assert mark_of(adds(pi.Scene((0.0, 0.0)))) != mark_of(adds(pi.Scene((0.0, 1.0))))
     mesh = pi.mesh.rectangle(1.0, 0.1, cells=4)
     before = mark_of(closed(mesh))
     mesh.quality()
@@ -418,5 +432,8 @@ def test_a_sweep_shows_itself(tmp_path):
     axes = study.plot()
     assert axes.get_xlabel() == "number" and axes.get_ylabel() == "square" and len(axes.lines[0].get_xdata()) == 5
     assert study.plot("number", "cpu_s", axes) is axes and "number" in str(study) and "&lt;b&gt;" in study._repr_html_()
+    assert any(line.split()[:2] == ["4", "16"] for line in str(study).splitlines()) and repr(study) == "<Sweep: sweep of square, 6 rows>"
+    written = study.report(tmp_path / "report")
+    assert (written / "report.html").exists() and (written / "sweep.png").exists()
     with pytest.raises(pi.InputError, match="no case has numbers x = 'path'"):
         study.plot("path")

@@ -1,4 +1,4 @@
-"""Abaqus' .inp: *NODE, *ELEMENT and *NSET of one part, *BOUNDARY and *CLOAD on it.
+"""Abaqus' .inp: *NODE, *ELEMENT, *NSET and *ELSET (of lines) of one part, *BOUNDARY and *CLOAD on it.
 
 Other keywords are passed over. Nodes within *ASSEMBLY are reference points, not the part's. Source: the Abaqus keywords reference guide.
 """
@@ -14,6 +14,7 @@ from polyida.mesh.files.raw import RawMesh
 PLANE = re.compile(r"(?:CPS|CPEG|CPE|CAX|CGAX|M3D|SFM3D|DC2D|DCAX|AC2D|R3D|STRI|S)([34689])")  # and the count of nodes
 PASSED = re.compile(r"B\d|T\dD|PIPE|RB\dD|CONN|SPRING|DASHPOT|MASS|ROTARY|GAP|F2D|R2D|SAX|SFMAX|MAX")  # lines and points
 CORNERS = {3: 3, 6: 3, 4: 4, 8: 4, 9: 4}
+MOST = 10_000_000  # members of a set
 FIXED = {"ENCASTRE": (1, 2), "PINNED": (1, 2), "XSYMM": (1,), "YSYMM": (2,), "ZSYMM": (), "XASYMM": (2,), "YASYMM": (1,)}
 
 
@@ -98,18 +99,28 @@ def _options(parts):
     return {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
 
 
+def _targets(options, rows):
+    """Numbers and names in the rows of a set."""
+    if "GENERATE" in options:
+        rows = [range(int(first), int(last) + 1, int(step[0]) if step else 1) for first, last, *step in rows]
+        if sum(map(len, rows)) > MOST:
+            raise InputError(f"it generates {sum(map(len, rows))} numbers, more than a file can have")
+    return [part for row in rows for part in row]
+
+
 class _Part:
     """What has been read of the one part; nodes by their place in the file, sets by their names in capitals."""
 
     def __init__(self):
-        self.points, self.places, self.cells, self.sets, self.fixed, self.forces, self.notes = [], {}, [], {}, {}, {}, []
+        self.points, self.places, self.cells, self.lines, self.notes = [], {}, [], {}, []
+        self.sets, self.fixed, self.forces = {}, {}, {}
         self.in_assembly = False
 
     def raw(self):
         if not self.points:
             raise InputError("it cannot be read as .inp: it has no *NODE")
         supports = {node: (1 in axes, 2 in axes) for node, axes in self.fixed.items() if axes & {1, 2}}
-        return RawMesh(np.array(self.points), self.cells, dict(self.sets.values()), supports, self.forces, tuple(self.notes))
+        return RawMesh(np.array(self.points), self.cells, dict(self.sets.values()), supports, self.forces, tuple(dict.fromkeys(self.notes)))
 
     def take_assembly(self, options, rows):
         self.in_assembly = True
@@ -136,6 +147,7 @@ class _Part:
         kind = options.get("TYPE", "").upper()
         found = PLANE.match(kind)
         if PASSED.match(kind) and not found:
+            self._take_lines(options, rows)
             return
         if not found:
             raise InputError(f"holds cells of type {kind or 'none'}; only plane triangles and quads can be used")
@@ -148,15 +160,25 @@ class _Part:
         if count > CORNERS[count]:
             self.notes.append(f"{len(table)} {kind} became their corners, curved edges straight")
 
+    def _take_lines(self, options, rows):
+        """Elements along lines and at points: their sets are sections."""
+        for number, *nodes in rows if not self.in_assembly else []:
+            self.lines[int(number)] = [self.places[int(node)] for node in nodes if node.isdecimal() and int(node) in self.places]
+        if name := options.get("ELSET"):
+            self.take_elset({"ELSET": name}, [[number] for number, *_ in rows])
+
+    def take_elset(self, options, rows):
+        for target in _targets(options, rows):
+            if str(target).isdecimal() and int(target) in self.lines:
+                self._add(options.get("ELSET", ""), self.lines[int(target)])
+
     def take_nset(self, options, rows):
         name = options.get("NSET", "")
         if self.in_assembly and "INSTANCE" not in options:
             return
         if "ELSET" in options:
             self.notes.append(f"the node set {name!r} of an element set was left out")
-        if "GENERATE" in options:
-            rows = [range(int(first), int(last) + 1, int(step[0]) if step else 1) for first, last, *step in rows]
-        for target in (part for row in rows for part in row):
+        for target in _targets(options, rows):
             self._add(name, self._nodes(target, f"set {name!r}"))
 
     def take_boundary(self, options, rows):

@@ -1,4 +1,4 @@
-"""Gmsh's .msh, written as text: sections are physical groups, of lines where their nodes have edges between them, else of points.
+"""Gmsh's .msh, read by meshio and written as text: sections are physical groups, of lines where edges join their nodes, else of points.
 
 Source of the formats: the Gmsh reference manual, MSH file format, versions 2.2 and 4.1.
 """
@@ -6,11 +6,13 @@ Source of the formats: the Gmsh reference manual, MSH file format, versions 2.2 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.mesh.files.meshio_files import runs
+from polyida.mesh.files.meshio_files import reader, runs
 from polyida.mesh.sections import edges_within
 
 TYPES = {(0, 1): 15, (1, 2): 1, (2, 3): 2, (2, 4): 3}  # of (dimension, corners)
 BODY = "plate"  # the physical group of all cells
+
+read = reader("gmsh", "; where Gmsh made it, let it write version 2.2: Mesh.MshFileVersion = 2.2")
 
 
 def write_2(mesh, path):

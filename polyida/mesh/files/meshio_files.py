@@ -16,11 +16,11 @@ LOWER = {"vertex": 0, "line": 1}
 PREFIX = "section:"
 
 
-def reader(kind):
-    """read(path) -> RawMesh of one of meshio's formats."""
+def reader(kind, advice=""):
+    """read(path) -> RawMesh of one of meshio's formats; advice: what to do where it cannot be read."""
 
     def read(path):
-        return _raw(_quietly(path, lambda meshio: meshio.read(path, kind), f"read as {kind}"))
+        return _raw(_quietly(path, lambda meshio: meshio.read(path, kind), f"read as {kind}", advice))
 
     return read
 
@@ -34,7 +34,7 @@ def writer(kind):
     return write
 
 
-def _quietly(path, action, what):
+def _quietly(path, action, what, advice=""):
     """action(meshio) without its printing; meshio may print, warn, exit or raise anything at all on a bad file."""
     import meshio
 
@@ -44,7 +44,7 @@ def _quietly(path, action, what):
             return action(meshio)
     except (Exception, SystemExit) as error:  # noqa: BLE001, whatever it is, the file is to blame
         detail = " ".join(said.getvalue().split())[:200] if isinstance(error, SystemExit) else _short(error)
-        raise InputError(f"it cannot be {what}: {detail or 'no reason given'}") from None
+        raise InputError(f"it cannot be {what}: {detail or 'no reason given'}{advice}") from None
 
 
 def _short(error):

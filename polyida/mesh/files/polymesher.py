@@ -73,7 +73,8 @@ def _rows(element):
     if isinstance(element, np.ndarray) and element.dtype.kind == "O":
         return element.ravel()
     matrix = _numbers(element, "Element")
-    return [row[~np.isnan(row) & (row != 0)] for row in np.atleast_2d(matrix)]
+    filled = ~np.isnan(matrix) & (matrix != 0)
+    return [row[: there.sum()] if there[: there.sum()].all() else row for row, there in zip(np.atleast_2d(matrix), np.atleast_2d(filled))]
 
 
 def _cell(row, number, n_nodes):

@@ -55,7 +55,7 @@ def _block(given, number):
     except ValueError:
         array = np.empty((0, 0, 0))
     whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and np.array_equal(array, np.round(array)))
-    if array.ndim != 2 or not whole or (array.size and array.shape[1] < 3) or np.abs(array).max(initial=0) > 2**31:
+    if array.ndim != 2 or not whole or (len(array) and array.shape[1] < 3) or np.abs(array).max(initial=0) > 2**31:
         raise InputError(f"cell {number} is {repr(given)[:80]}; it must be a list of at least 3 nodes by number")
     return array.astype(np.int64)
 
@@ -69,5 +69,5 @@ def require_range(nodes, offsets, n_points, first):
     from_one = first == 0 and nodes.min() == 1 and nodes.max() == n_points
     raise InputError(
         f"cell {cell} names point {nodes[outside[0]] + first}; there are points {first}..{n_points - 1 + first}"
-        + ("; where points are counted from 1 pass first=1" if from_one else "")
+        + ("; these cells count from 1, as first=1 of pi.mesh.from_lists takes them" if from_one else "")
     )

@@ -32,9 +32,9 @@ FORMATS: dict[str, Format] = {
     ".vtu": Format(meshio_files.reader("vtu"), meshio_files.writer("vtu")),
     ".vtk": Format(meshio_files.reader("vtk"), meshio_files.writer("vtk")),
     ".obj": Format(meshio_files.reader("obj"), meshio_files.writer("obj"), names=False),
-    ".msh": Format(meshio_files.reader("gmsh"), gmsh.write_2, largest=4),
-    ".msh2": Format(meshio_files.reader("gmsh"), gmsh.write_2, largest=4),
-    ".msh4": Format(meshio_files.reader("gmsh"), gmsh.write_4, largest=4),
+    ".msh": Format(gmsh.read, gmsh.write_2, largest=4),
+    ".msh2": Format(gmsh.read, gmsh.write_2, largest=4),
+    ".msh4": Format(gmsh.read, gmsh.write_4, largest=4),
     ".inp": Format(abaqus.read, abaqus.write, largest=4, forces=True),
     ".mesh": Format(meshio_files.reader("medit"), meshio_files.writer("medit"), largest=4, names=False),
 }

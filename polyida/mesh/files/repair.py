@@ -139,22 +139,20 @@ def _numbered(points, nodes, offsets, place):
 
 def _named(raw, points, nodes, offsets, place):
     """PolygonMesh with the sections of the boundary, those of supports and loads, and over them those with names in the file."""
-    supports = {n: tuple(np.any(rows, axis=0).tolist()) for n, rows in _at_nodes(raw.supports, place, raw.first, "support").items()}
-    loads = {n: tuple(np.sum(rows, axis=0).tolist()) for n, rows in _at_nodes(raw.loads, place, raw.first, "load").items()}
+    supports = {n: tuple(np.any(rows, axis=0).tolist()) for n, rows in _at_nodes("supports", raw, place, bool).items()}
+    loads = {n: tuple(np.sum(rows, axis=0).tolist()) for n, rows in _at_nodes("loads", raw, place, float).items()}
     rim = topology.boundary_edges(nodes, offsets, len(points))
     found = sections.automatic(points, rim) | _of_nodes(supports, loads)
     return PolygonMesh(points, nodes, offsets, found | _sections(raw.sections, place, raw.first), supports, loads)
 
 
-def _at_nodes(rows, place, first, what):
-    """node -> [rows of the points that are there now]."""
+def _at_nodes(what, raw, place, kind):
+    """node -> [pairs of the points that are there now] of raw.supports or raw.loads."""
     found = {}
-    for point, row in rows.items():
-        if not 0 <= point - first < len(place) or place[point - first] < 0:
-            raise InputError(
-                f"{what} names point {point}, which is no corner of a cell; there are points {first}..{len(place) - 1 + first}"
-            )
-        found.setdefault(int(place[point - first]), []).append(row)
+    for point, pair in checks.node_pairs(what, getattr(raw, what), len(place) + raw.first, kind).items():
+        if point < raw.first or place[point - raw.first] < 0:
+            raise InputError(f"{what} name point {point}, which is no corner of a cell")
+        found.setdefault(int(place[point - raw.first]), []).append(pair)
     return found
 
 

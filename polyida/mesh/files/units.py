@@ -13,18 +13,18 @@ class MeshWarning(UserWarning):
     """What was changed in a mesh from elsewhere, or looks wrong in it."""
 
 
-def metres(unit, what):
+def metres(unit):
     """Metres of one unit, given by its name or as that number; InputError for anything else."""
     if is_one_of(unit, METRES):
         return METRES[unit]
     if is_number(unit) and unit > 0:
         return float(unit)
-    raise InputError(f"{what} unit is {unit!r}; it must be one of {', '.join(METRES)}, or the metres in one unit of the file")
+    raise InputError(f"unit is {unit!r}; it must be one of {', '.join(METRES)}, or the metres in one unit of the file")
 
 
-def scale_of(unit, said, what):
+def scale_of(unit, said):
     """Metres of one unit: as the user says, else as the file does (`said`), else one."""
-    return metres(unit, what) if unit is not None else said or 1.0
+    return metres(unit) if unit is not None else said or 1.0
 
 
 def hint(points, unit, said):

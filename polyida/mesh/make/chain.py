@@ -5,6 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 
+def nearest(points, start, along, low=0.0, high=1.0):
+    """(edge (n,), share of it (n,)) of the place nearest to each point on the edges start + share along, low <= share <= high."""
+    x, y = points[:, :1] - start[:, 0], points[:, 1:] - start[:, 1]
+    share = np.clip((x * along[:, 0] + y * along[:, 1]) / np.sum(along**2, axis=1), low, high)
+    x -= share * along[:, 0]
+    y -= share * along[:, 1]
+    edge = np.argmin(x * x + y * y, axis=1)
+    return edge, share[np.arange(len(points)), edge]
+
+
 @dataclass(frozen=True, eq=False)
 class Chain:
     """vertices (k + 1, 2), the inside on the left of the way along them; closed ones end where they begin, others go on straight.
@@ -20,16 +30,12 @@ class Chain:
     def _nearest(self, points):
         """(foot (n, 2), direction of the piece there (n, 2), of unit length; (n,) -1 before the begin, 1 beyond the end, 0)."""
         along = np.diff(self.vertices, axis=0)
-        length = np.hypot(*along.T)
         low, high = np.zeros(len(along)), np.ones(len(along))
         if not self.closed:
             low[0], high[-1] = -np.inf, np.inf
-        share = np.einsum("nkx,kx->nk", points[:, None] - self.vertices[:-1], along) / length**2
-        foot = self.vertices[:-1] + np.clip(share, low, high)[..., None] * along
-        piece = np.argmin(np.sum((points[:, None] - foot) ** 2, axis=2), axis=1)
-        row = np.arange(len(points))
-        before, beyond = (piece == 0) & (share[row, piece] < 0.0), (piece == len(along) - 1) & (share[row, piece] > 1.0)
-        return foot[row, piece], (along / length[:, None])[piece], beyond.astype(int) - before
+        piece, share = nearest(points, self.vertices[:-1], along, low, high)
+        foot = self.vertices[piece] + share[:, None] * along[piece]
+        return foot, (along / np.hypot(*along.T)[:, None])[piece], (share > 1.0).astype(int) - (share < 0.0)
 
     def distance(self, points):
         """(n,), m, negative inside."""

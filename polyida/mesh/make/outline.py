@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.keywords import named_keywords
-from polyida.mesh.make.chain import Chain
+from polyida.mesh.make.chain import Chain, nearest
 from polyida.mesh.make.domains import Domain
 from polyida.mesh.make.walls import Capsule
 from polyida.mesh.sections import ROUND, centre, signed_area
@@ -105,24 +105,29 @@ def _ring(points, corner, sign):
 def _points(given, what, orientation):
     """(n, 2) of different neighbours, counter-clockwise for orientation 1."""
     points = floats(given)
-    if points is None or points.ndim != 2 or points.shape[1] != 2:
+    if points is None or points.ndim != 2 or points.shape[1] != 2 or not len(points):
         raise InputError(f"{what} is {repr(given)[:80]}; it must be an (n, 2) array of finite numbers")
-    size = float(np.ptp(points, axis=0).max(initial=0.0)) if len(points) else 0.0
-    points = points[np.hypot(*(points - np.roll(points, 1, axis=0)).T) > SAME * size] if size else points[:1]
+    size = float(np.ptp(points, axis=0).max())
+    points = points[np.hypot(*(points - np.roll(points, 1, axis=0)).T) > SAME * size]
     area = signed_area(points) if len(points) > 2 else 0.0
     if not abs(area) > 1e-12 * size**2:
         raise InputError(f"{what} has {len(points)} different corners and the area {abs(area):.3g}; it must go around an area")
-    back = np.flatnonzero(np.abs(_turns(points)) > FOLD)
+    points = points if area * orientation > 0 else points[::-1]
+    _require_room(points, what)
+    return np.roll(points, -int(np.lexsort(points.T)[0]), axis=0)
+
+
+def _require_room(points, what):
+    """InputError for spikes without width, and for corners so far re-entrant that no cells fit around them."""
+    turn = _turns(points)
+    back = np.flatnonzero(np.abs(turn) > FOLD)
     if back.size:
         raise InputError(f"{what} folds back on itself at {points[back[0]].tolist()}")
-    points = points if area * orientation > 0 else points[::-1]
-    sharp = np.flatnonzero(_turns(points) < -REENTRANT)
+    sharp = np.flatnonzero(turn < -REENTRANT)
     if sharp.size:
-        raise InputError(
-            f"{what} cuts into the domain by a corner of {180 + np.degrees(_turns(points)[sharp[0]]):.3g} degrees at "
-            f"{points[sharp[0]].tolist()}; it must be 20 or wider, or round"
-        )
-    return np.roll(points, -int(np.lexsort(points.T)[0]), axis=0)
+        angle = 180 + np.degrees(turn[sharp[0]])
+        place = points[sharp[0]].tolist()
+        raise InputError(f"{what} cuts into the domain by a corner of {angle:.3g} degrees at {place}; it must be 20 or wider, or round")
 
 
 def _turns(ring):
@@ -152,13 +157,14 @@ def _chains(ring, bend):
 
 def _depth(points, start, along):
     """(n,) distance to the nearest edge of a ring, negative where a ray crosses an even number of them: outside."""
-    away = points[:, None] - start
-    share = np.clip(np.einsum("nkx,kx->nk", away, along) / np.sum(along**2, axis=1), 0.0, 1.0)
-    nearest = np.sqrt(np.min(np.sum((away - share[..., None] * along) ** 2, axis=2), axis=1))
-    begins, ends = away[..., 1] < 0.0, (away - along)[..., 1] < 0.0
-    side = along[:, 0] * away[..., 1] - along[:, 1] * away[..., 0]
-    crossed = (begins != ends) & ((side > 0.0) == (along[:, 1] > 0.0))
-    return np.where(crossed.sum(axis=1) % 2, nearest, -nearest)
+    edge, share = nearest(points, start, along)
+    away = np.hypot(*(points - start[edge] - share[:, None] * along[edge]).T)
+    above = points[:, 1:] >= start[:, 1]
+    point, edge = np.nonzero(above != np.roll(above, -1, axis=1))
+    to = points[point] - start[edge]
+    left = along[edge, 0] * to[:, 1] > along[edge, 1] * to[:, 0]
+    crossed = np.bincount(point[left == above[point, edge]], minlength=len(points))
+    return np.where(crossed % 2, away, -away)
 
 
 def _require_apart(rings):

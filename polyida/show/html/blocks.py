@@ -2,6 +2,7 @@
 
 import math
 import re
+from csv import reader
 from dataclasses import dataclass, field
 from html import escape
 from numbers import Real
@@ -11,6 +12,7 @@ from polyida.show.html.svg import inline
 
 WITHIN = 2_000_000  # bytes of CSV that the page itself holds
 SHOWN = 60, 12  # rows and columns of numbers that the page shows as a table
+MANY = 10  # columns, beyond which a table is smaller on paper
 LONG = 60  # letters, from which a cell is a sentence
 DASH = "\N{EN DASH}"
 
@@ -64,7 +66,8 @@ class Table:
             f"<tr>{''.join(_cell(row.get(key), form, numeric[key]) for key, (_, form) in self.columns.items())}</tr>" for row in self.rows
         )
         caption = f"<caption>{prose(self.caption)}</caption>" if self.caption else ""
-        table = f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        many = ' class="many"' if len(self.columns) > MANY else ""
+        table = f"<table{many}>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
         return scrolled(table, self.caption or "Table")
 
 
@@ -116,16 +119,16 @@ def _numeric(values):
     return bool(there) and all(isinstance(value, Real) and not isinstance(value, bool) for value in there)
 
 
-def _class(numeric):
-    return ' class="number"' if numeric else ""
+def _class(numeric, empty=False, long=False):
+    classes = " ".join(["number"] * numeric + ["empty"] * empty + ["long"] * long)
+    return f' class="{classes}"' if classes else ""
 
 
 def _cell(value, form, numeric):
     order = f' data-value="{float(value)!r}"' if numeric and not missing(value) else ""
     code = form == "code" and not missing(value)
     text = escape(shown(value, "{}" if form == "code" else form))
-    look = ' class="empty"' if missing(value) else ' class="long"' if len(text) > LONG and not code else _class(numeric)
-    return f"<td{look}{order}>{f'<code>{text}</code>' if code else text}</td>"
+    return f"<td{_class(numeric, missing(value), len(text) > LONG and not code)}{order}>{f'<code>{text}</code>' if code else text}</td>"
 
 
 def _link(name, csv):
@@ -137,11 +140,9 @@ def _link(name, csv):
     return f'<a download="{escape(name)}.csv" href="data:text/csv;charset=utf-8,{data}">numbers (CSV, {size})</a>'
 
 
-def _numbers(csv):
-    """Few numbers as a table behind a click; empty where there are many."""
-    import csv as reader
-
-    head, *rows = reader.reader(csv.splitlines())
+def _numbers(text):
+    """The few numbers of a CSV file as a table behind a click; empty where there are many."""
+    head, *rows = reader(text.splitlines())
     if not 0 < len(rows) <= SHOWN[0] or len(head) > SHOWN[1]:
         return ""
     columns = {str(i): (heading, "{:.6g}") for i, heading in enumerate(head)}

@@ -1,6 +1,7 @@
 """The condition number of iteration matrices against the step."""
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,14 +13,13 @@ from polyida.integrate.start import require_state
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.linear.condition import condition
-from polyida.model import Model
 from polyida.model.guarded import guard
-from polyida.scene import Scene
-from polyida.show.style import on_axes
+from polyida.show.style import on_axes, plain
 from polyida.study.drawing import look
 from polyida.study.progress import teller
 from polyida.study.result import Result
 from polyida.study.slopes import fitted
+from polyida.study.subject import require_labels, studied
 
 DECADES = tuple(10.0**-k for k in range(1, 10))
 
@@ -57,11 +57,10 @@ class Conditioning(Result):
     def plot(self, axes=None):
         """Draw the condition numbers against h, a line for each integrator and state; returns the axes."""
         with on_axes(axes) as axis:
-            for i, label in enumerate(self.labels):
-                for state in self._states():
-                    rows = self._rows(label, state)
-                    name = label if state == 0 else f"_{label}"
-                    axis.loglog([row["h"] for row in rows], [row["condition"] for row in rows], label=name, **look(i))
+            for i, (label, state) in enumerate(product(self.labels, self._states())):
+                rows = self._rows(label, state)
+                name = plain(f"{label}, state {state}" if len(self._states()) > 1 else label)
+                axis.loglog([row["h"] for row in rows], [row["condition"] for row in rows], label=name, **look(i))
             axis.set(xlabel="step h, s", ylabel="condition number", title=self.title)
             axis.legend(loc="best")
             return axis
@@ -93,18 +92,21 @@ def conditioning(
 ) -> Conditioning:
     """The condition number of every integrator's iteration matrix at every state for every step h, s.
 
-    model: a Model or a Scene. states: a State, or several, of one's own, `run.state` or `consistent_state(model)`. integrators:
+    model: a Model, a Scene, a Problem or the name of one. states: a State, or several, of one's own, `run.state` or `consistent_state(model)`. integrators:
     {label: integrator, or class or function of h}: GeneralizedAlpha, IDA (h is 1/cj) and RadauIIA, with any `scaling=` and form, as
     `condition_number` takes them; one of a user's own where it has `iteration_matrix(model, state, h)`. Raises InputError for others.
     """
-    built = model.build() if isinstance(model, Scene) else model
-    built = guard(built if isinstance(built, Model) else model, "conditioning")
+    built = guard(studied("conditioning", model)[1], "conditioning")
     chosen = [require_state("conditioning", built, state) for state in (states if isinstance(states, (list, tuple)) else [states])]
+    if not chosen:
+        raise InputError("conditioning: states has no state in it")
     steps = floats(h)
     if steps is None or steps.ndim != 1 or not steps.size or not (steps > 0).all():
         raise InputError(f"conditioning: h = {h!r} must be positive steps in s, at least one")
-    if not isinstance(integrators, dict) or not integrators:
-        raise InputError(f"conditioning: integrators = {integrators!r} must be a dictionary {{label: integrator}}")
+    require_labels("conditioning", integrators, "integrator")
+    for label, given in integrators.items():
+        if not hasattr(given, "steps") and not callable(given):
+            raise InputError(f"conditioning: integrators[{label!r}] = {given!r} must be an integrator, or a class or function of h")
     rows: list[dict] = []
     with teller("conditioning", progress) as tell:
         for label, given in integrators.items():

@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_one_of, is_whole
-from polyida.show.style import on_axes
+from polyida.show.style import on_axes, plain
 from polyida.study.drawing import look
 from polyida.study.result import Result
 from polyida.study.subject import setting
@@ -34,8 +34,8 @@ class Kept(Result):
         with on_axes(axes) as axis:
             for i, (name, found) in enumerate(self.histories.items()):
                 values = np.maximum(np.abs(found[quantity]), FLOOR) if logarithmic else found[quantity]
-                axis.plot(found["t"], values, label=name, **_marked(i, len(self.histories), len(values)))
-            axis.set(xlabel="t, s", ylabel=label, title=self.title, yscale="log" if logarithmic else "linear")
+                axis.plot(found["t"], values, label=plain(name), **_marked(i, len(self.histories), len(values)))
+            axis.set(xlabel="t, s", ylabel=label, title=plain(self.title), yscale="log" if logarithmic else "linear")
             axis.legend(loc="best")
             return axis
 

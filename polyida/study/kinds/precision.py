@@ -1,7 +1,10 @@
 """What work_precision and step_sizes share: runs, one after the other, measured against one reference."""
 
+import numpy as np
+
 from polyida.study.measured import errors, measured, smallest_errors
 from polyida.study.reference.agreed import agreed, given
+from polyida.study.reference.doubts import doubts
 from polyida.study.result import Result
 from polyida.study.rows import NAN
 from polyida.study.slopes import fitted
@@ -19,12 +22,14 @@ class Precision(Result):
     def __init__(self, rows, notes, reference):
         super().__init__(rows, notes)
         self.reference = reference
+        self.notes += self._below()
         self.lead = _made(reference, self.known_to)
 
     @property
     def known_to(self) -> dict[str, float]:
-        """{part: how far the reference may be off}; an error below it is not known."""
-        return {part: float(self.reference.get("known_to", {}).get(part, NAN)) for part in PARTS}
+        """{part: how far the reference may be off}; an error below it is not known. NaN where that is not said, and of a part without numbers."""
+        known = self.reference.get("known_to", {})
+        return {part: float(known.get(part, NAN)) if np.size(self.reference.get(part, ())) else NAN for part in PARTS}
 
     @property
     def labels(self) -> list[str]:
@@ -55,7 +60,20 @@ class Precision(Result):
 
     def _order(self, label, part):
         rows = [row for row in self.of(label) if row["h"] is not None and row[f"error_{part}"] > ABOVE * self._floor(part)]
-        return fitted([row["t"] / row["steps"] for row in rows], [row[f"error_{part}"] for row in rows])
+        return fitted([self._length(row) for row in rows], [row[f"error_{part}"] for row in rows])
+
+    def _length(self, row):
+        """What the order is over."""
+        return row["t"] / row["steps"]
+
+    def _below(self):
+        """Lines on errors that are not known."""
+        counts = {part: sum(row[f"error_{part}"] <= self._floor(part) for row in self.rows) for part in PARTS}
+        return [
+            f"{count} of {len(self.rows)} errors in {part} are below what is known of the reference, {self.known_to[part]:.1e}"
+            for part, count in counts.items()
+            if count and self.known_to[part] > 0
+        ]
 
     def _floor(self, part):
         known = self.known_to[part]
@@ -68,8 +86,8 @@ def against_reference(study, given_subject, members, reference, repeats, tell):
     reference = given(study, given_subject, reference) if reference else None
     rows, runs, total = [], [], sum(map(len, members.values()))
     for label, settings in members.items():
-        given_subject.warm_up(settings[0])
         for integrator in settings:
+            given_subject.warm_up(integrator)
             words = setting(integrator, settings)
             tell(len(rows), total + 1, f"{label}, {words}")
             row, run = measured(given_subject, integrator, repeats)
@@ -78,7 +96,7 @@ def against_reference(study, given_subject, members, reference, repeats, tell):
     reference = reference or agreed(given_subject, smallest_errors(runs), lambda what: tell(total, total + 1, what))
     rows = [row | errors(run, reference) for row, run in zip(rows, runs)]
     tell(total + 1, total + 1, "")
-    return rows, [*_stopped(rows), *_unknown(reference)], reference
+    return rows, [*_stopped(rows), *_unknown(reference), *doubts(rows, runs, reference)], reference
 
 
 def _step(integrator):

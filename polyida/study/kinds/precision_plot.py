@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.show.style import INK, on_axes
+from polyida.show.style import INK, on_axes, plain
 from polyida.study.drawing import look, slope_line
 
 UNKNOWN = "#88888822"  # what lies below what is known of the reference
@@ -15,7 +15,7 @@ def against_error(study, part, work, heading, axes):
             rows = [row for row in study.of(label) if row[work] > 0]
             _line(axis, study, part, i, label, rows, lambda row: (row[f"error_{part}"], row[work]))
         _mark_known(axis, study.known_to[part], "x")
-        axis.set(xscale="log", yscale="log", xlabel=f"error in {part} at the end", ylabel=heading, title=study.title)
+        axis.set(xscale="log", yscale="log", xlabel=f"error in {part} at the end", ylabel=heading, title=plain(study.title))
         _legend(axis)
         return axis
 
@@ -32,19 +32,19 @@ def against_step(study, part, axes):
                 h = [max(row["h"] for row in fitted), min(row["h"] for row in fitted)]
                 slope_line(axis, round(order), h, 0.5 * max(row[f"error_{part}"] for row in fitted))
         _mark_known(axis, study.known_to[part], "y")
-        axis.set(xscale="log", yscale="log", xlabel="step h, s", ylabel=f"error in {part} at the end", title=study.title)
+        axis.set(xscale="log", yscale="log", xlabel="step h, s", ylabel=f"error in {part} at the end", title=plain(study.title))
         _legend(axis)
         return axis
 
 
 def _line(axis, study, part, i, label, rows, point):
-    """A line of an integrator's rows; points that are not known are hollow, at what is."""
-    rows = [row for row in rows if np.isfinite(row[f"error_{part}"])]
+    """A line of an integrator's rows; points that are not known are hollow, at what is, and those at zero have no place."""
+    floor = study.known_to[part]
+    rows = [row for row in rows if row[f"error_{part}"] > 0 or row[f"error_{part}"] == 0 and floor > 0]
     if not rows:
         return
-    floor = study.known_to[part]
-    floored = [row | {f"error_{part}": max(row[f"error_{part}"], floor if floor > 0 else 1e-300)} for row in rows]
-    axis.plot(*np.transpose([point(row) for row in floored]), label=label, **look(i))
+    floored = [row | {f"error_{part}": max(row[f"error_{part}"], floor if floor > 0 else 0.0)} for row in rows]
+    axis.plot(*np.transpose([point(row) for row in floored]), label=plain(label), **look(i))
     if below := [row for row, true in zip(floored, rows) if not study.known(true, part)]:
         style = look(i) | {"linestyle": "none", "markerfacecolor": "white", "markersize": 5}
         axis.plot(*np.transpose([point(row) for row in below]), label="_below", **style)

@@ -23,6 +23,9 @@ class StepSizes(Precision):
         super().__init__(rows, notes, reference)
         self.title = f"errors against the step: {name}"
 
+    def _length(self, row):
+        return row["h"]
+
     def plot(self, part: str = "q", axes=None):
         """Draw the error in `part` ("q", "v", "lam") at the end against h, with lines of the fitted orders; returns the axes.
 
@@ -56,7 +59,8 @@ def step_sizes(
 ) -> StepSizes:
     """Run every integrator with every step h, s, from (q0, v0) to t_end, and measure errors there, in q, v and lam.
 
-    integrators: {label: class or function of h that gives an integrator}. The rest is as `work_precision` takes it. Raises InputError
+    integrators: {label: class or function of h that gives an integrator}; orders are over this h, also of one that chooses
+    its steps by what the function makes of it. The rest is as `work_precision` takes it. Raises InputError
     before the first run.
     """
     given = subject("step_sizes", model, t_end, q0, v0)

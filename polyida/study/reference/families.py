@@ -1,14 +1,14 @@
 """The end of a motion by methods of unlike families, for references: what two of them agree on is known so well.
 
-`explicit`: DOP853 on the index-1 equations; `radau`: Radau IIA on the stabilised form; `energy_momentum`: Simo and
-Tarnow's method, extrapolated. They share the model, its consistent accelerations and no formula of a step.
+`by_explicit`: DOP853 on the index-1 equations; `by_radau`: Radau IIA on the stabilised form; `by_bdf`: IDA; `extrapolated`: Simo and
+Tarnow's energy-momentum method, or generalized-alpha. They share the model, its consistent accelerations and no formula of a step.
 """
 
 from types import SimpleNamespace
 
 import numpy as np
 
-from polyida.integrate.energy.energy_momentum import EnergyMomentum
+from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration, consistent_state, restarted
@@ -17,11 +17,26 @@ from polyida.machine import one_blas_thread
 PARTS = ("q", "v", "lam")
 LEGS = 32  # of explicit runs: angle motors drift by 2e-10 rad in 1 s without, by round-off within a leg
 MOST, SMALL = 2e7, 200  # evaluations times (coordinates + SMALL) that an explicit run may take: some ten seconds; their projection stops it
-TOLD = 2000  # evaluations after which the projection is made
+LONG = 300_000  # steps that BDF may take
+TOLD = 2000  # evaluations or steps after which the projection is made
 
 
 class TooStiff(Exception):
-    """An explicit run would take too many steps."""
+    """A run would take too many steps or evaluations."""
+
+
+class Limit:
+    """Counts steps or evaluations, and raises TooStiff where a run, as far as it has come, would take more than `most` of them."""
+
+    def __init__(self, name, what, most, t_end, t0=0.0):
+        self.name, self.what, self.most, self.t_end, self.t0, self.count = name, what, most, t_end, t0, 0
+
+    def __call__(self, t):
+        self.count += 1
+        if self.count % TOLD == 0 and t > self.t0:
+            projected = self.count * (self.t_end - self.t0) / (t - self.t0)
+            if projected > self.most:
+                raise TooStiff(f"{self.name}: it would take {projected:.1g} {self.what}, for the motion is stiff")
 
 
 def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, spare=False):
@@ -34,7 +49,8 @@ def explicit(model, t_end, rtol, t0=0.0, q0=None, v0=None, times=None, legs=1, s
     """
     state, wanted, found = consistent_state(model, t0, q0, v0), np.atleast_1d(t_end if times is None else times), []
     y, t, put_back = np.concatenate([state.q, state.v]), t0, np.linspace(t0, wanted[-1], legs + 1)[1:-1]
-    rate = _Rate(model, t0, wanted[-1], spare)
+    most = MOST / (model.n + SMALL) if spare else np.inf
+    rate = _Rate(model, Limit("DOP853", "evaluations", most, wanted[-1], t0))
     with one_blas_thread():
         for end in sorted({*model.kinks(t0, wanted[-1]), *put_back, wanted[-1]}):
             within = (wanted > t) & (wanted <= end) | (wanted == t0) & (t == t0)
@@ -50,17 +66,14 @@ def _put_back(model, t, y):
 
 
 class _Rate:
-    """The right side (t, y) -> y', which counts how often it was asked."""
+    """The right side (t, y) -> y'; counted: called with t each time."""
 
-    def __init__(self, model, t0, t_end, spare):
-        self.model, self.t0, self.t_end, self.spare, self.count = model, t0, t_end, spare, 0
+    def __init__(self, model, counted):
+        self.model, self.counted = model, counted
 
     def __call__(self, t, y):
-        n, self.count = self.model.n, self.count + 1
-        if self.spare and self.count % TOLD == 0 and t > self.t0:
-            projected = self.count * (self.t_end - self.t0) / (t - self.t0)
-            if projected * (n + SMALL) > MOST:
-                raise TooStiff(f"DOP853: it would take {projected:.1g} evaluations, for the motion is stiff")
+        n = self.model.n
+        self.counted(t)
         return np.concatenate([y[n:], consistent_acceleration(self.model, t, y[:n], y[n:])[0]])
 
 
@@ -87,18 +100,25 @@ def by_radau(model, t_end, rtol, q0=None, v0=None):
     return end_by(model, t_end, RadauIIA(rtol=rtol), q0, v0)
 
 
-def by_energy_momentum(model, t_end, h):
-    """{"q", "v", "lam"} at t_end by the energy-momentum method, `(4 x(h/2) - x(h)) / 3` at the end alone.
+def by_bdf(model, t_end, rtol, q0=None, v0=None):
+    """{"q", "v", "lam"} at t_end by BDF, of IDA. RuntimeError where it does not come there, TooStiff where it would take long."""
+    return end_by(model, t_end, IDA(rtol=rtol, max_num_steps=2 * LONG), q0, v0, progress=Limit("IDA", "steps", LONG, t_end))
+
+
+def extrapolated(model, t_end, method, h, q0=None, v0=None):
+    """{"q", "v", "lam"} at t_end by a method of order 2, function of h: `(4 x(h/2) - x(h)) / 3` at the end alone.
 
     RuntimeError where one of both runs does not come there.
     """
-    coarse, fine = (end_by(model, t_end, EnergyMomentum(h=step)) for step in (h, h / 2))
+    coarse, fine = (end_by(model, t_end, method(h=step), q0, v0) for step in (h, h / 2))
     return {part: (4 * fine[part] - coarse[part]) / 3 for part in PARTS}
 
 
-def end_by(model, t_end, integrator, q0=None, v0=None):
+def end_by(model, t_end, integrator, q0=None, v0=None, progress=None):
     """{"q", "v", "lam"} at t_end by an integrator. RuntimeError where it does not come there."""
-    run = solve(model, t_end, integrator, q0=q0, v0=v0, every=10**9)
+    run = solve(model, t_end, integrator, q0=q0, v0=v0, every=10**9, progress=progress)
+    if run.status == "interrupted":
+        raise KeyboardInterrupt
     if not run.success:
         raise RuntimeError(f"reference by {integrator}: {run.message}")
     return vars(last_state(run))
@@ -106,7 +126,7 @@ def end_by(model, t_end, integrator, q0=None, v0=None):
 
 def distance(one, other):
     """{part: the largest absolute difference} of what both know."""
-    return {part: float(np.abs(one[part] - other[part]).max()) for part in one if part in other}
+    return {part: float(np.abs(one[part] - other[part]).max(initial=0.0)) for part in one if part in other}
 
 
 def last_state(run):

@@ -16,8 +16,8 @@ from polyida.errors import InputError
 
 PLAIN = (int, float, complex, str, bytes, bool, type(None), type(Ellipsis))
 FILLING = {"append", "extend", "insert", "add", "update", "setdefault", "clear", "pop", "popitem", "remove", "discard"}
-LOADS = {"LOAD_GLOBAL": "", "LOAD_NAME": "", "LOAD_DEREF": "", "LOAD_ATTR": ".", "LOAD_METHOD": "."}  # and what is written before the name
-STORES = ("STORE_GLOBAL", "STORE_DEREF")
+LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_ATTR", "LOAD_METHOD")
+STORES = (list, dict, set)  # what a function may fill
 BESIDE = ("co_code", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount", "co_kwonlyargcount", "co_flags")
 
 
@@ -91,11 +91,13 @@ class _Reader:
     def _function(self, function):
         self.add(function.__code__)
         self._all([function.__defaults__, function.__kwdefaults__])
-        filled = _filled(function.__code__)
         cells = dict(zip(function.__code__.co_freevars, function.__closure__ or ()))
-        values = {name: cell.cell_contents for name, cell in cells.items() if name not in filled and cell != CellType()}
-        values |= _named(function, filled)
-        self._all(chain.from_iterable(values.items()))
+        values = {name: cell.cell_contents for name, cell in cells.items() if cell != CellType()} | _named(function)
+        assigned, filled = _stores(function.__code__)
+        for name, value in values.items():
+            last = name.rpartition(".")[2]
+            if last not in assigned and not (last in filled and isinstance(value, STORES)):
+                self._all([name, value])
 
     def _class(self, kind):
         self._all(kind.__bases__)
@@ -145,30 +147,32 @@ def _codes(code):
             yield from _codes(inner)
 
 
-def _filled(code):
-    """Names of what a function itself assigns or fills: `log.append(x)`, `store[key] = x`, `global count`; of a module's with a dot before."""
-    found = set()
+def _stores(code):
+    """Names of what a function assigns beside its own variables, `global count`, and of what it fills, `log.append(x)`, `store[key] = x`."""
+    assigned, filled = set(), set()
     for part in _codes(code):
         steps = list(dis.get_instructions(part))
         for step, after, beyond in zip(steps, steps[1:], steps[2:]):
             called = after.opname in ("LOAD_METHOD", "LOAD_ATTR") and after.argval in FILLING
             stored = beyond.opname == "STORE_SUBSCR" or (beyond.opname, beyond.argval) == ("COPY", 2)  # x[k] = y, x[k] += y
-            if step.opname in STORES or step.opname in LOADS and (called or stored):
-                found.add(LOADS.get(step.opname, "") + step.argval)
-    return found
+            if step.opname in ("STORE_GLOBAL", "STORE_DEREF"):
+                assigned.add(step.argval)
+            elif step.opname in LOADS and (called or stored):
+                filled.add(step.argval)
+    return assigned, filled
 
 
-def _named(function, filled):
-    """{name: value} of what a function's code names and does not fill: globals, and what it takes from modules of the user's own."""
+def _named(function):
+    """{name: value} of what a function's code names: globals, and what it takes from modules of the user's own."""
     names = sorted({name for code in _codes(function.__code__) for name in code.co_names})
     known = function.__globals__
-    found = {name: known[name] for name in names if name in known and name not in filled}
+    found = {name: known[name] for name in names if name in known}
     modules = {value.__name__: value for value in [*found.values(), *_imported(function)] if isinstance(value, ModuleType)}
     waiting = list(modules.values())
     while waiting:
         module = waiting.pop(0)
         if not _installed(module.__name__):
-            parts = {name: vars(module)[name] for name in names if name in vars(module) and f".{name}" not in filled}
+            parts = {name: vars(module)[name] for name in names if name in vars(module)}
             found |= {f"{module.__name__}.{name}": value for name, value in parts.items()}
             further = {value.__name__: value for value in parts.values() if isinstance(value, ModuleType)}
             waiting += [value for name, value in further.items() if name not in modules]

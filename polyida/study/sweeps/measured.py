@@ -4,9 +4,10 @@ import os
 import sys
 import time
 from contextlib import suppress
+from copy import deepcopy
 
 from polyida.errors import InputError
-from polyida.study.isolation import attempt
+from polyida.study.sweeps.isolation import attempt
 
 COSTS = ("cpu_s", "wall_s", "memory_mb")
 RESERVED = ("error", *COSTS)
@@ -20,7 +21,7 @@ def measured(function, arguments, sweep_id):
     """
     fresh = _forget_peak()
     wall, cpu = time.perf_counter(), time.process_time()
-    row = attempt(_checked, {"function": function, "arguments": arguments})
+    row = attempt(_checked, {"function": function, "arguments": deepcopy(arguments)})  # what it does to its case is its own
     costs = {"cpu_s": time.process_time() - cpu, "wall_s": time.perf_counter() - wall, "memory_mb": _peak(fresh)}
     return {name: value for name, value in row.items() if name != "error"} | {"error": row["error"]} | costs
 

@@ -15,31 +15,37 @@ from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.keywords import named_keywords
 from polyida.show.style import on_axes
+from polyida.show.style import plain as plain_text
 from polyida.study.drawing import look
-from polyida.study.harness import Shelf, collected, package_mark
-from polyida.study.isolation import Isolated, Serial
 from polyida.study.progress import teller
 from polyida.study.result import Result
 from polyida.study.sweeps.code import mark_of
+from polyida.study.sweeps.harness import Shelf, collected, package_mark
+from polyida.study.sweeps.isolation import Isolated, Serial
 from polyida.study.sweeps.measured import COSTS, RESERVED, measured, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-HEADINGS = {"cpu_s": ("CPU s", ".3g"), "wall_s": ("wall s", ".3g"), "memory_mb": ("memory MB", ".0f")}
+HEADINGS = {"cpu_s": ("CPU s", "{:.3g}"), "wall_s": ("wall s", "{:.3g}"), "memory_mb": ("memory MB", "{:.0f}")}
 BY_NAME = (ProcessPoolExecutor, Isolated)  # executors that send functions by the names of their modules
 
 
 class Sweep(Result):
-    """What `sweep` gives: a Result whose rows are the cases, in their order. ran: how many cases were run now, the others were there."""
+    """What `sweep` gives: a Result whose rows are the cases, in their order.
 
-    title = "sweep"
+    ran: how many cases were run now, the others were there. varied: names of what the cases give.
+    """
 
-    def __init__(self, rows: list[dict], ran: int, varied: list[str], notes: list[str]) -> None:
+    def __init__(self, title: str, rows: list[dict], ran: int, varied: list[str], notes: list[str]) -> None:
         super().__init__(rows, notes)
-        self.ran, self.varied = ran, varied
+        self.title, self.ran, self.varied = title, ran, varied
         names = dict.fromkeys(name for row in self.rows for name in row)
-        self.columns = {name: HEADINGS.get(name, (name, "")) for name in names if name != "traceback"}
+        self.columns = {name: HEADINGS.get(name, (name, self._form(name))) for name in names if name != "traceback"}
+
+    def _form(self, name):
+        numbers = all(is_number(row.get(name, 0.0)) for row in self.rows)
+        return "{:.6g}" if numbers else "{}"
 
     def plot(self, x: str | None = None, y: str | None = None, axes: "Axes | None" = None) -> "Axes":
         """Draw a column over another, a point a case, into matplotlib axes, new ones where None are given; returns the axes.
@@ -48,14 +54,23 @@ class Sweep(Result):
         Raises InputError where no case has both.
         """
         x = x or self._number(self.varied)
-        y = y or self._number([name for name in self.columns if name not in self.varied])
+        y = y or self._number(self._given())
         found = [(row[x], row[y]) for row in self.rows if is_number(row.get(x)) and is_number(row.get(y))]
         if not found:
             raise InputError(f"Sweep.plot: no case has numbers x = {x!r} and y = {y!r}; there are {', '.join(self.columns)}")
         with on_axes(axes) as axis:
             axis.plot(*zip(*found), **look(0) | {"linestyle": "none"})
-            axis.set(xlabel=x, ylabel=y)
+            axis.set(xlabel=plain_text(x), ylabel=plain_text(y))
             return axis
+
+    def pictures(self) -> dict:
+        """The first number that the function gave over the first of the cases, where there are both."""
+        x, y = self._number(self.varied), self._number(self._given())
+        return {"sweep": (f"{y} of each case against {x}.", lambda axes: self.plot(x, y, axes))} if x and y else {}
+
+    def _given(self):
+        """Columns of what the function gave."""
+        return [name for name in self.columns if name not in self.varied and name not in RESERVED]
 
     def _number(self, names):
         """The first of the columns that has a number."""
@@ -86,8 +101,8 @@ def sweep(
     folder: each row is written to a file there when it comes, whole or not at all, so that after Ctrl-C, kill -9 or the end of a cluster's
     time the same call runs what is missing. What is there is not run again, unless it failed. It is found by the case, polyida's version
     and source, and the code of the function and of what that names in the user's own modules: functions, classes, values, defaults and
-    closures. Changed code runs anew, and the rows of the code before stay beside. Packages that are installed do not count, nor does a list
-    or dictionary that the function itself fills.
+    closures. Changed code runs anew, and the rows of the code before stay beside. Packages that are installed do not count, nor do files that
+    the function reads, nor a list or dictionary that it itself fills.
 
     Raises InputError for a wrong input, before the first case; KeyboardInterrupt after Ctrl-C.
     """
@@ -103,7 +118,9 @@ def sweep(
     with teller("sweep", progress) as tell:
         rows, ran = collected(submit, cases, names, shelf, lambda done, total, case: tell(done, total, _words(case)))
     varied = list(dict.fromkeys(name for case in cases for name in case))
-    return Sweep([row | {cost: row.get(cost) for cost in COSTS} for row in rows], ran, varied, _notes(names, rows))
+    return Sweep(
+        f"sweep of {_called(function)}", [row | {cost: row.get(cost) for cost in COSTS} for row in rows], ran, varied, _notes(names, rows)
+    )
 
 
 def _require_cases(function, cases):

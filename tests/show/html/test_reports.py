@@ -17,6 +17,7 @@ REPORTS = {
     "pendulum": ["compare", "pendulum", "--time", "0.5"],
 }
 TAB, ENTER, SPACE, RIGHT = ("Tab", 9), ("Enter", 13, "\r"), (" ", 32, " "), ("ArrowRight", 39)
+A4 = 680  # pixels between the margins
 CONTRAST = """(() => {
   const luminance = (colour) => colour.match(/\\d+/g).slice(0, 3).map((c) => c / 255)
     .map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4)).reduce((sum, c, i) => sum + c * [0.2126, 0.7152, 0.0722][i], 0);
@@ -178,6 +179,8 @@ def test_paper_is_white_whatever_the_screen_is(browser, reports):
     browser.ask("Emulation.setEmulatedMedia", media="print", features=[{"name": "prefers-color-scheme", "value": "dark"}])
     background, contrast = browser.value(CONTRAST)
     hidden = browser.value("getComputedStyle(document.querySelector('.controls')).display")
+    browser.ask("Emulation.setDeviceMetricsOverride", width=A4, height=900, deviceScaleFactor=1, mobile=True)
+    assert browser.value("document.documentElement.scrollWidth") <= A4
     browser.ask("Emulation.setEmulatedMedia", media="", features=[])
     assert background == 1 and contrast >= 4.5 and hidden == "none"
 

@@ -14,7 +14,7 @@ from polyida.integrate.state import Counts, StepFailure
 from polyida.machine import one_blas_thread
 from polyida.model.guarded import guard
 from polyida.results.balance import motor_work, unbalanced
-from polyida.study import chosen
+from polyida.study.comparison import chosen
 
 FINE, FINER = 1e-9, 1000  # rtol of the refined run: the one, or that of the runs over the other where that is less
 FINEST = 1e-13  # but no less: round-off is as large
@@ -115,7 +115,7 @@ def measured(job, runs, tell=lambda label, fraction: None):
     distances = {label: (run.t, refined.distance(run)) for label, run in runs.items()}
     rows = [_row(label, run, distances[label][1]) | published(job, run.q[-1], run.success) for label, run in runs.items()]
     rows.append(refined.row() | published(job, refined.watched[-1], not refined.message))
-    notes = [f"{label}: {run.message}" for label, run in runs.items() if not run.success]
+    notes = [f"{label}: {run.message.removeprefix(f'{label}: ')}" for label, run in runs.items() if not run.success]
     notes += [f"{REFINED}: {refined.message}"] if refined.message else []
     quantity, unit = (job.point, "m") if job.point else ("coordinates", "")
     return Comparison(job, runs, distances, rows, notes, quantity, unit)

@@ -9,6 +9,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_flag, is_number
 from polyida.keywords import named_keywords
+from polyida.mesh import sections
 from polyida.mesh.files.registry import FORMATS, format_of
 from polyida.mesh.files.repair import repaired
 from polyida.mesh.files.units import MeshWarning, hint, metres, scale_of
@@ -19,7 +20,7 @@ from polyida.mesh.polygon_mesh import PolygonMesh
 def read(path: str | Path, tolerance: float = 1e-9, unit: str | float | None = None, format: str | None = None) -> PolygonMesh:
     """PolygonMesh of a file of triangles, quads and polygons, of one or several kinds.
 
-    The suffix tells the format, or format does: .mat (PolyMesher), .msh (Gmsh 2.2, 4.0, 4.1), .inp (Abaqus), .vtu, .vtk, .obj,
+    The suffix tells the format, or format does: .mat (PolyMesher), .msh (Gmsh 2.2, 4.1), .inp (Abaqus), .vtu, .vtk, .obj,
     .mesh (MEDIT), and what you add to `pi.mesh.FORMATS`. unit: of the file's lengths, 'mm', 'in', ... or the metres in one;
     without it they are metres. Points closer than tolerance times the mesh's size merge (0: none), unused ones go, clockwise cells
     turn, elements of higher order become their corners. Whatever is changed so is said by one MeshWarning. Nodes are renumbered
@@ -33,8 +34,6 @@ def read(path: str | Path, tolerance: float = 1e-9, unit: str | float | None = N
     kind, tolerance = format_of(path, format), merge_tolerance(tolerance)
     if kind.read is None:
         raise InputError(f"mesh file {path} is of a format that can only be written")
-    if unit is not None:
-        metres(unit, f"mesh file {path}:")
     mesh, notes = _mesh(path, kind, tolerance, unit)
     if notes:
         warnings.warn(f"mesh file {path}: {'; '.join(notes)}", MeshWarning, stacklevel=3)
@@ -53,7 +52,7 @@ def write(mesh: PolygonMesh, path: str | Path, overwrite: bool = False, unit: st
     if not isinstance(mesh, PolygonMesh):
         raise InputError(f"mesh to write is {repr(mesh)[:80]}; it must be a PolygonMesh")
     path = _path(path)
-    kind, size = format_of(path, format), metres(unit, f"mesh file {path}:")
+    kind, size = format_of(path, format), metres(unit)
     if not is_flag(overwrite):
         raise InputError(f"mesh file {path}: overwrite = {overwrite!r} must be True or False")
     _require_room(mesh, path, kind)
@@ -71,7 +70,7 @@ def _mesh(path, kind, tolerance, unit):
     try:
         with np.errstate(all="ignore"):
             raw = kind.read(path)
-            mesh, notes = repaired(raw, tolerance, scale_of(unit, raw.metres, ""))
+            mesh, notes = repaired(raw, tolerance, scale_of(unit, raw.metres))
         return mesh, notes + hint(mesh.points, unit, raw.metres)
     except InputError as error:
         raise InputError(f"mesh file {path}: {error}") from None
@@ -110,19 +109,16 @@ def _scaled(mesh, metres_a_unit):
 
 def _left_out(mesh, kind):
     """[what of the mesh the format does not hold]; sections of the boundary are found again."""
-    lost = []
-    if not kind.names and (named := [name for name in mesh.sections if not _found_again(name)]):
-        lost.append("the sections " + ", ".join(map(repr, named)))
+    found = sections.automatic(mesh.points, mesh.boundary_edges)
+    named = [name for name, nodes in mesh.sections.items() if not np.array_equal(np.sort(nodes), np.sort(found.get(name, [])))]
+    lost = ["the sections " + ", ".join(map(repr, named))] if named and not kind.names else []
     if not kind.forces and (mesh.supports or mesh.loads):
         lost.append("supports and loads")
     return lost
 
 
-def _found_again(name):
-    return name in ("left", "right", "top", "bottom") or name.startswith("hole ")
-
-
 def merge_tolerance(tolerance):
+    """A float from 0 to below 1, else InputError."""
     if not is_number(tolerance) or not 0 <= tolerance < 1:
         raise InputError(f"merge tolerance is {tolerance!r}; it must be a share of the mesh's size from 0 to below 1")
     return float(tolerance)

@@ -10,6 +10,7 @@ from typing import Any
 
 from polyida.integrate.running.ctrl_c import heard
 
+START = 60.0  # s that a process may take to start and import what its task needs
 GRACE = 5.0  # s beyond its limit after which a task ends itself, should nobody be left to end it
 
 
@@ -32,10 +33,12 @@ class Worker:
             self._start()
         try:
             self.pipe.send((function, arguments, limit))
-            if self.pipe.poll(limit):
-                return json.loads(self.pipe.recv_bytes())
-            self._end()
-            return {"error": f"hang: no end within {limit:g} s", "outcome": "hang"}
+            for patience in (START + limit, limit):  # until it begins, until it ends
+                if not self.pipe.poll(patience):
+                    self._end()
+                    return {"error": f"hang: no end within {limit:g} s", "outcome": "hang"}
+                answer = self.pipe.recv_bytes()
+            return json.loads(answer)
         except (EOFError, BrokenPipeError, ConnectionResetError):
             self.process.join(GRACE)
             code = self.process.exitcode
@@ -150,6 +153,7 @@ def _serve(pipe):
             function, arguments, limit = pipe.recv()
         except (EOFError, OSError):
             return
+        pipe.send_bytes(b"begun")
         _alarm(limit + GRACE)
         row = json.dumps(attempt(function, arguments), default=plain)
         _alarm(0.0)

@@ -10,7 +10,7 @@ from typing import Any
 
 from polyida import registry
 from polyida.errors import InputError
-from polyida.study import scene_file
+from polyida.study.comparison import scene_file
 
 KNOWN = {  # name: (class in the registry, label, settings that a command gives it)
     "alpha": ("GeneralizedAlpha", "generalized-alpha", ("step", "rho_inf")),

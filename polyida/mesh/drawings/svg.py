@@ -5,8 +5,9 @@ import re
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.mesh.files.drawing import CHORDS, Drawing, library
+from polyida.mesh.drawings.drawing import CHORDS, Drawing, library
 from polyida.mesh.files.guarded import guarded
+from polyida.mesh.files.repair import several
 
 LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254 / 6, "Q": 2.5e-4}  # metres
 
@@ -14,11 +15,8 @@ LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254
 def read(path, part):
     """Drawing of a file, in its user units, y up from the page's lower edge; metres as the page's width says."""
     svgelements = library("svgelements")
-    try:
-        with guarded(path.stat().st_size):
-            tree = svgelements.SVG.parse(str(path))
-    except Exception as error:  # noqa: BLE001, whatever it is, the file is to blame
-        raise InputError(f"it cannot be read as SVG: {type(error).__name__}: {str(error)[:200]}") from None
+    with guarded(path.stat().st_size):
+        tree = svgelements.SVG.parse(str(path))
     pixels = svgelements.Matrix(tree.viewbox_transform).a if tree.viewbox_transform else 1.0
     height = tree.height if tree.values.get("height") or tree.viewbox else 0.0
     rings, notes = _rings(svgelements, _shapes(svgelements, tree, part))
@@ -30,11 +28,7 @@ def read(path, part):
 def of_path(text):
     """Drawing of a path's text."""
     svgelements = library("svgelements")
-    try:
-        path = svgelements.Path(text)
-    except Exception as error:  # noqa: BLE001, whatever it is, the text is to blame
-        raise InputError(f"{text[:80]!r} cannot be read: {type(error).__name__}: {str(error)[:80]}") from None
-    rings, notes = _rings(svgelements, [path])
+    rings, notes = _rings(svgelements, [svgelements.Path(text)])
     return Drawing([ring * [1.0, -1.0] for ring in rings], None, notes)
 
 
@@ -57,7 +51,7 @@ def _rings(svgelements, shapes):
             closed = len(points) > 2 and np.hypot(*(points[0] - points[-1])) <= 1e-6 * np.ptp(points, axis=0).max()
             rings += [points] if closed else []
             left += not closed and len(points) > 1
-    return rings, (f"left out {left} curve{'' if left == 1 else 's'} not closed",) if left else ()
+    return rings, (f"left out {several(left, 'open curve')}",) if left else ()
 
 
 def _points(svgelements, pieces):

@@ -5,8 +5,9 @@ from collections import Counter
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.mesh.files.drawing import CHORDS, Drawing, library
+from polyida.mesh.drawings.drawing import CHORDS, Drawing, library
 from polyida.mesh.files.guarded import guarded
+from polyida.mesh.files.repair import several
 
 GAP = 1e-6  # of the drawing's size, that ends of one ring may be apart
 
@@ -17,12 +18,9 @@ def read(path, part):
     from ezdxf import readfile, units
     from ezdxf.disassemble import recursive_decompose
 
-    try:
-        with guarded(path.stat().st_size):
-            document = readfile(path)
-            entities = list(recursive_decompose(document.modelspace()))
-    except Exception as error:  # noqa: BLE001, whatever it is, the file is to blame
-        raise InputError(f"it cannot be read as DXF: {type(error).__name__}: {str(error)[:200]}") from None
+    with guarded(path.stat().st_size):
+        document = readfile(path)
+        entities = list(recursive_decompose(document.modelspace()))
     layers = sorted({entity.dxf.layer for entity in entities})
     if part is not None and part not in layers:
         raise InputError(f"has nothing on the layer {part!r}; there are {', '.join(map(repr, layers)) or 'none'}")
@@ -33,7 +31,7 @@ def read(path, part):
         skipped[entity.dxftype()] += not found
     notes = [f"left out {count} {kind}" for kind, count in skipped.items() if count]
     rings, left = _joined(curves)
-    notes += [f"left out {left} curve{'' if left == 1 else 's'} not closed"] if left else []
+    notes += [f"left out {several(left, 'open curve')}"] if left else []
     metres = units.conversion_factor(document.units, units.M) if document.units else None
     return Drawing(rings, metres, tuple(notes))
 

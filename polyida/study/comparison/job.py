@@ -8,7 +8,7 @@ from pathlib import Path
 from polyida import registry
 from polyida.errors import InputError
 from polyida.given import is_number
-from polyida.study import scene_file
+from polyida.study.comparison import scene_file
 
 OPTIONS = ("time", "step", "q0", "v0", "point")
 

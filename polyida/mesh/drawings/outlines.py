@@ -7,9 +7,9 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
-from polyida.mesh.files import dxf, svg
-from polyida.mesh.files.files import existing
-from polyida.mesh.files.units import MeshWarning, hint, metres, scale_of
+from polyida.mesh.drawings import dxf, svg
+from polyida.mesh.files.read_write import existing
+from polyida.mesh.files.units import MeshWarning, hint, scale_of
 from polyida.mesh.make.outline import Outline
 from polyida.mesh.sections import signed_area
 
@@ -42,18 +42,18 @@ def svg_path(path: str, unit: str | float | None = None, corner: float = 15.0) -
 
 def _outline(what, drawing, unit, corner):
     """Outline of what drawing() gives, every failure under the name `what`."""
-    if unit is not None:
-        metres(unit, f"{what}:")
     try:
         found = drawing()
         if not found.rings:
             raise InputError("has no closed curve" + _tell(found.notes))
-        rings = [ring * scale_of(unit, found.metres, "") for ring in found.rings]
+        rings = [ring * scale_of(unit, found.metres) for ring in found.rings]
         outer = rings.pop(int(np.argmax([abs(signed_area(ring)) for ring in rings])))
         outline = Outline(outer, holes=rings, corner=corner)
     except InputError as error:
         more = "; part= takes one of several parts" if "not within the outline" in str(error) else ""
         raise InputError(f"{what}: {error}{more}") from None
+    except Exception as error:
+        raise InputError(f"{what} cannot be read: {type(error).__name__}: {str(error)[:200]}") from error
     if notes := [*found.notes, *hint(outer, unit, found.metres)]:
         warnings.warn(f"{what}: {'; '.join(notes)}", MeshWarning, stacklevel=4)
     return outline

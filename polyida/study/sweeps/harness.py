@@ -12,7 +12,11 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from polyida.errors import InputError
-from polyida.study.isolation import Isolated, Serial, attempt, plain, told
+from polyida.study.sweeps.isolation import Isolated, Serial, attempt, plain, told
+
+
+def _nothing(rows):
+    return []
 
 
 @dataclass(frozen=True)
@@ -35,11 +39,11 @@ class Study:
     tasks: Callable
     run: Callable
     figures: Callable | tuple
-    draw: Callable | tuple = lambda rows: []
+    draw: Callable | tuple = field(default_factory=lambda: _nothing)
     columns: tuple = ()
     isolated: bool = False
     limit: float = 600.0
-    notes: Callable | tuple = field(default=lambda rows: [])
+    notes: Callable | tuple = field(default_factory=lambda: _nothing)
     fresh: bool = True
     headline: tuple = ()
     options: dict = field(default_factory=dict)
@@ -63,7 +67,7 @@ def package_mark():
 
 @lru_cache(maxsize=4)
 def _mark(folder):
-    package, digest = Path(__file__).parents[1], hashlib.sha256()
+    package, digest = Path(__file__).parents[2], hashlib.sha256()
     beside = [*folder.glob("*.py"), *folder.glob("*/*.py")] if folder else []
     for root, paths in ((package, package.rglob("*.py")), (folder, beside)):
         for path in sorted(paths):

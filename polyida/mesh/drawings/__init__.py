@@ -1,0 +1,1 @@
+"""Outlines from drawings: a module a format, and what their closed curves become."""

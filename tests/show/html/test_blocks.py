@@ -1,0 +1,197 @@
+"""The parts of a page and the files beside it, as text."""
+
+import base64
+import csv
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from polyida.errors import InputError
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.solve import solve
+from polyida.problems import pendulum
+from polyida.show import html, numbers, plates, plots
+from polyida.show.html import blocks, movie
+from polyida.show.style import PALETTE, figure, settings
+
+
+def curves():
+    """Two lines that share their x, one of its own, and a guide without a name."""
+    with settings():
+        made, axes = figure()
+        axes.plot([0.0, 1.0, 2.0], [1.0, np.nan, 3.0], label='a "b" <c>', color=PALETTE[0])
+        axes.plot([0.0, 1.0, 2.0], [4.0, 5.0, 6.0], label="d")
+        axes.plot([0.5, 1.5], [7.0, 8.0], label="e")
+        axes.axhline(2.0)
+        axes.plot([0.0, 1.0], [0.0, 1.0])
+        axes.set(xlabel="t, s", ylabel=r"$\max|\phi|$")
+        return made
+
+
+def table_of(text):
+    head, *rows = csv.reader(text.splitlines())
+    return head, rows
+
+
+def test_the_numbers_of_a_figure_are_those_of_its_named_lines():
+    head, rows = table_of(numbers.csv(curves()))
+    assert head == ["t, s", 'max|phi| (a "b" <c>)', "max|phi| (d)", "t, s (e)", "max|phi| (e)"]
+    assert rows == [["0", "1", "4", "0.5", "7"], ["1", "", "5", "1.5", "8"], ["2", "3", "6", "", ""]]
+
+
+def test_the_numbers_of_bodies_are_the_corners_and_stress_of_every_polygon(run):
+    head, rows = table_of(numbers.csv(plots.deformed(run, times=[0.0, 0.04])))
+    assert head[:4] == ["x, m", "y, m (t = 0 s)", "number (t = 0 s)", "von Mises stress, kPa (t = 0 s)"]
+    x, y, number, stress = np.array(rows, float)[:, 4:8].T
+    nodes, offsets = plates.connectivity(run.model)
+    assert np.stack([x, y], axis=1) == pytest.approx(run.node_positions(-1)[nodes], abs=1e-8)
+    assert number == pytest.approx(np.repeat(np.arange(len(offsets) - 1), np.diff(offsets)))
+    assert stress == pytest.approx(run.von_mises(-1)[number.astype(int)] / 1e3)
+
+
+class Reader(HTMLParser):
+    """The cells of tables, tags that were opened and not closed, and where links lead."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.cells, self.open, self.links, self.ids = [], [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        known = dict(attributes)
+        self.ids += [known["id"]] if "id" in known else []
+        self.links += [known[name] for name in ("href", "src", "xlink:href") if name in known]
+        self.open += [tag] if tag not in ("meta", "input") else []
+        self.cells += [""] if tag in ("td", "th") else []
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, text):
+        if {"td", "th"} & set(self.open):
+            self.cells[-1] += text
+
+
+def test_a_table_shows_what_rows_have():
+    columns = {
+        "name": ("<name>", "{}"),
+        "error": ("error", "{:.1e}"),
+        "count": ("count", "{}"),
+        "good": ("good", "{}"),
+        "how": ("how", "code"),
+    }
+    rows = [
+        {"name": "a & b", "error": 0.00123, "count": np.int64(3), "good": True, "how": "IDA(rtol=1e-3)"},
+        {"name": None, "error": float("nan"), "count": float("inf"), "good": False},
+    ]
+    text = html.Table(columns, rows, "what `came`").html({})
+    assert Reader(text).cells == [
+        "<name>",
+        "error",
+        "count",
+        "good",
+        "how",
+        "a & b",
+        "1.2e-03",
+        "3",
+        "yes",
+        "IDA(rtol=1e-3)",
+        "–",
+        "–",
+        "–",
+        "no",
+        "–",
+    ]
+    assert 'data-value="0.00123"' in text and "<caption>what <code>came</code></caption>" in text and "nan" not in text
+
+
+def test_a_text_in_a_column_of_numbers_is_shown():
+    assert Reader(html.Table({"x": ("x", "{:.2f}")}, [{"x": 1.0}, {"x": "none"}]).html({})).cells == ["x", "1.00", "none"]
+
+
+def test_a_page_stands_alone_with_its_files_beside_it(tmp_path):
+    parts = [html.Heading("One & two"), html.Text("See `a < b`."), html.Notes(["it <failed>"]), html.Notes([])]
+    parts += [html.Picture("first", "A curve", curves()), html.Picture("second", "The same curve", curves())]
+    path = html.write(tmp_path / "new", "Title <1>", parts, "python mine.py --x '<2>'", machine={"python": "3"}, lead="What it is.")
+    assert path == tmp_path / "new" / "report.html"
+    made = {f"{name}.{kind}" for name in ("first", "second") for kind in ("png", "pdf", "csv")}
+    assert {file.name for file in path.parent.iterdir()} == {"report.html", *made}
+    read = Reader(path.read_text())
+    assert read.open == [] and len(set(read.ids)) == len(read.ids)
+    assert all(link.startswith(("#", "data:")) for link in read.links)
+    assert {link[1:] for link in read.links if link[0] == "#"} <= set(read.ids)
+    for text in (
+        "Title &lt;1&gt;",
+        "--x &#x27;&lt;2&gt;&#x27;",
+        "<code>a &lt; b</code>",
+        "it &lt;failed&gt;",
+        "python 3",
+        "What it is.",
+        "<text",
+    ):
+        assert text in path.read_text()
+    again = html.write(tmp_path / "again", "Title <1>", parts, "python mine.py --x '<2>'", machine={"python": "3"}, lead="What it is.")
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_colours_of_frames_and_text_are_the_page_s(tmp_path):
+    text = html.write(tmp_path, "t", [html.Picture("p", "c", curves())], "").read_text()
+    svg = text[text.index("<svg") : text.index("</svg>")]
+    assert not re.search(r"#(ffffff|222222|dddddd|000000)", svg) and "stroke: var(--blue)" in svg and "fill: var(--paper)" in svg
+    used = set(re.findall(r"var\(--(\w+)\)", text))
+    for scheme in re.findall(r":root \{[^}]*\}", text):
+        assert used - {"width"} <= set(re.findall(r"--(\w+):", scheme))
+
+
+def test_two_pictures_of_one_name_are_refused(tmp_path):
+    with pytest.raises(InputError, match="'p'"):
+        html.write(tmp_path / "new", "t", [html.Picture("p", "", curves()), html.Picture("p", "", curves())], "")
+    assert not (tmp_path / "new").exists()
+
+
+def test_many_numbers_lie_beside_the_page(tmp_path, monkeypatch):
+    monkeypatch.setattr(blocks, "WITHIN", 50)
+    text = html.write(tmp_path, "t", [html.Picture("p", "c", curves())], "").read_text()
+    assert 'href="p.csv"' in text and "data:text/csv" not in text and (tmp_path / "p.csv").exists()
+
+
+def unpacked(data, run):
+    """(places (frames, points, 2), m, stress as parts of the colours (frames, cells)) of a movie's data."""
+    places = np.frombuffer(base64.b64decode(data["places"]), "<u2").reshape(len(data["t"]), -1, 2).astype(float)
+    stress = np.frombuffer(base64.b64decode(data["stress"]), "u1").reshape(len(data["t"]), -1)
+    return places, stress / (len(data["colours"]) - 1)
+
+
+def test_a_movie_has_the_plates_where_the_run_has_them(run):
+    data, top = movie.frames(run)
+    assert json.loads(json.dumps(data)) == data and len(data["t"]) == len(run.t)
+    places, stress = unpacked(data, run)
+    exact = np.array([run.node_positions(k) for k in range(len(run.t))])
+    low, size = exact.min(axis=(0, 1)), np.ptp(exact, axis=(0, 1)).max()
+    assert low + places * size / movie.PLACES == pytest.approx(exact, abs=size / movie.PLACES)
+    found = np.array([run.von_mises(k) / 1e3 for k in range(len(run.t))])
+    assert stress == pytest.approx(np.minimum(found / top, 1), abs=1 / (movie.SHADES - 1))
+    nodes, offsets = plates.connectivity(run.model)
+    assert data["nodes"] == nodes.tolist() and data["offsets"] == offsets.tolist()
+
+
+def test_of_a_mesh_too_fine_for_a_page_the_outline_moves(run, monkeypatch):
+    whole = unpacked(movie.frames(run)[0], run)[0]
+    monkeypatch.setattr(movie, "WEIGHT", 100)
+    data, _ = movie.frames(run)
+    places, stress = unpacked(data, run)
+    edges = plates.edges(run.model)
+    assert data["offsets"] == [0] and stress.size == 0 and len(data["t"]) == movie.FEWEST
+    size = np.ptp(np.array([run.node_positions(k) for k in range(len(run.t))]), axis=(0, 1)).max()
+    last = places[-1][np.array(data["edges"])] * size / movie.PLACES
+    assert np.diff(last, axis=1) == pytest.approx(np.diff(whole[-1][edges] * size / movie.PLACES, axis=1), abs=4 * size / movie.PLACES)
+
+
+def test_a_movie_of_a_run_without_plates_is_refused():
+    problem = pendulum.problem()
+    run = solve(problem.model, 0.1, GeneralizedAlpha(h=1e-2), q0=problem.q0, v0=problem.v0)
+    with pytest.raises(InputError, match="no plates"):
+        html.Movie(run).html({})

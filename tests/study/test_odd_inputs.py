@@ -1,0 +1,149 @@
+"""pi.study on what users bring: no constraints, pulses that nobody announces, functions that raise, labels with dollars."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.errors import InputError
+from polyida.show.numbers import csv
+from polyida.study.report import write
+
+STEPS = (1e-2, 5e-3)
+
+
+class Spring(pi.Model):
+    """1 kg on 100 N/m, without a constraint; raises: from when on its force does. pulse: when 1e5 N act for 1e-4 s."""
+
+    n, m = 1, 0
+
+    def __init__(self, raises=np.inf, pulse=np.inf):
+        self.raises, self.pulse = raises, pulse
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        if t > self.raises:
+            raise ArithmeticError("no force")
+        return 100.0 * q - 1e5 * (self.pulse < t < self.pulse + 1e-4)
+
+
+@dataclass(frozen=True)
+class Leapfrog:
+    h: float
+
+    def steps(self, model, state, t_end, counts):
+        t, q, v = state.t, state.q, state.v
+        for t in np.linspace(t, t_end, round((t_end - t) / self.h) + 1)[1:]:
+            half = v - self.h / 2 * model.force(t, q, v)
+            q = q + self.h * half
+            v = half - self.h / 2 * model.force(t, q, half)
+            counts.steps += 1
+            yield pi.State(t, q, v, -model.force(t, q, v), np.zeros(0))
+
+
+def settings(make=pi.GeneralizedAlpha, steps=STEPS):
+    return [make(h=h) for h in steps]
+
+
+def test_a_model_without_constraints_has_orders_and_no_errors_of_multipliers():
+    study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"own": settings(Leapfrog), "alpha": settings()})
+    exact = np.cos(5.0)
+    assert abs(study.reference["q"][0] - exact) < 2 * study.known_to["q"] < 1e-9 and np.isnan(study.known_to["lam"])
+    assert study.orders["own"]["q"] == pytest.approx(2, abs=0.1) and study.orders["alpha"]["v"] == pytest.approx(2, abs=0.1)
+    assert np.isnan([row["error_lam"] for row in study.rows]).all() and not study.plot("lam").lines
+
+
+def test_integrators_that_stand_still_away_from_the_reference_are_told():
+    study = pi.study.work_precision(Spring(pulse=0.277), 0.3, q0=[0.0], integrators={"own": settings(Leapfrog, (2e-5, 1e-5))})
+    exact = 1e3 * (np.cos(10 * (0.3 - 0.2771)) - np.cos(10 * (0.3 - 0.277)))
+    assert study.rows[-1]["error_q"] == pytest.approx(exact, rel=0.1) and study.known_to["q"] < 1e-3 * exact
+    assert any(note.startswith("own: from 15000 to 30000 steps") and "stepped over something short" in note for note in study.notes)
+    calm = pi.study.work_precision(Spring(), 0.3, q0=[1.0], integrators={"own": settings(Leapfrog)})
+    assert calm.notes == []
+
+
+def test_a_function_that_raises_is_a_row_and_the_others_are_kept():
+    study = pi.study.work_precision(Spring(raises=0.2), 0.5, q0=[1.0], integrators={"alpha": settings()})
+    assert [row["status"] for row in study.rows] == ["error"] * 2 and all(0 < row["t"] < 0.21 for row in study.rows)
+    assert "alpha, h=0.01: ArithmeticError: no force" in study.notes and any("no two methods" in note for note in study.notes)
+    assert pi.study.energy(Spring(raises=0.2), 0.5, q0=[1.0], integrators={"alpha": settings()[0]}).rows[0]["status"] == "error"
+
+
+def test_errors_that_are_zero_have_no_place_on_a_logarithmic_axis():
+    run = pi.solve(Spring(), 0.5, pi.GeneralizedAlpha(h=STEPS[0]), q0=[1.0])
+    study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": settings()}, reference=run)
+    assert study.rows[0]["error_q"] == 0 and list(study.plot().lines[0].get_xdata()) == [study.rows[1]["error_q"]]
+
+
+def test_errors_below_what_is_known_are_counted_in_a_note():
+    reference = {"q": [np.cos(5.0)], "v": [-10 * np.sin(5.0)], "lam": [], "known_to": {"q": 1.0, "v": 1e-9}}
+    study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": settings()}, reference=reference)
+    assert study.notes == ["2 of 2 errors in q are below what is known of the reference, 1.0e+00"]
+    assert np.isnan(study.orders["alpha"]["q"]) and study.orders["alpha"]["v"] == pytest.approx(2, abs=0.1)
+
+
+@pytest.mark.parametrize("known", ["little", -1.0, np.nan])
+def test_what_a_reference_is_known_to_is_a_number(known):
+    reference = {"q": [0.0], "v": [0.0], "lam": [], "known_to": {"q": known}}
+    with pytest.raises(InputError, match=r"reference\['known_to'\]\['q'\]"):
+        pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": settings()}, reference=reference)
+
+
+def test_a_problem_that_does_not_say_how_far_it_is_known_gets_a_reference_of_its_own():
+    p = pi.problems.get("pendulum")
+    vague = pi.problems.Problem(p.name, p.model, p.q0, p.v0, 0.2, reference=p.reference)
+    study = pi.study.work_precision(vague, integrators={"radau": pi.RadauIIA(rtol=1e-6)})
+    assert len(study.reference["made_by"]) == 2 and study.known_to["q"] < study.rows[0]["error_q"]
+
+
+def test_the_line_of_an_order_has_the_slope_of_the_points():
+    study = pi.study.step_sizes(Spring(), 0.5, q0=[1.0], integrators={"IDA": lambda h: pi.IDA(rtol=h**3)}, h=(1e-2, 1e-3))
+    (label,) = study.labels
+    coarse, fine = study.rows
+    slope = np.log(coarse["error_q"] / fine["error_q"]) / np.log(coarse["h"] / fine["h"])
+    assert study.orders[label]["q"] == pytest.approx(slope)
+
+
+def test_every_setting_is_warmed_up():
+    class Heard(pi.GeneralizedAlpha):
+        def steps(self, model, state, t_end, counts, **more):
+            heard.append((self.h, t_end))
+            return super().steps(model, state, t_end, counts, **more)
+
+    heard = []
+    pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": settings(Heard)}, reference={"q": [0], "v": [0], "lam": []})
+    assert heard == [(1e-2, 2e-2), (1e-2, 0.5), (5e-3, 1e-2), (5e-3, 0.5)]
+
+
+def test_labels_are_written_as_they_are(tmp_path):
+    label = r"$\alp$ / é"
+    for study in (
+        pi.study.step_sizes(Spring(), 0.1, q0=[1.0], integrators={label: Leapfrog}, h=STEPS),
+        pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={label: Leapfrog(1e-2)}),
+        pi.study.conditioning(Spring(), pi.consistent_state(Spring(), 0.0, [1.0]), {label: pi.GeneralizedAlpha}, h=STEPS),
+    ):
+        assert label in (study.report(tmp_path / type(study).__name__) / "report.html").read_text()
+    with pytest.raises(InputError, match="does not begin with _"):
+        pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={"_hidden": Leapfrog(1e-2)})
+
+
+def test_conditioning_draws_every_state_and_takes_problems_by_name():
+    problem = pi.problems.get("pendulum")
+    states = [pi.consistent_state(problem.model, 0.0, problem.q0), pi.solve(problem.model, 0.1, pi.IDA(), q0=problem.q0).state]
+    study = pi.study.conditioning("pendulum", states, {"alpha": pi.GeneralizedAlpha}, h=STEPS)
+    head = csv(study.plot().figure).splitlines()[0]
+    assert "alpha, state 0" in head and "alpha, state 1" in head
+    with pytest.raises(InputError, match="states has no state"):
+        pi.study.conditioning("pendulum", [], {"alpha": pi.GeneralizedAlpha})
+    with pytest.raises(InputError, match=r"integrators\['alpha'\] = 5 must be an integrator, or a class"):
+        pi.study.conditioning("pendulum", states, {"alpha": 5})
+
+
+def test_a_command_that_is_given_is_written_also_without_a_script(tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.argv", [""])
+    study = pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={"own": Leapfrog(1e-2)})
+    assert "mine --now" in (write(study, tmp_path / "a", False, "mine --now") / "report.html").read_text()
+    assert "an interactive session" in (study.report(tmp_path / "b") / "report.html").read_text()
