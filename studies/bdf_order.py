@@ -89,7 +89,7 @@ def notes(rows):
 
 @drawn
 def bdf_order_figure(rows):
-    """IDA's work against the highest order it may take, and its steps over time."""
+    """IDA's steps a second against the highest order it may take, its steps over time, its steps a second against stiffness for two error tests."""
     made, axes = panels(3 if pick(rows) else 0, width=10.6, height=3.8)
     steps_panel(axes[0], rows)
     history_panel(axes[1], rows)

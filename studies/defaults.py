@@ -86,7 +86,7 @@ def stop_notes(rows):
 
 @drawn
 def defaults_figure(rows):
-    """CPU seconds against error: given settings as lines, the own choice a star on each."""
+    """CPU seconds against error: given settings as lines, the own choice a star; the aim is dashed, shaded what counts as reaching it."""
     problems = each(rows, "problem")
     made, axes = panels(len(GIVEN) if problems else 0, width=9.0, height=3.4, columns=3)
     for axis, kind in zip(axes, GIVEN):

@@ -23,6 +23,7 @@ MEMBERS = {
     "IDA ggl1": 1e-5,
     "IDA index1": 1e-5,
 }
+SLOW = ("IDA ggl1", "IDA index1")  # the short selection has one form of IDA
 FINE, DEFAULT = "swinging, default mesh", 160  # what each loses in all, J; cells a plate
 LOSING = (("alpha", 1e-3), ("energy-momentum", 1e-3), ("radau, fixed", 5e-3), ("radau, fixed", 2.5e-3), ("radau", 1e-6))
 DRAWN = ("alpha", "alpha, rho 0.5", "alpha, Richardson", "Newmark", "energy-momentum", "IDA ggl2", "radau, fixed")
@@ -31,7 +32,8 @@ LOST = 1.0  # relative change beyond which a run has nothing to do with the moti
 
 def tasks(quick):
     cells, time, tight = (12, 10.0, 1e-6) if quick else (60, 10.0, 1e-7)
-    members = list(MEMBERS.items()) + [("energy-momentum", STEP / 2), ("alpha", STEP / 2), ("IDA ggl2", tight)]
+    members = [(member, x) for member, x in MEMBERS.items() if not (quick and member in SLOW)]
+    members += [("energy-momentum", STEP / 2), ("alpha", STEP / 2), ("IDA ggl2", tight)]
     members += [("radau, fixed", 5e-3), ("radau, fixed", 2.5e-3), ("radau", 1e-5), ("radau", tight)]
     made = [
         {"scene": scene, "integrator": member, "x": x, "time": time, "cells": cells}

@@ -94,7 +94,7 @@ def table_notes(rows):
 
 @drawn
 def runs_figure(rows):
-    """CPU seconds against distance from full plates, a panel a problem."""
+    """CPU seconds against the tip's distance from that with full plates, a panel a problem, from long steps to short."""
     found = [row for row in rows if row.get("x") is not None]
     problems, levels = each(found, "problem"), sorted(each(found, "level"), key=place)
     made, axes = panels(len(problems), height=3.2)
@@ -109,7 +109,7 @@ def runs_figure(rows):
 
 @drawn
 def modes_figure(rows):
-    """Distance of reduced from full plates against the number of modes."""
+    """Distance of the tip with reduced plates from that with full ones, against the number of modes."""
     found = [row for row in pick(rows, part="run", x=None) if isinstance(row["level"], int)]
     made, (axes,) = panels(1, width=5.0)
     for i, name in enumerate(each(found, "problem")):
@@ -123,14 +123,14 @@ def modes_figure(rows):
 
 @drawn
 def steps_figure(rows):
-    """CPU time of a step against the cells of a plate."""
+    """CPU time of a step against the cells of a plate; dashed is the aim."""
     found = pick(rows, part="step")
     made, (axes,) = panels(1 if found else 0, width=5.0)
     for i, level in enumerate(each(found, "level")):
         points = pick(found, level=level)
         loglog(axes, column(points, "cells"), 1e6 * column(points, "step_s"), i, words(level))
     aim_line(axes, 1e6 * AIM_STEP, "aim, 5 modes")
-    axes.set(xlabel="cells a plate", ylabel="CPU time of a step, us")
+    axes.set(xlabel="cells a plate", ylabel="CPU time of a step, µs")
     legend(made, axes, 4)
     return curves(made, "levels_steps")
 

@@ -185,7 +185,7 @@ def band(axis, top):
 
 @drawn
 def convergence_figure(rows):
-    """Deviation from each reference against the number of coordinates."""
+    """Deviation from each reference against the number of coordinates; in the shade it is the reference's own, dashed is the aim."""
     cases = {
         "elastica, PL²/EI = 1, L/h = 50": {"case": "elastica", "load": 1, "slenderness": 50},
         "elastica, PL²/EI = 10, L/h = 50": {"case": "elastica", "load": 10, "slenderness": 50},

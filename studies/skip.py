@@ -33,7 +33,7 @@ def notes(rows):
 
 @drawn
 def draw(rows):
-    """A bar for each saving: CPU time without over with."""
+    """A bar for each saving: CPU time without it over CPU time with it."""
     from polyida.show.style import PALETTE, figure
 
     names, sizes = each(rows, "saving"), each(rows, "cells")

@@ -103,7 +103,7 @@ def notes(rows):
 
 @drawn
 def draw(rows):
-    """A bar for each job and cache, of its parts."""
+    """CPU time of a new process, part by part: with the kernels' cache empty (cold) and filled (warm)."""
     from polyida.show.style import PALETTE
 
     made, (axes,) = panels(1, columns=1, height=2.6)

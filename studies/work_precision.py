@@ -20,6 +20,7 @@ FAMILIES = {  # figure: its members, and those of other families for comparison
     "ida": (tuple(f"IDA {form}" for form in IDA_FORMS), ("alpha",)),
     "radau": (("radau", *RADAU), ("alpha", "IDA ggl2")),
 }
+NAMES = {"alpha": "Generalized-alpha and its kin", "ida": "IDA", "radau": "Radau IIA"}
 GREYS = (("#aaaaaa", "-"), ("#888888", (0, (4, 1.6))))
 UNITS = {  # of q, v and lam; a multiplier of an angle motor is in N m, one of a phi in m^2 in N/m
     "andrews": ("rad", "rad/s", "N"),
@@ -164,7 +165,8 @@ def cpu_figure(family, part, rows):
         mark_known(axis, rows, problem, part)
         axis.set(title=problem, xlabel=f"error in {part}, {unit(problem, part)}", ylabel="" if k % 3 else "CPU seconds")
     legend(made, axes, 3)
-    return curves(made, f"work-precision-{family}-{part}", f"CPU time against the error in {part} at the end, problem by problem.")
+    told = f"{NAMES[family]}: CPU time against the error in {part} at the end, problem by problem; grey are others for comparison."
+    return curves(made, f"work-precision-{family}-{part}", told)
 
 
 def counts_figure(family, rows):
@@ -176,7 +178,8 @@ def counts_figure(family, rows):
             mark_known(axis, rows, problem, "q")
             axis.set(title=problem, xlabel=f"error in q, {unit(problem, 'q')}", ylabel=work)
     legend(made, axes, 4)
-    return curves(made, f"work-counts-{family}", "Residuals and factorizations against the error in q at the end, problem by problem.")
+    told = f"{NAMES[family]}: residuals and factorizations against the error in q at the end, problem by problem; grey are others for comparison."
+    return curves(made, f"work-counts-{family}", told)
 
 
 def figure_of(function, *settings):

@@ -14,7 +14,7 @@ from polyida.cli.screen.streams import document, tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.page import finite
-from polyida.study.findings import columns_of, findings
+from polyida.study.findings import columns_of, findings, shortened
 from polyida.study.report import write_page
 from polyida.study.sweeps.harness import of_other_code, plain, results, write_whole
 
@@ -39,6 +39,7 @@ def main(study, arguments=None, command=None):
         with bars() as tell:
             rows = _results(study, options, out, Parts(study.name, tell))
         found = findings(study, rows)
+        found.notes += shortened(study) if options.quick else []
         data = _write_figures(study, command or typed, rows, found, out)
         page = write_page(study, rows, found, data, out)
     except InputError as error:

@@ -41,6 +41,25 @@ def failures(study, rows):
     return [f"failed: {name[:100]}: {error}" for name, error in failed]
 
 
+def shortened(study):
+    """A line on what the short selection of a study leaves out: the values that it does not have, name by name."""
+    short, full = study.tasks(True), study.tasks(False)
+    absent = [line for name in dict.fromkeys(chain(*full)) if (line := _absent(name, _values(short, name), _values(full, name)))]
+    told = f"the short selection has {len(short)} runs, the full one {len(full)}; not in the short one: {'; '.join(absent)}"
+    return [told] if absent else []
+
+
+def _values(tasks, name):
+    return dict.fromkeys(task[name] for task in tasks if isinstance(task.get(name), (str, int, float)) and not isinstance(task[name], bool))
+
+
+def _absent(name, short, full, told=8):
+    """The values of a name that the short selection does not have: names all of them, numbers where they are few."""
+    found = [value if isinstance(value, str) else f"{value:g}" for value in full if value not in short]
+    named = len(found) <= told or any(isinstance(value, str) for value in full)
+    return f"{name} {', '.join(found) if named else f'of {len(found)} values'}" if found else ""
+
+
 def _formed(parts, unformed, *arguments):
     """What each part gives; of one that raises, a line in `unformed`."""
     for part in parts if isinstance(parts, tuple) else (parts,):

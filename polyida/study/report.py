@@ -3,10 +3,12 @@
 import json
 import shlex
 import sys
+from itertools import takewhile
 from pathlib import Path
 
 from polyida.errors import InputError
 from polyida.show import html
+from polyida.show.html.blocks import missing, shown
 from polyida.show.style import figure, settings
 from polyida.study.findings import columns_of
 
@@ -42,13 +44,29 @@ def blocks(result):
 
 def write_page(study, rows, found, data, folder):
     """The page of a study of the command line, with its Findings; data: what its figures.json holds. Returns the path."""
-    columns = {name: (name, "{:.4g}") for name in columns_of(study, rows)}
     numbers = [{"name": name, "value": value} for name, value in found.figures.items()]
     parts = [html.Heading("Figures"), *found.pictures] if found.pictures else []
-    parts += [html.Heading("Numbers"), html.Table(FIGURES, numbers)] if numbers else []
     parts += [html.Heading("What failed, and what the numbers mean"), html.Notes(found.notes)] if found.notes else []
-    parts += [html.Heading("Rows"), html.Table(columns, [_legible(row) for row in rows])]
+    parts += [html.Heading("Numbers"), html.Table(FIGURES, numbers)] if numbers else []
+    parts += [html.Heading("Rows"), *tables(columns_of(study, rows), rows)]
     return html.write(folder, study.name.replace("_", " "), parts, data["command"], data["machine"], study.title)
+
+
+def tables(columns, rows):
+    """A table for each kind of task, which vary the same, of the columns in which it has something; what its tasks share is told above."""
+    kinds = {}
+    for row in rows:
+        kinds.setdefault(tuple(takewhile(lambda name: name != "error", row)), []).append(_legible(row))
+    return [_table(columns, kind, found) for kind, found in kinds.items()]
+
+
+def _table(columns, kind, rows):
+    there = {name: [row[name] for row in rows if row.get(name) != "" and not missing(row.get(name))] for name in columns}
+    there = {name: found for name, found in there.items() if found}
+    shared = {name: found[0] for name, found in there.items() if name in kind and 1 < len(rows) == found.count(found[0])}
+    forms = {name: "{}" if all(isinstance(value, int) for value in found) else "{:.4g}" for name, found in there.items()}
+    kept = {name: (name, form) for name, form in forms.items() if name not in shared}
+    return html.Table(kept, rows, ", ".join(f"{name}: {shown(value)}" for name, value in shared.items()))
 
 
 def _legible(row):

@@ -13,11 +13,15 @@ SPANS = {  # s: (IDA, generalized-alpha), IDA behind the growth of its first ste
 
 
 def ratio_row(dof, repeats):
-    """Medians over `repeats` turns of the CPU milliseconds of both steps and of their ratio, no frames kept; what IDA's steps did."""
+    """Medians over `repeats` turns of the CPU milliseconds of both steps and of their ratio, no frames kept; what IDA's steps did.
+
+    A turn before loads the kernels; large models need none, where a step is the difference of two times of one run.
+    """
     model, turns = model_of("scene 1", dof), []
-    for _ in range(1 + repeats):
+    first = int(model.n < LARGE)
+    for _ in range(first + repeats):
         turns.append([_step(model, name, *span) for name, span in zip(("ida", "alpha"), SPANS[dof])])
-    ida, alpha = (np.array([turn[k]["ms"] for turn in turns[1:]]) for k in (0, 1))
+    ida, alpha = (np.array([turn[k]["ms"] for turn in turns[first:]]) for k in (0, 1))
     counts = {f"{key}_per_step": value for key, value in turns[-1][0].items() if key != "ms"}
     return {
         "n": model.n,

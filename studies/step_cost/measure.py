@@ -32,7 +32,7 @@ MEMBERS = {"alpha": GeneralizedAlpha(h=H), "ida": IDA(rtol=1e-5), "radau": Radau
 SCENES = {"scene 1": plates.double_plate, "scene 2": plates.double_plate_motors}
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=3)
 def model_of(scene, dof):
     """The model of "scene 1" or "scene 2" with about `dof` coordinates."""
     return SCENES[scene](cells_for(dof)).build()

@@ -27,9 +27,11 @@ problem_of = lru_cache(maxsize=2)(problems.get)
 
 
 def tasks(quick):
-    """Newton's share and Radau's error beside rtol on both scenes, IDA's slope on the undamped one; the same in the short selection."""
+    """Newton's share and Radau's error beside rtol on both scenes, IDA's slope on the undamped one: all but IDA's tightest tolerance in
+    the short selection.
+    """
     steps = [(scene, ALPHA, h) for scene in SCENES for h in STEPS]
-    tolerances = [("scene 1, 1 s", IDA_DEFAULT, rtol) for rtol in TOLERANCES]
+    tolerances = [("scene 1, 1 s", IDA_DEFAULT, rtol) for rtol in (TOLERANCES[:-1] if quick else TOLERANCES)]
     tolerances += [(scene, RADAU_DEFAULT, rtol) for scene in SCENES for rtol in TOLERANCES]
     return [{"problem": scene, "integrator": name, "x": x, "quick": quick} for scene, name, x in steps + tolerances]
 

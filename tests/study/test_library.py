@@ -173,7 +173,8 @@ def test_a_report_has_page_numbers_and_pictures_and_is_not_overwritten(study, tm
     }
     with pytest.raises(InputError, match="has something in it"):
         study.report(folder)
-    assert study.report(folder, overwrite=True) == folder
+    other = pi.study.Result([{"number": 7}])
+    assert other.report(folder, overwrite=True) == folder and json.loads((folder / "figures.json").read_text())["rows"] == [{"number": 7}]
 
 
 def test_texts_are_short_and_tables_whole(study):

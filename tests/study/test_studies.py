@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from against_peers import gain
 from polyida.cli import study as cli_study
-from polyida.study import drawing, findings, slopes
+from polyida.study import drawing, findings, report, slopes
 from work_precision import tip_accuracy
 from work_precision.selection import left_out, not_run, tasks
 
@@ -73,7 +74,7 @@ def made_up(name, task):
         tip = {"error_tip": size, "known_tip": 1e-12, "newton_tip": 1e-3 * size}
         return work | tip | {"known": {"tip": 1e-12}, "reference": "made up"}
     if name == "work_precision":
-        return errors | work | {"steps": 1 / size, "known": {"q": 1e-9, "v": 1e-9, "lam": 1e-9}, "reference": "made up"}
+        return errors | work | {"steps": 1 / size, "known": {"q": 1e-12, "v": 1e-12, "lam": 1e-12}, "reference": "made up"}
     if name == "step_size_sensitivity":
         floors = {f"floor_{part}": 1e-20 for part in ("q", "v", "a", "lam")}
         return errors | floors | {"h": size, "outcome": "done", "iterations": 2.0, "stall_q": 1e-18 / size**2}
@@ -165,7 +166,7 @@ def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
     assert REQUIRED.get(name, set()) <= set(study.headline) <= set(data["figures"])
     assert all(data["figures"][key] is None for key in study.headline)
     assert sum(line.startswith("failed: ") for line in data["notes"]) == len(rows) == len(data["rows"])
-    assert {"figures", "notes", "rows", "machine", "command"} == set(data)
+    assert {"study", "figures", "notes", "rows", "machine", "command"} == set(data) and data["study"] == study.name
     assert data == json.loads((tmp_path / "figures.json").read_text())
     printed = capsys.readouterr().out
     assert "it broke" in printed and "figures.json" in printed and "where it broke" not in printed
@@ -220,6 +221,30 @@ def findings_study(bad):
         notes=(bad, lambda rows: ["a line"]),
         headline=("lost",),
     )
+
+
+def test_a_page_has_a_table_for_each_kind_of_task_without_empty_columns():
+    bars = [{"case": "bar", "n": n, "error": "", "steps": 12345, "off": 0.5 * n} for n in (1, 2)]
+    beams = [{"case": "beam", "h": h, "error": "", "steps": 7, "off": None, "all": [1, 2]} for h in (0.1, 0.2)]
+    first, second = report.tables(("case", "n", "h", "off", "steps", "all", "error"), bars + beams)
+    assert (first.caption, second.caption) == ("case: bar", "case: beam")
+    assert first.columns == {"n": ("n", "{}"), "off": ("off", "{:.4g}"), "steps": ("steps", "{}")} and list(second.columns) == [
+        "h",
+        "steps",
+        "all",
+    ]
+    assert "12345" in first.html({}) and "2 values" in second.html({})
+    (failed,) = report.tables(("case", "n", "error"), [{"case": "bar", "n": 1} | BROKEN])
+    assert list(failed.columns) == ["case", "n", "error"]
+
+
+def test_what_the_short_selection_leaves_out_is_told():
+    def of(quick):
+        return [{"name": name, "h": h, "quick": quick} for name in ("a" if quick else "abc") for h in ((1,) if quick else (1, 2, 0.5))]
+
+    (line,) = findings.shortened(replace(findings_study(dict), tasks=of))
+    assert line == "the short selection has 1 runs, the full one 9; not in the short one: name b, c; h 2, 0.5"
+    assert findings.shortened(findings_study(dict)) == []
 
 
 def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):

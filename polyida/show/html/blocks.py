@@ -13,6 +13,7 @@ from polyida.show.html.svg import inline
 WITHIN = 2_000_000  # bytes of CSV that the page itself holds
 SHOWN = 60, 12  # rows and columns of numbers that the page shows as a table
 MANY = 10  # columns, beyond which a table is smaller on paper
+LONG = 60  # letters, from which a cell is a sentence
 DASH = "\N{EN DASH}"
 
 
@@ -118,8 +119,8 @@ def _numeric(values):
     return bool(there) and all(isinstance(value, Real) and not isinstance(value, bool) for value in there)
 
 
-def _class(numeric, empty=False):
-    classes = " ".join(["number"] * numeric + ["empty"] * empty)
+def _class(numeric, empty=False, long=False):
+    classes = " ".join(["number"] * numeric + ["empty"] * empty + ["long"] * long)
     return f' class="{classes}"' if classes else ""
 
 
@@ -127,7 +128,7 @@ def _cell(value, form, numeric):
     order = f' data-value="{float(value)!r}"' if numeric and not missing(value) else ""
     code = form == "code" and not missing(value)
     text = escape(shown(value, "{}" if form == "code" else form))
-    return f"<td{_class(numeric, missing(value))}{order}>{f'<code>{text}</code>' if code else text}</td>"
+    return f"<td{_class(numeric, missing(value), len(text) > LONG and not code)}{order}>{f'<code>{text}</code>' if code else text}</td>"
 
 
 def _link(name, csv):

@@ -17,6 +17,7 @@ from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.study.reference.families import PARTS, by_bdf, by_explicit, by_radau, distance, extrapolated
 
 RADAU = (1e-9, 1e-11, 1e-13)  # rtol, level by level
+FINEST = 2
 SHARE = 0.1  # of the smallest error that is measured: what a reference should be off by
 BELOW = 1.0  # the same: more than that, and another family is asked
 ENOUGH = 1e-12  # of a part's size: nearer than that two methods need not come
