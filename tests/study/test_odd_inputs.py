@@ -1,6 +1,6 @@
 """pi.study on what users bring: no constraints, pulses that nobody announces, functions that raise, labels with dollars."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -69,6 +69,7 @@ def test_a_function_that_raises_is_a_row_and_the_others_are_kept():
     study = pi.study.work_precision(Spring(raises=0.2), 0.5, q0=[1.0], integrators={"alpha": settings()})
     assert [row["status"] for row in study.rows] == ["error"] * 2 and all(0 < row["t"] < 0.21 for row in study.rows)
     assert "alpha, h=0.01: ArithmeticError: no force" in study.notes and any("no two methods" in note for note in study.notes)
+    assert len(study.notes) == len(set(study.notes))
     assert pi.study.energy(Spring(raises=0.2), 0.5, q0=[1.0], integrators={"alpha": settings()[0]}).rows[0]["status"] == "error"
 
 
@@ -97,6 +98,16 @@ def test_a_problem_that_does_not_say_how_far_it_is_known_gets_a_reference_of_its
     vague = pi.problems.Problem(p.name, p.model, p.q0, p.v0, 0.2, reference=p.reference)
     study = pi.study.work_precision(vague, integrators={"radau": pi.RadauIIA(rtol=1e-6)})
     assert len(study.reference["made_by"]) == 2 and study.known_to["q"] < study.rows[0]["error_q"]
+
+
+def test_an_integrator_that_counts_no_steps_has_orders_and_no_doubts():
+    @dataclass(frozen=True)
+    class Silent(Leapfrog):
+        def steps(self, model, state, t_end, counts):
+            return super().steps(model, state, t_end, replace(counts))
+
+    study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"own": settings(Silent)})
+    assert [row["steps"] for row in study.rows] == [0, 0] and study.orders["own"]["q"] == pytest.approx(2, abs=0.1) and study.notes == []
 
 
 def test_the_line_of_an_order_has_the_slope_of_the_points():
