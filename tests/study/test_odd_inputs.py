@@ -147,6 +147,8 @@ def test_labels_are_written_as_they_are(tmp_path):
         pi.study.conditioning(Spring(), pi.consistent_state(Spring(), 0.0, [1.0]), {label: pi.GeneralizedAlpha}, h=STEPS),
     ):
         assert label in (study.report(tmp_path / type(study).__name__) / "report.html").read_text()
+    same = pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={name: Leapfrog(1e-2) for name in ("$x", "x")})
+    assert csv(same.plot().figure).splitlines()[0] == '"t, s","largest |phi| ($x)","largest |phi| (x)"'
     with pytest.raises(InputError, match="does not begin with _"):
         pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={"_hidden": Leapfrog(1e-2)})
 
