@@ -31,11 +31,13 @@ LEAST = {"scene1_800_alpha_peer_ratio": 25.0}
 
 def tasks(quick):
     """Each scene and size: the reference's own error, ours at several steps and tolerances, the peers at fewer."""
-    made = []
+    made, some = [], slice(1, None, 2) if quick else slice(None)
     for scene, dof in (("scene 1", 800), ("scene 2", 800)) + (() if quick else (("scene 1", 3000), ("scene 2", 3000))):
         fine = 0.5 if quick else 1 if dof > 1000 else 2
-        settings = [("reference", FINE / fine)] + [(solver, h) for solver in ("alpha", "alpha lean") for h in ALPHA]
-        settings += [("radau", rtol) for rtol in RADAU_RTOL] + [(solver, h) for solver, ladder in RADAU_STEPS.items() for h in ladder]
+        settings = [("reference", FINE / fine)] + [(solver, h) for solver in ("alpha", "alpha lean") for h in ALPHA[some]]
+        settings += [("radau", rtol) for rtol in RADAU_RTOL[some]] + [
+            (solver, h) for solver, ladder in RADAU_STEPS.items() for h in ladder[some]
+        ]
         settings += [("ida", rtol) for rtol in (IDA_RTOL[:-1] if quick else IDA_RTOL)]
         if dof > 1000:
             settings += [("solve_dae", 1e-4), ("exudyn modified", 5e-4)]

@@ -62,10 +62,14 @@ def weights(rows):
 def weight_notes(rows):
     """What the two error tests give, one line a modulus and tolerance."""
     told = {
-        key: [f"{what}: {row['steps']} steps, {row['rejected']} rejected, tip {row['tip_error']:.1e} m" for what, row in runs.items()]
+        key: [f"{what}: {row['steps']} steps, {row['rejected']} rejected, {_end(row)}" for what, row in runs.items()]
         for key, runs in _by_plate(rows).items()
     }
     return [f"E = {E:.0e} Pa, rtol {rtol:.0e}, tested are {'; '.join(lines)}" for (E, rtol), lines in told.items()]
+
+
+def _end(row):
+    return f"tip {row['tip_error']:.1e} m" if row["outcome"] == "done" else f"stopped at {row['t_reached']:.3g} s"
 
 
 def _by_plate(rows):

@@ -65,9 +65,9 @@ def tasks(quick):
             made.append({"part": "floor", "dof": dof, "backend": "fronts", "repeats": 2})
             continue
         short, long = SPANS[dof]
-        once = 1 if large else repeats
+        once = 1 if large or quick else repeats
         made.append(_step("scene 1", dof, "ida", short, short + (long - short) / (1 if large else few), once))
-        made.append(_step("scene 1", dof, "radau", *RADAU_SPANS[dof], repeats))
+        made.append(_step("scene 1", dof, "radau", *RADAU_SPANS[dof], 1 if quick else repeats))
         for part, names in (("pair", BACKENDS), ("floor", backends)):
             made += [{"part": part, "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
     made += [{"part": "beside alpha", "dof": dof, "repeats": (3 if dof > 50_000 else 7) // few} for dof in DECADES.values()]

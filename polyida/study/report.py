@@ -3,15 +3,18 @@
 import json
 import shlex
 import sys
+from contextlib import nullcontext
 from itertools import takewhile
 from pathlib import Path
 
 from polyida.errors import InputError
 from polyida.show import html
 from polyida.show.html.blocks import missing, shown
+from polyida.show.press import Press
 from polyida.show.style import figure, settings
 from polyida.study.findings import columns_of
 
+MANY = 4  # pictures, from which drawing them in two processes is quicker
 FIGURES = {"name": ("figure", "{}"), "value": ("value", "{:.6g}")}
 
 
@@ -49,7 +52,8 @@ def write_page(study, rows, found, data, folder):
     parts += [html.Heading("What failed, and what the numbers mean"), html.Notes(found.notes)] if found.notes else []
     parts += [html.Heading("Numbers"), html.Table(FIGURES, numbers)] if numbers else []
     parts += [html.Heading("Rows"), *tables(columns_of(study, rows), rows)]
-    return html.write(folder, study.name.replace("_", " "), parts, data["command"], data["machine"], study.title)
+    with Press() if len(found.pictures) > MANY else nullcontext() as press:
+        return html.write(folder, study.name.replace("_", " "), parts, data["command"], data["machine"], study.title, press)
 
 
 def tables(columns, rows):

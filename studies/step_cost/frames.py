@@ -17,7 +17,7 @@ RUNS = {  # figure: coordinates, steps of a run, pairs of runs, the same of the 
     "frames_over_none_1e5": (100_000, (150, 5), (24, 2), False),
     "frames_beyond_memory_over_none_1e5": (100_000, (300, 3), None, False),
     "hdf5_over_none_1e3": (1_000, (3000, 9), None, True),
-    "hdf5_over_none_1e4": (10_000, (800, 7), (400, 3), True),
+    "hdf5_over_none_1e4": (10_000, (800, 7), (400, 2), True),
 }
 
 

@@ -42,6 +42,7 @@ IN_SHORT = (
     ({"IDA index1", "IDA baumgarte"}, set(SHORT["problems"]) - {"andrews"}, SPARED),
     ({"alpha, Richardson", "IDA ggl1", "IDA index2"}, {"pendulum", "car-axis"}, SPARED),
     ({"IDA index2"}, {"double-plate"}, SPARED),
+    (set(RADAU) - {"radau, fixed"}, {"andrews"}, SPARED),
     (set(MEMBERS) - set(SHORT["members"]), SHORT["problems"], SPARED),
 )
 
@@ -77,8 +78,7 @@ def ladder(problem, member, quick):
     if member in RADAU:
         return [COARSER * (CLASSICAL | SCENES)[problem] / 2**k for k in ((1, 3) if quick else range(6))]
     if member in FIXED:
-        halvings = (0, 3) if quick and (problem, member) == ("andrews", "alpha, Richardson") else (SHORT if quick else FULL)["steps"]
-        return [(CLASSICAL | SCENES)[problem] / 2**k for k in halvings]
+        return [(CLASSICAL | SCENES)[problem] / 2**k for k in (SHORT if quick else FULL)["steps"]]
     if member == "alpha, adaptive":
         return _powers(1e-4, 1e-6 if quick else 1e-8, quick)
     if member == "radau":
