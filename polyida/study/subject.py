@@ -70,7 +70,8 @@ def studied(study, model):
     if not isinstance(built, Model):
         wanted = "a Model, a Scene, a Problem or the name of one is needed"
         raise InputError(f"{study}: the model is {type(model).__name__}; {wanted}")
-    return type(model).__name__, built, None
+    name = f"a scene of {built.n} coordinates" if isinstance(model, Scene) or built.is_scene else type(model).__name__
+    return name, built, None
 
 
 def _of_problem(study, problem, t_end, q0, v0):

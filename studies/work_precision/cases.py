@@ -43,7 +43,10 @@ def published(name, sizes, newton=1e-9):
 def by_two(name, model, t_end, other=BY_EXPLICIT, sizes=(1e-2, 10.0), first=FINEST):
     """The Case of a model whose end is what Radau IIA and another family agree on, from a level of refinement on."""
     motion = Subject(name, model, t_end)
-    return Case(motion, agreed(motion, lambda values: SHOWN, others=(other,), first=first), sizes)
+    reference = agreed(motion, lambda values: SHOWN, others=(other,), first=first)
+    if "q" not in reference:
+        raise RuntimeError(f"reference of {name}: {'; '.join(reference['failed'])}")
+    return Case(motion, reference, sizes)
 
 
 def sudden_blow(cells, t_end, duration=0.005, force=40.0):
