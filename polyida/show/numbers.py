@@ -46,8 +46,8 @@ def _heading(name, label):
 
 
 def _words(label):
-    """A label in one line, without the signs of matplotlib's formulas."""
-    return re.sub(r"[$\\]", "", label.replace("\n", " "))
+    """A label in one line, without the signs of matplotlib's formulas; a dollar that `plain` wrote as one is one."""
+    return re.sub(r"(\\\$)|[$\\]", lambda found: "$" if found[1] else "", label.replace("\n", " "))
 
 
 def _series(axes):

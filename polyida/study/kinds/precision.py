@@ -27,7 +27,10 @@ class Precision(Result):
 
     @property
     def known_to(self) -> dict[str, float]:
-        """{part: how far the reference may be off}; an error below it is not known. NaN where that is not said, and of a part without numbers."""
+        """{part: how far the reference may be off}; an error below it is not known.
+
+        NaN where that is not said, and of a part without numbers.
+        """
         known = self.reference.get("known_to", {})
         return {part: float(known.get(part, NAN)) if np.size(self.reference.get(part, ())) else NAN for part in PARTS}
 
@@ -38,8 +41,10 @@ class Precision(Result):
 
     @property
     def orders(self) -> dict[str, dict[str, float]]:
-        """{label: {part: fitted order}}: slope of the error over the length of a step, t / steps, on logarithmic axes, of the runs whose error
-        is ten times above what is known. NaN where fewer than two are, and of integrators that choose their steps.
+        """{label: {part: fitted order}}: slope of the error over the length of a step on logarithmic axes.
+
+        The length is t / steps, or h where no steps are counted; the runs are those whose error is ten times above what is known.
+        NaN where fewer than two are, and of integrators that choose their steps.
         """
         return {label: {part: self._order(label, part) for part in PARTS} for label in self.labels}
 
@@ -58,13 +63,17 @@ class Precision(Result):
         """The rows of an integrator that came to their end."""
         return [row for row in self.rows if row["integrator"] == label and row["status"] in ("done", "stopped")]
 
+    def fitted(self, label, part):
+        """The rows of an integrator that its order is fitted over."""
+        return [row for row in self.of(label) if row["h"] is not None and row[f"error_{part}"] > ABOVE * self._floor(part)]
+
     def _order(self, label, part):
-        rows = [row for row in self.of(label) if row["h"] is not None and row[f"error_{part}"] > ABOVE * self._floor(part)]
+        rows = self.fitted(label, part)
         return fitted([self._length(row) for row in rows], [row[f"error_{part}"] for row in rows])
 
     def _length(self, row):
-        """What the order is over."""
-        return row["t"] / row["steps"]
+        """What the order is over; an integrator of a user's own may count no steps."""
+        return row["t"] / row["steps"] if row["steps"] else row["h"]
 
     def _below(self):
         """Lines on errors that are not known."""
@@ -116,4 +125,4 @@ def _made(reference, known_to):
 
 
 def _unknown(reference):
-    return [] if "q" in reference else ["no reference, so no errors: no two methods came to the end", *reference["failed"]]
+    return [] if "q" in reference else ["no reference, so no errors: no two methods came to the end", *dict.fromkeys(reference["failed"])]

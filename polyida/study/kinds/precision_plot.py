@@ -27,8 +27,8 @@ def against_step(study, part, axes):
             rows = study.of(label)
             _line(axis, study, part, i, label, rows, lambda row: (row["h"], row[f"error_{part}"]))
             order = study.orders[label][part]
-            fitted = [row for row in rows if study.known(row, part)]
-            if np.isfinite(order) and len(fitted) > 1:
+            if np.isfinite(order):
+                fitted = study.fitted(label, part)
                 h = [max(row["h"] for row in fitted), min(row["h"] for row in fitted)]
                 slope_line(axis, round(order), h, 0.5 * max(row[f"error_{part}"] for row in fitted))
         _mark_known(axis, study.known_to[part], "y")

@@ -18,7 +18,7 @@ def doubts(rows, runs, reference):
 def _standing(label, pairs, reference):
     """The line of one integrator, or none."""
     finest, finest_run = pairs[-1] if pairs else ({}, None)
-    before = [(row, run) for row, run in pairs if FINER * row["steps"] <= finest["steps"]]
+    before = [(row, run) for row, run in pairs if 0 < FINER * row["steps"] <= finest["steps"]]
     for part in ("q", "v") if before and "q" in reference else ():
         row, run = before[-1]
         error, moved = finest[f"error_{part}"], float(np.abs(getattr(finest_run, part)[-1] - getattr(run, part)[-1]).max())

@@ -16,7 +16,7 @@ from polyida.machine import one_blas_thread
 
 PARTS = ("q", "v", "lam")
 LEGS = 32  # of explicit runs: angle motors drift by 2e-10 rad in 1 s without, by round-off within a leg
-MOST, SMALL = 2e7, 200  # evaluations times (coordinates + SMALL) that an explicit run may take: some ten seconds; their projection stops it
+MOST, SMALL = 3e7, 200  # evaluations times (coordinates + SMALL) of an explicit run at most: some fifteen seconds; their projection stops it
 LONG = 300_000  # steps that BDF may take
 TOLD = 2000  # evaluations or steps after which the projection is made
 
