@@ -71,7 +71,7 @@ def stops(rows):
 def ratios(rows, level=1e-5):
     """CPU of IDA over that of generalized-alpha at equal errors of q, m."""
     found = {}
-    for problem in ("double-plate", "double-plate-motors"):
+    for problem in each([row for row in rows if row["problem"] in ("double-plate", "double-plate-motors")], "problem"):
         alpha, ida = (cheapest(pick(rows, problem=problem, integrator=name), "error_q", level) for name in ("alpha", "IDA ggl2"))
         found[f"{problem}_ida_over_alpha_cpu".replace("-", "_")] = ida / alpha
     return found

@@ -42,7 +42,7 @@ IN_SHORT = (
     ({"IDA index1", "IDA baumgarte"}, set(SHORT["problems"]) - {"andrews"}, SPARED),
     ({"alpha, Richardson", "IDA ggl1", "IDA index2"}, {"pendulum", "car-axis"}, SPARED),
     ({"IDA index2"}, {"double-plate"}, SPARED),
-    (set(RADAU) - {"radau, fixed"}, {"andrews"}, SPARED),
+    (set(RADAU) - {"radau, fixed"}, set(CLASSICAL), SPARED),
     (set(MEMBERS) - set(SHORT["members"]), SHORT["problems"], SPARED),
 )
 
