@@ -214,6 +214,14 @@ def test_damaged_drawings_end_in_one_message(svg, tmp_path, suffix):
                 assert path.name in str(error)
 
 
+def test_what_a_library_logs_of_bytes_that_are_no_letters_is_not_heard(tmp_path, caplog):
+    path = drawing(tmp_path / "plate.dxf", 4, lambda space: space.add_circle((0, 0), 2))
+    content = path.read_bytes()
+    assert content.count(b"CLASS\n") > 2
+    path.write_bytes(content.replace(b"\nCLASS\n", b"\nC\xd2ASS\n", 1))
+    assert read_outline(path) is not None and not caplog.records
+
+
 def test_a_library_that_is_missing_is_named_with_the_extra(svg, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "svgelements", None)
     with pytest.raises(InputError, match=r"it needs svgelements: pip install 'polyida\[mesh\]'"):

@@ -1,6 +1,8 @@
 """Closed curves of DXF drawings, through ezdxf: circles, ellipses, splines, and polylines, lines and arcs that join to rings."""
 
+import logging
 from collections import Counter
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -18,7 +20,7 @@ def read(path, part):
     from ezdxf import readfile, units
     from ezdxf.disassemble import recursive_decompose
 
-    with guarded(path.stat().st_size):
+    with guarded(path.stat().st_size), _unheard("ezdxf"):
         document = readfile(path)
         entities = list(recursive_decompose(document.modelspace()))
     layers = sorted({entity.dxf.layer for entity in entities})
@@ -34,6 +36,17 @@ def read(path, part):
     notes += [f"left out {several(left, 'open curve')}"] if left else []
     metres = units.conversion_factor(document.units, units.M) if document.units else None
     return Drawing(rings, metres, tuple(notes))
+
+
+@contextmanager
+def _unheard(name):
+    """Without what a library logs: it quotes bytes of the file that are no letters, and what matters comes back as an exception."""
+    log = logging.getLogger(name)
+    before, log.disabled = log.disabled, True
+    try:
+        yield
+    finally:
+        log.disabled = before
 
 
 def _curves(entity):

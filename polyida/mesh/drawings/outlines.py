@@ -53,7 +53,8 @@ def _outline(what, drawing, unit, corner):
         more = "; part= takes one of several parts" if "not within the outline" in str(error) else ""
         raise InputError(f"{what}: {error}{more}") from None
     except Exception as error:
-        raise InputError(f"{what} cannot be read: {type(error).__name__}: {str(error)[:200]}") from error
+        reason = str(error)[:200].encode("utf-8", "replace").decode()  # it may quote bytes that are no letters
+        raise InputError(f"{what} cannot be read: {type(error).__name__}: {reason}") from error
     if notes := [*found.notes, *hint(outer, unit, found.metres)]:
         warnings.warn(f"{what}: {'; '.join(notes)}", MeshWarning, stacklevel=4)
     return outline
