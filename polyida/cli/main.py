@@ -295,6 +295,5 @@ def _run_study(name, arguments, command):
     book, is_one = registry.studies, lambda value: isinstance(value, (Study, FunctionType))
     found = registry.find(book, name) or scene_file.named(name, book, is_one, "studies")
     if isinstance(found, Study):
-        run_study(found, arguments, command)
-    else:
-        own_study.run(name, found, arguments, command)
+        return run_study(found, arguments, command)
+    return own_study.run(name, found, arguments, command)
