@@ -2,6 +2,7 @@
 
 from contextlib import contextmanager
 
+from polyida.bar import bar_for
 from polyida.errors import InputError
 
 
@@ -16,26 +17,12 @@ def teller(study, progress):
     elif callable(progress):
         yield progress
     elif progress is True:
-        with _bar(study) as bar:
-            yield bar.tell
+        with bar_for(study)(desc=study, leave=False) as bar:
+
+            def tell(done, total, what):
+                bar.total, bar.n = total, done
+                bar.set_postfix_str(what)
+
+            yield tell
     else:
         raise InputError(f"{study}: progress = {progress!r} must be a function of (done, total, what), True or None")
-
-
-class _bar:
-    def __init__(self, study):
-        try:
-            from tqdm.auto import tqdm
-        except ImportError:
-            raise InputError(f"{study}: progress=True needs tqdm; pip install 'polyida[notebook]'") from None
-        self.bar = tqdm(desc=study, leave=False)
-
-    def tell(self, done, total, what):
-        self.bar.total, self.bar.n = total, done
-        self.bar.set_postfix_str(what)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exception):
-        self.bar.close()

@@ -1,7 +1,6 @@
 """What a study runs: a model, a scene, a problem or its name, with its start and end; and with which integrators."""
 
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -14,7 +13,6 @@ from polyida.model import Model
 PARTS = ("q", "v", "lam")
 SHORT = 2e-4  # of the time, for which an integrator that has no step of its own runs beforehand
 LONGEST = 60  # characters of a setting
-_warmed: WeakKeyDictionary = WeakKeyDictionary()  # the kinds of integrator that have run on a model
 
 
 @dataclass(frozen=True)
@@ -44,18 +42,14 @@ class Subject:
         return run
 
     def warm_up(self, integrator):
-        """Two steps, so that compiling or loading kernels counts as nobody's time; once for each kind and form of integrator."""
-        kind, done = _kind(integrator), _warmed.setdefault(self.model, set())
-        if kind in done:
-            return
-        done.add(kind)
+        """Two steps, so that compiling or loading kernels counts as nobody's time."""
         h = getattr(integrator, "h", None)
         short = 2 * h if is_number(h) else SHORT * self.t_end
         self._until(min(short, self.t_end), integrator)
 
 
-def _kind(integrator):
-    """What an integrator is beside its numbers: those choose no kernels."""
+def kind_of(integrator):
+    """What an integrator is, in words, beside its numbers: those choose no kernels."""
     if not is_dataclass(integrator):
         return repr(type(integrator))
     values = {item.name: getattr(integrator, item.name) for item in fields(integrator)}

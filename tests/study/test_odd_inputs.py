@@ -128,6 +128,16 @@ def test_the_line_of_an_order_ends_with_the_points_that_it_is_fitted_over():
     assert len(low) == 2 and study.known(study.rows[2], "q") and sorted(guides[0].get_xdata()) == sorted(low)
 
 
+def test_models_that_are_compared_by_value_are_studied():
+    @dataclass
+    class Equal(Spring):
+        raises: float = np.inf
+        pulse: float = np.inf
+
+    study = pi.study.work_precision(Equal(), 0.5, q0=[1.0], integrators={"own": settings(Leapfrog)})
+    assert Equal.__hash__ is None and study.orders["own"]["q"] == pytest.approx(2, abs=0.1)
+
+
 def test_every_form_is_warmed_up_once():
     class Heard(pi.GeneralizedAlpha):
         def steps(self, model, state, t_end, counts, **more):

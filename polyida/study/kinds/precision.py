@@ -8,7 +8,7 @@ from polyida.study.reference.doubts import doubts
 from polyida.study.result import Result
 from polyida.study.rows import NAN
 from polyida.study.slopes import fitted
-from polyida.study.subject import PARTS, setting
+from polyida.study.subject import PARTS, kind_of, setting
 
 ABOVE = 10.0  # times what is known of the reference: errors above it are fitted
 
@@ -93,10 +93,12 @@ def against_reference(study, given_subject, members, reference, repeats, tell):
     """(rows, notes, reference): every integrator's runs, one after the other, then the reference, made where None is given."""
     reference = given(study, given_subject, reference) if reference is not None else given_subject.published
     reference = given(study, given_subject, reference) if reference else None
-    rows, runs, total = [], [], sum(map(len, members.values()))
+    rows, runs, warm, total = [], [], set(), sum(map(len, members.values()))
     for label, settings in members.items():
         for integrator in settings:
-            given_subject.warm_up(integrator)
+            if (kind := kind_of(integrator)) not in warm:
+                given_subject.warm_up(integrator)
+                warm.add(kind)
             words = setting(integrator, settings)
             tell(len(rows), total + 1, f"{label}, {words}")
             row, run = measured(given_subject, integrator, repeats)

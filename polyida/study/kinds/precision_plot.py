@@ -21,7 +21,7 @@ def against_error(study, part, work, heading, axes):
 
 
 def against_step(study, part, axes):
-    """The error in a part over the step, a line an integrator, with lines of whole orders; returns the axes."""
+    """The error in a part over the step, a line an integrator, with lines of the fitted orders, rounded; returns the axes."""
     with on_axes(axes) as axis:
         for i, label in enumerate(study.labels):
             rows = study.of(label)

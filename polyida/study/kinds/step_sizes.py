@@ -27,7 +27,7 @@ class StepSizes(Precision):
         return row["h"]
 
     def plot(self, part: str = "q", axes=None):
-        """Draw the error in `part` ("q", "v", "lam") at the end against h, with lines of the fitted orders; returns the axes.
+        """Draw the error in `part` ("q", "v", "lam") at the end against h, with lines of the fitted orders, rounded; returns the axes.
 
         Points below what is known of the reference are hollow. Raises InputError for another name.
         """
