@@ -1,0 +1,1 @@
+"""Gradients of a run in the parameters of its model, by the discrete adjoint."""
