@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.gradient.saddle import Saddle
-from polyida.integrate.state import Counts
+from polyida.gradient.saddle import StepAdjoint
 
 
 class Sent(NamedTuple):
@@ -32,40 +31,42 @@ class Sent(NamedTuple):
 
 
 class PlainSweep:
-    """Steps of h on any model, backward. counts: what the solves took."""
+    """Steps of h on any model, backward. counts: what counts its work."""
 
-    def __init__(self, model, settings, h):
-        self.model, self.h, self.counts = model, h, Counts()
+    def __init__(self, model, settings, h, counts):
+        self.model, self.h = model, h
         self.c = settings.coefficients
         self.tied = settings.form == "stabilised" and model.m > 0
-        self.saddle = Saddle(model, *self.c.rates(h), self.counts)
+        self.saddle = StepAdjoint(model, *self.c.rates(h), counts)
 
-    def back(self, t, q, v, a, lam, slopes, sent):
+    def back(self, t, q, v, a, lam, slopes, sent, keep=None):
         """(Sent to the state before, w (count, n), mu, kappa (count, m)) of steps that ended at these frames, in order of time.
 
-        slopes: the objective's own in these frames; sent: what the step after the last sends.
+        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n).
         """
         w, mu, kappa = np.empty_like(q), np.empty_like(lam), np.zeros_like(lam)
         for k in reversed(range(len(t))):
             own = [None if part is None else part[k] for part in (slopes.q, slopes.v, slopes.a, slopes.lam)]
-            sent, w[k], mu[k], kappa[k] = self._step(t[k], q[k], v[k], a[k], lam[k], own, sent)
+            sent, w[k], mu[k], kappa[k], y, z = self._step(t[k], q[k], v[k], a[k], lam[k], own, sent)
+            if keep is not None:
+                keep[0][k], keep[1][k] = y, z
         return sent, w, mu, kappa
 
     def _step(self, t, q, v, a, lam, own, sent):
         c, h = self.c, self.h
         to_a, to_v = c.rates(h)
-        b_q, b_v, b_a = (bar if slope is None else bar + slope for bar, slope in zip(sent, own))
+        b_q, b_v, b_a = (bar if slope is None else bar + slope for bar, slope in zip(sent, own[:3]))
         right = -b_q - to_v * b_v - to_a * b_a - sent.ahead / (c.beta * h * h)
         j_lam = np.zeros(self.model.m) if own[3] is None else own[3]
         self.saddle.at(t, q, v, a, lam)
         if self.tied:
-            w, mu, kappa, stiff, damp = self.saddle.tied(right, -j_lam, b_q)
+            w, mu, kappa, stiff, damp = self.saddle.stabilised(right, -j_lam, b_q)
         else:
-            w, mu, stiff, damp = self.saddle.solve(right, -j_lam)
+            w, mu, stiff, damp = self.saddle.index3(right, -j_lam)
             kappa = np.zeros(self.model.m)
         y, z = -b_q - stiff, -b_v - damp
         x = (h * h * c.beta * y + h * c.gamma * z - sent.ahead) / (1 - c.alpha_m)
-        return _sent(c, h, x, y, z), w, mu, kappa
+        return _sent(c, h, x, y, z), w, mu, kappa, y, z
 
 
 def _sent(c, h, x, y, z):
