@@ -18,7 +18,7 @@ from polyida.model.differences import FIRST_ORDER_STEP
 FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
-OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias")
+OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias", "phi_rate_q", "phi_bias_q")
 PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "keeps_body", "initial_velocity")
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
@@ -71,6 +71,8 @@ def _shapes(n, m):
         "phi_t": rows,
         "phi_rate": rows,
         "phi_bias": rows,
+        "phi_rate_q": (m, n),
+        "phi_bias_q": (m, n),
         "residual": vector,
         "tangent": square,
     }
