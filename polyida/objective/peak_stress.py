@@ -50,7 +50,7 @@ class PeakStress(TimeMean):
                 toward = factor[:, None] * share * np.array(rates).reshape(sizes.shape)
                 pull = [model.of_nodal(_pull(bodies, u, np.split(one, splits))) for u, one in zip(moved, toward)]
                 works = np.split(np.sum(toward * sizes, axis=0), splits)
-                direct = [slopes for body, work in zip(bodies, works) for slopes in body.by_parameters(work)]
+                direct = [slopes for body, work in zip(bodies, works) if body.body in model.bodies for slopes in body.by_parameters(work)]
                 return Slopes(q=np.array(pull).reshape(-1, model.n), direct=dict(direct))
 
             return means, back
@@ -100,4 +100,4 @@ class Stressed:
     def by_parameters(self, work):
         """(parameter, slope) of a sum whose parts `work` (cells,) grow with the stress of the cells."""
         yield f"{self.body.name}.stiffness", work / self.body.factors[0]
-        yield f"{self.body.name}.E", work.sum() / self.body.plate.material.E
+        yield f"{self.body.name}.E", float(work.sum()) / self.body.plate.material.E
