@@ -10,11 +10,9 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.given import floats
 from polyida.keywords import named_keywords
-from polyida.model.differences import along, around
+from polyida.model.differences import along
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean
-
-FRAMES_WIDE = 10.0  # times between frames in which a path varies, about: its rate is taken over a hundredth of that
+from polyida.objective.time_mean import TimeMean, rates
 
 
 @named_keywords
@@ -38,14 +36,18 @@ class Deviation(TimeMean):
         pull = _pull(model, self.point)
 
         def look(frames):
-            gap = model.position(self.point, frames.q) - self._places(frames.t)
-            rates = lambda factor: -2.0 * factor * np.sum(gap * self._rates(model, frames.t, span), axis=1)  # noqa: E731
-            return np.sum(gap**2, axis=1), lambda factor: Slopes(q=pull(frames.q, 2.0 * factor[:, None] * gap), t=rates(factor))
+            gap = model.position(self.point, frames.q) - [self._at(t) for t in frames.t.tolist()]
+
+            def back(factor):
+                toward = 2.0 * factor[:, None] * gap
+                return Slopes(q=pull(frames.q, toward), t=-np.sum(toward * rates(model, self._at, frames.t, span), axis=1))
+
+            return np.sum(gap**2, axis=1), back
 
         return look
 
-    def _places(self, t):
-        return np.array([self._place(self.path(float(at)) if callable(self.path) else self.path) for at in t]).reshape(-1, 2)
+    def _at(self, t):
+        return self._place(self.path(t) if callable(self.path) else self.path)
 
     def _place(self, given):
         pair = floats(given)
@@ -54,14 +56,6 @@ class Deviation(TimeMean):
                 f"Deviation: path = {given!r:.100} must be two finite numbers (x, y), m, or a function of time that gives them"
             )
         return pair
-
-    def _rates(self, model, t, span):
-        """d path/dt at the times, (count, 2), by differences that end at the model's kinks."""
-        if not callable(self.path):
-            return np.zeros((len(t), 2))
-        wide = FRAMES_WIDE * (span or 1.0)
-        rooms = [around(model.kinks(at - wide, at + wide), at) for at in t]
-        return np.array([along(lambda s, at=at: self._place(self.path(float(at + s))), wide, room) for at, room in zip(t, rooms)])
 
 
 def _pull(model, point):

@@ -10,6 +10,7 @@ from polyida.given import floats, is_number
 from polyida.keywords import named_keywords
 from polyida.objective.objective import Objective
 from polyida.objective.slopes import FRAMES, Slopes
+from polyida.objective.still import run_of
 
 
 @named_keywords
@@ -29,13 +30,14 @@ class Own(Objective):
         self._value, self._slopes = value, slopes
 
     def __call__(self, run: Any) -> float:
-        found = self._value(run)
+        found = self._value(run_of("Own", run))
         if not is_number(found):
             raise InputError(f"Own: value(run) must return a finite number, not {found!r:.100}")
         return float(found)
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """What the user's function gives, looked at."""
+        run = run_of("Own", run)
         given = self._slopes(run)
         if not isinstance(given, Mapping):
             raise InputError(f"Own: slopes(run) must return a dictionary, not {given!r:.100}")

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.io.file.layout import frames_at_once
+from polyida.model.differences import along, around
 from polyida.model.guarded import guard
 from polyida.objective.objective import Objective
 from polyida.objective.slopes import Slopes
+from polyida.objective.still import run_of
 
 
 class Frames:
@@ -59,10 +61,12 @@ class TimeMean(Objective):
         raise NotImplementedError
 
     def __call__(self, run: Any) -> float:
+        run = run_of(type(self).__name__, run)
         return _Mean(run.t, self._sizes(run, self._seen(run)), self.p).value
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Those of J: what is seen is looked at once over the whole run, and again in every slice."""
+        run = run_of(type(self).__name__, run)
         seen = self._seen(run)
         mean = _Mean(run.t, self._sizes(run, seen), self.p)
 
@@ -79,6 +83,16 @@ class TimeMean(Objective):
     def _sizes(self, run, seen):
         step = frames_at_once(run.q.shape[1])
         return np.concatenate([seen(Frames(run, slice(k, k + step)))[0] for k in range(0, len(run.t), step)])
+
+
+FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
+
+
+def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:
+    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `seen`."""
+    wide = FRAMES_WIDE * (span or 1.0)
+    rooms = [around(model.kinks(at - wide, at + wide), at) for at in t]
+    return np.array([along(lambda s, at=at: function(float(at + s)), wide, room) for at, room in zip(t, rooms)])
 
 
 class _Mean:

@@ -13,6 +13,7 @@ from polyida.linear.kkt import KKT, require_independent, scaling_factors
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.model import Model
+from polyida.model.guarded import unguarded
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp, and draw what hangs near to where it rests"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
@@ -137,7 +138,7 @@ class Loading:
         """The Equilibrium at (q, lam); solve: of the system factored there."""
         model, t, rest = self.model, self.t, np.zeros(self.model.n)
         memory = equilibrium(model, t, q, lam, model.residual(t, q, rest, rest, lam), solve)
-        return Equilibrium(t, q, rest, rest.copy(), lam, memory, falling=self.falls(q, lam), model=model, **told)
+        return Equilibrium(t, q, rest, rest.copy(), lam, memory, falling=self.falls(q, lam), model=unguarded(model), **told)
 
     def small(self):
         """The Equilibrium of small displacements under all of the load. Raises InputError for redundant constraints, StepFailure."""
@@ -153,7 +154,7 @@ class Loading:
         if system.lu.doubtful():
             raise StepFailure("singular", FREE, self.t)
         q, lam = system.solve(r, phi)
-        return Equilibrium(self.t, q, rest, rest.copy(), lam, model=model, linear=True)
+        return Equilibrium(self.t, q, rest, rest.copy(), lam, model=unguarded(model), linear=True)
 
     def falls(self, q, lam):
         """Number of directions in which the energy falls, or None."""
