@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.assembly.factors.works import mass_work, stiffness_work
 from polyida.results.section_forces import section_forces
 
 ELEMENTS = ("wachspress", "virtual")
@@ -234,3 +235,27 @@ def test_wrong_factors_are_named(given, told):
     scene.add(pi.Revolute(pi.ground, upper.section("left"), name="hub"))
     with pytest.raises(pi.InputError, match=told):
         scene.build().with_factors(**given)
+
+
+@pytest.mark.parametrize("damping", [{}, {"viscosity": 0.0}])
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_works_of_cells_are_the_slopes_of_the_residual(element, damping):
+    """r is linear in the factors, so that differences are exact; summed over frames, at any factors of the model."""
+    model = arms(element, material=damping, gravity=(1.0, pi.profile.sine(3.0, 1.0)))
+    frames, (w, a) = [state(model, seed) for seed in range(3)], np.random.default_rng(9).standard_normal((2, 3, model.n))
+    t, q, v = (np.array([frame[k] for frame in frames]) for k in range(3))
+    b = a + 0.5 * v - np.array([np.tile((1.0, pi.profile.sine(3.0, 1.0)(at)), model.n_nodes) for at in t])
+    of_stiffness, of_mass = stiffness_work(model.with_factors(**some()), q, v, w), mass_work(model.with_factors(**some()), b, w)
+    lam, names = np.zeros(model.m), ("upper", "lower")
+
+    def total(name, what, cell):
+        pair = [1.0, 1.0]
+        pair[what] = 1.0 + (np.arange(MESH.n_cells) == cell)
+        changed = model.with_factors(**{name: pair})
+        return sum(w[k] @ changed.residual(t[k], q[k], v[k], a[k], lam) for k in range(3))
+
+    solid = total("upper", 0, -1)
+    for what, found in enumerate((of_stiffness, of_mass)):
+        assert tuple(found) == names
+        wanted = np.array([[total(name, what, cell) - solid for cell in range(MESH.n_cells)] for name in names])
+        assert np.allclose([found[name] for name in names], wanted, atol=1e-11 * np.abs(wanted).max() + 1e-13 * abs(solid))

@@ -12,9 +12,9 @@ from polyida.element.lanes import LANES
 class Shares:
     """The arrays of a model's plates, an operator of its own for each, as functions of one factor a cell, plate after plate.
 
-    plates: the arrays of full cells. cells (plates + 1,): the first cell of each plate. weight_cells (len(weights),): the cell of every
-    weight. mass, stabilisation (nnz, cells), sparse: what each cell adds on the node pattern; a row's entries stand in the order in which
-    they were added up at first, so that factors of 1 give the same numbers to the bit.
+    plates: the arrays of full cells. cells (plates + 1,): the first cell of each plate. weight_cells (len(weights),), lane_cells: the cell
+    of every weight and of every lane. mass, stabilisation (nnz, cells), sparse: what each cell adds on the node pattern; a row's entries
+    stand in the order in which they were added up at first, so that factors of 1 give the same numbers to the bit.
     """
 
     def __init__(self, model):
@@ -24,7 +24,10 @@ class Shares:
         self.plates = plates._replace(**operator_arrays(bodies)) if shared else plates
         self.cells = starts([body.operator.areas for body in bodies])
         operators = [body.operator for body in bodies]
-        self.weight_cells = _joined([_weight_cells(o) + first for o, first in zip(operators, self.cells)], np.int64)
+        self.weight_cells, self.lane_cells = (
+            _joined([cells + first for cells, first in zip(each, self.cells)], np.int64)
+            for each in (map(_weight_cells, operators), (o.lane_cells for o in operators))
+        )
         self.mass, self.stabilisation = (self._by_cell(operators, name) for name in ("cell_mass", "cell_stabilisation"))
 
     def scaled(self, stiffness, mass):
@@ -34,8 +37,12 @@ class Shares:
         )
 
     def of_plates(self, values):
-        """What is said of all cells, one array a plate."""
-        return np.split(values, self.cells[1:-1])
+        """A number of each plate (plates,) for each of its cells, (cells,)."""
+        return np.repeat(values, np.diff(self.cells))
+
+    def by_plate(self, model, values):
+        """{plate: (its cells,)} of numbers of all cells."""
+        return dict(zip((body.name for body in model.bodies), np.split(values, self.cells[1:-1])))
 
     def _by_cell(self, operators, name):
         """The sparse matrix of that name on the patterns of all plates, one behind the other; empty rows where an element has none."""

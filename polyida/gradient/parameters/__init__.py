@@ -6,6 +6,7 @@ from polyida.assembly.bodies.motion import motions_given
 from polyida.assembly.bodies.motion_slopes import motion_slopes
 from polyida.gradient.parameters.drives import drive_works
 from polyida.gradient.parameters.fields import of_fields
+from polyida.gradient.parameters.in_time import in_time
 from polyida.gradient.parameters.loads import of_loads
 from polyida.gradient.parameters.motions import of_motions
 from polyida.gradient.parameters.own import of_own
@@ -13,6 +14,8 @@ from polyida.gradient.parameters.parameter import Parameter
 from polyida.gradient.parameters.plates import of_plates
 from polyida.gradient.parameters.profiles import of_profiles
 from polyida.gradient.parameters.shared import Shared
+
+__all__ = ["Parameter", "in_time", "parameters_of"]
 
 
 def parameters_of(model: Any) -> dict[str, Parameter]:

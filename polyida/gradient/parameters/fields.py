@@ -12,6 +12,7 @@ from polyida.force.force_element import ForceElement
 from polyida.gradient.parameters.elements import element_work
 from polyida.gradient.parameters.parameter import Parameter, total
 from polyida.gradient.parameters.rebuilt import changed, with_part
+from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
 from polyida.model.differences import EVERYWHERE, along
 
@@ -52,7 +53,7 @@ class OfField(Parameter):
 
 
 def of_fields(model):
-    """The parameters of the numbers of all parts but loads, point masses, and where bodies are."""
+    """The parameters of the numbers of all parts but loads, point masses, and what the drawing must agree with."""
     for name, part in model.parts.items():
         for path, value in _numbers(part):
             yield OfField(f"{name}.{path[-1]}", value, model, name, path)
@@ -66,7 +67,7 @@ def _numbers(part):
     elif isinstance(part, FieldBody):
         yield from _inner(part, ("plate", "material"), OF_REDUCED)
         yield from _inner(part, ("plate",), ("thickness",))
-    elif isinstance(part, (Joint, Body, ForceElement)):
+    elif isinstance(part, (Body, ForceElement)) or isinstance(part, Joint) and all(row.driven for row in rows_of(part.facing().rows())):
         known = [field.name for field in fields(part) if field.init and isinstance(getattr(part, field.name), float)]
         yield from _inner(part, (), [key for key in known if not (isinstance(part, Body) and key in PLACING)])
 

@@ -14,7 +14,6 @@ from polyida.gradient.parameters.parameter import Parameter
 from polyida.gradient.parameters.rebuilt import changed, with_part
 from polyida.gradient.parameters.shared import Shared
 
-
 PATHS = {"thickness": ("thickness",), "E": ("material", "E"), "rho": ("material", "rho")}
 
 
