@@ -32,6 +32,11 @@ def guard(model, part="solve"):
     return model if isinstance(model, Guarded) or model.is_scene else Guarded(model)
 
 
+def unguarded(model):
+    """The model as it was given."""
+    return model.user if isinstance(model, Guarded) else model
+
+
 def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
     if model.compiled and not model.own_forces:
