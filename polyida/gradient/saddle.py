@@ -22,7 +22,7 @@ class StepAdjoint(ExactSaddle):
         """(w, mu, kappa, K^T w + B^T mu + psi_q^T kappa, C^T w + B^T kappa), bar: of q, for `B M^-1 y = 0`. Raises SingularSystem."""
         (t, q, v, _, _), model = self.here, self.model
         m, B = model.m, dense(self.B)
-        G, ties = _rate_q(self.model, t, q, v), _ties(self.model, t, q)
+        G, ties = dense(model.phi_rate_q(t, q, v)), _ties(model, t, q)
         lu = LU(self.S.T)
         self.counts.factorizations += 1
         self.counts.solves += 2 * m + 1
