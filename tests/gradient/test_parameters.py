@@ -70,7 +70,7 @@ def along_value(parameter, unit, function):
         given = value + s * unit
         return function(parameter.replaced(given if given.ndim else float(given)))
 
-    return along(changed, 0.3 * size, (-np.inf, np.inf) if value.any() else (0.0, np.inf))
+    return along(changed, 0.3 * size, (0.0, np.inf) if parameter.asked and not value.any() else (-np.inf, np.inf))
 
 
 @pytest.mark.parametrize("name", [name for name, parameter in PARAMETERS.items() if not isinstance(parameter, OfMotion)])
