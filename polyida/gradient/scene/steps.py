@@ -8,15 +8,16 @@ import numpy as np
 from polyida.compiled import entry, pack, part
 from polyida.gradient.scene import products
 from polyida.gradient.scene.corrections import correct, hold
-from polyida.integrate.alpha.step import FRESHEN, SLOW, pairs
+from polyida.integrate.alpha.step import FRESHEN, SLOW, nearest, pairs
 from polyida.integrate.stepping.ended import DONE, REFACTOR, SINGULAR
 
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
 Q, V, A, AHEAD = range(4)  # rows of what is sent
-CONTRACTION, AGE, SEEN, SOLVES = range(4)
-MARKS = 4
-TERMS = 3  # differences of w that predict the next
+CONTRACTION, AGE, SEEN, SOLVES, SHARE = range(5)
+MARKS = 6
+SAMPLES = 300  # coordinates by which shares are found
+ROUND_OFF = 1e-9  # of |w|: corrections that need no longer fall
 
 
 @pack
@@ -49,59 +50,54 @@ class Frames(NamedTuple):
 
 @pack
 class Memory(NamedTuple):
-    """What goes from step to step: sent (4, n), the last w (n,) and mu (m,), their backward differences (TERMS + 1, .) and marks."""
+    """What goes from step to step: sent (4, n) and marks.
+
+    w (3, n), mu (3, m): those of the last step and their backward differences, of first and second order. SHARE: those of the
+    differences in the prediction; SEEN: steps since there was nothing to predict from.
+    """
 
     sent: np.ndarray
     w: np.ndarray
     mu: np.ndarray
-    differences: np.ndarray
-    differences_mu: np.ndarray
-    gram: np.ndarray
-    share: np.ndarray
     marks: np.ndarray
 
 
 @pack
 class Trial(NamedTuple):
-    """right, r, w, dw (n,), mu, dmu, rows (m,)."""
+    """What a step works on: `now` (4, n), `rows` (3, m)."""
 
     now: np.ndarray
     rows: np.ndarray
 
 
-RIGHT, R, W, DW = range(4)
-MU, DMU, PHI = range(3)
+W, RIGHT, R, DW = range(4)  # rows of Trial.now
+MU, DMU, PHI = range(3)  # of Trial.rows
 
 
 def empty(n, m):
     """(Memory, Trial)."""
-    shares = np.zeros(TERMS)
-    memory = Memory(
-        np.zeros((4, n)), np.zeros(n), np.zeros(m), np.zeros((TERMS + 1, n)), np.zeros((TERMS + 1, m)), np.zeros((TERMS, TERMS)), shares, np.zeros(MARKS)
-    )
-    return memory, Trial(np.zeros((4, n)), np.zeros((3, m)))
+    return Memory(np.zeros((4, n)), np.zeros((3, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((4, n)), np.zeros((3, m)))
 
 
 @fast
 def begin(p, f, k, y, z):
-    """The right-hand side of step k, and the prediction of w and mu."""
-    right, w, sent = z.now[RIGHT], z.now[W], y.sent
+    """The right-hand side of step k, and what is expected of w and mu."""
+    right, sent, marks = z.now[RIGHT], y.sent, y.marks
     b = 1.0 / (p.beta * p.h * p.h)
     for i in range(right.shape[0]):
         right[i] = -sent[Q, i] - p.to_v * sent[V, i] - p.to_a * sent[A, i] - b * sent[AHEAD, i]
     add_slope(f.j_q, k, -1.0, right)
     add_slope(f.j_v, k, -p.to_v, right)
     add_slope(f.j_a, k, -p.to_a, right)
-    for i in range(w.shape[0]):
-        w[i] = y.w[i]
-    for e in range(TERMS):
-        if y.share[e] != 0.0:
-            for i in range(w.shape[0]):
-                w[i] += y.share[e] * y.differences[e, i]
-    for i in range(y.mu.shape[0]):
-        z.rows[MU, i] = y.mu[i]
-        for e in range(TERMS):
-            z.rows[MU, i] += y.share[e] * y.differences_mu[e, i]
+    ahead(marks[SHARE], marks[SHARE + 1], y.w, z.now[W])
+    ahead(marks[SHARE], marks[SHARE + 1], y.mu, z.rows[MU])
+
+
+@fast
+def ahead(first, second, past, out):
+    """What is expected next, of a value and its differences."""
+    for i in range(out.shape[0]):
+        out[i] = past[0, i] + first * past[1, i] + second * past[2, i]
 
 
 @fast
@@ -114,11 +110,11 @@ def add_slope(j, k, factor, out):
 
 @fast
 def residual(p, f, k, x, z):
-    """r = S^T w + B^T mu - right and phi = B w + j_lam; the root of the sum of r^2."""
-    r, right, stiff, heavy = pairs(z.now[R]), pairs(z.now[RIGHT]), x.stiff, x.heavy
+    """r = S^T w + B^T mu - right and phi = B w + j_lam."""
+    r, right = pairs(z.now[R]), pairs(z.now[RIGHT])
     for i in range(r.shape[0]):
         for e in range(2):
-            r[i, e] = stiff[i, e] + p.to_a * heavy[i, e] - right[i, e]
+            r[i, e] = x.stiff[i, e] + p.to_a * x.heavy[i, e] - right[i, e]
     if x.slowing.shape[0]:
         for i in range(r.shape[0]):
             for e in range(2):
@@ -161,73 +157,39 @@ def send(p, f, k, x, y, z):
         sent[AHEAD, i] = p.alpha_m * a - h * h * (0.5 - p.beta) * b - h * (1.0 - p.gamma) * c
 
 
-@fast
-def shift(now, last, differences):
-    """Backward differences of one value more: differences[e] is of order e + 1."""
-    for i in range(now.shape[0]):
-        value = now[i] - last[i]
-        last[i] = now[i]
-        for e in range(differences.shape[0]):
-            before = differences[e, i]
-            differences[e, i] = value
-            value -= before
-
-
 @part
 def learn(y, z):
-    """Take up w and mu; how the next ones are predicted: by the shares of the differences that would have been nearest now."""
-    fit(y, z.now[W])
+    """Take up w and mu, and how the next ones are predicted."""
     y.marks[SEEN] += 1.0
-    shift(z.now[W], y.w, y.differences)
-    shift(z.rows[MU], y.mu, y.differences_mu)
-    for e in range(TERMS):
-        if e >= y.marks[SEEN] - 1.0:
-            y.share[e] = 0.0
+    fit(y, z.now[W])
+    shift(z.now[W], y.w)
+    shift(z.rows[MU], y.mu)
+
+
+@fast
+def shift(now, past):
+    """Take up one value more, with its backward differences."""
+    for i in range(now.shape[0]):
+        change = now[i] - past[0, i]
+        past[0, i], past[1, i], past[2, i] = now[i], change, change - past[1, i]
 
 
 @fast
 def fit(y, w):
-    """Shares of the old differences that are nearest to what w has moved by."""
-    g, s, d = y.gram, y.share, y.differences
-    n, stride = w.shape[0], 1
-    for a in range(TERMS):
-        s[a] = 0.0
-        for b in range(TERMS):
-            g[a, b] = 0.0
-    for i in range(0, n, stride):
-        t = w[i] - y.w[i]
-        for a in range(TERMS):
-            s[a] += t * d[a, i]
-            for b in range(a + 1):
-                g[a, b] += d[a, i] * d[b, i]
-    solve_fit(g, s)
-
-
-@part
-def solve_fit(g, s):
-    """s <- g^-1 s by Cholesky, shares of differences that depend on earlier ones 0."""
-    count = TERMS
-    for a in range(TERMS):
-        whole = g[a, a]
-        for b in range(a):
-            for e in range(b):
-                g[a, b] -= g[a, e] * g[b, e]
-            g[a, b] /= g[b, b]
-            g[a, a] -= g[a, b] * g[a, b]
-        if not g[a, a] > 1e-10 * whole:
-            count = a
-            break
-        g[a, a] = np.sqrt(g[a, a])
-    for a in range(count, TERMS):
-        s[a] = 0.0
-    for a in range(count):
-        for b in range(a):
-            s[a] -= g[a, b] * s[b]
-        s[a] /= g[a, a]
-    for a in range(count - 1, -1, -1):
-        for b in range(a + 1, count):
-            s[a] -= g[b, a] * s[b]
-        s[a] /= g[a, a]
+    """Shares of the differences that would have been nearest to what w has moved by; of those of steps that were not there 0."""
+    aa = ab = bb = ad = bd = 0.0
+    n, past = w.shape[0], y.w
+    for i in range(0, n, n // SAMPLES | 1):
+        first, second, d = past[1, i], past[2, i], w[i] - past[0, i]
+        aa += first * first
+        ab += first * second
+        bb += second * second
+        ad += first * d
+        bd += second * d
+    first, second = nearest(aa, ab, bb, ad, bd)
+    seen = y.marks[SEEN]
+    y.marks[SHARE] = first if seen > 3.0 else 1.0 if seen == 3.0 else 0.0
+    y.marks[SHARE + 1] = second if seen > 3.0 else 0.0
 
 
 @part
@@ -238,7 +200,7 @@ def refine(s, c, room, p, damp, laws, drives, f, k, x, y, z):
     products.hold_state(s, laws, drives, u, v, lam, x)
     products.body_products(s, damp, u, v, w, x.rotation, x)
     hold(s.links, c, room, drives, p.to_a, p.to_v, x)
-    none, last = x.rotation[:0], 0.0
+    last = 0.0
     for iteration in range(p.most):
         products.point_products(s.links, laws, room.slopes, w, z.rows[MU], x)
         residual(p, f, k, x, z)
@@ -246,25 +208,27 @@ def refine(s, c, room, p, damp, laws, drives, f, k, x, y, z):
             return SINGULAR
         y.marks[SOLVES] += 1.0
         moved, size = add_correction(z)
-        products.body_products(s, damp, u, v, w, none, x)
-        if settled(p, y.marks, moved, size, last, iteration):
+        products.body_products(s, damp, u, v, w, x.rotation[:0], x)
+        small, hopeless = judge(p, y.marks, moved, size, last, iteration)
+        if small:
             products.point_products(s.links, laws, room.slopes, w, z.rows[MU], x)
             return DONE
-        if last > 0.0 and not moved <= SLOW * last:
+        if hopeless:
             return REFACTOR
         last = moved
     return REFACTOR
 
 
 @part
-def settled(p, marks, moved, size, last, iteration):
-    """Whether what is left of a correction by `moved` after one by `last` is small enough."""
-    if last > 0.0:
+def judge(p, marks, moved, size, last, iteration):
+    """Whether what is left of a correction by `moved` after one by `last` is small enough, or round-off, and whether it will never be."""
+    measured, rate = last > 0.0, marks[CONTRACTION]
+    if measured:
         rate = moved / last
         marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * marks[CONTRACTION]), 0.0
-    rate = marks[CONTRACTION]
-    known = last > 0.0 or marks[AGE] < FRESHEN
-    return known and rate < 1.0 and moved * rate / (1.0 - rate) <= p.enough * size
+    slow = measured and not rate <= SLOW
+    small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= p.enough * size
+    return small or (slow and moved <= ROUND_OFF * size), slow
 
 
 @entry
