@@ -92,16 +92,16 @@ def few_products(c, few, w, r):
 
 
 @part
-def body_products(s, damp, u, v, w, rotation, x):
+def body_products(s, viscosity, u, v, w, rotation, x):
     """Fill x.stiff, x.heavy and x.slowing with what the bodies give; rotation: x.rotation, or (0, 2) where it is at hand."""
     clear(x.stiff)
     clear(x.heavy)
     clear(x.slowing)
     clear(rotation)
-    plate_products(s.plates, damp, u, v, w, rotation, x)
+    plate_products(s.plates, viscosity, u, v, w, rotation, x)
     compact.momentum(s.compact, w, x.heavy)
     few_products(s.compact, x.few, w, x.stiff)
-    if damp is not None:
+    if viscosity is not None:
         few_products(s.compact, x.slow, w, x.slowing)
     if rotation.shape[0]:
         for b in range(s.compact.drag.shape[0]):
@@ -109,7 +109,7 @@ def body_products(s, damp, u, v, w, rotation, x):
 
 
 @part
-def plate_products(s, damp, u, v, w, rotation, x):
+def plate_products(s, viscosity, u, v, w, rotation, x):
     """The plates' part."""
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
@@ -117,11 +117,10 @@ def plate_products(s, damp, u, v, w, rotation, x):
         layout, corners, gradients = s.layout[p[0] : e[0]], s.corners[p[1] : e[1]], s.gradients[p[2] : e[2]]
         weights, c1, nu = s.weights[p[3] : e[3]], s.body_c1[b], s.body_nu[b]
         indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
-        if damp is None:
+        if viscosity is None:
             product.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, w, x.stiff, rotation)
         else:
-            tau = s.body_viscosity[b]
-            product.viscous_products(layout, corners, gradients, weights, n0, c1, nu, tau, u, v, w, x.stiff, x.slowing, rotation)
+            product.viscous_products(layout, corners, gradients, weights, n0, c1, nu, viscosity[b], u, v, w, x.stiff, x.slowing, rotation)
             if s.body_drag[b] != 0.0:
                 kernels.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w, x.slowing)
         kernels.mass_product(indptr, indices, mass, s.body_density[b], n0, w, x.heavy)
@@ -162,9 +161,9 @@ def pull_back(matrix, wz, forces):
 
 
 @entry
-def products(s, damp, laws, drives, slopes, u, v, lam, w, mu, x):
+def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
     """All of them at one state, into x; slopes is scratch for phi_z."""
     hold_state(s, laws, drives, u, v, lam, x)
-    body_products(s, damp, u, v, w, x.rotation, x)
+    body_products(s, viscosity, u, v, w, x.rotation, x)
     joints.joint_jacobian(s.links, drives, x.points[DZ], slopes)
     point_products(s.links, laws, slopes, w, mu, x)

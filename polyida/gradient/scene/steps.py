@@ -8,14 +8,15 @@ import numpy as np
 from polyida.compiled import entry, pack, part
 from polyida.gradient.scene import products
 from polyida.gradient.scene.corrections import correct, hold
-from polyida.integrate.alpha.step import FRESHEN, SLOW, nearest, pairs
+from polyida.integrate.alpha.step import SLOW, nearest, pairs
 from polyida.integrate.stepping.ended import DONE, REFACTOR, SINGULAR
 
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
 Q, V, A, AHEAD = range(4)  # rows of what is sent
-CONTRACTION, AGE, SEEN, SOLVES, SHARE = range(5)
+CONTRACTION, AGE, SOLVES, SEEN, SHARE = range(5)
 MARKS = 6
+FRESHEN = 30  # steps after which the contraction is measured again
 SAMPLES = 300  # coordinates by which shares are found
 ROUND_OFF = 1e-9  # of |w|: corrections that need no longer fall
 
@@ -70,6 +71,16 @@ class Trial(NamedTuple):
     rows: np.ndarray
 
 
+@pack
+class Found(NamedTuple):
+    """What the steps leave: w (count, n), mu (count, m), and y and z (count, n), or (0, n) where they are not wanted."""
+
+    w: np.ndarray
+    mu: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+
+
 W, RIGHT, R, DW = range(4)  # rows of Trial.now
 MU, DMU, PHI = range(3)  # of Trial.rows
 
@@ -77,6 +88,11 @@ MU, DMU, PHI = range(3)  # of Trial.rows
 def empty(n, m):
     """(Memory, Trial)."""
     return Memory(np.zeros((4, n)), np.zeros((3, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((4, n)), np.zeros((3, m)))
+
+
+def forget(memory):
+    """Predict nothing from what was before."""
+    memory.w[:], memory.mu[:], memory.marks[SEEN:] = 0.0, 0.0, 0.0
 
 
 @fast
@@ -193,12 +209,12 @@ def fit(y, w):
 
 
 @part
-def refine(s, c, room, p, damp, laws, drives, f, k, x, y, z):
+def refine(s, c, room, p, viscosity, laws, drives, f, k, x, y, z):
     """Solve step k: how it ended; x holds the products of its w."""
     u, v, w, dw, lam = pairs(f.q[k]), pairs(f.v[k]), pairs(z.now[W]), pairs(z.now[DW]), f.lam[k]
     begin(p, f, k, y, z)
     products.hold_state(s, laws, drives, u, v, lam, x)
-    products.body_products(s, damp, u, v, w, x.rotation, x)
+    products.body_products(s, viscosity, u, v, w, x.rotation, x)
     hold(s.links, c, room, drives, p.to_a, p.to_v, x)
     last = 0.0
     for iteration in range(p.most):
@@ -208,7 +224,7 @@ def refine(s, c, room, p, damp, laws, drives, f, k, x, y, z):
             return SINGULAR
         y.marks[SOLVES] += 1.0
         moved, size = add_correction(z)
-        products.body_products(s, damp, u, v, w, x.rotation[:0], x)
+        products.body_products(s, viscosity, u, v, w, x.rotation[:0], x)
         small, hopeless = judge(p, y.marks, moved, size, last, iteration)
         if small:
             products.point_products(s.links, laws, room.slopes, w, z.rows[MU], x)
@@ -232,17 +248,29 @@ def judge(p, marks, moved, size, last, iteration):
 
 
 @entry
-def stretch(s, c, room, p, damp, laws, drives, f, last, x, y, z, w, mu):
-    """Steps backward from the one before `last`; w (count, n), mu (count, m) of them. Returns (the first step that is done, how it ended)."""
+def stretch(s, c, room, p, viscosity, laws, drives, f, last, x, y, z, out):
+    """Steps backward from the one before `last`, into out: (the first step that is done, how the one before ended).
+
+    viscosity (plates,): of a damped scene, or None; laws: of force elements, or None. What is None is not compiled.
+    """
     for k in range(last - 1, -1, -1):
-        ended = refine(s, c, room, p, damp, laws, drives[k], f, k, x, y, z)
+        ended = refine(s, c, room, p, viscosity, laws, drives[k], f, k, x, y, z)
         if ended != DONE:
             return k + 1, ended
         y.marks[AGE] += 1.0
         send(p, f, k, x, y, z)
         learn(y, z)
-        for i in range(w.shape[1]):
-            w[k, i] = z.now[W, i]
-        for i in range(mu.shape[1]):
-            mu[k, i] = z.rows[MU, i]
+        keep(p, k, y, z, out)
     return 0, DONE
+
+
+@fast
+def keep(p, k, y, z, out):
+    """Write what step k leaves."""
+    for i in range(out.w.shape[1]):
+        out.w[k, i] = z.now[W, i]
+    for i in range(out.mu.shape[1]):
+        out.mu[k, i] = z.rows[MU, i]
+    if out.y.shape[0]:
+        for i in range(out.y.shape[1]):
+            out.y[k, i], out.z[k, i] = -y.sent[Q, i], p.h * y.sent[Q, i] - y.sent[V, i]
