@@ -66,6 +66,7 @@ _MODULES = {
     "mesh": "mesh",
     "profile": "profile",
     "sensor": "sensor",
+    "objective": "objective",
     "registry": "registry",
     "problems": "problems",
     "export": "show.vtu",

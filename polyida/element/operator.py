@@ -25,7 +25,8 @@ class ReferenceOperator:
         pairs      [corner i][corner j][lane]          place of (node i, node j) in the node pattern
 
     The node pattern (indptr, indices) is the adjacency of nodes through cells in rows: sorted, symmetric, with the
-    diagonal. On it live `mass`, the integral of N_i N_j (m^2), and `stabilisation`, a constant scalar matrix or None.
+    diagonal. On it live `mass`, the integral of N_i N_j (m^2), and `stabilisation`, a constant scalar matrix or None:
+    sums of `cell_mass` and `cell_stabilisation`, what each cell adds, which lie as `pairs` do, 0 in repeated cells.
 
     offsets (cells + 1), nodes: the mesh's cells; areas (cells,) m^2; mean_gradients (len(nodes), 2) 1/m: exact means
     over each cell; lane_cells int32, the cells in the order of the lanes.
@@ -45,7 +46,9 @@ class ReferenceOperator:
     indptr: np.ndarray
     indices: np.ndarray
     mass: np.ndarray
+    cell_mass: np.ndarray
     stabilisation: np.ndarray | None = None
+    cell_stabilisation: np.ndarray | None = None
 
     @property
     def n_cells(self):
@@ -107,10 +110,14 @@ def pack(mesh, areas, mean_gradients, groups):
     indptr, indices, places = _pattern(n_nodes, groups)
     tables, starts = [], np.zeros(4, dtype=np.int64)
     parts = {name: [] for name in ("lane_cells", "corners", "gradients", "weights", "pairs")}
+    matrices = {name: [] for name in ("mass", "stabilisation") if getattr(groups[0], name) is not None}
     for group, place in zip(groups, places):
         order = _lane_order(len(group.cells))
-        weights = np.where(np.arange(len(order)) < len(group.cells), group.weights[:, order], 0.0)
+        once = np.arange(len(order)) < len(group.cells)
+        weights = np.where(once, group.weights[:, order], 0.0)
         parts["lane_cells"].append(group.cells[order])
+        for name, known in matrices.items():
+            known.append(_blocked(np.where(once, getattr(group, name)[..., order], 0.0)).ravel())
         arrays = group.nodes[:, order], group.gradients[:, :-1, :, order], weights, place[..., order]
         blocks = [_blocked(array) for array in arrays]
         for name, block in zip(("corners", "gradients", "weights", "pairs"), blocks):
@@ -133,8 +140,8 @@ def pack(mesh, areas, mean_gradients, groups):
         pairs=_integers(np.concatenate(parts["pairs"])),
         indptr=indptr,
         indices=indices,
-        mass=_summed("mass", groups, places),
-        stabilisation=_summed("stabilisation", groups, places),
+        **{name: _summed(name, groups, places) for name in matrices},
+        **{f"cell_{name}": np.concatenate(known) for name, known in matrices.items()},
     )
 
 
@@ -155,12 +162,9 @@ def _pattern(n_nodes, groups):
 
 
 def _summed(name, groups, places):
-    """The groups' matrices of that name added up on the node pattern, (nnz,); None where the element has none."""
-    matrices = [getattr(group, name) for group in groups]
-    if matrices[0] is None:
-        return None
+    """The groups' matrices of that name added up on the node pattern, (nnz,)."""
     flat = np.concatenate([place.ravel() for place in places])
-    return np.bincount(flat, weights=np.concatenate([matrix.ravel() for matrix in matrices]))
+    return np.bincount(flat, weights=np.concatenate([getattr(group, name).ravel() for group in groups]))
 
 
 def _lane_order(count):

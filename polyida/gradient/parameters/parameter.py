@@ -22,10 +22,10 @@ class Parameter:
     model: Any
     asked = False
 
-    def work(self, work: Work, moved: NDArray | None = None) -> Any:
+    def work(self, work: Work) -> Any:
         """The slope, of the shape of the value, of the sum over the entries of `w . r + mu . phi + kappa . rate + nu . bias`.
 
-        moved: by how much the time of each entry moves with the parameter, (k,); of a profile, what it says is followed along with it.
+        Times stay; entries beside a kink stay on their side of it.
         """
         raise NotImplementedError
 
@@ -37,8 +37,8 @@ class Parameter:
         """The slope of `bar . initial_velocity(t, q)`, of the shape of the value; None where that does not depend on it."""
         return None
 
-    def kinks(self) -> dict[float, float]:
-        """{time of a kink, s: by how much it moves with the parameter}, without those that stay."""
+    def kinks(self, t0: float, t1: float) -> dict[float, float]:
+        """{time of a kink in (t0, t1), s: by how much it moves with the parameter}, without those that stay."""
         return {}
 
 
