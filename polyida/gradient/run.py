@@ -112,7 +112,7 @@ class Backward:
         """The sweep of steps of this size, with the factor that it has."""
         key = f"{h:.9e}"
         if key not in self.sweeps:
-            self.sweeps[key] = PlainSweep(self.model, self.settings, h, self.counts)
+            self.sweeps[key] = _sweep_of(self.model, self.settings)(self.model, self.settings, h, self.counts)
         return self.sweeps[key]
 
     def _own(self, first, end):
@@ -124,6 +124,15 @@ class Backward:
         own = self.own(slice(int(kept[0]), int(kept[-1]) + 1))
         self.totals.own(own)
         return own if len(kept) == len(frames) else _spread(own, frames)
+
+
+def _sweep_of(model, settings):
+    """The compiled sweep of a scene, or the plain one."""
+    if model.compiled and settings.form == "index3" and settings.linear != "kkt":
+        from polyida.gradient.scene.sweep import SceneSweep
+
+        return SceneSweep
+    return PlainSweep
 
 
 def _spread(own, frames):
