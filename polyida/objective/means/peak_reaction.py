@@ -11,8 +11,8 @@ from polyida.given import is_one_of, settle
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
+from polyida.objective.means.time_mean import TimeMean, power
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean, power
 from polyida.results.tables import quantity
 
 UNITS = ("N", "N m")

@@ -10,10 +10,10 @@ from polyida.assembly import equilibrium
 from polyida.assembly.build import compact_of
 from polyida.assembly.factors.shares import Shares
 from polyida.keywords import named_keywords
-from polyida.objective import kernels
-from polyida.objective.bodies import chosen, deforming
+from polyida.objective.means import kernels
+from polyida.objective.means.bodies import chosen, deforming
+from polyida.objective.means.time_mean import TimeMean
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean
 
 
 @named_keywords

@@ -9,10 +9,10 @@ from polyida.element import kernels as element
 from polyida.element.lanes import LANES
 from polyida.given import settle
 from polyida.keywords import named_keywords
-from polyida.objective import kernels
-from polyida.objective.bodies import chosen, deforming
+from polyida.objective.means import kernels
+from polyida.objective.means.bodies import chosen, deforming
+from polyida.objective.means.time_mean import TimeMean, power, power_mean, relative
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean, power, power_mean, relative
 from polyida.results.stress import von_mises
 
 
