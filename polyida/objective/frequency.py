@@ -22,13 +22,12 @@ APART = 1e-6  # of omega^2: nearer frequencies are one, whose shapes nothing tel
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Frequency(Objective):
-    """Frequency of an undamped mode, Hz, as `pi.modes` has it: of Modes one of theirs, of a run or an equilibrium that of the model at rest,
-    q = 0, without loads.
+    """Frequency of an undamped mode, Hz: of `pi.modes` one of theirs, of a run or an equilibrium that of its model at rest.
 
         d omega^2/dp = x^T (dK/dp - omega^2 dM/dp) x + 2 mu^T dB/dp x,   omega^2 M x = K x + B^T mu,   B x = 0,   x^T M x = 1
 
-    number: 0 is the slowest. Raises InputError for what is no such number, and of slopes for a mode at 0 Hz, one of those with damping, and one
-    of several of one frequency.
+    At rest is q = 0 at t = 0 without loads, as `pi.modes(model)`. number: 0 is the slowest. Raises InputError for what is no such number,
+    for modes with damping, and, of slopes, for a mode at 0 Hz and for one of several of one frequency.
     """
 
     number: int = 0

@@ -21,12 +21,11 @@ UNITS = ("N", "N m")
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class PeakReaction(TimeMean):
-    """`(time mean of |R|^p)^(1/p)`, R what a joint does to its side b, as `run.reaction` tells it, N or N m: the larger p, the nearer to the
-    largest |R|.
+    """`(time mean of |R|^p)^(1/p)`, R what a joint does to its side b, as `run.reaction` tells it, N or N m.
 
-    joint: by name or itself. unit: "N" or "N m", the components that are meant, of a joint that gives forces and a moment. Raises InputError
-    for a p below 1 or an unknown unit, and of a run for what is no joint of its scene, for a joint of both units without `unit`, and for one
-    whose reaction is not unique.
+    It lies below the largest |R|, the nearer the larger p. joint: by name or itself. unit: "N" or "N m", the components that are meant of
+    a joint that gives forces and a moment. Raises InputError for a p below 1 or an unknown unit, and of a run for what is no joint of its
+    scene, for a joint of both units without `unit`, and for one whose reaction is not unique.
     """
 
     joint: Any

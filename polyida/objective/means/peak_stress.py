@@ -19,10 +19,10 @@ from polyida.results.stress import von_mises
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class PeakStress(TimeMean):
-    """`(time mean of the area mean of s^p)^(1/p)`, Pa, s von Mises stress of a cell as `run.von_mises`: the larger p, the nearer to the largest.
+    """`(time mean of the area mean of s^p)^(1/p)`, Pa, s the von Mises stress of a cell, as `run.von_mises`.
 
-    plate: a plate or a reduced one, by name or itself; None: all. With factors of cells it is the stress of the scaled cells. Raises InputError for a
-    p below 1, and of a run for what is no such plate of its scene.
+    It lies below the largest stress, the nearer the larger p. plate: a plate or a reduced one, by name or itself; None: all. With factors
+    of cells it is the stress of the scaled cells. Raises InputError for a p below 1, and of a run for what is no such plate of its scene.
     """
 
     plate: Any = None
