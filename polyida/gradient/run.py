@@ -87,7 +87,7 @@ class Backward:
             t, q, v, a, rows = self.course.states(first + 1, last + 1)
             own = self._own(first + 1, last + 1)
             if last == end:
-                t[-1], own = inner_side(self.model, t[-1], piece.h), _with_last(own, lam, rows.shape)
+                t, own = np.append(t[:-1], inner_side(self.model, t[-1], piece.h)), _with_last(own, lam, rows.shape)
             sent, w, mu, kappa = sweep.back(t, q, v, a, rows, own, sent)
             self.totals.work(Work(t, q, v, a, rows, w, mu, kappa))
             progress(t[0])

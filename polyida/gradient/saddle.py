@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from polyida.gradient.rates import pulled_rate
 from polyida.linear.lu import LU
 from polyida.linear.matrix import dense
 from polyida.linear.refined import ExactSaddle
@@ -21,9 +20,9 @@ class StepAdjoint(ExactSaddle):
 
     def stabilised(self, right, below, bar):
         """(w, mu, kappa, K^T w + B^T mu + psi_q^T kappa, C^T w + B^T kappa), bar: of q, for `B M^-1 y = 0`. Raises SingularSystem."""
-        t, q, v, _, _ = self.here
-        m, B = self.model.m, dense(self.B)
-        G, ties = _rate_q(self.model, t, q, v), _ties(self.model, t, q)
+        (t, q, v, _, _), model = self.here, self.model
+        m, B = model.m, dense(self.B)
+        G, ties = dense(model.phi_rate_q(t, q, v)), _ties(model, t, q)
         lu = LU(self.S.T)
         self.counts.factorizations += 1
         self.counts.solves += 2 * m + 1
@@ -33,11 +32,6 @@ class StepAdjoint(ExactSaddle):
         u = np.linalg.solve(corner - rows @ X, np.concatenate([below, -ties.T @ bar]) - rows @ y)
         w, mu, kappa = y - X @ u, u[:m], u[m:]
         return w, mu, kappa, self.K.T @ w + B.T @ mu + G.T @ kappa, self._damped(w) + B.T @ kappa
-
-
-def _rate_q(model, t, q, v):
-    """d(phi_q v + phi_t)/dq, (m, n)."""
-    return np.stack([pulled_rate(model, t, q, v, row) for row in np.eye(model.m)])
 
 
 def _ties(model, t, q):

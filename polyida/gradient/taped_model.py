@@ -7,7 +7,6 @@ parameters is left as an entry of `entries`: what multiplies r, phi, its rate an
 import numpy as np
 
 from polyida.gradient.parameters.work import Work
-from polyida.gradient.rates import pulled_bias, pulled_rate
 from polyida.gradient.tape import add_to, value_of
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate
@@ -48,7 +47,7 @@ class TapedModel:
 
         def back(kappa):
             at = t, value_of(q)
-            add_to(q, pulled_rate(self.model, *at, value_of(v), kappa))
+            add_to(q, self.model.phi_rate_q(*at, value_of(v)).T @ kappa)
             add_to(v, self.model.phi_q(*at).T @ kappa)
             self.note(t, q, v, kappa=kappa)
 
@@ -62,9 +61,10 @@ class TapedModel:
         """(phi_q v)_q v + 2 phi_qt v + phi_tt."""
 
         def back(nu):
-            by_q, by_v = pulled_bias(self.model, t, value_of(q), value_of(v), nu)
-            add_to(q, by_q)
-            add_to(v, by_v)
+            at = t, value_of(q), value_of(v)
+            if self.needs.driven or self.needs.phi_q_varies:
+                add_to(q, self.model.phi_bias_q(*at).T @ nu)
+                add_to(v, 2.0 * (self.model.phi_rate_q(*at).T @ nu))
             self.note(t, q, v, nu=nu)
 
         return self.tape.noted([self.model.phi_bias(t, value_of(q), value_of(v))], back)[0]

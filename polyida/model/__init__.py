@@ -134,6 +134,14 @@ class Model:
         reach = min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(v).max(initial=0)))
         return differences.along(lambda s: self.phi_q(t + s, q + s * v) @ v + self.phi_t(t + s, q + s * v), reach, self._smooth(t))
 
+    def phi_rate_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
+        """d(phi_q v + phi_t)/dq, (m, n)."""
+        return differences.jacobian(lambda x: self.phi_rate(t, x, v), q, self.m)
+
+    def phi_bias_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
+        """d(phi_bias)/dq, (m, n); in v it is 2 phi_rate_q."""
+        return differences.jacobian(lambda x: self.phi_bias(t, x, v), q, self.m)
+
     def _smooth(self, t):
         """The range of s around 0 in which t + s meets no kink."""
         return differences.around(self.kinks(t - 1.0, t + 1.0), t)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.gradient.parameters import in_time, parameters_of
+from polyida.gradient.parameters import parameters_of
 from polyida.gradient.parameters.parameter import total
 from polyida.gradient.parameters.work import Work
 from polyida.model.differences import along
