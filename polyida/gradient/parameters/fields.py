@@ -31,9 +31,17 @@ class OfField(Parameter):
     asked = True
 
     def work(self, work):
-        """By differences of fourth order, which for the zero of what is not negative look ahead only."""
+        """By differences."""
+        return self._slope(lambda value: self._total(value, work))
+
+    def of_model(self, function):
+        """By differences."""
+        return self._slope(lambda value: function(self.replaced(value)))
+
+    def _slope(self, function):
+        """Of fourth order; for the zero of what is not negative they look ahead only."""
         scale = abs(self.value) or 1.0
-        return float(along(lambda s: self._total(self.value + s, work), scale, POSITIVE if self.value == 0.0 else EVERYWHERE))
+        return float(along(lambda s: function(self.value + s), scale, POSITIVE if self.value == 0.0 else EVERYWHERE))
 
     def _total(self, value, work):
         part = self.model.parts[self.part]

@@ -1,6 +1,6 @@
 """How much the material has to bear."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from polyida.element.lanes import LANES
 from polyida.given import settle
 from polyida.keywords import named_keywords
 from polyida.objective.means import kernels
-from polyida.objective.means.bodies import chosen, deforming
+from polyida.objective.means.bodies import chosen, deforming, named
 from polyida.objective.means.time_mean import TimeMean, power, power_mean, relative
 from polyida.objective.slopes import Slopes
 from polyida.results.stress import von_mises
@@ -26,10 +26,15 @@ class PeakStress(TimeMean):
     """
 
     plate: Any = None
+    of_material = True
     p: float = 8.0
 
     def __post_init__(self):
         settle(self, p=power("PeakStress", self.p))
+
+    def named(self, model):
+        """By the name of its body."""
+        return replace(self, plate=named(model, self.plate))
 
     def seen(self, model, span):
         """The area mean of order p."""
