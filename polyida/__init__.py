@@ -64,6 +64,7 @@ _PLACES = {
 }
 _MODULES = {
     "mesh": "mesh",
+    "design": "design",
     "profile": "profile",
     "sensor": "sensor",
     "registry": "registry",
