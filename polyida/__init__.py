@@ -67,6 +67,7 @@ _MODULES = {
     "design": "design",
     "profile": "profile",
     "sensor": "sensor",
+    "objective": "objective",
     "registry": "registry",
     "problems": "problems",
     "export": "show.vtu",

@@ -196,6 +196,18 @@ def _less(f, g, t):
 
 
 @named_keywords
+def scaled(profile: Profile, factor: float) -> Profile:
+    """The profile times a number. Raises InputError where that is not finite."""
+    _require_numbers("scaled", factor=factor)
+    value, d1, d2 = (partial(_times, f, float(factor)) for f in (profile.value, profile.d1, profile.d2))
+    return Profile(value, d1, d2, profile.kinks, shortest=profile.shortest)
+
+
+def _times(f, factor, t):
+    return factor * f(t)
+
+
+@named_keywords
 def _takes_time(function):
     """Whether a function may be called with t alone, as far as it says."""
     try:

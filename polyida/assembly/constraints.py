@@ -95,6 +95,26 @@ class Constraints(NamedPoints):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""
         return self._rates(t, q, v)[1]
 
+    def phi_rate_q(self, t, q, v):
+        """d(phi_q v + phi_t)/dq, (m, n)."""
+        return self._rates_q(t, q, v, 1)
+
+    def phi_bias_q(self, t, q, v):
+        """d(phi_bias)/dq, (m, n)."""
+        return self._rates_q(t, q, v, 2)
+
+    def _rates_q(self, t, q, v, which):
+        """The slope of one of `joint_rates`' results: quadratic in the places of points, differences over any length are exact."""
+        drives, z, vz, ways = self.drives(t), self.dz(q), self.dz(v), np.eye(2 * self.n_points).reshape(-1, self.n_points, 2)
+
+        def at(places):
+            found = np.zeros((3, self.m))
+            rows.joint_rates(self.arrays.links, drives, places, vz, *found)
+            return found[which]
+
+        slopes = np.array([at(z + way) - at(z - way) for way in ways]).T / 2
+        return slopes @ self._points_of_q
+
     def _rates(self, t, q, v):
         phi_t, rate, bias = np.zeros((3, self.m))
         if self.needs.driven or self.needs.phi_q_varies:

@@ -41,6 +41,15 @@ class Drawn(Constraints):
         parts += [placed.body.nodal(pairs[placed.pairs] @ (1, 1j)) for _, placed in self._of_fields]
         return np.concatenate([np.zeros((0, 2)), *parts])
 
+    def of_nodal(self, forces):
+        """What forces (nodes, 2) on the nodes that are drawn do to each coordinate, (n,): the transpose of `nodal`."""
+        found, forces = np.zeros(self.n_nodes, complex), complex_of_pairs(forces)
+        for body in self.bodies:
+            found[body.nodes] += forces[body.nodes]
+        for plate, placed in self._of_fields:
+            found[placed.pairs] += placed.body.shapes().conj().T @ forces[plate.nodes]
+        return pairs_of(found).ravel()
+
     def sticks(self, q):
         """The bodies that have named points and no mesh, as segments between these, (segments, 2, 2), m: round about where there are more
         than two.

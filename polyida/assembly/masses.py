@@ -57,5 +57,4 @@ class Masses(Drawn):
     @property
     def lightest(self):
         """Mass of its lightest body, kg."""
-        plates = [body.plate.material.rho * body.plate.thickness * body.mesh.area for body in self.bodies]
-        return min([*plates, *(placed.whole_mass for placed in self.few)])
+        return min(placed.whole_mass for placed in (*self.bodies, *self.few))

@@ -42,7 +42,7 @@ class NamedPoints(Model):
 
         Raises InputError for what is not in the scene.
         """
-        side = self._side(name)
+        side = self.side(name)
         return side.point + self._moved(side, "point", q)
 
     def _moved(self, side, part, q, w=1.0):
@@ -50,7 +50,7 @@ class NamedPoints(Model):
         pairs, weights = self.held(side, part)
         return pairs_of(complex_of_pairs(q.reshape(len(q), -1, 2)[:, pairs]) @ (w * weights))
 
-    def _side(self, name):
+    def side(self, name):
         """The attachment that is meant: itself, or of a part, or of the part of a name."""
         if isinstance(name, Attachment):
             return name
@@ -61,7 +61,7 @@ class NamedPoints(Model):
 
     def reactions(self, name, q, lam):
         """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""
-        return self.joints[name].reaction(lam, lambda vector: self._values(vector, q))
+        return self.joints[name].reaction(lam, lambda vector: self.values(vector, q))
 
     def turn(self, name, q):
         """How far side b of a joint has turned against side a since rest, over frames q (frames, n): (frames,), rad in [-pi, pi].
@@ -70,12 +70,20 @@ class NamedPoints(Model):
         """
         joint = self.joints[name]
         joint.require_directions()
-        a, b = (self._values(side.d, q) @ [1.0, 1j] / side.d.rest for side in (joint.a, joint.b))
+        a, b = (self.values(side.d, q) @ [1.0, 1j] / side.d.rest for side in (joint.a, joint.b))
         return np.angle(b * a.conj())
 
-    def _values(self, vector, q):
+    def values(self, vector, q):
         """A vector of a joint's formula, its profiles at zero, over frames q (frames, n): (frames, 2)."""
         values = np.full((len(q), 2), [vector.rest.real, vector.rest.imag])
         for side, part, w in (term for piece in vector.pieces for term in piece.terms):
             values += self._moved(side, part, q, w)
         return values
+
+    def pulled(self, vector, forces):
+        """What forces (frames, 2) on a vector of a joint's formula do to each coordinate, (frames, n): the transpose of its slope in q."""
+        found = np.zeros((len(forces), self.n_nodes), complex)
+        for side, part, w in (term for piece in vector.pieces for term in piece.terms):
+            pairs, weights = self.held(side, part)
+            np.add.at(found, (slice(None), pairs), complex_of_pairs(forces)[:, None] * np.conj(w * weights))
+        return pairs_of(found).reshape(len(found), -1)

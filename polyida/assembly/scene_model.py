@@ -3,6 +3,7 @@
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import bilinear, concatenated, shifting_drives, turning_drives
@@ -11,6 +12,7 @@ from polyida.assembly.bodies.motion import velocity_at
 from polyida.assembly.bodies.own import Elastic, uneven_mass
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
 from polyida.assembly.drawn import deepest
+from polyida.assembly.factors.scaled import factors_of, scaled, told
 from polyida.assembly.loads import largest
 from polyida.assembly.masses import Masses
 from polyida.assembly.own.forces import OwnForce, OwnForces
@@ -44,7 +46,7 @@ class SceneModel(Masses):
     def __init__(self, parts, gravity, redundant="refuse"):
         self.parts, self.treats_redundant = dict(parts), redundant
         self.gravity = tuple(g if isinstance(g, Profile) else float(g) for g in gravity)
-        self.bodies, self._kept, self._driven = plates_of(parts), {}, (None, None)
+        self.bodies, self._driven = plates_of(parts), (None, None)
         self.few = few_of(parts, self.bodies[-1].nodes.stop if self.bodies else 0)
         self.places = {id(body.plate): body for body in self.bodies} | {id(placed.user): placed for placed in self.few}
         self.extent = extent_of(self.bodies, self.few)
@@ -88,7 +90,7 @@ class SceneModel(Masses):
         self.arrays, points, table, drives, self.laws = found
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
-        self.m, self.n_points, self._kept = len(self.labels), len(points.nodes), {}
+        self.m, self.n_points, self._kept, self._of_shape = len(self.labels), len(points.nodes), {}, {}
         links = self.arrays.links
         self.motor_profiles, self.path_profiles = turning_drives(links), shifting_drives(links)
 
@@ -102,7 +104,23 @@ class SceneModel(Masses):
         return f"<SceneModel: n = {self.n}, m = {self.m}, {bodies} bod{'ies' if bodies != 1 else 'y'}, {joints} joint{'s' * (joints != 1)}>"
 
     def __reduce__(self):
-        return type(self), (self.parts, self.gravity, self.treats_redundant)
+        return again, (type(self), self.parts, self.gravity, self.treats_redundant, told(self))
+
+    @property
+    def factors(self) -> dict[str, tuple[NDArray, NDArray]]:
+        """{plate: (stiffness, mass)}, each (cells,): the factors of all full plates, 1 where none were given."""
+        return factors_of(self)
+
+    def with_factors(self, /, **factors: tuple[ArrayLike | None, ArrayLike | None]) -> "SceneModel":
+        """This model with the cells of plates scaled: `with_factors(arm=(stiffness, mass))`.
+
+        Each is a positive number, one a cell, (cells,), or None for 1: a factor of the full plate, whatever factors this model has; plates
+        that are not named keep theirs. Stiffness scales the elastic force, its viscosity and the stabilisation of virtual elements, mass
+        the inertia, the weight and mass-proportional damping; a cell of factor f in both is a cell of thickness f t. Stresses are those
+        of the scaled material, strains those of the motion. Nothing is built anew: the two models share all that does not follow from
+        factors. Raises InputError naming plate and value.
+        """
+        return scaled(self, factors)
 
     def evaluate(self, t, q, a, lam, rotation=None):
         """(r (n,), phi (m,), rotation, least det F, least motor cosine) in one compiled pass."""
@@ -264,8 +282,15 @@ class SceneModel(Masses):
             compiled.tangent_blocks(self.arrays, self._nodal(q), 0.0, c_q, blocks)
         return bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
 
-    def once(self, make):
-        """make(self), kept: what other layers derive from the model once."""
-        if make not in self._kept:
-            self._kept[make] = make(self)
-        return self._kept[make]
+    def once(self, make, of_shape=False):
+        """make(self), kept: what other layers derive from the model once; of_shape: what is the same whatever the factors."""
+        kept = self._of_shape if of_shape else self._kept
+        if make not in kept:
+            kept[make] = make(self)
+        return kept[make]
+
+
+def again(kind, parts, gravity, redundant, factors):
+    """A model of a kind behind pickle."""
+    model = kind(parts, gravity, redundant)
+    return model.with_factors(**factors) if factors else model

@@ -1,5 +1,7 @@
 """Consistent start, the same for every integrator: positions and velocities on the constraints, accelerations and multipliers."""
 
+from functools import singledispatch
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -94,6 +96,7 @@ def jerk(model, state, h, begin=None):
     return (4 * acceleration(s) - acceleration(2 * s) - 3 * acceleration(0.0)) / (2 * s)
 
 
+@singledispatch
 def start_values(model, state, t=None):
     """(phi, rate) at the start of a run: as the state carries them, or evaluated, and zero for mere round-off.
 
@@ -106,6 +109,7 @@ def start_values(model, state, t=None):
     return phi, velocity_rate(model, state.t if t is None else t, state.q, state.v)
 
 
+@singledispatch
 def velocity_rate(model, t, q, v):
     """phi_q v + phi_t, zero where it is nothing but round-off."""
     if not model.m:

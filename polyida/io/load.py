@@ -10,7 +10,7 @@ from polyida.errors import InputError
 from polyida.given import is_flag
 from polyida.io.file.reader import naming, read
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
-from polyida.io.scene_data import UnknownPart, from_data
+from polyida.io.scene_data import UnknownPart, factors_from, from_data
 from polyida.keywords import named_keywords
 from polyida.results.sensors import Sensors
 from polyida.trajectory import Trajectory
@@ -100,11 +100,13 @@ def model_of(stored, drives):
 
     if "scene" not in stored.about:
         return None
-    parts, gravity = from_data(stored.about["scene"], stored.arrays("scene"), drives.get)
+    arrays = stored.arrays("scene")
+    parts, gravity = from_data(stored.about["scene"], arrays, drives.get)
     scene = Scene(gravity)
     for part in parts.values():
         scene.add(part)
-    model = scene.build(stored.about.get("redundant", "refuse"))
+    model, factors = scene.build(stored.about.get("redundant", "refuse")), factors_from(stored.about["scene"], arrays)
+    model = model.with_factors(**factors) if factors else model
     if (model.n, model.m) != (stored.n, stored.m):
         raise InputError(
             f"frames have {stored.n} coordinates and {stored.m} multipliers, the scene has {model.n} and {model.m}; the file is damaged"

@@ -12,6 +12,7 @@ from dataclasses import astuple, fields
 import numpy as np
 
 from polyida import profile, registry
+from polyida.assembly.factors.scaled import WHAT, told
 from polyida.body.body import BodyPoint, rest_of
 from polyida.body.material import Material
 from polyida.body.plate import Plate
@@ -35,7 +36,11 @@ def to_data(model):
         {"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, f"part {number}", part)}
         for number, (name, part) in enumerate(parts.items())
     ]
-    return {"gravity": book.value("gravity", "gravity", model.gravity), "parts": entries}, book.arrays, book.drives
+    whole = {"gravity": book.value("gravity", "gravity", model.gravity), "parts": entries}
+    whole |= {
+        "factors": {name: [book.value(name, f"{name} {what}", x) for what, x in zip(WHAT, pair)] for name, pair in told(model).items()}
+    }
+    return whole, book.arrays, book.drives
 
 
 class _Book:
@@ -127,6 +132,16 @@ def from_data(description, arrays, drives=None):
         raise
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise InputError(f"the scene in the file is damaged: {type(error).__name__} {error}") from None
+
+
+def factors_from(description, arrays):
+    """{plate: (stiffness, mass)} of the plates of a scene that are not full, from its data."""
+    reader = _Reader(arrays, None)
+    try:
+        found = description.get("factors", {}).items()
+        return {name: tuple(reader.value({"name": name}, "factors", one) for one in pair) for name, pair in found}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"the factors in the file are damaged: {type(error).__name__} {error}") from None
 
 
 class _Reader:

@@ -70,6 +70,12 @@ class KKT:
         x = self.lu.solve(-np.concatenate([self.scaling.row * r, phi]))
         return x[: self.n], self.scaling.column * x[self.n :]
 
+    def adjoint(self, r, phi):
+        """(w, mu) of `S^T w + B^T mu = -r`, `B w = -phi`."""
+        row, column = self.scaling.row, self.scaling.column
+        x = self.lu.solve(-np.concatenate([row * r, row * column * phi]), transposed=True)
+        return x[: self.n], x[self.n :] / row
+
 
 def require_independent(model, phi_q, q):
     """Raise InputError naming the constraints where the rows of phi_q (m, n) are linearly dependent."""

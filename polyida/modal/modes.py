@@ -11,6 +11,7 @@ from polyida.brief import brief
 from polyida.errors import InputError
 from polyida.given import is_flag, is_number, is_whole
 from polyida.integrate.state import State
+from polyida.integrate.statics.loading import Equilibrium
 from polyida.keywords import named_keywords
 from polyida.modal import eigen
 from polyida.modal.participation import effective_masses
@@ -126,7 +127,8 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
         values, X = eigen.undamped(system, count)
         roots = np.where(values < 0, 1.0, 1j) * np.sqrt(np.abs(values))
     X = normalised(system.M, X)
-    found = Modes(model, system.state, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
+    about = state if isinstance(state, Equilibrium) else system.state
+    found = Modes(model, about, roots, X.T.copy(), *effective_masses(system.model, system.M, X))
     if found.unstable.any():
         warnings.warn(f"modes: UNSTABLE, {found.unstable.sum()} of the modes grow: see .unstable", stacklevel=3)
     return found

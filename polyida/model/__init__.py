@@ -1,6 +1,9 @@
 """The seam: a model gives one residual r and one constraint vector phi, and every integrator solves those two."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -47,6 +50,7 @@ class Model:
     m: int
     needs: Needs = Needs()
     is_scene = False  # True of a scene, whose functions are tested and called as they are
+    parameters: tuple[str, ...] = ()  # names of attributes, numbers or arrays, in which gradients of runs are taken
     alike = False  # True where all coordinates are of one kind, m: Newton's |dq| is then their plain root mean square, by mass elsewhere
     carries = False  # True where `increments` tells what phi gains in a step
     compiled = False  # True of a scene without Python in it: integrators have compiled loops over its `arrays`
@@ -130,6 +134,14 @@ class Model:
         reach = min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(v).max(initial=0)))
         return differences.along(lambda s: self.phi_q(t + s, q + s * v) @ v + self.phi_t(t + s, q + s * v), reach, self._smooth(t))
 
+    def phi_rate_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
+        """d(phi_q v + phi_t)/dq, (m, n)."""
+        return differences.jacobian(lambda x: self.phi_rate(t, x, v), q, self.m)
+
+    def phi_bias_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:
+        """d(phi_bias)/dq, (m, n); in v it is 2 phi_rate_q."""
+        return differences.jacobian(lambda x: self.phi_bias(t, x, v), q, self.m)
+
     def _smooth(self, t):
         """The range of s around 0 in which t + s meets no kink."""
         return differences.around(self.kinks(t - 1.0, t + 1.0), t)
@@ -199,6 +211,36 @@ class Model:
             result = result + c_q * self.reaction_q(t, q, lam)
         return result
 
+    def replaced(self, name: str, value: Any) -> "Model":
+        """A copy with another value of an attribute, made as its class makes it where that is a dataclass.
+
+        What a class derives from the attribute elsewhere than in cached properties it must make anew by a `replaced` of its own.
+        """
+        if is_dataclass(self) and any(field.init and field.name == name for field in fields(self)):
+            return replace(self, **{name: value})
+        other = copy(self)
+        for kept in [key for key in vars(self) if isinstance(getattr(type(self), key, None), cached_property)]:
+            del other.__dict__[kept]
+        object.__setattr__(other, name, value)
+        return other
+
+    def residual_p(self, name: str, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
+        """dr/dp of one of `parameters`, (n,), of an array (n, ...); by differences of copies unless it is written."""
+        return self.slope_p(name, lambda model: model.residual(t, q, v, a, lam))
+
+    def phi_p(self, name: str, t: float, q: NDArray) -> NDArray:
+        """dphi/dp of one of `parameters`, (m,), of an array (m, ...); by differences of copies unless it is written."""
+        return self.slope_p(name, lambda model: model.phi(t, q))
+
+    def slope_p(self, name: str, function: Callable[["Model"], NDArray]) -> NDArray:
+        """The derivative of `function(model)`, (k,), in one of `parameters`, by differences of copies, (k,), of an array (k, ...)."""
+        value = np.asarray(getattr(self, name), float)
+        columns = []
+        for unit in np.eye(value.size).reshape(value.size, *value.shape):
+            size = float(np.abs(value[unit == 1.0]).item()) or 1.0
+            columns.append(differences.along(lambda s, unit=unit: function(self.replaced(name, _like(value + s * unit))), size))
+        return np.stack(columns, axis=-1).reshape(len(columns[0]), *value.shape)
+
     def step_matrix(self, linear: str = "auto") -> Any:
         """A StepMatrix of this model (linear/step_matrix.py), not factored yet; linear: which back-end, where there are several."""
         return StepMatrix(self)
@@ -219,6 +261,11 @@ class Model:
             return KKT(self.mass(q), self.phi_q(t, q))
         except SingularSystem:
             raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None
+
+
+def _like(value):
+    """A number as a float, an array as it is."""
+    return value if value.ndim else float(value)
 
 
 def require_model(part, model):

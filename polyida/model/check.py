@@ -8,7 +8,7 @@ from polyida.given import floats, is_number, is_whole
 from polyida.keywords import named_keywords
 from polyida.linear.matrix import dense
 from polyida.model import Model, differences
-from polyida.model.guarded import guard
+from polyida.model.guarded import guard, writes
 
 ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of what it is taken of
 TRIES = 8  # states that are drawn until forces are finite
@@ -60,6 +60,12 @@ def check_derivatives(
             "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), room=model._smooth(t))),
             "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
         }
+    for name in model.parameters:
+        least = np.abs(getattr(model, name)).min() or 1.0
+        blur[f"residual_p {name}"] = force / least
+        given = (("residual_p", (t, q, v, a, lam)), ("phi_p", (t, q)))
+        written = [(function, state) for function, state in given if writes(model.user, function)]
+        pairs |= {f"{f} {name}": (getattr(model, f)(name, *state), getattr(Model, f)(model, name, *state)) for f, state in written}
     return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
 
 

@@ -24,6 +24,12 @@ def along(function, scale=1.0, room=EVERYWHERE):
     return (8 * near - far) / (12 * step)
 
 
+def central(scale=1.0):
+    """(s, weight) of the values that `along` takes where there is room, the derivative being their weighted sum."""
+    step = FIRST_ORDER_STEP * scale
+    return tuple((k * step, weight / (12 * step)) for k, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0)))
+
+
 def within(function, room, step, order=1):
     """Derivative of order 1 or 2 at s = 0 from 7 values of the function `step` apart, or nearer, all inside of `room`.
 

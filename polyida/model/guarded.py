@@ -18,7 +18,7 @@ from polyida.model.differences import FIRST_ORDER_STEP
 FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
-OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias")
+OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias", "phi_rate_q", "phi_bias_q")
 PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "keeps_body", "initial_velocity")
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
@@ -30,6 +30,11 @@ def guard(model, part="solve"):
     """
     require_model(part, model)
     return model if isinstance(model, Guarded) or model.is_scene else Guarded(model)
+
+
+def unguarded(model):
+    """The model as it was given."""
+    return model.user if isinstance(model, Guarded) else model
 
 
 def require_functions(model, t, q, v):
@@ -71,6 +76,8 @@ def _shapes(n, m):
         "phi_t": rows,
         "phi_rate": rows,
         "phi_bias": rows,
+        "phi_rate_q": (m, n),
+        "phi_bias_q": (m, n),
         "residual": vector,
         "tangent": square,
     }
@@ -125,18 +132,18 @@ class Guarded(Model):
             raise InputError(f"{self.name}: needs = {model.needs!r} must be a polyida.Needs")
         self.n, self.m, self.needs, self._calls, self._constant = int(n), int(m), model.needs, 0, None
         self.flexible, self.alike, self.carries = model.flexible, model.alike, model.carries
-        self.dissipating = model.dissipating
+        self.dissipating, self.parameters = model.dissipating, model.parameters
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         for name, shape in _shapes(self.n, self.m).items():
-            if _written(model, name) and (self.m or name not in OF_CONSTRAINTS):
+            if writes(model, name) and (self.m or name not in OF_CONSTRAINTS):
                 setattr(self, name, self._checked(name, getattr(model, name), shape))
         if "mass" in vars(self):
             self._mass_at, self.mass = self.mass, self._mass
-        if _written(model, "kinks"):
+        if writes(model, "kinks"):
             self.kinks = self._kinks
-        if _written(model, "objection"):
+        if writes(model, "objection"):
             self.objection = self._objection
-        for name in PASSED + tuple(name for name in OWN if _written(model, name)):
+        for name in PASSED + tuple(name for name in OWN if writes(model, name)):
             setattr(self, name, getattr(self.user, name))
 
     def __getattr__(self, name):
@@ -214,6 +221,28 @@ class Guarded(Model):
         if self.m:
             self.phi(t, q), self.phi_q(t, q)
 
+    def replaced(self, name, value):
+        """As the model says, guarded."""
+        return guard(self.user.replaced(name, value), f"{self.name}.replaced")
+
+    def residual_p(self, name, t, q, v, a, lam):
+        """As the model says, (n, ...) as the parameter is."""
+        return self._slope("residual_p", self.n, name, t, q, v, a, lam)
+
+    def phi_p(self, name, t, q):
+        """As the model says, (m, ...) as the parameter is."""
+        return self._slope("phi_p", self.m, name, t, q)
+
+    def _slope(self, function, size, name, t, *state):
+        if not writes(self.user, function):
+            return getattr(super(), function)(name, t, *state)
+        found, shape = getattr(self.user, function)(name, t, *map(read_only, state)), (size, *np.shape(getattr(self.user, name)))
+        given = floats(found)
+        if given is None or given.shape != shape:
+            what = getattr(found, "shape", None) or type(found).__name__
+            raise InputError(f"{self.name}.{function}({name!r}) must return finite numbers of shape {shape}, not {what}")
+        return given
+
     def potential(self, q):
         """As the model says, J or None."""
         value = self.user.potential(read_only(q))
@@ -250,5 +279,6 @@ def _entries(found):
     return found if isinstance(found, np.ndarray) else found.tocsr().data
 
 
-def _written(model, name):
+def writes(model, name):
+    """Whether a model writes a function of Model's anew."""
     return getattr(type(model), name) is not getattr(Model, name) or name in vars(model)

@@ -1,5 +1,7 @@
 """Andrews' squeezing mechanism of the IVP test set: seven bodies, three closed loops; M depends on q, forces on v."""
 
+from functools import cached_property
+
 import numpy as np
 
 from polyida.model import Model, Needs
@@ -16,7 +18,6 @@ d, da, e, ea, rr, ra = 0.028, 0.0115, 0.02, 0.01421, 0.007, 0.00092
 ss, sa, sb, sc, sd = 0.035, 0.01874, 0.01043, 0.018, 0.02
 zf, zt, fa, ta, tb, u, ua, ub = 0.02, 0.04, 0.01421, 0.02308, 0.00916, 0.04, 0.01228, 0.00449
 h, k = e - ea, zf - fa
-p2, p4, p6 = m2 * da * rr, m4 * zt * h, m6 * u * k  # what couples beta and Theta, Phi and delta, Omega and epsilon
 
 # Each loop is a closed chain of arms in the complex plane: sum over arms of ARMS[loop, arm] exp(i angle) = ENDS[loop],
 # with the arms' angles TURNS q: beta, beta + Theta, gamma, Phi + delta, delta, Omega + epsilon, epsilon.
@@ -52,12 +53,24 @@ def _spring(gamma):
 
 
 class Andrews(Model):
-    """q = (beta, Theta, gamma, Phi, delta, Omega, epsilon) in rad; phi in m; lam in N."""
+    """q = (beta, Theta, gamma, Phi, delta, Omega, epsilon) in rad; phi in m; lam in N.
+
+    Parameters: torque on the crank, N m, stiffness of the spring, N/m, and its length at rest, m, masses of the bodies (7,), kg.
+    """
 
     n, m = 7, 6
     needs = Needs(driven=False)
+    parameters = "torque", "stiffness", "rest", "masses"
+    torque, stiffness, rest, masses = mom, c0, l0, np.array([m1, m2, m3, m4, m5, m6, m7])
+
+    @cached_property
+    def _couplings(self):
+        """What couples beta and Theta, Phi and delta, Omega and epsilon."""
+        _, m2, _, m4, _, m6, _ = self.masses.tolist()
+        return m2 * da * rr, m4 * zt * h, m6 * u * k
 
     def mass(self, q):
+        m1, m2, m3, m4, m5, m6, m7 = self.masses.tolist()
         cos_theta, sin_phi, sin_omega = np.cos(q[THETA]), np.sin(q[PHI]), np.sin(q[OMEGA])
         M = np.zeros((7, 7))
         M[0, 0] = m1 * ra**2 + m2 * (rr**2 - 2 * da * rr * cos_theta + da**2) + I1 + I2
@@ -73,6 +86,7 @@ class Andrews(Model):
         return M
 
     def mass_a_q(self, q, a):
+        p2, p4, p6 = self._couplings
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), -p6 * np.cos(q[OMEGA])
         result = np.zeros((7, 7))
         result[:2, THETA] = theta * np.array([2 * a[0] + a[1], a[0]])
@@ -81,13 +95,14 @@ class Andrews(Model):
         return result
 
     def force(self, t, q, v):
+        p2, p4, p6 = self._couplings
         arm, turn, length = _spring(q[GAMMA])
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), p6 * np.cos(q[OMEGA])
         return np.array(
             [
-                theta * v[1] * (v[1] + 2 * v[0]) - mom,
+                theta * v[1] * (v[1] + 2 * v[0]) - self.torque,
                 -theta * v[0] ** 2,
-                c0 * (1 - l0 / length) * (arm.conjugate() * turn).real,
+                self.stiffness * (1 - self.rest / length) * (arm.conjugate() * turn).real,
                 -phi * v[4] ** 2,
                 phi * v[3] * (v[3] + 2 * v[4]),
                 omega * v[6] ** 2,
@@ -96,17 +111,19 @@ class Andrews(Model):
         )
 
     def force_q(self, t, q, v):
+        p2, p4, p6 = self._couplings
         arm, turn, length = _spring(q[GAMMA])
         along, bend = (arm.conjugate() * turn).real, (arm.conjugate() * 1j * turn).real
         theta, phi, omega = p2 * np.cos(q[THETA]), -p4 * np.sin(q[PHI]), -p6 * np.sin(q[OMEGA])
         result = np.zeros((7, 7))
         result[:2, THETA] = theta * np.array([v[1] * (v[1] + 2 * v[0]), -(v[0] ** 2)])
-        result[GAMMA, GAMMA] = c0 * (l0 * along**2 / length**3 + (1 - l0 / length) * (abs(turn) ** 2 + bend))
+        result[GAMMA, GAMMA] = self.stiffness * (self.rest * along**2 / length**3 + (1 - self.rest / length) * (abs(turn) ** 2 + bend))
         result[3:5, PHI] = phi * np.array([-(v[4] ** 2), v[3] * (v[3] + 2 * v[4])])
         result[5:, OMEGA] = omega * np.array([v[6] ** 2, -v[5] * (v[5] + 2 * v[6])])
         return result
 
     def force_v(self, t, q, v):
+        p2, p4, p6 = self._couplings
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), p6 * np.cos(q[OMEGA])
         result = np.zeros((7, 7))
         result[:2, :2] = 2 * theta * np.array([[v[1], v[0] + v[1]], [-v[0], 0]])
@@ -131,7 +148,7 @@ class Andrews(Model):
         return -(TURNS.T * (pull @ self._arms(q)).real) @ TURNS
 
     def potential(self, q):
-        return c0 / 2 * (_spring(q[GAMMA])[2] - l0) ** 2 - mom * q[BETA]
+        return self.stiffness / 2 * (_spring(q[GAMMA])[2] - self.rest) ** 2 - self.torque * q[BETA]
 
 
 def problem():

@@ -11,9 +11,9 @@ MASS = 10 * 0.01**2 / 2
 PAIR = np.kron([[1.0, -1.0], [-1.0, 1.0]], np.eye(2))  # |left - right|^2 = q^T PAIR q
 
 
-def road(t):
+def road(t, radius=RADIUS):
     """Position, velocity and acceleration of the driven wheel (xb, yb), each (2,)."""
-    y, dy = RADIUS * np.sin(OMEGA * t), RADIUS * OMEGA * np.cos(OMEGA * t)
+    y, dy = radius * np.sin(OMEGA * t), radius * OMEGA * np.cos(OMEGA * t)
     ddy = -(OMEGA**2) * y
     x = np.sqrt(L**2 - y**2)
     dx = -y * dy / x
@@ -28,38 +28,46 @@ def _spring(arm):
 
 
 class CarAxis(Model):
-    """q = (xl, yl, xr, yr); `phi = (xl xb + yl yb, |left - right|^2 - L^2)`, with the road (xb, yb) prescribed."""
+    """q = (xl, yl, xr, yr); `phi = (xl xb + yl yb, |left - right|^2 - L^2)`, with the road (xb, yb) prescribed.
+
+    Parameters: mass of a wheel, kg, and radius of the road's waves, m.
+    """
 
     n, m = 4, 2
     needs = Needs(mass_varies=False, velocity_forces=False)
+    parameters = "weight", "radius"
+    weight, radius = MASS, RADIUS
+
+    def _road(self, t):
+        return road(t, self.radius)
 
     def mass(self, q):
-        return MASS * np.eye(4)
+        return self.weight * np.eye(4)
 
     def force(self, t, q, v):
-        wheel = road(t)[0]
-        return np.concatenate([_spring(q[:2])[0], _spring(q[2:] - wheel)[0]]) + MASS * np.array([0.0, 1.0, 0.0, 1.0])
+        wheel = self._road(t)[0]
+        return np.concatenate([_spring(q[:2])[0], _spring(q[2:] - wheel)[0]]) + self.weight * np.array([0.0, 1.0, 0.0, 1.0])
 
     def phi(self, t, q):
         apart = q[:2] - q[2:]
-        return np.array([q[:2] @ road(t)[0], apart @ apart - L**2])
+        return np.array([q[:2] @ self._road(t)[0], apart @ apart - L**2])
 
     def phi_q(self, t, q):
-        return np.vstack([np.append(road(t)[0], [0.0, 0.0]), 2 * PAIR @ q])
+        return np.vstack([np.append(self._road(t)[0], [0.0, 0.0]), 2 * PAIR @ q])
 
     def force_q(self, t, q, v):
         result = np.zeros((4, 4))
-        result[:2, :2], result[2:, 2:] = _spring(q[:2])[1], _spring(q[2:] - road(t)[0])[1]
+        result[:2, :2], result[2:, 2:] = _spring(q[:2])[1], _spring(q[2:] - self._road(t)[0])[1]
         return result
 
     def reaction_q(self, t, q, lam):
         return 2 * lam[1] * PAIR
 
     def phi_t(self, t, q):
-        return np.array([q[:2] @ road(t)[1], 0.0])
+        return np.array([q[:2] @ self._road(t)[1], 0.0])
 
     def phi_bias(self, t, q, v):
-        _, velocity, acceleration = road(t)
+        _, velocity, acceleration = self._road(t)
         return np.array([2 * v[:2] @ velocity + q[:2] @ acceleration, 2 * v @ PAIR @ v])
 
 

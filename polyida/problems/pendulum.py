@@ -23,6 +23,7 @@ class Pendulum(Model):
 
     n, m = 2, 1
     needs = Needs(mass_varies=False, velocity_forces=False, driven=False)
+    parameters = "weight", "length", "gravity"
     weight, length, gravity = 1.0, 1.0, 9.81
 
     def mass(self, q):
@@ -45,6 +46,14 @@ class Pendulum(Model):
 
     def phi_bias(self, t, q, v):
         return np.array([v @ v / self.length])
+
+    def residual_p(self, name, t, q, v, a, lam):
+        up = np.array([0.0, 1.0])
+        slopes = {"weight": a + self.gravity * up, "length": -lam[0] / self.length**2 * q, "gravity": self.weight * up}
+        return slopes[name]
+
+    def phi_p(self, name, t, q):
+        return np.array([-(q @ q + self.length**2) / (2 * self.length**2) if name == "length" else 0.0])
 
     def potential(self, q):
         return self.weight * self.gravity * q[1]

@@ -71,7 +71,8 @@ class Cut:
         if not self.cut.size:
             raise InputError(f"{label}: a cut at {at.tolist()} across {normal!r} does not part the plate")
         self.body, self.place, self.way = body, place, way
-        self.ahead = SceneModel({body.name: replace(body.plate, mesh=part)}, model.gravity)
+        solid = SceneModel({body.name: replace(body.plate, mesh=part)}, model.gravity)
+        self.ahead = solid.with_factors(**{body.name: tuple(factor[ahead] for factor in body.factors)})
         self.rest = complex_of_pairs(self.ahead.reference[self.cut])
         self.slivers = Slivers(body, model.gravity, pairs_of(place), pairs_of(way), ahead)
 

@@ -27,7 +27,7 @@ class Slivers:
             area, centroid = _clipped(points, side * distance[nodes])
             weights = 1.0 / len(nodes) + operator.mean_gradients[corners] @ (centroid - points.mean(axis=0))
             entries += [(len(masses), node, weight) for node, weight in zip(nodes, weights)]
-            masses.append(side * density * area)
+            masses.append(side * density * body.factors[1][cell] * area)
         rows, columns, values = np.array(entries, float).reshape(-1, 3).T
         self.weights = csr_array((values, (rows.astype(int), columns.astype(int))), (len(masses), mesh.n_nodes))
         self.mass, self.gravity, self.drag, self.rest = np.array(masses)[:, None], gravity, material.mass_damping, body.points

@@ -11,5 +11,6 @@ def strains(model, q):
     for body in model.drawn:
         operator = body.operator
         parts.append(np.empty((operator.n_cells, 3)))
-        kernels.green_strain(*operator.force_arrays, operator.lane_cells, operator.areas, body.nodes.start, u, parts[-1])
+        weighed = operator.areas * body.factors[0]
+        kernels.green_strain(*operator.force_arrays, operator.lane_cells, weighed, body.nodes.start, u, parts[-1])
     return np.concatenate(parts)

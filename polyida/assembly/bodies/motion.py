@@ -36,27 +36,32 @@ def velocity_at(model, t, q):
     The change has the least kinetic energy, `min (w - w_0)^T R^T M R (w - w_0)`, `phi_q R w + phi_t = 0`: R (n, 3 bodies), w velocity and
     spin of each; where these rows contradict each other they are met in the least-squares sense. A warning says where it is large.
     """
-    bodies = [*model.bodies, *model.few]
-    wanted = np.array([[v.real, v.imag, spin] for v, spin in (motion_of(_user(placed)) for placed in bodies)]).ravel()
+    wanted = motions_given(model)
     if not wanted.any():
         return np.zeros(model.n)
-    R = _motions(model, bodies, q)
+    R = rigid_motions(model, q)
     changed = wanted + _change(model, t, q, R, wanted)
-    _warn_of_change(model, [placed.name for placed in bodies], R, wanted, changed)
+    _warn_of_change(model, [placed.name for placed in (*model.bodies, *model.few)], R, wanted, changed)
     return R @ changed
+
+
+def motions_given(model):
+    """Velocity along x and y, m/s, and spin, rad/s, that each body was given, (3 bodies,)."""
+    given = (motion_of(_user(placed)) for placed in (*model.bodies, *model.few))
+    return np.array([[v.real, v.imag, spin] for v, spin in given]).ravel()
 
 
 def _user(placed):
     return getattr(placed, "plate", None) or placed.user
 
 
-def _motions(model, bodies, q):
+def rigid_motions(model, q):
     """R, (n, 3 bodies), sparse: the velocities of q for a unit of velocity along x, along y, and of spin, of each body."""
     from scipy.sparse import block_diag
 
     z = complex_of_pairs(model.reference + q.reshape(-1, 2))
     columns = []
-    for placed in bodies:
+    for placed in (*model.bodies, *model.few):
         units = [rigid_velocity(placed.pull, placed.translation, z[placed.pairs], *unit) for unit in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
         columns.append(np.stack([pairs_of(unit).ravel() for unit in units], axis=1))
     return block_diag(columns, format="csr")
@@ -66,13 +71,16 @@ def _change(model, t, q, R, wanted):
     """The least change of the motions that `phi_q R w + phi_t = 0` asks for, (3 bodies,)."""
     if not model.m:
         return np.zeros_like(wanted)
+    rows, roots = asked_of_motions(model, t, q, R)
+    return -roots @ np.linalg.lstsq(rows @ roots, rows @ wanted + model.phi_t(t, q), rcond=NOTHING)[0]
+
+
+def asked_of_motions(model, t, q, R):
+    """`phi_q R` (m, 3 bodies), and roots with `roots roots^T` the inverse of the metric `R^T M R`, without motions that have no mass."""
     metric = (R.T @ model.mass(q) @ R).toarray()
     units = 1.0 / np.sqrt(np.maximum(np.diag(metric), NOTHING * np.diag(metric).max()))
     sizes, axes = np.linalg.eigh(units[:, None] * metric * units)
-    roots = units[:, None] * axes[:, sizes > NOTHING] / np.sqrt(sizes[sizes > NOTHING])
-    rows = (model.phi_q(t, q) @ R).toarray()
-    rate = rows @ wanted + model.phi_t(t, q)
-    return -roots @ np.linalg.lstsq(rows @ roots, rate, rcond=NOTHING)[0]
+    return (model.phi_q(t, q) @ R).toarray(), units[:, None] * axes[:, sizes > NOTHING] / np.sqrt(sizes[sizes > NOTHING])
 
 
 def _warn_of_change(model, names, R, wanted, changed):

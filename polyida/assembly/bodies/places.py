@@ -8,19 +8,26 @@ import numpy as np
 from polyida.body.body import Body, form_of, mass_of, rest_of, translation_of
 from polyida.body.own_part import writes
 from polyida.body.plate import Plate
-from polyida.given import complex_of_pairs, pairs_of
+from polyida.element.operator import ReferenceOperator
+from polyida.given import complex_of_pairs, pairs_of, read_only, settle
 
 NOTHING = 1e-12  # of the largest mass of a body: that is none
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedPlate:
-    """A plate: `nodes` is its slice of the pairs, or of the nodes that are drawn; operator: its element's on its mesh."""
+    """A plate: `nodes` is its slice of the pairs, or of the nodes that are drawn; factors: of the stiffness and of the mass of its cells,
+    (cells,) each; operator: its element's on its mesh, weights, mass and stabilisation times these.
+    """
 
     name: str
     plate: Plate
-    operator: object
+    operator: ReferenceOperator
     nodes: slice
+    factors: tuple = ()
+
+    def __post_init__(self):
+        settle(self, factors=self.factors or 2 * (read_only(np.ones(self.mesh.n_cells)),))
 
     @property
     def pairs(self):
@@ -51,6 +58,11 @@ class PlacedPlate:
     def pull(self):
         """M T, (nodes,), kg."""
         return np.add.reduceat(self.operator.mass, self.operator.indptr[:-1]) * self.plate.material.rho * self.plate.thickness
+
+    @property
+    def whole_mass(self):
+        """Its mass, kg."""
+        return float(self.pull.sum())
 
     def weight(self, gravity):
         """Gravity on its nodes, (nodes, 2), N."""

@@ -177,10 +177,12 @@ class GeneralizedAlpha:
             return extrapolated(self, model, state, t_end, counts)
         return self.in_pieces(model, state, t_end, counts, rows=rows)
 
-    def in_pieces(self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1, rows: Any = None) -> Iterator[State]:
-        """The same with h / split between the kinks of loads and motors, where h divides each piece evenly."""
+    def in_pieces(
+        self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1, rows: Any = None, watch: Any = None
+    ) -> Iterator[State]:
+        """The same with h / split between the kinks of loads and motors, where h divides each piece evenly; watch: see Steps."""
         engine = self._engine(model, counts, self._control(model, state, t_end))
-        engine.rows, control = rows or engine.rows, engine.control
+        engine.rows, engine.watch, control = rows or engine.rows, watch, engine.control
         most_steps = counts.steps + counts.rejected + self.max_num_steps
         look = cells_of(control.largest, t_end - state.t) if control else (self.h,)
         for begin, end, most in stretches(model, state.t, t_end, *look):

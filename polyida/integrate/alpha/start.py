@@ -13,12 +13,15 @@ with rho_inf = 0. `2 F - F^2` of q'' and `F^2` of q''' leave of what no step res
 smooth motion they take h^4 omega^4 of q'' and h^2 omega^2 of q''' (with damping h^2 d^2 and h d), below the order of both.
 """
 
+from functools import singledispatch
+
 import numpy as np
 
 from polyida.integrate.kinks import at_kink, beside
 from polyida.integrate.start import consistent_acceleration, far_side, jerk, start_values
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.state import Counts, State, StepFailure
 from polyida.linear.lu import SingularSystem
+from polyida.linear.refined import ExactSaddle
 
 FAR_SHORTER = 2.5  # a step control's ladder stays below
 
@@ -91,7 +94,7 @@ def rescaled(settings, model, state, h):
 
 def _resolved(settings, model, state, h, a, third):
     """What a step resolves of q'' = a and q''' = third, or of their jumps: (q'' at t + (alpha_m - alpha_f) h, q''')."""
-    resolve = resolution(settings, model, state, h)
+    resolve = resolution(model, settings, state, h)
     near, third = resolve(a), resolve(resolve(third))
     return 2 * near - resolve(near) + settings.coefficients.offset * h * third, third
 
@@ -111,14 +114,15 @@ def _with(state, v=None, a=None, lam=None, **memory):
     return State(state.t, state.q, v, a, lam, state.memory | memory)
 
 
-def resolution(settings, model, state, h):
+@singledispatch
+def resolution(model, settings, state, h):
     """The function x -> F x, (n,), with phi_q F x = phi_q x. Raises StepFailure where F does not exist."""
-    c, (t, q, lam) = settings.coefficients, (state.t, state.q, state.lam)
-    c_m, system = 1 / (c.beta * h * h), settings.step_matrix(model)
-    mass, border = model.mass(q), model.phi_q(t, q)
+    c, (t, q) = settings.coefficients, (state.t, state.q)
+    c_m, system = 1 / (c.beta * h * h), ExactSaddle(model, 1 / (c.beta * h * h), c.gamma / (c.beta * h), Counts())
+    system.at(t, q, state.v, state.a, state.lam)
+    mass, border = model.mass(q), system.B
     try:
-        system.factor(t, q, state.v, state.a, lam, c_m, c.gamma / (c.beta * h))
-        system.saddle(t, q, lam, np.zeros(model.n), np.zeros(model.m))  # which tells whether F exists
+        system.solve(np.zeros(model.n), np.zeros(model.m))  # which tells whether F exists
     except SingularSystem as error:
         raise StepFailure("singular", f"the start's M + gamma h C + beta h^2 K: {error}", t) from None
-    return lambda x: system.saddle(t, q, lam, -c_m * (mass @ x), -(border @ x))[0]
+    return lambda x: system.solve(c_m * (mass @ x), border @ x)[0]

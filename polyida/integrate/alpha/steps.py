@@ -20,6 +20,7 @@ class Steps:
     """Steps on one model: `begin` sets state and h, `run` goes on from there.
 
     control: what adaptive steps are held to (a Control), None where they are equal.
+    watch: what is told of every beginning, `begun(state, h)`, and every state, `stepped(state)`, of attempts that fail too; None: nobody.
     verdict: "far" or "near" where adaptive steps should be shorter or longer. rows: a function of a count that gives the
     places of so many states, [q, v, a (count, n), lam (count, m)], or None where they are to be made.
     """
@@ -32,7 +33,7 @@ class Steps:
         self.loop = _loop(settings, model)(settings, model, counts, self.memory, self.trial)
         self.caution = settings.step_matrix(model).caution
         self.system = self.verdict = None
-        self.kept, self.pause, self.rows = Kept(), 0, _no_rows
+        self.kept, self.pause, self.rows, self.watch = Kept(), 0, _no_rows, None
 
     def begin(self, state, h):
         """Go on from a state that `started` has made ready for steps of h.
@@ -66,6 +67,8 @@ class Steps:
         y.marks[:] = 0.0
         self.verdict = None
         self._take(self.kept.take(h))
+        if self.watch is not None:
+            self.watch.begun(state, h)
 
     def _held_to(self, h):
         """(|C| h^2, rtol, atol, the error below which h may grow, the weight of the step before) of steps of h."""
@@ -104,6 +107,8 @@ class Steps:
             end = min(done + (left if 0 < left < longest else longest), grid.count)
             for state in self._stretch(np.array([grid.time(k) for k in range(done, end + 1)]), grid, done):
                 done += 1
+                if self.watch is not None:
+                    self.watch.stepped(state)
                 yield state
 
     def aside(self, grid):

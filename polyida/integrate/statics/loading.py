@@ -1,6 +1,7 @@
 """The equations of equilibrium under a part of the loads, and Newton's method on them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from polyida.linear.kkt import KKT, require_independent, scaling_factors
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.model import Model
+from polyida.model.guarded import unguarded
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp, and draw what hangs near to where it rests"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism
@@ -23,13 +25,16 @@ class Equilibrium(State):
     """A State at rest in equilibrium, and what it is worth.
 
     falling: number of independent directions that the constraints allow and in which the potential energy falls; None where there
-    is no potential (dr/dq is not symmetric) or its matrix breaks down. parts, halved: parts in which the load was put on, and how many
-    times a part was halved because Newton's method failed.
+    is no potential (dr/dq is not symmetric) or its matrix breaks down, and of small displacements. parts, halved: parts in which the load
+    was put on, and how many times a part was halved because Newton's method failed. model: whose equilibrium it is. linear: whether it is
+    that of small displacements.
     """
 
     falling: int | None = None
     parts: int = 1
     halved: int = 0
+    model: Any = field(default=None, repr=False)
+    linear: bool = False
 
     __repr__ = brief
 
@@ -40,6 +45,8 @@ class Equilibrium(State):
 
     def summary(self) -> str:
         """The time, the kind of equilibrium and how the load was put on, in one line."""
+        if self.linear:
+            return f"equilibrium at t = {self.t:.9g} s for small displacements"
         unknown = "of unknown stability: its forces have no potential, or its matrix breaks down"
         ways = f"{self.falling} direction{'s' if self.falling != 1 else ''}"
         kinds = {True: "stable", False: f"UNSTABLE: the energy falls in {ways}", None: unknown}
@@ -130,8 +137,24 @@ class Loading:
     def found(self, q, lam, solve, **told):
         """The Equilibrium at (q, lam); solve: of the system factored there."""
         model, t, rest = self.model, self.t, np.zeros(self.model.n)
-        left = model.residual(t, q, rest, rest, lam)
-        return Equilibrium(t, q, rest, rest.copy(), lam, equilibrium(model, t, q, lam, left, solve), falling=self.falls(q, lam), **told)
+        memory = equilibrium(model, t, q, lam, model.residual(t, q, rest, rest, lam), solve)
+        return Equilibrium(t, q, rest, rest.copy(), lam, memory, falling=self.falls(q, lam), model=unguarded(model), **told)
+
+    def small(self):
+        """The Equilibrium of small displacements under all of the load. Raises InputError for redundant constraints, StepFailure."""
+        model, rest, none = self.model, np.zeros(self.model.n), np.zeros(self.model.m)
+        r, phi = self.residuals(rest, none, 1.0)
+        K, B = self.stiffness(rest, none), model.phi_q(self.t, rest)
+        if model.m:
+            require_independent(model, B, rest)
+        try:
+            system = KKT(K, B, scaling_factors("physical", 1.0, K))
+        except SingularSystem:
+            raise StepFailure("singular", FREE, self.t) from None
+        if system.lu.doubtful():
+            raise StepFailure("singular", FREE, self.t)
+        q, lam = system.solve(r, phi)
+        return Equilibrium(self.t, q, rest, rest.copy(), lam, model=unguarded(model), linear=True)
 
     def falls(self, q, lam):
         """Number of directions in which the energy falls, or None."""

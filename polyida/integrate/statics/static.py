@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.given import is_number, is_whole
+from polyida.given import is_flag, is_number, is_whole
 from polyida.integrate.start import given
 from polyida.integrate.state import StepFailure
 from polyida.integrate.statics.loading import Equilibrium, Loading
@@ -20,13 +20,21 @@ ATTEMPTS = 200  # at parts, at most, beyond those that were asked for
 
 @named_keywords
 def static(
-    model: Model, t: float = 0.0, q0: ArrayLike | None = None, steps: int = 1, tolerance: float = 1e-10, max_iterations: int = 50
+    model: Model,
+    t: float = 0.0,
+    q0: ArrayLike | None = None,
+    steps: int = 1,
+    tolerance: float = 1e-10,
+    max_iterations: int = 50,
+    linear: bool = False,
 ) -> Equilibrium:
     """The Equilibrium at time t: a State at rest with `stable`; one that is not stable comes with a warning.
 
     The load grows in `steps` equal parts: at a factor s of it `g(q) + phi_q^T lam = (1 - s) g(0)`, g(0) being the load at q = 0. Where
     Newton's method fails a part is halved, and grows again after two that succeeded; the summary says so.
-    Converged where |dq| <= tolerance max(1, |q|) (largest entries). Raises InputError for a wrong setting and for redundant
+    Converged where |dq| <= tolerance max(1, |q|) (largest entries).
+    linear: for small displacements, `K q + B^T lam = -g`, `phi + B q = 0`, all of q = 0 and lam = 0: one factor, no iterations, and what
+    linear elasticity says; q0, steps, tolerance and max_iterations have no part in it. Raises InputError for a wrong setting and for redundant
     constraints, StepFailure where a part of 1/1024 fails or the structure can move freely. Beyond the greatest load that a structure
     bears go `pi.equilibrium_path`.
     """
@@ -34,8 +42,12 @@ def static(
     loading = whole_load("static", model, t, tolerance, max_iterations)
     if not is_whole(steps):
         raise InputError(f"static: steps = {steps!r} must be a whole number of at least 1")
+    if not is_flag(linear):
+        raise InputError(f"static: linear = {linear!r} must be True or False")
     q = given(model, "q0", q0)
     require_functions(model, loading.t, q, np.zeros(model.n))
+    if linear:
+        return loading.small()
     found = _climb(loading, q, steps)
     if found.stable is False:
         warnings.warn(f"static: {found.summary()}; look for another from a disturbed q0", stacklevel=2)

@@ -50,7 +50,7 @@ def factor(model, blocks, backend="auto", phase=1.0):
     if not np.isfinite(blocks).all():
         raise NotFactorable("the tangent is not finite")
     if backend in ("auto", "fronts"):
-        known = model.once(symbolic_of)
+        known = model.once(symbolic_of, of_shape=True)
         panels = factorize(known, blocks, phase)
         if panels is not None:
             return _empty(FRONTS, known.order, panels.dtype)._replace(fronts=known, panels=panels), "multifrontal Cholesky"

@@ -1,0 +1,74 @@
+"""A scene with something in it changed, all else the same."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from polyida.assembly.scene_model import SceneModel
+from polyida.body.body import BodyPoint
+from polyida.joint.attachment import Attachment
+from polyida.profile import Profile
+
+
+def rebuilt(model, parts, gravity=None):
+    """The model of other parts of the same names, with the factors of this one."""
+    made = SceneModel(parts, model.gravity if gravity is None else gravity, model.treats_redundant)
+    return made.with_factors(**model.factors) if model.factors else made
+
+
+def changed(part, path, value):
+    """The part with another value in a field, or in that of what stands in a field: path, their names."""
+    key, *inner = path
+    return replace(part, **{key: changed(getattr(part, key), inner, value) if inner else value})
+
+
+def with_part(model, name, new):
+    """The model with a part changed; what holds on to a body holds on to the changed one."""
+    old = model.parts[name]
+    moved = {known: new if part is old else _holding(part, old, new) for known, part in model.parts.items()}
+    return rebuilt(model, moved)
+
+
+def with_profile(model, old, new):
+    """The model with another profile wherever it has this one."""
+    parts = {name: holding_profile(part, old, new) for name, part in model.parts.items()}
+    return rebuilt(model, parts, tuple(new if g is old else g for g in model.gravity))
+
+
+def holding_profile(part, old, new):
+    """The part with another profile in its fields, alone or in a tuple, in place of one; itself where it has not that."""
+    return _with(part, lambda value: new if value is old else value)
+
+
+def profiles_of(part):
+    """The profiles in a part's fields, alone or in tuples."""
+    given = (getattr(part, field.name) for field in fields(part) if field.init)
+    return [one for value in given for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, Profile)]
+
+
+def _holding(part, old, new):
+    """The part with its attachments of one body made those of another, which is like it."""
+    return _with(part, lambda value: _moved(value, old, new) if isinstance(value, Attachment) and value.body is old else value)
+
+
+def _with(part, change):
+    """The part with `change` done to its fields and to what tuples among them hold; itself where that changes nothing."""
+    given = {field.name: getattr(part, field.name) for field in fields(part) if field.init}
+    found = {name: tuple(map(change, value)) if isinstance(value, tuple) else change(value) for name, value in given.items()}
+    different = {name: value for name, value in found.items() if not _same(value, given[name])}
+    return replace(part, **different) if different else part
+
+
+def _same(one, other):
+    return one is other or isinstance(one, tuple) and len(one) == len(other) and all(x is y for x, y in zip(one, other))
+
+
+def _moved(side, old, new):
+    """An attachment on the changed body: of the same nodes, or of the point of that name, its direction turned as it was."""
+    if not (isinstance(side, BodyPoint) and side.name in new.attachments()):
+        return replace(side, body=new)
+    before, after = old.at(side.name), new.at(side.name)
+    if side.turn_weights is None:
+        return after
+    k = np.argmax(np.abs(before.turn_weights))
+    return replace(after, turn_weights=after.turn_weights * (side.turn_weights[k] / before.turn_weights[k]))

@@ -1,0 +1,53 @@
+"""What `pi.gradient` gives: the value of an objective and its slopes, by the names of the parameters."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.brief import counted, short, table
+from polyida.errors import InputError
+from polyida.integrate.state import Counts
+
+
+@dataclass(frozen=True, eq=False)
+class Gradient:
+    """An objective's value and dJ/dp by the name of each parameter: `found["arm.stiffness"]`, (cells,).
+
+    A slope has its parameter's shape, and the unit of J over that of the parameter. counts: of the backward sweep.
+    """
+
+    value: float
+    slopes: dict[str, float | NDArray]
+    counts: Counts = field(default_factory=Counts)
+
+    def __getitem__(self, name: str) -> float | NDArray:
+        """dJ/dp of a parameter. Raises InputError where there is none of this name."""
+        if name not in self.slopes:
+            raise InputError(f"gradient: {name!r} is no parameter it was taken for; known: {', '.join(map(repr, self.slopes))}")
+        return self.slopes[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.slopes)
+
+    def __len__(self):
+        return len(self.slopes)
+
+    def __contains__(self, name):
+        return name in self.slopes
+
+    def keys(self):
+        """The parameters' names."""
+        return self.slopes.keys()
+
+    def items(self):
+        """(name, slope) of each parameter."""
+        return self.slopes.items()
+
+    def __repr__(self):
+        return f"Gradient(value={self.value:.9g}, {counted(self.slopes)})"
+
+    def _repr_html_(self):
+        rows = [(name, np.shape(slope) or "", short(slope)) for name, slope in self.slopes.items()]
+        return table(f"J = {self.value:.9g}", ("parameter", "shape", "dJ/dp"), rows)

@@ -1,0 +1,39 @@
+"""How much a structure gives way to its loads."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polyida.keywords import named_keywords
+from polyida.objective.means.time_mean import TimeMean, rates
+from polyida.objective.slopes import Slopes
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Compliance(TimeMean):
+    """Time mean of `f . q`, J, the work of the loads on the displacements; f = -g(t, 0, 0): gravity, loads, and all other forces at q = 0.
+
+    Of an equilibrium for small displacements, `pi.static(model, linear=True)`, it is twice the strain energy, unless constraints move or
+    springs are strained at q = 0: what topology optimisation calls compliance.
+    """
+
+    def seen(self, model, span):
+        """f . q."""
+        still = np.zeros(model.n)
+
+        def load(t):
+            return -model.force(t, still, still)
+
+        def look(frames):
+            f = np.array([load(t) for t in frames.t.tolist()])
+
+            def back(factor):
+                by_time = np.sum(rates(model, load, frames.t, span) * frames.q, axis=1)
+                rest, none = np.zeros_like(frames.q), np.zeros_like(frames.lam)
+                work = frames.t, rest, rest, rest, none, -factor[:, None] * frames.q, none
+                return Slopes(q=factor[:, None] * f, t=factor * by_time, work=work)
+
+            return np.sum(f * frames.q, axis=1), back
+
+        return look

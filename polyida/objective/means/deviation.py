@@ -1,0 +1,73 @@
+"""How far a point is from where it is to be."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from polyida.errors import InputError
+from polyida.given import floats
+from polyida.keywords import named_keywords
+from polyida.model.differences import along
+from polyida.objective.means.time_mean import TimeMean, rates
+from polyida.objective.slopes import Slopes
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Deviation(TimeMean):
+    """Time mean of `|x(t) - path(t)|^2`, m2, of a point x.
+
+    point: what `run.position` takes: the name of a mass, load or joint, the part itself, or an attachment. path: a function of time that
+    gives (x, y), m, or a constant pair. Raises InputError for a path that is neither, and of a run for a point that is not in its model.
+    """
+
+    point: Any
+    path: Callable[[float], ArrayLike] | ArrayLike
+
+    def __post_init__(self):
+        if not callable(self.path):
+            self._place(self.path)
+
+    def seen(self, model, span):
+        """The squared distance."""
+        pull = _pull(model, self.point)
+
+        def look(frames):
+            gap = model.position(self.point, frames.q) - [self._at(t) for t in frames.t.tolist()]
+
+            def back(factor):
+                toward = 2.0 * factor[:, None] * gap
+                return Slopes(q=pull(frames.q, toward), t=-np.sum(toward * rates(model, self._at, frames.t, span), axis=1))
+
+            return np.sum(gap**2, axis=1), back
+
+        return look
+
+    def _at(self, t):
+        return self._place(self.path(t) if callable(self.path) else self.path)
+
+    def _place(self, given):
+        pair = floats(given)
+        if pair is None or pair.shape != (2,):
+            raise InputError(
+                f"Deviation: path = {given!r:.100} must be two finite numbers (x, y), m, or a function of time that gives them"
+            )
+        return pair
+
+
+def _pull(model, point):
+    """A function (q (frames, n), forces (frames, 2) on the point) that gives what acts on each coordinate, (frames, n)."""
+    if model.is_scene:
+        return lambda q, forces: model.pulled(model.side(point).x, forces)
+    return lambda q, forces: np.einsum("fxk,fx->fk", _slopes(model, point, q), forces)
+
+
+def _slopes(model, point, q):
+    """d position/dq of a model of one's own, (frames, 2, n), by differences."""
+    sizes = np.maximum(1.0, np.abs(q).max(axis=0, initial=0.0))
+    ways = sizes[:, None] * np.eye(model.n)
+    found = [along(lambda s, way=way: model.position(point, q + s * way)) / size for size, way in zip(sizes, ways)]
+    return np.stack(found, axis=2)

@@ -1,0 +1,145 @@
+"""Objectives that are means over the time of a run.
+
+With s_n >= 0 what is seen of frame n (p = 1: of any sign), `J = (sum w_n s_n^p / T)^(1/p)`, T = t_N - t_0, w_n the trapezoidal rule's. Then
+
+    dJ/ds_n = w_n / T (s_n / J)^(p - 1)
+    dJ/dt_k = (sum_n dw_n/dt_k s_n (s_n / J)^(p - 1) - J dT/dt_k) / (p T)        at fixed s
+
+in which nothing overflows, however large p and s are. A run of one frame, an equilibrium, has w = T.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.errors import InputError
+from polyida.given import is_number
+from polyida.io.file.layout import frames_at_once
+from polyida.model.differences import along, around
+from polyida.model.guarded import guard
+from polyida.objective.objective import Objective
+from polyida.objective.slopes import Slopes
+from polyida.objective.still import run_of
+
+
+class Frames:
+    """The frames of a slice of a run; each array is read when it is asked for."""
+
+    def __init__(self, run, part):
+        self.run, self.part = run, part
+
+    @cached_property
+    def t(self):
+        """Times, (count,)."""
+        return np.asarray(self.run.t[self.part], float)
+
+    @cached_property
+    def q(self):
+        """(count, n)."""
+        return np.asarray(self.run.q[self.part], float)
+
+    @cached_property
+    def lam(self):
+        """(count, m)."""
+        return np.asarray(self.run.lam[self.part], float)
+
+
+class TimeMean(Objective):
+    """A mean of order p over time. of_material: whether it depends on the model beyond what the `direct` of its slopes names."""
+
+    p: float = 1.0
+    of_material = False
+
+    def seen(self, model: Any, span: float) -> Callable[[Frames], tuple[NDArray, Callable[[NDArray], Slopes]]]:
+        """A function of Frames of a model: (s (count,), a function of dJ/ds (count,) that gives the Slopes).
+
+        span: the time from one frame to the next, s, about. Raises InputError where the model has not what is asked for.
+        """
+        raise NotImplementedError
+
+    def __call__(self, run: Any) -> float:
+        run = run_of(type(self).__name__, run)
+        return _Mean(run.t, self._sizes(run, self._seen(run)), self.p).value
+
+    def slopes(self, run: Any) -> Callable[[slice], Slopes]:
+        """Those of J: what is seen is looked at once over the whole run, and again in every slice."""
+        run = run_of(type(self).__name__, run)
+        seen = self._seen(run)
+        mean = _Mean(run.t, self._sizes(run, seen), self.p)
+
+        def of(part):
+            found = seen(Frames(run, part))[1](mean.shares[part])
+            t = mean.by_times[part]
+            of_model = (lambda model: float(mean.shares[part] @ self._of(run, model)(Frames(run, part))[0])) if self.of_material else None
+            return replace(found, t=t if found.t is None else t + found.t, of_model=of_model)
+
+        return of
+
+    def named(self, model: Any) -> "TimeMean":
+        """The same with names in place of parts, which a model of other parts knows."""
+        return self
+
+    def _seen(self, run):
+        return self.seen(guard(run.model, type(self).__name__), _span(run))
+
+    def _of(self, run, model):
+        """What is seen of a run with another model."""
+        return self.named(run.model).seen(guard(model), _span(run))
+
+    def _sizes(self, run, seen):
+        step = frames_at_once(run.q.shape[1])
+        return np.concatenate([seen(Frames(run, slice(k, k + step)))[0] for k in range(0, len(run.t), step)])
+
+
+def _span(run):
+    return float(np.ptp(run.t)) / max(1, len(run.t) - 1)
+
+
+FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
+
+
+def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:
+    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `seen`."""
+    wide = FRAMES_WIDE * (span or 1.0)
+    rooms = [around(model.kinks(at - wide, at + wide), at) for at in t]
+    return np.array([along(lambda s, at=at: function(float(at + s)), wide, room) for at, room in zip(t, rooms)])
+
+
+class _Mean:
+    """The mean of order p of sizes s (frames,) over times t, its slopes in s, `shares`, and in t at fixed s, `by_times`."""
+
+    def __init__(self, t, s, p):
+        t = np.asarray(t, float)
+        steps = np.diff(t)
+        length = float(t[-1] - t[0]) or 1.0
+        weights = np.convolve(steps, [0.5, 0.5]) if len(steps) else np.ones(1)
+        self.value = power_mean(weights / length, s, p)
+        rates = relative(s, self.value) ** (p - 1.0)
+        self.shares = weights / length * rates
+        by_weights = s * rates
+        turned = np.convolve(by_weights[:-1] + by_weights[1:], [-0.5, 0.5]) if len(steps) else np.zeros(1)
+        if len(steps):
+            turned[[0, -1]] += self.value, -self.value
+        self.by_times = turned / (p * length)
+
+
+def power_mean(weights: NDArray, s: NDArray, p: float) -> float:
+    """`(sum weights s^p)^(1/p)`, weights of sum 1."""
+    largest = float(np.abs(s).max())
+    return largest * float(weights @ (s / largest) ** p) ** (1.0 / p) if largest else 0.0
+
+
+def relative(s: NDArray, mean: float) -> NDArray:
+    """s / mean, 0 where both are."""
+    return s / mean if mean else np.zeros_like(s)
+
+
+def power(part, p):
+    """The order of a mean as a float. Raises InputError, in the name of `part`, unless it is a number of 1 or more."""
+    if not (is_number(p) and p >= 1):
+        raise InputError(f"{part}: p = {p!r:.100} must be a number of 1 or more, such as 8")
+    return float(p)

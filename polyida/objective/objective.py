@@ -1,0 +1,80 @@
+"""What is to be made small or large by a design: a function of a run, with its slopes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from polyida.errors import InputError
+from polyida.given import is_number
+from polyida.objective.slopes import Slopes
+
+
+class Objective:
+    """A number that a run, or an equilibrium as a run of one frame, is judged by: `objective(run)`, with `slopes`.
+
+    A run has model, t, q, v, a and lam. `2.0 * one + other`, `one - other` and `sum([...])` are objectives again.
+    """
+
+    def __call__(self, run: Any) -> float:
+        """Its value."""
+        raise NotImplementedError(f"{type(self).__name__} gives no value")
+
+    def slopes(self, run: Any) -> Callable[[slice], Slopes]:
+        """A function of a slice of the run's frames that gives the Slopes there."""
+        raise NotImplementedError(f"{type(self).__name__} gives no slopes")
+
+    def __add__(self, other: "Objective") -> "Sum":
+        return Sum((*_terms(self), *_terms(other)))
+
+    def __radd__(self, other: Any) -> "Objective":
+        return self if is_number(other) and other == 0 else Sum((*_terms(other), *_terms(self)))
+
+    def __sub__(self, other: "Objective") -> "Sum":
+        return self + -_objective(other)
+
+    def __mul__(self, number: float) -> "Sum":
+        if not is_number(number):
+            raise InputError(f"an objective is multiplied by {number!r:.100}; use a finite number")
+        return Sum(tuple((float(number) * weight, part) for weight, part in _terms(self)))
+
+    __rmul__ = __mul__
+
+    def __neg__(self) -> "Sum":
+        return self * -1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sum(Objective):
+    """`sum of weight J`, terms (weight, objective)."""
+
+    terms: tuple[tuple[float, Objective], ...]
+
+    def __call__(self, run: Any) -> float:
+        return float(sum(weight * part(run) for weight, part in self.terms))
+
+    def slopes(self, run: Any) -> Callable[[slice], Slopes]:
+        """The sum of the terms' slopes."""
+        each = [(weight, part.slopes(run)) for weight, part in self.terms]
+
+        def of(part):
+            total = Slopes()
+            for weight, slopes in each:
+                total = total.plus(slopes(part).times(weight))
+            return total
+
+        return of
+
+
+def require_objective(part: str, given: Any) -> Objective:
+    """The objective. Raises InputError, in the name of `part`, for anything else."""
+    if not isinstance(given, Objective):
+        raise InputError(f"{part}: objective = {given!r:.100} must be one of pi.objective, such as pi.objective.Own(value, slopes)")
+    return given
+
+
+def _objective(given):
+    return require_objective("a sum of objectives", given)
+
+
+def _terms(given):
+    return given.terms if isinstance(given, Sum) else ((1.0, _objective(given)),)

@@ -1,0 +1,99 @@
+"""Parameters of models of one's own: attributes that they name, slopes by hand or by differences."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.gradient.parameters import in_time, parameters_of
+from polyida.gradient.parameters.parameter import total
+from polyida.gradient.parameters.work import Work
+from polyida.model.differences import along
+from polyida.model.guarded import guard
+from polyida.problems.andrews import Q0, Andrews
+from polyida.problems.car_axis import CarAxis
+from polyida.problems.pendulum import Pendulum
+
+MODELS = [Pendulum(), CarAxis(), Andrews()]
+
+
+def work_of(model, t=(0.1, 0.3)):
+    random, frames = np.random.default_rng(1), len(t)
+    q = (Q0 if model.n == 7 else 1.0) + 0.1 * random.standard_normal((frames, model.n))
+    v, a, w = random.standard_normal((3, frames, model.n))
+    return Work(np.array(t), q, v, a, *(random.standard_normal((frames, m)) for m in (model.m, model.n, model.m, model.m, model.m)))
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: type(model).__name__)
+@pytest.mark.parametrize("guarded", [False, True])
+def test_slopes_are_those_of_the_models(model, guarded):
+    model = guard(model) if guarded else model
+    work, known = work_of(model), parameters_of(model)
+    assert tuple(known) == model.parameters and known
+    for parameter in known.values():
+        value, slope = np.asarray(parameter.value), parameter.work(work)
+        assert np.shape(slope) == value.shape
+        for unit in np.eye(value.size).reshape(value.size, *value.shape):
+            changed = lambda s, unit=unit, value=value, p=parameter: total(p.replaced(value * (1 + s * unit)), work)  # noqa: E731
+            assert np.isclose(along(changed), (slope * unit * value).sum(), rtol=1e-7, atol=1e-9)
+
+
+def test_slopes_by_hand_are_checked():
+    assert {"residual_p length", "phi_p length"} <= {*pi.check_derivatives(Pendulum())}
+    assert max(pi.check_derivatives(Pendulum()).values()) < 1e-8
+
+    class Wrong(Pendulum):
+        def residual_p(self, name, *state):
+            return 2.0 * super().residual_p(name, *state)
+
+    assert pi.check_derivatives(Wrong())["residual_p weight"] > 0.4
+
+
+@dataclass(frozen=True)
+class Pulled(pi.Model):
+    """A point that is pulled by what its class makes of its fields, from a time on."""
+
+    pull: tuple = (1.0, 2.0)
+    begin: float = 0.4
+    n, m = 2, 0
+    parameters = "pull", "begin"
+
+    def __post_init__(self):
+        object.__setattr__(self, "given", 3.0 * np.asarray(self.pull))
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return -self.given * max(0.0, t - self.begin)
+
+    def kinks(self, t0, t1):
+        return tuple(t for t in (self.begin,) if t0 < t < t1)
+
+    def initial_velocity(self, t, q):
+        return 0.5 * self.given
+
+
+def test_a_dataclass_is_made_anew():
+    model, zero = Pulled(), np.zeros((1, 2))
+    work = Work(np.array([1.0]), zero, zero, zero, np.zeros((1, 0)), np.array([[1.0, 10.0]]))
+    known = parameters_of(model)
+    assert np.allclose(known["pull"].work(work), [-1.8, -18.0], rtol=1e-10)
+    assert known["begin"].work(work) == pytest.approx(63.0, rel=1e-10)
+    assert in_time(model, work) == pytest.approx([-63.0], rel=1e-9)
+    assert np.allclose(known["pull"].start(0.0, zero[0], np.array([1.0, 4.0])), [1.5, 6.0], rtol=1e-10)
+    assert known["begin"].start(0.0, zero[0], np.ones(2)) is None
+    assert known["begin"].kinks(0.0, 1.0) == pytest.approx({0.4: 1.0}) and not known["pull"].kinks(0.0, 1.0)
+
+
+@pytest.mark.parametrize("given", ["nothing", np.ones(3), np.nan])
+def test_a_wrong_slope_is_named(given):
+    wrong = type("Wrong", (Pendulum,), {"residual_p": lambda self, *_: given})
+    with pytest.raises(pi.InputError, match=r"Wrong.residual_p\('length'\) must return finite numbers of shape \(2,\)"):
+        guard(wrong()).residual_p("length", 0.0, *np.zeros((3, 2)), np.zeros(1))
+
+
+def test_a_parameter_that_is_no_number_is_named():
+    with pytest.raises(pi.InputError, match="its parameter 'colour' must be an attribute that is a number"):
+        parameters_of(type("Red", (Pendulum,), {"parameters": ("colour",), "colour": "red"})())
