@@ -29,7 +29,7 @@ class Densities:
         rho, rate = (blurred, 1.0) if beta is None else pi.design.project(blurred, beta)
         return np.where(self.free, rho, 1.0), np.where(self.free, rate, 0.0)
 
-    def evaluated(self, model, rho, q, judge):
+    def evaluated(self, model, judge, rho, q):
         """(value, slopes in rho) of judge(model with these densities), what `pi.gradient` gives; q: of RAMP."""
         (stiffness, hardening), (mass, growing) = pi.design.ramp(rho, q, VOID), pi.design.mass(rho, void=VOID)
         found = judge(model.with_factors(**{name: (stiffness[part], mass[part]) for name, part in self.parts.items()}))

@@ -1,6 +1,7 @@
 """The designs of a machine: in motion, by statics, and none; each of the same mass, made solid and moved."""
 
 import time
+from functools import partial
 
 import numpy as np
 
@@ -9,20 +10,21 @@ from designed_in_motion import optimiser, solids
 from designed_in_motion.densities import Densities
 from designed_in_motion.machines import MACHINES, THICKNESS
 
-LOADS = {"static, tip load": {"gravity": (0.0, 0.0), "load": (0.0, -1.0)}, "static, own weight": {"gravity": (0.0, -1.0)}}
+TIP = {"gravity": (0.0, 0.0), "load": (0.0, -1.0)}  # of the motors held, 1 N
+LOADS = {"static, tip load": TIP, "static, tip load and weight": TIP | {"gravity": (0.0, -1.0)}}
 
 
 def design(machine, design, cells, stages):
     """The row of a design: how it was found, its densities, and how it moves as solid plates.
 
     design: "in motion", one of LOADS, "uniform" (plates of full size that are thinner) or "bar" (of full thickness that are narrower). cells: of
-    a plate; stages: [(beta, evaluations), ...] of the optimiser.
+    a plate; stages: a name of optimiser.STAGES.
     """
     which, volume = MACHINES[machine], optimiser.VOLUME
     meshes = [which.mesh(cells, which.height * (volume if design == "bar" else 1.0))] * len(which.names)
     found = {}
     if design not in ("uniform", "bar"):
-        found = optimised(which, design, meshes, stages)
+        found = optimised(which, design, meshes, optimiser.STAGES[stages])
         meshes, found["at"] = solids.solid_meshes(meshes, found["rho"], volume)
     thickness = solids.thickness_for(which, meshes, volume)
     run = solids.moved(which, meshes, thickness)
@@ -30,20 +32,27 @@ def design(machine, design, cells, stages):
 
 
 def optimised(which, design, meshes, stages):
-    """Densities of a design and how they came about; kernels are compiled before the clock starts."""
+    """Densities of a design and how they came about.
+
+    One in motion takes the place of the last stage at rest, under a load on the tip: from grey alone it gets stuck in grey.
+    """
     densities = Densities(which.names, meshes, which.radius)
-    model, judge = in_motion(which, meshes) if design == "in motion" else at_rest(which, meshes, LOADS[design])
-    clock = Clock(lambda rho: densities.evaluated(model, rho, judge))
-    clock(np.full(len(densities.share), optimiser.VOLUME))
-    clock.seconds = 0.0
-    wall, cpu = time.perf_counter(), time.process_time()
-    kept, history = optimiser.minimised(densities, clock, stages)
-    spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu, "evaluation_s": clock.seconds}
+    x, spent = np.full(len(densities.share), optimiser.VOLUME), Spent()
+    kept, history = [densities.of(x, None)[0]], []
+    ways = [(stages["rest"], at_rest(which, meshes, LOADS.get(design, TIP)))]
+    if design == "in motion":
+        ways = [(stages["rest"][:-1], ways[0][1]), (stages["motion"], in_motion(which, meshes))]
+    for steps, (model, judge) in ways:
+        value = partial(densities.evaluated, model, judge)
+        value(kept[0], stages["rest"][0][0])  # kernels are compiled before the clock starts
+        with spent:
+            x, rhos, history = optimiser.minimised(densities, value, steps, x)
+        kept += rhos
     rho = kept[-1]
-    return spent | {
+    return spent.told() | {
         "evaluations": len(history),
         "first": history[0],
-        "grey_J": min(history[-stages[-1][1] :]),
+        "grey_J": history[-1],
         "volume": float(densities.share @ rho),
         "grey": float(4.0 * densities.share @ (rho * (1.0 - rho))),
         "history": history,
@@ -52,18 +61,21 @@ def optimised(which, design, meshes, stages):
     }
 
 
-class Clock:
-    """A function with the seconds that were spent in it."""
+class Spent:
+    """Wall and CPU seconds within `with`, in all."""
 
-    def __init__(self, function):
-        self.function, self.seconds = function, 0.0
+    def __init__(self):
+        self.wall = self.cpu = 0.0
 
-    def __call__(self, *given):
-        begin = time.perf_counter()
-        try:
-            return self.function(*given)
-        finally:
-            self.seconds += time.perf_counter() - begin
+    def __enter__(self):
+        self.begun = time.perf_counter(), time.process_time()
+
+    def __exit__(self, *error):
+        self.wall += time.perf_counter() - self.begun[0]
+        self.cpu += time.process_time() - self.begun[1]
+
+    def told(self):
+        return {"wall_s": self.wall, "cpu_s": self.cpu}
 
 
 def in_motion(which, meshes):

@@ -2,22 +2,26 @@
 
 import math
 
-import numpy as np
-
 from polyida.errors import InputError
 
-STAGES = ((5.0, None, 24), (10.0, 4.0, 20), (20.0, 8.0, 20), (20.0, 16.0, 20))  # q of RAMP, beta of the projection, evaluations
+STAGES = {  # q of RAMP, beta of the projection, evaluations; what is found at rest begins with grey, what is found in motion with that
+    "full": {
+        "rest": ((5.0, None, 20), (10.0, 4.0, 16), (20.0, 8.0, 16), (20.0, 16.0, 16), (20.0, 32.0, 16)),
+        "motion": ((20.0, 16.0, 42), (20.0, 32.0, 42)),
+    },
+    "short": {"rest": ((5.0, None, 16), (20.0, 8.0, 16), (20.0, 16.0, 16)), "motion": ((20.0, 16.0, 24),)},
+}
 VOLUME = 0.45
 STOPPED = 1e3  # times the first value: what a design counts as whose run stops, so that the optimiser turns back
 
 
 def minimised(densities, value, stages, x, volume=VOLUME):
-    """(variables, densities at the start x and at the end of each stage, values of all evaluations).
+    """(variables, densities at the end of each stage, values of all evaluations), beginning with the variables x.
 
     value(rho, q): (a positive value, its slopes in rho); ArithmeticError where a run stops. What is minimised is its logarithm, so that steps are the same in any unit; volume:
     the most of the mean of rho over the area.
     """
-    nlopt, history, kept = _nlopt(), [], [densities.of(x, stages[0][1])[0]]
+    nlopt, history, kept = _nlopt(), [], []
     for q, beta, evaluations in stages:
         mma = nlopt.opt(nlopt.LD_MMA, len(x))
         mma.set_lower_bounds(0.0)
