@@ -67,6 +67,7 @@ _PLACES = {
 }
 _MODULES = {
     "mesh": "mesh",
+    "design": "design",
     "profile": "profile",
     "sensor": "sensor",
     "objective": "objective",
