@@ -269,16 +269,28 @@ def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
     """
-    points_matrix(s, c, w)
-    joints.joint_jacobian(s, drives, dz, w.slopes)
+    hold_border(s, c, w, drives, dz)
     fill_curvature(s, w, drives, lam, c_m)
     joints.point_values(s, y, w.moved)
-    for k in range(phi.shape[0]):
+    return close(s, c, w, phi, dlam)
+
+
+@part
+def hold_border(s, c, w, drives, dz):
+    """w.g = G, w.slopes = Bz and w.gb = G Bz^T of a state, whose frames are at hand."""
+    points_matrix(s, c, w)
+    joints.joint_jacobian(s, drives, dz, w.slopes)
+    for k in range(w.gb.shape[1]):
         for i in range(w.g.shape[0]):
             total = 0.0
             for e in range(s.row_start[k], s.row_start[k + 1]):
                 total += w.g[i, s.row_columns[e]] * w.slopes[e]
             w.gb[i, k] = total
+
+
+@part
+def close(s, c, w, phi, dlam):
+    """w.pull and dlam from w.moved = A y, the border and w.curvature. False where it is singular."""
     fill_small(s, c, w, phi)
     if not solve_small(w.small, w.right, w.last):
         return False

@@ -1,9 +1,11 @@
 """Every other number of a scene's parts as a parameter, by differences of models or of force elements with another one."""
 
+import warnings
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import Any
 
+from polyida.assembly.bodies.motion import motions_given
 from polyida.assembly.own.forces import OwnForce
 from polyida.body.body import Body
 from polyida.body.field_body import FieldBody
@@ -31,6 +33,7 @@ class OfField(Parameter):
     asked = True
 
     def work(self, work):
+<<<<<<< HEAD
         """By differences."""
         return self._slope(lambda value: self._total(value, work))
 
@@ -42,6 +45,22 @@ class OfField(Parameter):
         """Of fourth order; for the zero of what is not negative they look ahead only."""
         scale = abs(self.value) or 1.0
         return float(along(lambda s: function(self.value + s), scale, POSITIVE if self.value == 0.0 else EVERYWHERE))
+=======
+        """By differences of fourth order, which for the zero of what is not negative look ahead only."""
+        return self._slope(lambda value: self._total(value, work))
+
+    def start(self, t, q, bar):
+        """The same, where bodies were given motions, which are changed in the metric of M."""
+        if isinstance(self.model.parts[self.part], ForceElement) or not motions_given(self.model).any():
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that they are, which the run has told
+            return self._slope(lambda value: bar @ self.replaced(value).initial_velocity(t, q))
+
+    def _slope(self, function):
+        room = POSITIVE if self.value == 0.0 else EVERYWHERE
+        return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, room))
+>>>>>>> lead
 
     def _total(self, value, work):
         part = self.model.parts[self.part]

@@ -16,8 +16,7 @@ from polyida.integrate.alpha import step
 from polyida.integrate.alpha import tie as alpha_tie
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, TOO_FAR
-from polyida.linear.cholesky.factor import FRONTS
-from polyida.linear.cholesky.team import at_work, team
+from polyida.linear.cholesky.helpers import Helpers
 from polyida.machine import threads
 
 SHARED = 20_000  # coordinates from which on the threads that are asked for share the solves
@@ -135,14 +134,14 @@ def stretch(s, c, room, p, tie, damp, laws, drives, gains, y, x, w, counts, qs, 
 class SceneLoop:
     """Stretches of compiled steps on a scene, their solves by several threads where it has `SHARED` coordinates and these are asked for."""
 
-    longest, team = 256, None
+    longest = 256
 
     def __init__(self, settings, model, counts, memory, trial):
         self.model, self.counts, self.memory, self.trial = model, counts, memory, trial
         self.tie = tie_of(model) if settings.form == "stabilised" and model.m else None
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.scratch = scratch(model)
-        self.threads = threads() if model.n >= SHARED else 1
+        self.helpers = Helpers(threads() if model.n >= SHARED else 1)
 
     def prepare(self, times, method):
         """Get ready for steps between the times: loads and motors at all of them."""
@@ -158,13 +157,8 @@ class SceneLoop:
 
     def steps(self, p, system, first, last, *frames):
         """Take the steps from `first` to `last` with a factored system: (steps, how it ended, last |dq|)."""
-        seen, factor = np.zeros(2, np.int64), system.corotated.factor
-        if self.threads > 1 and factor.kind == FRONTS:
-            self.team = self.team or team(factor.fronts, self.threads, factor.panels.dtype)
-            room, helpers = system.room._replace(team=self.team), self.team
-        else:
-            room, helpers = system.room, None
-        with at_work(helpers, factor, room.x):
+        seen = np.zeros(2, np.int64)
+        with self.helpers.at_work(system.corotated.factor, system.room) as room:
             result = stretch(
                 self.model.arrays,
                 system.corotated,

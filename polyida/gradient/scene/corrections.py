@@ -1,0 +1,72 @@
+"""Corrections with the stale co-rotated factor of one state: what its frames give is made once a state, not once a solve."""
+
+import numpy as np
+
+from polyida.assembly.corotated import close, hold_border, solve_in_place, turn_frames
+from polyida.compiled import part
+
+
+@part
+def hold(s, c, room, drives, to_a, to_v, x):
+    """Frames, rows and curvature of the state that x holds, `S^T` on the points among them. The rotations must be there."""
+    turn_frames(s, c, room, x.rotation)
+    hold_border(s, c, room, drives, x.points[0])
+    for i in range(room.curvature.shape[0]):
+        for j in range(room.curvature.shape[1]):
+            room.curvature[i, j] = x.curvature[j, i]
+            if x.slack.shape[0]:
+                room.curvature[i, j] += to_v * x.slack[j, i]
+    for f in range(s.point_mass.shape[0]):
+        room.curvature[2 * f, 2 * f] += to_a * s.point_mass[f]
+        room.curvature[2 * f + 1, 2 * f + 1] += to_a * s.point_mass[f]
+
+
+@part
+def correct(s, c, room, r, phi, dq, dlam):
+    """Fill dq (nodes, 2) and dlam of `S dq + B^T dlam = -r`, `B dq = -phi`. False where it is singular."""
+    order, b, turn = c.factor.order, room.x, room.turn
+    for i in range(r.shape[0]):
+        b[order[2 * i]] = -(turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1])
+        b[order[2 * i + 1]] = -(turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0])
+    for k in range(2 * r.shape[0], b.shape[0]):
+        b[k] = np.float32(0.0)
+    solve_in_place(c.factor, room.team, b)
+    for i in range(r.shape[0]):
+        dq[i, 0], dq[i, 1] = b[order[2 * i]], b[order[2 * i + 1]]
+    if phi.shape[0] + c.active.shape[0]:
+        move_points(s, turn, dq, room.moved)
+        if not close(s, c, room, phi, dlam):
+            return False
+        pull_points(c, room, dq)
+    for i in range(r.shape[0]):
+        p, q = dq[i, 0], dq[i, 1]
+        dq[i, 0] = turn[i, 0] * p - turn[i, 1] * q
+        dq[i, 1] = turn[i, 1] * p + turn[i, 0] * q
+    return True
+
+
+@part
+def move_points(s, turn, y, moved):
+    """moved = A y of y in the factor's frame."""
+    for f in range(moved.shape[0]):
+        moved[f, 0] = moved[f, 1] = 0.0
+        for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+            c, n, i = s.point_weights[k, 0], s.point_weights[k, 1], s.point_nodes[k]
+            p = turn[i, 0] * y[i, 0] - turn[i, 1] * y[i, 1]
+            q = turn[i, 1] * y[i, 0] + turn[i, 0] * y[i, 1]
+            moved[f, 0] += c * p - n * q
+            moved[f, 1] += c * q + n * p
+
+
+@part
+def pull_points(c, room, y):
+    """y -= X pull, both in the factor's frame."""
+    for f in range(room.spin.shape[0]):
+        co, si = room.spin[f, 0], room.spin[f, 1]
+        x, y_ = room.pull[2 * f], room.pull[2 * f + 1]
+        p, q = co * x + si * y_, co * y_ - si * x
+        if p == 0.0 and q == 0.0:
+            continue
+        for i in range(c.point_body[f, 0], c.point_body[f, 1]):
+            for k in range(2):
+                y[i, k] -= c.reach[2 * f, i, k] * p + c.reach[2 * f + 1, i, k] * q
