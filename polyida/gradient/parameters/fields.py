@@ -33,19 +33,6 @@ class OfField(Parameter):
     asked = True
 
     def work(self, work):
-<<<<<<< HEAD
-        """By differences."""
-        return self._slope(lambda value: self._total(value, work))
-
-    def of_model(self, function):
-        """By differences."""
-        return self._slope(lambda value: function(self.replaced(value)))
-
-    def _slope(self, function):
-        """Of fourth order; for the zero of what is not negative they look ahead only."""
-        scale = abs(self.value) or 1.0
-        return float(along(lambda s: function(self.value + s), scale, POSITIVE if self.value == 0.0 else EVERYWHERE))
-=======
         """By differences of fourth order, which for the zero of what is not negative look ahead only."""
         return self._slope(lambda value: self._total(value, work))
 
@@ -57,10 +44,13 @@ class OfField(Parameter):
             warnings.simplefilter("ignore")  # that they are, which the run has told
             return self._slope(lambda value: bar @ self.replaced(value).initial_velocity(t, q))
 
+    def of_model(self, function):
+        """By differences."""
+        return self._slope(lambda value: function(self.replaced(value)))
+
     def _slope(self, function):
         room = POSITIVE if self.value == 0.0 else EVERYWHERE
         return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, room))
->>>>>>> lead
 
     def _total(self, value, work):
         part = self.model.parts[self.part]
