@@ -28,6 +28,7 @@ PUBLIC |= {
     for name in ("constant", "polynomial", "quintic", "ramp", "linear", "sine", "from_function")
 }
 PUBLIC |= {f"pi.sensor.{name}": getattr(pi.sensor, name) for name in pi.sensor.__all__}
+PUBLIC |= {f"pi.objective.{name}": getattr(pi.objective, name) for name in pi.objective.__all__ if name != "Objective"}
 PUBLIC |= {"pi.export.vtu": pi.export.vtu, "pi.study.sweep": pi.study.sweep}
 
 

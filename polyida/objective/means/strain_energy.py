@@ -26,13 +26,13 @@ class StrainEnergy(TimeMean):
     """
 
     plate: Any = None
-    of_material = True
+    _of_material = True
 
-    def named(self, model):
+    def _named(self, model):
         """By the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
-    def seen(self, model, span):
+    def _seen(self, model, span):
         """The energy."""
         elastic = Elastic(model, chosen("StrainEnergy", model, self.plate, deforming(model)))
 
