@@ -1,6 +1,7 @@
 """Each parameter's slope against differences of what it is the slope of, in scenes that have one of everything."""
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -158,6 +159,26 @@ def test_what_is_asked_for_alone():
     assert {"steady.force", "traction.traction", "traction.value", "gravity.end", "push.x.value", "torque.frequency"} <= offered
     assert not {"spring.stiffness", "contact.exponent", "bar.inertia", "three.E", "motor.scale", "two.spin", "own.zero"} & offered
     assert "steady.value" not in PARAMETERS and "rod.length" not in PARAMETERS
+
+
+@dataclass(frozen=True, eq=False)
+class Geared(pi.Joint):
+    """Two directions, each turned by a profile of its own."""
+
+    first: pi.profile.Profile
+    other: pi.profile.Profile
+
+    def rows(self):
+        return [pi.cross(self.a.d.turned(self.first), self.b.d.turned(self.other))]
+
+
+def test_profiles_of_which_a_row_has_the_difference_are_not_named():
+    scene, turn = pi.Scene(), pi.profile.sine(0.3, 1.0)
+    arm = scene.add(pi.Plate(pi.mesh.quads(1.0, 0.2, 2, 1), STEEL, 0.01, name="arm"))
+    scene.add(Geared(pi.ground, arm.section("left"), turn, pi.profile.ramp(0.0, 1.0, 0.2), name="gear"))
+    scene.add(pi.PointLoad(arm.section("right"), (0.0, 1.0), pi.profile.linear(0.0, 1.0, 0.2), name="load"))
+    names = parameters_of(scene.build())
+    assert "load.end" in names and not [name for name in names if name.startswith("gear")]
 
 
 def test_a_model_with_another_value_keeps_the_rest():

@@ -85,15 +85,21 @@ class Coefficients(OfProfile):
 
 def of_profiles(model, works):
     """The parameters of all profiles that parts of a scene, or its gravity, were given."""
-    return [p for drive, name in named_drives(model).items() for p in _of_drive(model, drive, name, works)]
+    for drive, name in named_drives(model).items():
+        if not any(model.profiles[drive] is default for default in DEFAULTS):
+            yield from _of_drive(model, drive, name, works)
 
 
 def named_drives(model):
-    """{number of a profile: its name}: that of the first part that has it, with the field, or axis, where the part has several."""
-    found = {}
-    for name, part in model.parts.items():
-        found |= {key: value for key, value in _named(name, _fields(part)).items() if key not in found}
-    found |= {key: value for key, value in _named(GRAVITY, list(zip("xy", model.gravity))).items() if key not in found}
+    """{number of a profile: its name}: that of the first part that has it, with the field, or axis, where the part has several.
+
+    Not those of a joint of one's own that turns two vectors of one row by two of them: the row then has their difference.
+    """
+    given = [(name, _fields(part)) for name, part in model.parts.items()] + [(GRAVITY, zip("xy", model.gravity))]
+    named = [(name, _named(name, values)) for name, values in given]
+    known = {key for _, profiles in named for key in profiles}
+    mixed = {name for name, profile in model.named_profiles if name and id(profile) not in known}
+    found = {key: called for name, profiles in reversed(named) if name not in mixed for key, called in profiles.items()}
     return {drive: found[id(profile)] for drive, profile in enumerate(model.profiles) if id(profile) in found}
 
 
@@ -107,7 +113,7 @@ def _fields(part):
 
 def _named(name, given):
     """{id of a profile: name} of what a part is given."""
-    held = [(key, value) for key, value in given if isinstance(value, Profile) and not any(value is known for known in DEFAULTS)]
+    held = [(key, value) for key, value in given if isinstance(value, Profile)]
     return {id(value): name if len(held) == 1 else f"{name}.{key}" for key, value in held}
 
 
