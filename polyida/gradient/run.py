@@ -45,7 +45,7 @@ def _require(run):
 
 
 WHY = {
-    "IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have; run polyida.GeneralizedAlpha(...)",
+    "IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have; run polyida.GeneralizedAlpha(...)"
 }
 OTHERS = "has no adjoint here; run polyida.GeneralizedAlpha(...)"
 

@@ -44,6 +44,10 @@ class OfField(Parameter):
             warnings.simplefilter("ignore")  # that they are, which the run has told
             return self._slope(lambda value: bar @ self.replaced(value).initial_velocity(t, q))
 
+    def of_model(self, function):
+        """By differences."""
+        return self._slope(lambda value: function(self.replaced(value)))
+
     def _slope(self, function):
         room = POSITIVE if self.value == 0.0 else EVERYWHERE
         return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, room))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.assembly.rows.increments import drive_table
-from polyida.gradient.plain import Sent
+from polyida.gradient.plain import Sent, Swept
 from polyida.gradient.scene import steps
 from polyida.gradient.scene.products import arrays_of, scratch
 from polyida.integrate.alpha.scene import SHARED
@@ -31,7 +31,7 @@ class SceneSweep:
         self.helpers = Helpers(threads() if model.n >= SHARED else 1)
 
     def back(self, t, q, v, a, lam, slopes, sent, keep=None):
-        """(Sent to the state before, w (count, n), mu, kappa (count, m)) of steps that ended at these frames, in order of time.
+        """The Swept of steps that ended at these frames, in order of time.
 
         slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n).
         """
@@ -50,7 +50,7 @@ class SceneSweep:
                 if ended == SINGULAR or (fresh and done == last):
                     raise SingularSystem(REASONS[ended][1])
                 self.system, fresh = None, False
-        return Sent(*self.memory.sent.copy()), found.w, found.mu, np.zeros_like(lam)
+        return Swept(Sent(*self.memory.sent.copy()), found.w, found.mu)
 
     def _frames(self, q, v, lam, slopes):
         n, m = self.model.n, self.model.m
