@@ -95,13 +95,18 @@ def thrown():
     scene.add(pi.Revolute(one.section("right"), two.section("left"), name="elbow"))
     scene.add(pi.Revolute(two.section("right"), three.section("left"), name="wrist"))
     scene.add(pi.Revolute(three.section("right"), bar.at("left"), name="finger"))
-    scene.add(pi.Path(one.node(0), pi.profile.sine(0.1, 1.0), None, name="path"))
+    scene.add(pi.Path(one.node(0), None, pi.profile.sine(0.1, 1.0), name="path"))
+    scene.add(pi.AngleMotor(one.section("right"), two.section("left"), pi.profile.linear(0.2, 1.0, 0.4), name="motor"))
     scene.add(pi.PointMass(two.section("right"), 0.3, name="mass"))
+    scene.add(pi.PointLoad(two.section("right"), (1.0, 3.0), scene.parts["motor"].angle, name="load"))
     return scene.build().with_factors(one=(None, np.array([0.3, 1.0, 1.0])))
 
 
 THROWN = thrown()
-STARTS, MOVING = parameters_of(THROWN), (".velocity", ".spin", ".mass", ".rho", ".thickness", ".inertia")
+STARTS, MOVING = (
+    parameters_of(THROWN),
+    (".velocity", ".spin", ".mass", ".rho", ".thickness", ".inertia", "path.frequency", "path.phase", "motor.start", "motor.duration"),
+)
 
 
 @pytest.mark.parametrize("name", [name for name in STARTS if name.endswith((*MOVING, ".stiffness", ".E"))])
