@@ -149,7 +149,7 @@ def slope(steps, errors):
     return np.polyfit(np.log(steps), np.log(errors), 1)[0]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def scenes():
     """The functions that make scenes, and their numbers."""
     return SimpleNamespace(
