@@ -6,7 +6,7 @@ from polyida.assembly.rows.increments import drive_table
 from polyida.gradient.plain import Sent
 from polyida.gradient.scene import steps
 from polyida.gradient.scene.products import arrays_of, scratch
-from polyida.integrate.alpha.scene import SHARED
+from polyida.integrate.alpha import scene as loop
 from polyida.integrate.stepping.ended import DONE, REASONS, SINGULAR
 from polyida.linear.cholesky.helpers import Helpers
 from polyida.linear.lu import SingularSystem
@@ -28,7 +28,7 @@ class SceneSweep:
         self.viscosity = model.arrays.plates.body_viscosity if model.damped else None
         self.memory, self.trial = steps.empty(model.n, model.m)
         self.system, self.before = None, np.inf
-        self.helpers = Helpers(threads() if model.n >= SHARED else 1)
+        self.helpers = Helpers(threads() if model.n >= loop.SHARED else 1)
 
     def back(self, t, q, v, a, lam, slopes, sent, keep=None):
         """(Sent to the state before, w (count, n), mu, kappa (count, m)) of steps that ended at these frames, in order of time.
@@ -38,7 +38,7 @@ class SceneSweep:
         if abs(t[-1] - self.before) > 0.5 * self.method.h:
             steps.forget(self.memory)
         self.memory.sent[:], self.before = sent, t[0] - self.method.h
-        found = steps.Found(np.empty_like(q), np.empty_like(lam), *(keep or np.zeros((2, 0, self.model.n))))
+        found = steps.Found(np.empty_like(q), np.empty_like(lam), *(np.zeros((2, 0, self.model.n)) if keep is None else keep))
         frames, drives = self._frames(q, v, lam, slopes), drive_table(self.model, t, (t[0], t[-1]))
         done, fresh = len(t), False
         while done:
