@@ -73,9 +73,10 @@ def test_products_are_derivatives_of_the_residual(case):
     assert np.allclose(x.rotation, case.rotation(q), rtol=1e-12)
 
 
-def steps_of(model, seed=0, settings=pi.GeneralizedAlpha(h=H, tolerance=1e-9)):
+def steps_of(model):
     """(settings, what a sweep goes back over) of a short run and random slopes."""
-    run, random = pi.solve(model, STEPS * H, settings), np.random.default_rng(seed)
+    settings = pi.GeneralizedAlpha(h=H, tolerance=1e-9)
+    run, random = pi.solve(model, STEPS * H, settings), np.random.default_rng(0)
     frames = tuple(np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
     sizes = (1.0, 1e-3, 1e-6, 1e-4)
     own = Slopes(**{name: s * random.standard_normal(x.shape) for name, s, x in zip(("q", "v", "a", "lam"), sizes, frames[1:])})
