@@ -9,6 +9,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 import polyida as pi
+from polyida.assembly.factors.works import mass_work, stiffness_work
+from polyida.assembly.loads import gravity_at
 from polyida.results.balance import unbalanced
 
 PROFILE = settings(derandomize=True, deadline=None, max_examples=25, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
@@ -158,6 +160,23 @@ def test_masses_are_those_of_the_body(plate):
     assert model._even_mass.sum() == pytest.approx(mass, rel=1e-12)
     assert model._even_mass @ model.reference[:, 0] @ np.ones(model.n_nodes) == pytest.approx(mass / 2, rel=1e-9)
     assert np.linalg.eigvalsh(model._even_mass.toarray()).min() > 0
+
+
+@settings(PROFILE, max_examples=10)
+@given(scene=scenes(damped=True), seed=st.integers(0, 99))
+def test_cells_scale_by_factors_of_their_own(scene, seed):
+    """`w . r` grows by the works of the cells times their factors less one; what belongs to the scaled scene agrees with differences."""
+    solid, random, t = scene.build(), np.random.default_rng(seed), 0.11
+    given = {body.name: tuple(10 ** random.uniform(-2, 1, (2, body.mesh.n_cells))) for body in solid.bodies}
+    (q, v, a, lam), w = bent(solid, seed), random.standard_normal(solid.n)
+    scaled, pulled = solid.with_factors(**given), (a.reshape(-1, 2) - gravity_at(solid.gravity, t)).ravel()
+    for body in solid.bodies:
+        pulled.reshape(-1, 2)[body.nodes] += body.plate.material.mass_damping * v.reshape(-1, 2)[body.nodes]
+    works = stiffness_work(scaled, q[None], v[None], w[None]), mass_work(scaled, pulled[None], w[None])
+    shares = np.concatenate([(pair[k] - 1.0) * works[k][name] for name, pair in given.items() for k in range(2)])
+    one, other = (model.residual(t, q, v, a, lam) for model in (scaled, solid))
+    assert abs(w @ (one - other) - shares.sum()) <= 1e-12 * max(np.abs(shares).sum(), np.abs(w * one).sum(), np.abs(w * other).sum())
+    _derivatives(scaled, seed)
 
 
 @PROFILE

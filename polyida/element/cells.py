@@ -63,3 +63,10 @@ def difference_products(indptr, indices, node_offset, u, w, out):
         for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
             j = load_integer(indices, k) + node_offset
             out[k] += x * (u[j, 0] - ux) + y * (u[j, 1] - uy)
+
+
+@entry
+def sums(places, cells, values, factors, out):
+    """out[place] += value * factors[cell] for every place, cell and value."""
+    for k in range(values.shape[0]):
+        out[places[k]] += values[k] * factors[cells[k]]

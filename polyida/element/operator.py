@@ -10,6 +10,9 @@ from polyida.errors import InputError
 CHUNK = 256
 """Cells treated at once: the work arrays then stay in the cache."""
 
+LISTED = ("corners", "gradients", "weights", "pairs")
+"""What a row of the layout holds the starts of."""
+
 
 @dataclass(frozen=True, eq=False)
 class ReferenceOperator:
@@ -108,40 +111,31 @@ def pack(mesh, areas, mean_gradients, groups):
     """
     n_nodes = len(mesh.points)
     indptr, indices, places = _pattern(n_nodes, groups)
+    blocks = [_blocks(group, place) for group, place in zip(groups, places)]
+    flat = {name: np.concatenate([block[name].ravel() for block in blocks]) for name in blocks[0]}
     tables, starts = [], np.zeros(4, dtype=np.int64)
-    parts = {name: [] for name in ("lane_cells", "corners", "gradients", "weights", "pairs")}
-    matrices = {name: [] for name in ("mass", "stabilisation") if getattr(groups[0], name) is not None}
-    for group, place in zip(groups, places):
-        order = _lane_order(len(group.cells))
-        once = np.arange(len(order)) < len(group.cells)
-        weights = np.where(once, group.weights[:, order], 0.0)
-        parts["lane_cells"].append(group.cells[order])
-        for name, known in matrices.items():
-            known.append(_blocked(np.where(once, getattr(group, name)[..., order], 0.0)).ravel())
-        arrays = group.nodes[:, order], group.gradients[:, :-1, :, order], weights, place[..., order]
-        blocks = [_blocked(array) for array in arrays]
-        for name, block in zip(("corners", "gradients", "weights", "pairs"), blocks):
-            parts[name].append(block.ravel())
-        tables.append(_table(group, starts, [block[0].size for block in blocks], len(order) // LANES))
-        starts = starts + [block.size for block in blocks]
-    table, lane_cells = np.concatenate(tables), np.concatenate(parts["lane_cells"])
-    along = np.argsort(lane_cells[::LANES], kind="stable")
+    for group, block in zip(groups, blocks):
+        known = [block[name] for name in LISTED]
+        tables.append(_table(group, starts, [array[0].size for array in known], len(known[0])))
+        starts = starts + [array.size for array in known]
+    along = np.argsort(flat["lane_cells"][::LANES], kind="stable")
+    matrices = {name: flat[name] for name in ("cell_mass", "cell_stabilisation") if name in flat}
     return ReferenceOperator(
         offsets=_integers(mesh.offsets),
         nodes=_integers(mesh.nodes),
         n_nodes=n_nodes,
         areas=areas,
         mean_gradients=mean_gradients,
-        layout=table[along],
-        lane_cells=_integers(lane_cells.reshape(-1, LANES)[along].ravel()),
-        corners=_integers(np.concatenate(parts["corners"])),
-        gradients=_aligned(parts["gradients"]),
-        weights=_aligned(parts["weights"]),
-        pairs=_integers(np.concatenate(parts["pairs"])),
+        layout=np.concatenate(tables)[along],
+        lane_cells=_integers(flat["lane_cells"].reshape(-1, LANES)[along].ravel()),
+        corners=_integers(flat["corners"]),
+        gradients=_aligned(flat["gradients"]),
+        weights=_aligned(flat["weights"]),
+        pairs=_integers(flat["pairs"]),
         indptr=indptr,
         indices=indices,
-        **{name: _summed(name, groups, places) for name in matrices},
-        **{f"cell_{name}": np.concatenate(known) for name, known in matrices.items()},
+        **matrices,
+        **{name.removeprefix("cell_"): np.bincount(flat["pairs"], values) for name, values in matrices.items()},
     )
 
 
@@ -161,10 +155,15 @@ def _pattern(n_nodes, groups):
     return _integers(np.append(0, np.cumsum(lengths))), _integers(columns), places
 
 
-def _summed(name, groups, places):
-    """The groups' matrices of that name added up on the node pattern, (nnz,)."""
-    flat = np.concatenate([place.ravel() for place in places])
-    return np.bincount(flat, weights=np.concatenate([getattr(group, name).ravel() for group in groups]))
+def _blocks(group, place):
+    """{name: (blocks, ..., LANES)} of the numbers of a group; what is summed up is zero in repeated cells."""
+    order, count = _lane_order(len(group.cells)), len(group.cells)
+    given = {"lane_cells": group.cells, "corners": group.nodes, "gradients": group.gradients[:, :-1], "pairs": place}
+    summed = {"weights": group.weights, "cell_mass": group.mass, "cell_stabilisation": group.stabilisation}
+    lanes = {name: array[..., order] for name, array in (given | summed).items() if array is not None}
+    for name in summed.keys() & lanes.keys():
+        lanes[name][..., count:] = 0.0
+    return {name: _blocked(array) for name, array in lanes.items()}
 
 
 def _lane_order(count):
@@ -187,9 +186,9 @@ def _integers(array):
     return np.array(array, dtype=np.int32)
 
 
-def _aligned(parts):
-    """The parts one after the other, starting on a 64-byte boundary: one block load then touches one cache line."""
-    size = sum(part.size for part in parts)
-    room = np.empty(size + 8)
+def _aligned(numbers):
+    """The numbers, starting on a 64-byte boundary: one block load then touches one cache line."""
+    room = np.empty(numbers.size + 8)
     start = -room.ctypes.data % 64 // 8
-    return np.concatenate(parts, out=room[start : start + size])
+    room[start : start + numbers.size] = numbers
+    return room[start : start + numbers.size]

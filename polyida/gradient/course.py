@@ -66,7 +66,9 @@ def _require_steps(run, pieces):
     """Raise InputError where the frames are not at the ends of the pieces' steps: the run is of another model or integrator."""
     for piece in pieces:
         if abs(run.t[piece.first + piece.count] - run.t[piece.first] - piece.count * piece.h) > SAME * piece.h * piece.count:
-            raise InputError(f"gradient: the run's frames from t = {run.t[piece.first]:.9g} s on are not steps of {piece.h:.6g} s of its model")
+            raise InputError(
+                f"gradient: the run's frames from t = {run.t[piece.first]:.9g} s on are not steps of {piece.h:.6g} s of its model"
+            )
 
 
 def _again(run, model):

@@ -11,7 +11,7 @@ with `S = beta' M + gamma' C + K`, C = dr/dv and K = dr/dq at the accepted state
 K^T w: from the recursion it would carry the error of w, divided by h^2.
 
 The stabilised form has one more unknown, eta in `q = Newmark's - M^-1 B^T eta`, and one more equation, psi = `B v + phi_t = 0`, with the
-multiplier kappa: `+ psi_q^T kappa` stands beside `B^T mu` in y, `+ B^T kappa` beside `C^T w` in z, and `B M^-1 y = 0`.
+multiplier kappa: `psi_q^T kappa + (B^T eta)_q^T M^-1 y` stands beside `B^T mu` in y, `B^T kappa` beside `C^T w` in z, and `B M^-1 y = 0`.
 """
 
 from typing import NamedTuple
@@ -30,44 +30,54 @@ class Sent(NamedTuple):
     ahead: np.ndarray
 
 
+class Swept(NamedTuple):
+    """What a sweep over steps leaves: `sent` to the state before; w (count, n), mu (count, m) that multiply r and phi; kappa (count, m) that
+    multiplies phi's rate, and (y', slip, eta), of `y' . (M slip + B^T eta)`, or None where there is none.
+    """
+
+    sent: Sent
+    w: np.ndarray
+    mu: np.ndarray
+    kappa: np.ndarray | None = None
+    slips: tuple | None = None
+
+
 class PlainSweep:
     """Steps of h on any model, backward. counts: what counts its work."""
 
     def __init__(self, model, settings, h, counts):
-        self.model, self.h = model, h
-        self.c = settings.coefficients
+        self.model, self.h, self.c = model, h, settings.coefficients
         self.tied = settings.form == "stabilised" and model.m > 0
         self.saddle = StepAdjoint(model, *self.c.rates(h), counts)
 
-    def back(self, t, q, v, a, lam, slopes, sent, keep=None):
-        """(Sent to the state before, w (count, n), mu, kappa (count, m)) of steps that ended at these frames, in order of time.
+    def back(self, t, q, v, a, lam, slopes, sent, keep=None, slips=None):
+        """The Swept of steps that ended at these frames, in order of time, (count, .) each.
 
-        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n).
+        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n) each,
+        or None. slips (count, n): of the stabilised form, what eta added to q.
         """
-        w, mu, kappa = np.empty_like(q), np.empty_like(lam), np.zeros_like(lam)
+        w, mu, kappa, (y, z) = np.empty_like(q), np.empty_like(lam), np.empty_like(lam), keep or np.empty((2, *q.shape))
+        parts = np.empty_like(q), np.empty_like(q), np.empty_like(lam)
         for k in reversed(range(len(t))):
-            own = [None if part is None else part[k] for part in (slopes.q, slopes.v, slopes.a, slopes.lam)]
-            sent, w[k], mu[k], kappa[k], y, z = self._step(t[k], q[k], v[k], a[k], lam[k], own, sent)
-            if keep is not None:
-                keep[0][k], keep[1][k] = y, z
-        return sent, w, mu, kappa
+            bars = [bar if part is None else bar + part[k] for bar, part in zip(sent, (slopes.q, slopes.v, slopes.a))]
+            right, below = self._sides(*bars, sent.ahead), np.zeros(self.model.m) if slopes.lam is None else -slopes.lam[k]
+            self.saddle.at(t[k], q[k], v[k], a[k], lam[k])
+            if self.tied:
+                w[k], mu[k], kappa[k], y[k], damped, found = self.saddle.stabilised(right, below, bars[0], slips[k])
+                for part, value in zip(parts, found):
+                    part[k] = value
+            else:
+                w[k], mu[k], stiff, damped = self.saddle.index3(right, below)
+                y[k] = -bars[0] - stiff
+            z[k] = -bars[1] - damped
+            sent = self._sent(y[k], z[k], sent.ahead)
+        return Swept(sent, w, mu, kappa, parts) if self.tied else Swept(sent, w, mu)
 
-    def _step(self, t, q, v, a, lam, own, sent):
+    def _sides(self, b_q, b_v, b_a, b_ahead):
+        to_a, to_v = self.c.rates(self.h)
+        return -b_q - to_v * b_v - to_a * b_a - b_ahead / (self.c.beta * self.h**2)
+
+    def _sent(self, y, z, b_ahead):
         c, h = self.c, self.h
-        to_a, to_v = c.rates(h)
-        b_q, b_v, b_a = (bar if slope is None else bar + slope for bar, slope in zip(sent, own[:3]))
-        right = -b_q - to_v * b_v - to_a * b_a - sent.ahead / (c.beta * h * h)
-        j_lam = np.zeros(self.model.m) if own[3] is None else own[3]
-        self.saddle.at(t, q, v, a, lam)
-        if self.tied:
-            w, mu, kappa, stiff, damp = self.saddle.stabilised(right, -j_lam, b_q)
-        else:
-            w, mu, stiff, damp = self.saddle.index3(right, -j_lam)
-            kappa = np.zeros(self.model.m)
-        y, z = -b_q - stiff, -b_v - damp
-        x = (h * h * c.beta * y + h * c.gamma * z - sent.ahead) / (1 - c.alpha_m)
-        return _sent(c, h, x, y, z), w, mu, kappa, y, z
-
-
-def _sent(c, h, x, y, z):
-    return Sent(-y, -z - h * y, -c.alpha_f * x, c.alpha_m * x - h * h * (0.5 - c.beta) * y - h * (1 - c.gamma) * z)
+        x = (h * h * c.beta * y + h * c.gamma * z - b_ahead) / (1 - c.alpha_m)
+        return Sent(-y, -z - h * y, -c.alpha_f * x, c.alpha_m * x - h * h * (0.5 - c.beta) * y - h * (1 - c.gamma) * z)

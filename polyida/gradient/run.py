@@ -10,6 +10,7 @@ from polyida.gradient.course import course_of
 from polyida.gradient.parameters.work import Work
 from polyida.gradient.plain import PlainSweep, Sent
 from polyida.gradient.result import Gradient
+from polyida.gradient.slips import Slips
 from polyida.gradient.totals import Totals
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.kinks import inner_side
@@ -44,7 +45,7 @@ def _require(run):
 
 
 WHY = {
-    "IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have; run polyida.GeneralizedAlpha(...)",
+    "IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have; run polyida.GeneralizedAlpha(...)"
 }
 OTHERS = "has no adjoint here; run polyida.GeneralizedAlpha(...)"
 
@@ -58,6 +59,8 @@ class Backward:
         self.own = objective.slopes(run)
         self.totals = Totals(run.model, names)
         self.counts, self.sweeps = Counts(), {}
+        self.tied = self.settings.form == "stabilised" and self.model.m > 0
+        self.slips = Slips(self.model, self.settings, self.course) if self.tied else None
 
     def through(self, progress):
         """(Sent to the run's first state, the bar of its lam), all slopes of its frame with them."""
@@ -81,6 +84,7 @@ class Backward:
     def _steps(self, piece, sent, lam, progress):
         """Sent to what a piece began with; lam: what is sent to the multipliers of its last state."""
         sweep, end = self._sweep(piece.h), piece.first + piece.count
+        slips = self.slips.of(piece) if self.tied else None
         longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
         for first in range(end - 1, piece.first - 1, -longest):
             first, last = max(piece.first, first - longest + 1), first + 1
@@ -88,10 +92,21 @@ class Backward:
             own = self._own(first + 1, last + 1)
             if last == end:
                 t, own = np.append(t[:-1], inner_side(self.model, t[-1], piece.h)), _with_last(own, lam, rows.shape)
-            sent, w, mu, kappa = sweep.back(t, q, v, a, rows, own, sent)
-            self.totals.work(Work(t, q, v, a, rows, w, mu, kappa))
+            more = {"slips": slips[first - piece.first : last - piece.first]} if self.tied else {}
+            swept = sweep.back(t, q, v, a, rows, own, sent, **more)
+            self._add(t, q, v, a, rows, swept)
+            sent = swept.sent
             progress(t[0])
         return sent
+
+    def _add(self, t, q, v, a, lam, swept):
+        """Add what the steps say of parameters."""
+        self.totals.work(Work(t, q, v, a, lam, swept.w, swept.mu, swept.kappa))
+        if swept.slips:
+            ahead, slip, eta = swept.slips
+            still = np.zeros_like(q)
+            self.totals.work(Work(t, q, still, slip, eta, ahead))
+            self.totals.work(Work(t, q, still, still, np.zeros_like(eta), -ahead))
 
     def _sweep(self, h):
         """The sweep of steps of this size, with the factor that it has."""

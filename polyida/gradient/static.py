@@ -8,7 +8,6 @@ K, B, r and phi are those at the equilibrium; of one for small displacements tho
 
 import numpy as np
 
-from polyida.gradient.along import along_way
 from polyida.gradient.parameters.work import Work
 from polyida.gradient.result import Gradient
 from polyida.gradient.totals import Totals
@@ -17,6 +16,7 @@ from polyida.integrate.statics.loading import FREE
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import guard
+from polyida.objective.along import along_way
 
 
 def gradient_of_static(equilibrium, objective, names=None):
@@ -41,7 +41,7 @@ def adjoint_of_static(equilibrium, own, counts):
     entry = (t, about[0], still, still, lam, w, mu)
     yield Work(*(np.asarray(x, float)[None] for x in entry))
     if equilibrium.linear:
-        yield along_way(model, t, still, none, equilibrium.q, w, mu)
+        yield Work(*along_way(model, t, still, none, equilibrium.q, w, mu))
 
 
 def _solved(model, t, q, lam, j_q, j_lam, counts):

@@ -31,6 +31,9 @@ class Totals:
         """Add what an objective's own Slopes say of parameters."""
         for name in self.sums.keys() & slopes.direct.keys():
             self.sums[name] = self.sums[name] + slopes.direct[name]
+        if slopes.of_model is not None:
+            for name, parameter in self.parameters.items():
+                self.sums[name] = self.sums[name] + parameter.of_model(slopes.of_model)
         if slopes.work is not None:
             self.work(Work(*slopes.work))
 

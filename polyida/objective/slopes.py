@@ -1,6 +1,8 @@
 """Slopes of an objective in the frames of a run, and in parameters that it depends on by itself."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,8 @@ class Slopes:
 
     direct: {name of a parameter: dJ/dp at fixed frames}, this slice's share, such as "arm.stiffness" (cells,). work: more of the same
     for every parameter, entries (t (k,), q, v, a (k, n), lam (k, m), w (k, n), mu (k, m)): dJ/dp holds the sum over them of
-    `w . dr/dp + mu . dphi/dp`; or None.
+    `w . dr/dp + mu . dphi/dp`; or None. of_model: this slice's share of J, to first order, as a function of the model at fixed frames: for
+    parameters that `direct` does not name, such as "arm.nu"; or None.
     """
 
     q: NDArray | None = None
@@ -26,20 +29,23 @@ class Slopes:
     t: NDArray | None = None
     direct: dict[str, NDArray | float] = field(default_factory=dict)
     work: tuple[NDArray, ...] | None = None
+    of_model: Callable[[Any], float] | None = None
 
     def times(self, factor: float) -> "Slopes":
         """Those of J times a number."""
         found = {name: None if getattr(self, name) is None else factor * getattr(self, name) for name in FRAMES}
         direct = {name: factor * value for name, value in self.direct.items()}
         work = None if self.work is None else (*self.work[:5], *(factor * x for x in self.work[5:]))
-        return Slopes(**found, direct=direct, work=work)
+        of_model = self.of_model and _times(factor, self.of_model)
+        return Slopes(**found, direct=direct, work=work, of_model=of_model)
 
     def plus(self, other: "Slopes") -> "Slopes":
         """Those of a sum of two objectives, of the same slice."""
         found = {name: _sum(getattr(self, name), getattr(other, name)) for name in FRAMES}
         direct = self.direct | {name: value + self.direct.get(name, 0.0) for name, value in other.direct.items()}
         works = [work for work in (self.work, other.work) if work is not None]
-        return Slopes(**found, direct=direct, work=tuple(map(np.concatenate, zip(*works))) if works else None)
+        work = tuple(map(np.concatenate, zip(*works))) if works else None
+        return Slopes(**found, direct=direct, work=work, of_model=_both(self.of_model, other.of_model))
 
 
 FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
@@ -47,3 +53,11 @@ FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
 
 def _sum(a, b):
     return b if a is None else a if b is None else a + b
+
+
+def _times(factor, function):
+    return lambda model: factor * function(model)
+
+
+def _both(one, other):
+    return (lambda model: one(model) + other(model)) if one and other else one or other

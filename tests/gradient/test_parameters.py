@@ -1,10 +1,13 @@
 """Each parameter's slope against differences of what it is the slope of, in scenes that have one of everything."""
 
+import warnings
+
 import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.gradient.parameters import parameters_of
+from polyida.gradient.parameters import in_time, parameters_of
+from polyida.gradient.parameters.motions import OfMotion
 from polyida.gradient.parameters.parameter import total
 from polyida.gradient.parameters.work import Work
 from polyida.model.differences import along
@@ -22,26 +25,24 @@ def machine():
     three = scene.add(pi.Reduced(pi.Plate(strip, STEEL, 0.01, (2.0, 0.0)), modes=2, name="three"))
     four = scene.add(pi.Rigid(pi.Plate(strip, SOFT, 0.01, (3.0, 0.0), velocity=(0.1, -0.2)), name="four"))
     bar = scene.add(pi.RigidBody.bar(1.0, 0.3, (4.0, 0.1), name="bar"))
-    bodies = one, two, three, four
     scene.add(pi.Revolute(pi.ground, one.section("left"), name="hub"))
     scene.add(pi.Prismatic(one.section("right"), two.section("left"), name="slide"))
     scene.add(pi.Weld(two.section("right"), three.section("left"), name="weld"))
     scene.add(pi.Slot(three.section("right"), four.section("left"), name="slot"))
     scene.add(pi.Distance(four.section("left"), bar.at("right"), name="rod"))
     scene.add(pi.AngleMotor(pi.ground, one.section("left"), pi.profile.ramp(0.0, 1.2, 0.5, 0.1), name="motor"))
-    scene.add(pi.AngleMotor(three.section("right"), four.section("left"), lambda t: 0.3 * np.sin(4 * t), name="own"))
+    scene.add(pi.AngleMotor(three.section("right"), four.section("left"), lambda t: 0.3 * np.sin(4 * t), 0.1, name="own"))
     scene.add(pi.Path(bar.at("center"), pi.profile.sine(0.1, 2.0, 0.3), pi.profile.polynomial([0.1, 0.3, -0.2]), name="path"))
-    for number, body in enumerate(bodies):
-        scene.add(pi.PointMass(body.section("right"), 0.1 + number, name=f"mass {number}"))
-        scene.add(pi.PointLoad(body.section("top"), (1.0, -2.0), pi.profile.linear(0.2, 1.0, 0.4), name=f"load {number}"))
+    for body in (one, four):
+        scene.add(pi.PointMass(body.section("right"), 0.3, name=f"mass {body.name}"))
+    scene.add(pi.PointLoad(three.section("top"), (1.0, -2.0), pi.profile.linear(0.2, 1.0, 0.4), name="load"))
     scene.add(pi.PointLoad(one.section("top"), (1.0, 2.0), name="steady"))
     scene.add(pi.EdgeTraction(two.section("top"), (3.0, -40.0), 2.0, name="traction"))
     scene.add(pi.Torque(two.section("right"), pi.profile.sine(0.3, 3.0), against=four.section("left"), name="torque"))
     scene.add(pi.Force(one.section("right"), (0.5, pi.profile.ramp(0.0, 1.0, 0.1)), follower=True, name="push"))
     scene.add(pi.SpringDamper(one.section("top"), pi.ground.at((0.2, 3.0)), 50.0, 0.3, name="spring"))
-    scene.add(pi.TorsionSpring(one.section("right"), three.section("left"), 2.0, 0.1, name="torsion"))
     scene.add(pi.Contact(bar.at("right"), pi.ground.at((0.0, 0.5)), 300.0, 0.1, name="contact"))
-    return scene.build()
+    return scene.build().with_factors(one=(np.array([1.0, 0.5, 2.0]), np.array([0.3, 1.0, 1.0])))
 
 
 MODEL = machine()
@@ -60,25 +61,117 @@ def work_of(model, seed=0, frames=3):
 WORK = work_of(MODEL)
 
 
-def differences(parameter, work):
-    """Of fourth order, of the models with another value."""
+def along_value(parameter, unit, function):
+    """The derivative of `function(model)` along a unit of a parameter's value."""
     value = np.asarray(parameter.value, float)
-    found = []
-    for unit in np.eye(value.size).reshape(value.size, *value.shape):
-        size = 0.3 * (abs(float((unit * value).sum())) or 1.0)
+    size = abs(float((unit * value).sum())) or 1.0
 
-        def changed(s, unit=unit):
-            given = value + s * unit
-            return total(parameter.replaced(given if given.ndim else float(given)), work)
+    def changed(s):
+        given = value + s * unit
+        return function(parameter.replaced(given if given.ndim else float(given)))
 
-        found.append(along(changed, size, (0.0, np.inf) if parameter.asked and not value.any() else (-np.inf, np.inf)))
-    return np.reshape(found, value.shape)
+    return along(changed, 0.3 * size, (0.0, np.inf) if parameter.asked and not value.any() else (-np.inf, np.inf))
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("name", [name for name, parameter in PARAMETERS.items() if not isinstance(parameter, OfMotion)])
 def test_a_slope_is_that_of_the_models(name):
-    parameter = PARAMETERS[name]
-    slope = parameter.work(WORK)
+    parameter, random = PARAMETERS[name], np.random.default_rng(3)
+    slope, unit = parameter.work(WORK), random.uniform(0.5, 1.0, np.shape(parameter.value))
     assert np.shape(slope) == np.shape(parameter.value)
-    exact = differences(parameter, WORK)
-    assert np.abs(slope - exact).max() <= 1e-8 * np.abs(exact).max() + 1e-12 * abs(total(MODEL, WORK))
+    exact = along_value(parameter, unit, lambda model: total(model, WORK))
+    noise = 1e-11 * abs(total(MODEL, WORK)) / (np.abs(parameter.value).max() or 1.0)
+    assert abs((slope * unit).sum() - exact) <= 1e-8 * abs(exact) + noise
+
+
+def thrown():
+    """Two plates and two rigid bodies on hinges, which change the motions that they were given."""
+    scene = pi.Scene()
+    strip = pi.mesh.quads(1.0, 0.2, 3, 1)
+    one = scene.add(pi.Plate(strip, STEEL, 0.01, name="one", spin=1.5))
+    two = scene.add(pi.Plate(strip, SOFT, 0.02, (1.0, 0.0), name="two", velocity=(0.3, 1.0)))
+    three = scene.add(pi.Rigid(pi.Plate(strip, SOFT, 0.01, (2.0, 0.0)), name="three"))
+    bar = scene.add(pi.RigidBody.bar(1.0, 0.3, (3.0, 0.0), velocity=(1.0, 0.0), name="bar"))
+    scene.add(pi.Revolute(one.section("right"), two.section("left"), name="elbow"))
+    scene.add(pi.Revolute(two.section("right"), three.section("left"), name="wrist"))
+    scene.add(pi.Revolute(three.section("right"), bar.at("left"), name="finger"))
+    scene.add(pi.Path(one.node(0), pi.profile.sine(0.1, 1.0), None, name="path"))
+    scene.add(pi.PointMass(two.section("right"), 0.3, name="mass"))
+    return scene.build().with_factors(one=(None, np.array([0.3, 1.0, 1.0])))
+
+
+THROWN = thrown()
+STARTS, MOVING = parameters_of(THROWN), (".velocity", ".spin", ".mass", ".rho", ".thickness", ".inertia")
+
+
+@pytest.mark.parametrize("name", [name for name in STARTS if name.endswith((*MOVING, ".stiffness", ".E"))])
+def test_the_start_follows_the_motions_that_are_given_and_the_masses(name):
+    parameter, random = STARTS[name], np.random.default_rng(4)
+    q, unit, bar = work_of(THROWN).q[0], random.uniform(0.5, 1.0, np.shape(parameter.value)), random.standard_normal(THROWN.n)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that joints change the motions
+        exact = along_value(parameter, unit, lambda model: bar @ model.initial_velocity(0.17, q))
+    found = parameter.start(0.17, q, bar)
+    assert np.isclose(
+        0.0 if found is None else (found * unit).sum(), exact, rtol=1e-7, atol=1e-12 / np.abs(parameter.value).max(initial=1e-9)
+    )
+    assert bool(exact) == name.endswith(MOVING)
+
+
+def test_slopes_in_time():
+    """Of each entry by itself, beside elements of the scene that are laws of state too."""
+    model = driven()
+    work = work_of(model)
+    for k, found in enumerate(in_time(model, work)):
+        entry = Work(*(x[k : k + 1] for x in work))
+        assert np.isclose(found, along(lambda s, entry=entry: total(model, entry._replace(t=entry.t + s)), 0.1), rtol=1e-7)
+    sprung = in_time(MODEL, WORK)
+    assert np.isclose(sprung[1], along(lambda s: total(MODEL, WORK._replace(t=WORK.t + [0.0, s, 0.0])), 0.1), rtol=1e-7)
+
+
+def driven():
+    scene = pi.Scene(gravity=(pi.profile.sine(9.0, 1.0), 0.0))
+    arm = scene.add(pi.Plate(pi.mesh.quads(1.0, 0.2, 2, 1), STEEL, 0.01, name="arm"))
+    scene.add(pi.Revolute(pi.ground, arm.section("left"), name="hub"))
+    scene.add(pi.AngleMotor(pi.ground, arm.section("left"), pi.profile.ramp(0.0, 1.0, 0.2, 0.1), name="motor"))
+    scene.add(pi.PointLoad(arm.section("right"), (0.0, 1.0), pi.profile.linear(0.0, 1.0, 0.2, 0.3), name="load"))
+    return scene.build()
+
+
+def test_entries_beside_a_kink_stay_on_their_side():
+    """The load's straight move from 0.3 s to 0.5 s: its slope in `begin` is minus its speed inside and nothing outside."""
+    model = driven()
+    known, speed = parameters_of(model), 1.0 / 0.2
+    assert known["load.begin"].kinks(0.0, 1.0) == pytest.approx({0.3: 1.0, 0.5: 1.0})
+    assert known["load.duration"].kinks(0.0, 1.0) == pytest.approx({0.5: 1.0})
+    assert known["load.duration"].kinks(0.0, 0.4) == {} == known["load.end"].kinks(0.0, 1.0)
+    one = work_of(model, frames=1)
+    for t, inside in ((0.3 - 1e-14, 0), (0.3 + 1e-14, 1), (0.5 - 1e-14, 1), (0.5 + 1e-14, 0)):
+        work = one._replace(t=np.array([t]))
+        per_unit = known["load.scale"].work(work._replace(t=np.array([0.6])))
+        assert known["load.begin"].work(work) == pytest.approx(-inside * speed * per_unit, rel=1e-9, abs=1e-12)
+
+
+def test_what_is_asked_for_alone():
+    """Numbers whose slopes are differences, a profile's factor where it has numbers of its own, motions of bodies that were given none."""
+    offered = {name for name, parameter in PARAMETERS.items() if not parameter.asked}
+    assert {"one.stiffness", "two.E", "mass four.mass", "motor.duration", "path.y.coefficients", "own.scale", "one.spin"} <= offered
+    assert {"steady.force", "traction.traction", "traction.value", "gravity.end", "push.x.value", "torque.frequency"} <= offered
+    assert not {"spring.stiffness", "contact.exponent", "bar.inertia", "three.E", "motor.scale", "two.spin", "own.zero"} & offered
+    assert "steady.value" not in PARAMETERS and "rod.length" not in PARAMETERS
+
+
+def test_a_model_with_another_value_keeps_the_rest():
+    factors = MODEL.factors["one"]
+    other = PARAMETERS["mass one.mass"].replaced(0.7)
+    assert other.parts["mass one"].mass == 0.7 and other.parts["motor"].angle is MODEL.parts["motor"].angle
+    assert all((x == y).all() for x, y in zip(other.factors["one"], factors))
+    assert (PARAMETERS["two.stiffness"].replaced(np.full(6, 2.0)).factors["one"][0] == factors[0]).all()
+    for name, wrong in (
+        ("mass one.mass", -1.0),
+        ("motor.duration", 0.0),
+        ("load.force", (1.0,)),
+        ("path.y.coefficients", [1.0]),
+        ("two.E", "x"),
+    ):
+        with pytest.raises(pi.InputError):
+            PARAMETERS[name].replaced(wrong)

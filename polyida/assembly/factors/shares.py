@@ -4,85 +4,75 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.assembly.arrays import starts
+from polyida.assembly.arrays import concatenated, starts
 from polyida.assembly.build import operator_arrays
+from polyida.element import cells as kernels
 from polyida.element.lanes import LANES
 
 
 class Shares:
     """The arrays of a model's plates, an operator of its own for each, as functions of one factor a cell, plate after plate.
 
-    plates: the arrays of full cells. cells (plates + 1,): the first cell of each plate. weight_cells (len(weights),), lane_cells: the cell
-    of every weight and of every lane. mass, stabilisation (nnz, cells), sparse: what each cell adds on the node pattern; a row's entries
-    stand in the order in which they were added up at first, so that factors of 1 give the same numbers to the bit.
+    plates: the arrays of full cells. first (plates + 1,): the first cell of each plate. lane_cells, weight_cells: the cell of every lane
+    and of every weight. mass, stabilisation: matrices on the node pattern as Sums.
     """
 
     def __init__(self, model):
         bodies = [replace(body, operator=replace(body.operator)) for body in model.bodies]
+        operators, plates = [body.operator for body in bodies], model.arrays.plates
         shared = len({id(body.operator) for body in model.bodies}) < len(bodies)
-        plates = model.arrays.plates
         self.plates = plates._replace(**operator_arrays(bodies)) if shared else plates
-        self.cells = starts([body.operator.areas for body in bodies])
-        operators = [body.operator for body in bodies]
-        self.weight_cells, self.lane_cells = (
-            _joined([cells + first for cells, first in zip(each, self.cells)], np.int64)
-            for each in (map(_weight_cells, operators), (o.lane_cells for o in operators))
-        )
-        self.mass, self.stabilisation = (self._by_cell(operators, name) for name in ("cell_mass", "cell_stabilisation"))
+        self.names, self.first = [body.name for body in bodies], starts([o.areas for o in operators])
+        self.lane_cells = self._cells([o.lane_cells for o in operators])
+        self.weight_cells = self._cells([_cells_of(o, 4, o.layout[:, 1]) for o in operators])
+        places = concatenated([o.pairs + place for o, place in zip(operators, self.plates.at[:, 6])], np.int32)
+        cells = self._cells([_cells_of(o, 5, o.layout[:, 0] ** 2) for o in operators])
+        self.mass = Sums(places, cells, concatenated([o.cell_mass for o in operators], float))
+        stabilised = [np.zeros(len(o.pairs)) if o.cell_stabilisation is None else o.cell_stabilisation for o in operators]
+        self.stabilisation = Sums(places, cells, concatenated(stabilised, float))
+
+    def _cells(self, parts):
+        """Numbers of cells of each plate as such of all."""
+        return concatenated([cells + first for cells, first in zip(parts, self.first)], np.int32)
 
     def scaled(self, stiffness, mass):
         """The plates' arrays for factors (cells,) of all cells."""
         return self.plates._replace(
-            weights=self.plates.weights * stiffness[self.weight_cells], mass=self.mass @ mass, stabilisation=self.stabilisation @ stiffness
+            weights=self.plates.weights * stiffness[self.weight_cells],
+            mass=self.mass(mass, np.zeros_like(self.plates.mass)),
+            stabilisation=self.stabilisation(stiffness, np.zeros_like(self.plates.stabilisation)),
         )
 
-    def of_plates(self, values):
-        """A number of each plate (plates,) for each of its cells, (cells,)."""
-        return np.repeat(values, np.diff(self.cells))
+    def of_cells(self, values):
+        """A number of each plate, (plates,), for each of its cells, (cells,)."""
+        return np.repeat(values, np.diff(self.first))
 
-    def by_plate(self, model, values):
+    def by_plate(self, values):
         """{plate: (its cells,)} of numbers of all cells."""
-        return dict(zip((body.name for body in model.bodies), np.split(values, self.cells[1:-1])))
-
-    def _by_cell(self, operators, name):
-        """The sparse matrix of that name on the patterns of all plates, one behind the other; empty rows where an element has none."""
-        from scipy.sparse import csr_array
-
-        entries = [
-            (pairs + place, cells + first, values)
-            for operator, place, first in zip(operators, self.plates.at[:, 6], self.cells)
-            for pairs, cells, values in _entries(operator, name)
-        ]
-        rows, columns, values = (
-            _joined([entry[k].ravel() for entry in entries], kind) for k, kind in enumerate((np.int64, np.int32, float))
-        )
-        order, count = np.argsort(rows, kind="stable"), len(self.plates.mass)
-        begin = np.append(0, np.cumsum(np.bincount(rows, minlength=count))).astype(np.int32)
-        return csr_array((values[order], columns[order], begin), shape=(count, self.cells[-1]))
+        return dict(zip(self.names, np.split(values, self.first[1:-1])))
 
 
-def _joined(parts, dtype):
-    return np.concatenate([np.zeros(0, dtype), *parts]).astype(dtype)
+class Sums:
+    """Numbers on the node pattern as sums over cells: `out[place] = sum of values * factors[cell]`.
+
+    They are added up as the operator's own were: factors of 1 give the same to the bit. Where all values are zero there are none.
+    """
+
+    def __init__(self, places, cells, values):
+        some = slice(None if values.any() else 0)
+        self.places, self.cells, self.values = places[some], cells[some], values[some]
+
+    def __call__(self, factors, out):
+        """out (nnz,), zero before."""
+        kernels.sums(self.places, self.cells, self.values, factors, out)
+        return out
+
+    def slopes(self, work, count):
+        """Slopes of `work . out` in the factors of that many cells."""
+        return np.bincount(self.cells, self.values * work[self.places], count)
 
 
-def _weight_cells(operator):
-    """The cell of every weight of an operator."""
-    found = np.empty(len(operator.weights), np.int64)
-    for (_, points, *_, start, _), cells in zip(operator.layout, operator.lane_cells.reshape(-1, LANES)):
-        found[start : start + points * LANES] = np.tile(cells, points)
-    return found
-
-
-def _entries(operator, name):
-    """(place in the node pattern, cell, value) of the cells' matrices, all (n, n, cells): of cells of n corners, in turn."""
-    matrices = getattr(operator, name)
-    if matrices is None:
-        return
-    for n in np.unique(operator.layout[:, 0]):
-        of_n = operator.layout[:, 0] == n
-        blocks = operator.layout[of_n, 5]
-        order = np.argsort(blocks)
-        cells = operator.lane_cells.reshape(-1, LANES)[of_n][order].ravel()
-        part = slice(blocks.min(), blocks.max() + n * n * LANES)
-        pairs, values = (np.moveaxis(x[part].reshape(-1, n, n, LANES), 0, 2).reshape(n, n, -1) for x in (operator.pairs, matrices))
-        yield pairs, np.broadcast_to(cells, pairs.shape), values
+def _cells_of(operator, column, vectors):
+    """The cells of the lanes of all vectors in blocks that begin where a column of the layout says, each with so many vectors."""
+    order = np.argsort(operator.layout[:, column])
+    return np.repeat(operator.lane_cells.reshape(-1, LANES)[order], vectors[order], axis=0).ravel()

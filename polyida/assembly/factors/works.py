@@ -19,8 +19,8 @@ def stiffness_work(model, q, v, w):
     shares = model.once(Shares, of_shape=True)
     lanes, pairs = np.zeros(len(shares.lane_cells)), np.zeros(len(shares.plates.mass))
     _force_works(shares.plates, *(_nodal(model, x) for x in (q, v, w)), lanes, pairs)
-    stabilising = shares.of_plates(shares.plates.body_stabilisation) * (shares.stabilisation.T @ pairs)
-    return shares.by_plate(model, np.bincount(shares.lane_cells, lanes, shares.cells[-1]) + stabilising)
+    stabilising = shares.of_cells(shares.plates.body_stabilisation) * shares.stabilisation.slopes(pairs, shares.first[-1])
+    return shares.by_plate(np.bincount(shares.lane_cells, lanes, shares.first[-1]) + stabilising)
 
 
 def mass_work(model, b, w):
@@ -28,7 +28,7 @@ def mass_work(model, b, w):
     shares = model.once(Shares, of_shape=True)
     pairs = np.zeros(len(shares.plates.mass))
     _mass_works(shares.plates, *(_nodal(model, x) for x in (b, w)), pairs)
-    return shares.by_plate(model, shares.of_plates(shares.plates.body_density) * (shares.mass.T @ pairs))
+    return shares.by_plate(shares.of_cells(shares.plates.body_density) * shares.mass.slopes(pairs, shares.first[-1]))
 
 
 def _nodal(model, x):

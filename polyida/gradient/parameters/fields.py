@@ -1,9 +1,11 @@
 """Every other number of a scene's parts as a parameter, by differences of models or of force elements with another one."""
 
+import warnings
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import Any
 
+from polyida.assembly.bodies.motion import motions_given
 from polyida.assembly.own.forces import OwnForce
 from polyida.body.body import Body
 from polyida.body.field_body import FieldBody
@@ -32,8 +34,23 @@ class OfField(Parameter):
 
     def work(self, work):
         """By differences of fourth order, which for the zero of what is not negative look ahead only."""
-        scale = abs(self.value) or 1.0
-        return float(along(lambda s: self._total(self.value + s, work), scale, POSITIVE if self.value == 0.0 else EVERYWHERE))
+        return self._slope(lambda value: self._total(value, work))
+
+    def start(self, t, q, bar):
+        """The same, where bodies were given motions, which are changed in the metric of M."""
+        if isinstance(self.model.parts[self.part], ForceElement) or not motions_given(self.model).any():
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that they are, which the run has told
+            return self._slope(lambda value: bar @ self.replaced(value).initial_velocity(t, q))
+
+    def of_model(self, function):
+        """By differences."""
+        return self._slope(lambda value: function(self.replaced(value)))
+
+    def _slope(self, function):
+        room = POSITIVE if self.value == 0.0 else EVERYWHERE
+        return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, room))
 
     def _total(self, value, work):
         part = self.model.parts[self.part]

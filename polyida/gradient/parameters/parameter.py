@@ -1,5 +1,6 @@
 """What a model's parameter answers: its slope in a sum over a run, and the model with another value."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,10 @@ class Parameter:
         Times stay; entries beside a kink stay on their side of it.
         """
         raise NotImplementedError
+
+    def of_model(self, function: Callable[[Any], float]) -> float:
+        """The slope of a function of the model; 0 where objectives say it by the parameter's name (Slopes)."""
+        return 0.0
 
     def replaced(self, value: Any) -> Any:
         """The model with another value of it, all else the same. Raises InputError where no model has it."""

@@ -49,9 +49,10 @@ class Frames:
 
 
 class TimeMean(Objective):
-    """A mean of order p over time."""
+    """A mean of order p over time. of_material: whether it depends on the model beyond what the `direct` of its slopes names."""
 
     p: float = 1.0
+    of_material = False
 
     def seen(self, model: Any, span: float) -> Callable[[Frames], tuple[NDArray, Callable[[NDArray], Slopes]]]:
         """A function of Frames of a model: (s (count,), a function of dJ/ds (count,) that gives the Slopes).
@@ -73,16 +74,29 @@ class TimeMean(Objective):
         def of(part):
             found = seen(Frames(run, part))[1](mean.shares[part])
             t = mean.by_times[part]
-            return replace(found, t=t if found.t is None else t + found.t)
+            of_model = (lambda model: float(mean.shares[part] @ self._of(run, model)(Frames(run, part))[0])) if self.of_material else None
+            return replace(found, t=t if found.t is None else t + found.t, of_model=of_model)
 
         return of
 
+    def named(self, model: Any) -> "TimeMean":
+        """The same with names in place of parts, which a model of other parts knows."""
+        return self
+
     def _seen(self, run):
-        return self.seen(guard(run.model, type(self).__name__), float(np.ptp(run.t)) / max(1, len(run.t) - 1))
+        return self.seen(guard(run.model, type(self).__name__), _span(run))
+
+    def _of(self, run, model):
+        """What is seen of a run with another model."""
+        return self.named(run.model).seen(guard(model), _span(run))
 
     def _sizes(self, run, seen):
         step = frames_at_once(run.q.shape[1])
         return np.concatenate([seen(Frames(run, slice(k, k + step)))[0] for k in range(0, len(run.t), step)])
+
+
+def _span(run):
+    return float(np.ptp(run.t)) / max(1, len(run.t) - 1)
 
 
 FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that

@@ -1,6 +1,6 @@
 """How much the material has to bear."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,27 +9,32 @@ from polyida.element import kernels as element
 from polyida.element.lanes import LANES
 from polyida.given import settle
 from polyida.keywords import named_keywords
-from polyida.objective import kernels
-from polyida.objective.bodies import chosen, deforming
+from polyida.objective.means import kernels
+from polyida.objective.means.bodies import chosen, deforming, named
+from polyida.objective.means.time_mean import TimeMean, power, power_mean, relative
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean, power, power_mean, relative
 from polyida.results.stress import von_mises
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class PeakStress(TimeMean):
-    """`(time mean of the area mean of s^p)^(1/p)`, Pa, s von Mises stress of a cell as `run.von_mises`: the larger p, the nearer to the largest.
+    """`(time mean of the area mean of s^p)^(1/p)`, Pa, s the von Mises stress of a cell, as `run.von_mises`.
 
-    plate: a plate or a reduced one, by name or itself; None: all. With factors of cells it is the stress of the scaled cells. Raises InputError for a
-    p below 1, and of a run for what is no such plate of its scene.
+    It lies below the largest stress, the nearer the larger p. plate: a plate or a reduced one, by name or itself; None: all. With factors
+    of cells it is the stress of the scaled cells. Raises InputError for a p below 1, and of a run for what is no such plate of its scene.
     """
 
     plate: Any = None
+    of_material = True
     p: float = 8.0
 
     def __post_init__(self):
         settle(self, p=power("PeakStress", self.p))
+
+    def named(self, model):
+        """By the name of its body."""
+        return replace(self, plate=named(model, self.plate))
 
     def seen(self, model, span):
         """The area mean of order p."""

@@ -1,6 +1,6 @@
 """How much a joint has to bear."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
@@ -11,8 +11,9 @@ from polyida.given import is_one_of, settle
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
+from polyida.objective.means.bodies import named
+from polyida.objective.means.time_mean import TimeMean, power
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean, power
 from polyida.results.tables import quantity
 
 UNITS = ("N", "N m")
@@ -21,17 +22,17 @@ UNITS = ("N", "N m")
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class PeakReaction(TimeMean):
-    """`(time mean of |R|^p)^(1/p)`, R what a joint does to its side b, as `run.reaction` tells it, N or N m: the larger p, the nearer to the
-    largest |R|.
+    """`(time mean of |R|^p)^(1/p)`, R what a joint does to its side b, as `run.reaction` tells it, N or N m.
 
-    joint: by name or itself. unit: "N" or "N m", the components that are meant, of a joint that gives forces and a moment. Raises InputError
-    for a p below 1 or an unknown unit, and of a run for what is no joint of its scene, for a joint of both units without `unit`, and for one
-    whose reaction is not unique.
+    It lies below the largest |R|, the nearer the larger p. joint: by name or itself. unit: "N" or "N m", the components that are meant of
+    a joint that gives forces and a moment. Raises InputError for a p below 1 or an unknown unit, and of a run for what is no joint of its
+    scene, for a joint of both units without `unit`, and for one whose reaction is not unique.
     """
 
     joint: Any
     p: float = 8.0
     unit: str | None = None
+    of_material = True
 
     def __post_init__(self):
         settle(self, p=power("PeakReaction", self.p))
@@ -41,7 +42,7 @@ class PeakReaction(TimeMean):
     def seen(self, model, span):
         """|R|."""
         name = self._name(model)
-        joint, columns = model.joints[name], _columns(model, name)
+        joint, columns = model.joints[name], model.rows[name]
         chosen = self._components(model, name)
 
         def look(frames):
@@ -61,12 +62,16 @@ class PeakReaction(TimeMean):
 
     def _name(self, model):
         joints = {name: joint for name, joint in model.joints.items() if isinstance(joint, Joint)}
-        name = next((name for name in joints if model.parts[name] is self.joint), self.joint)
+        name = named(model, self.joint)
         if not is_one_of(name, joints):
             raise InputError(f"PeakReaction: no joint is called {self.joint!r:.100}; known: {', '.join(map(repr, joints)) or 'none'}")
         if model.redundant is not None and not model.redundant.unique(name):
             raise InputError(f"PeakReaction: the reaction of {name!r} is not unique, constraints are redundant; it has no slopes")
         return name
+
+    def named(self, model):
+        """By the joint's name."""
+        return replace(self, joint=self._name(model))
 
     def _components(self, model, name):
         """Numbers of the components that are meant."""
@@ -119,14 +124,3 @@ def _against(moved, x, toward):
     ways = np.abs(x).max(axis=0, initial=0.0)
     ways = np.diag(np.where(ways > 0, ways, 1.0))
     return np.stack([np.sum(along(lambda s, way=way: moved(s * way)) * toward, axis=1) / way.max() for way in ways], axis=1)
-
-
-def _columns(model, name):
-    """Where the rows of a joint are among those of phi."""
-    return (
-        model.rows[name] if model.redundant is None else np.flatnonzero(np.isin(model.redundant.kept, _numbers(model.redundant.rows[name])))
-    )
-
-
-def _numbers(rows):
-    return np.arange(rows.start, rows.stop)

@@ -10,11 +10,16 @@ def chosen(part, model, given, known):
         raise InputError(f"{part}: {getattr(model, 'name', type(model).__name__)} is no scene's model; write it as a pi.objective.Own")
     if given is None and known:
         return list(known.values())
-    name = next((name for name in known if model.parts[name] is given), given)
+    name = named(model, given)
     if not is_one_of(name, known):
         called = f"called {given!r:.100}" if given is not None else "there"
         raise InputError(f"{part}: no body that deforms is {called}; known: {', '.join(map(repr, known)) or 'none'}")
     return [known[name]]
+
+
+def named(model, given):
+    """The name of a part that is given by itself; what is none of the model's as it is."""
+    return next((name for name, part in model.parts.items() if part is given), given)
 
 
 def deforming(model):

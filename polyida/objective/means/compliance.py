@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.keywords import named_keywords
+from polyida.objective.means.time_mean import TimeMean, rates
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean, rates
 
 
 @named_keywords

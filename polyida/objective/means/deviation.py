@@ -11,8 +11,8 @@ from polyida.errors import InputError
 from polyida.given import floats
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
+from polyida.objective.means.time_mean import TimeMean, rates
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean, rates
 
 
 @named_keywords

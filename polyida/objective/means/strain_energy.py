@@ -1,7 +1,7 @@
 """How much energy is in the deformation of bodies."""
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +10,10 @@ from polyida.assembly import equilibrium
 from polyida.assembly.build import compact_of
 from polyida.assembly.factors.shares import Shares
 from polyida.keywords import named_keywords
-from polyida.objective import kernels
-from polyida.objective.bodies import chosen, deforming
+from polyida.objective.means import kernels
+from polyida.objective.means.bodies import chosen, deforming, named
+from polyida.objective.means.time_mean import TimeMean
 from polyida.objective.slopes import Slopes
-from polyida.objective.time_mean import TimeMean
 
 
 @named_keywords
@@ -26,6 +26,11 @@ class StrainEnergy(TimeMean):
     """
 
     plate: Any = None
+    of_material = True
+
+    def named(self, model):
+        """By the name of its body."""
+        return replace(self, plate=named(model, self.plate))
 
     def seen(self, model, span):
         """The energy."""

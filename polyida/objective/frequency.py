@@ -1,0 +1,109 @@
+"""How fast a structure swings."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.given import is_whole
+from polyida.keywords import named_keywords
+from polyida.model.differences import along
+from polyida.model.guarded import guard
+from polyida.objective.along import along_way, reach
+from polyida.objective.objective import Objective
+from polyida.objective.slopes import Slopes
+from polyida.objective.still import run_of
+
+APART = 1e-6  # of omega^2: nearer frequencies are one, whose shapes nothing tells apart
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Frequency(Objective):
+    """Frequency of an undamped mode, Hz: of `pi.modes` one of theirs, of a run or an equilibrium that of its model at rest.
+
+        d omega^2/dp = x^T (dK/dp - omega^2 dM/dp) x + 2 mu^T dB/dp x,   omega^2 M x = K x + B^T mu,   B x = 0,   x^T M x = 1
+
+    At rest is q = 0 at t = 0 without loads, as `pi.modes(model)`. number: 0 is the slowest. Raises InputError for what is no such number,
+    for modes with damping, and, of slopes, for a mode at 0 Hz and for one of several of one frequency.
+    """
+
+    number: int = 0
+
+    def __post_init__(self):
+        if not is_whole(self.number, 0):
+            raise InputError(f"Frequency: number = {self.number!r:.100} must be a whole number, 0 for the slowest mode")
+
+    def __call__(self, run: Any) -> float:
+        return float(self._modes(run_of("Frequency", run), self.number + 1).frequencies[self.number])
+
+    def slopes(self, run: Any) -> Callable[[slice], Slopes]:
+        """All of them with the last frame; those in q and lam are of the modes' own state."""
+        run = run_of("Frequency", run)
+        modes = self._modes(run, self.number + 2)
+        mode = _Mode(modes, self.number, self._simple(modes))
+        found = Slopes(work=mode.work())
+        if getattr(run, "modes", None) is not None:
+            q, lam = mode.by_state()
+            found = replace(found, q=q[None], lam=lam[None])
+        return lambda part: found if part.indices(len(run.t))[1] == len(run.t) else Slopes()
+
+    def _modes(self, run, count):
+        """Modes enough, those of the run where it has them. Raises InputError where there are not so many."""
+        from polyida.modal.modes import modes
+
+        found = getattr(run, "modes", None)
+        if found is not None and np.iscomplexobj(found.shapes):
+            raise InputError("Frequency: these modes are damped; take pi.modes(model, state) without damped=True")
+        if found is None or len(found.roots) < min(count, run.model.n - run.model.m):
+            found = modes(run.model, found and found.state, count=count)
+        if self.number >= len(found.roots):
+            raise InputError(f"Frequency: number = {self.number} is too large, the model has {len(found.roots)} modes")
+        return found
+
+    def _simple(self, modes):
+        """omega^2, 1/s^2. Raises InputError where it has no slope."""
+        squares = np.real(-(modes.roots**2))
+        square, others = squares[self.number], np.delete(squares, self.number)
+        if not square:
+            raise InputError(f"Frequency: mode {self.number} is a rigid motion, at 0 Hz it has no slopes; hold the structure")
+        if len(others) and np.abs(others - square).min() <= APART * abs(square):
+            raise InputError(
+                f"Frequency: mode {self.number} shares its {modes.frequencies[self.number]:.6g} Hz with another one: it has no slopes"
+            )
+        return square
+
+
+class _Mode:
+    """A mode x of a state (t, q, lam), with the multipliers mu of `omega^2 M x = K x + B^T mu`; by_square: df/d(omega^2), s."""
+
+    def __init__(self, modes, number, square):
+        self.model, state = guard(modes.model), modes.state
+        self.t, self.q, self.lam, self.x, self.square = state.t, state.q, state.lam, modes.shapes[number], square
+        self.by_square = 1.0 / (8 * np.pi**2 * abs(modes.frequencies[number]))
+        self.still = np.zeros(self.model.n)
+        self.mu = self.model.mass_system(self.t, self.q).solve(self._stiffness(self.q) @ self.x, np.zeros(self.model.m))[1]
+
+    def _stiffness(self, q):
+        return self.model.tangent(self.t, q, self.still, self.still, self.lam, 0.0, 0.0, 1.0)
+
+    def work(self):
+        """Entries of `x^T K x - omega^2 x^T M x + 2 mu^T B x`, times df/d(omega^2)."""
+        x, still, q, lam = self.x, self.still, self.q, self.lam
+        stiff = along_way(self.model, self.t, q, lam, x, self.by_square * x, 2.0 * self.by_square * self.mu)
+        w, none = self.by_square * self.square * x, np.zeros_like(lam)
+        heavy = [(self.t, q, still, x, lam, -w, none), (self.t, q, still, still, lam, w, none)]
+        return tuple(np.concatenate([part, np.array(pair)]) for part, pair in zip(stiff, zip(*heavy)))
+
+    def by_state(self):
+        """(df/dq (n,), df/dlam (m,)) of the state."""
+        model, t, q, x = self.model, self.t, self.q, self.x
+        far = reach(model, q, x)
+        q_bar = along(lambda s: self._stiffness(q + s * x).T @ x, far)
+        if model.needs.mass_varies:
+            q_bar = q_bar - self.square * (model.mass_a_q(q, x).T @ x)
+        if model.needs.phi_q_varies and model.m:
+            q_bar = q_bar + 2.0 * (model.reaction_q(t, q, self.mu).T @ x)
+        return self.by_square * q_bar, self.by_square * along(lambda s: model.phi_q(t, q + s * x) @ x, far)
