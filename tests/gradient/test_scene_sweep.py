@@ -85,8 +85,8 @@ def steps_of(model):
 
 def swept(sweep, steps, keep=None):
     """All that a sweep gives, as one list of arrays."""
-    sent, *found = sweep.back(*steps, keep=keep)
-    return [*sent, *found]
+    found = sweep.back(*steps, keep=keep)
+    return [*found.sent, found.w, found.mu]
 
 
 def agree(found, wanted, tolerance=1e-9):
@@ -95,7 +95,7 @@ def agree(found, wanted, tolerance=1e-9):
 
 def test_steps_are_those_of_the_plain_sweep(case):
     settings, steps = steps_of(case)
-    counts, kept, other = pi.Counts(), np.zeros((2, STEPS, case.n)), np.zeros((2, STEPS, case.n))
+    counts, kept, other = pi.Counts(), *(tuple(np.zeros((2, STEPS, case.n))) for _ in range(2))
     found = swept(SceneSweep(case, settings, H, counts), steps, kept)
     wanted = swept(PlainSweep(case, settings, H, pi.Counts()), steps, other)
     assert agree([*found, *kept], [*wanted, *other])
@@ -130,8 +130,9 @@ def test_stretches_one_by_one_are_the_whole(scenes):
     sweep, parts = SceneSweep(model, settings, H, counts[1]), []
     for part in (slice(5, None), slice(0, 5)):
         slopes = Slopes(**{name: getattr(own, name)[part] for name in ("q", "v", "a", "lam")})
-        sent, *found = sweep.back(*(x[part] for x in frames), slopes, sent)
-        parts.insert(0, found)
+        found = sweep.back(*(x[part] for x in frames), slopes, sent)
+        sent = found.sent
+        parts.insert(0, (found.w, found.mu))
     assert all(np.array_equal(x, y) for x, y in zip([*sent, *map(np.concatenate, zip(*parts))], wanted))
     assert vars(counts[0]) == vars(counts[1])
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.assembly.rows.increments import drive_table
-from polyida.gradient.plain import Sent
+from polyida.gradient.plain import Sent, Swept
 from polyida.gradient.scene import steps
 from polyida.gradient.scene.products import arrays_of, scratch
 from polyida.integrate.alpha import scene as loop
@@ -31,14 +31,15 @@ class SceneSweep:
         self.helpers = Helpers(threads() if model.n >= loop.SHARED else 1)
 
     def back(self, t, q, v, a, lam, slopes, sent, keep=None):
-        """(Sent to the state before, w (count, n), mu, kappa (count, m)) of steps that ended at these frames, in order of time.
+        """The Swept of steps that ended at these frames, in order of time, (count, .) each.
 
-        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n).
+        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n) each,
+        or None.
         """
         if abs(t[-1] - self.before) > 0.5 * self.method.h:
             steps.forget(self.memory)
         self.memory.sent[:], self.before = sent, t[0] - self.method.h
-        found = steps.Found(np.empty_like(q), np.empty_like(lam), *(np.zeros((2, 0, self.model.n)) if keep is None else keep))
+        found = steps.Found(np.empty_like(q), np.empty_like(lam), *(keep or np.empty((2, 0, self.model.n))))
         frames, drives = self._frames(q, v, lam, slopes), drive_table(self.model, t, (t[0], t[-1]))
         done, fresh = len(t), False
         while done:
@@ -50,7 +51,7 @@ class SceneSweep:
                 if ended == SINGULAR or (fresh and done == last):
                     raise SingularSystem(REASONS[ended][1])
                 self.system, fresh = None, False
-        return Sent(*self.memory.sent.copy()), found.w, found.mu, np.zeros_like(lam)
+        return Swept(Sent(*self.memory.sent.copy()), found.w, found.mu)
 
     def _frames(self, q, v, lam, slopes):
         n, m = self.model.n, self.model.m
