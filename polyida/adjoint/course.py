@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.gradient.recorded import SAME, Piece, Recorded, Room, Segments
+from polyida.adjoint.recorded import SAME, Piece, Recorded, Room, Segments
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.state import Counts, State
 from polyida.io.frames import MEMORY_LIMIT

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.gradient.beginning import given_velocity
+from polyida.adjoint.beginning import given_velocity
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import segments
