@@ -27,7 +27,7 @@ def gradient_of_run(run, objective, names, progress, memory_limit):
     """The Gradient of an objective of a run. Raises InputError for a run that has no adjoint here."""
     _require(run)
     back = Backward(run, objective, names, memory_limit)
-    sent, lam = back.through(progress or (lambda t: None))
+    sent, lam = back.through(progress)
     state = beginning(back.course, back.course.pieces[0], None)
     start = first(back.model, state, sent, lam)
     if work := stacked(start.entries):
