@@ -79,6 +79,7 @@ NUMBER = NOTHING + LISTS + SCALARS[2:]
 SHARE = POSITIVE + [1.0, 2.0, 1e300]
 COUNT = POSITIVE + [0.5, 1.5, 2.0, np.float64(3.0), "3"]
 PAIR = NOTHING + LISTS + SCALARS + [1.0]
+DENSITY = without(NOTHING, range) + [[0.5, 1.5], [-0.1], [np.nan], ["a"], [None], [1j]]
 TEXT = without(NOTHING[2:] + LISTS, str) + [""] + SCALARS + [1.0]
 CHOICE = NOTHING + LISTS + SCALARS + [1.0, "Stress", "no such thing"]
 PROFILE = (
@@ -255,6 +256,21 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "mesh.polygonize": (
         made(pi.mesh.polygonize, domain=pi.mesh.Rectangle(1.0, 1.0), cells=4),
         {"domain": NOTHING + LISTS + [MESH], "cells": COUNT, "seed": [-1, 0.5, None, "1"], "iterations": COUNT},
+    ),
+    "mesh.density_filter": (made(pi.mesh.density_filter, mesh=MESH, radius=0.1), {"mesh": MESHES, "radius": POSITIVE}),
+    "design.ramp": (made(pi.design.ramp, rho=0.5), {"rho": DENSITY, "q": NUMBER + [-1.0, True], "void": NUMBER + [0, 1.0]}),
+    "design.simp": (made(pi.design.simp, rho=0.5), {"rho": DENSITY, "p": NUMBER + [0.5, True], "void": NUMBER + [0, 1.0]}),
+    "design.mass": (made(pi.design.mass, rho=0.5), {"rho": DENSITY, "low": NUMBER + [-0.1, 1.0], "void": NUMBER + [0, 1.0]}),
+    "design.project": (made(pi.design.project, rho=0.5, beta=2.0), {"rho": DENSITY, "beta": POSITIVE, "eta": NUMBER + [0, 1.0]}),
+    "design.threshold": (
+        made(pi.design.threshold, mesh=MESH, rho=np.ones(8)),
+        {
+            "mesh": MESHES,
+            "rho": NOTHING + LISTS + SCALARS + [np.zeros(8), np.ones(7)],
+            "at": NUMBER + [2.0],
+            "keep": without(NOTHING, range, dict) + [["left", "tip"], [None], {"a": 1}],
+            "hanging": CHOICE,
+        },
     ),
     "mesh.Rectangle": (
         made(pi.mesh.Rectangle, length=1.0, height=1.0),
