@@ -6,8 +6,8 @@ parameters is left as an entry of `entries`: what multiplies r, phi, its rate an
 
 import numpy as np
 
-from polyida.gradient.parameters.work import Work
-from polyida.gradient.tape import add_to, value_of
+from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.tape import add_to, value_of
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate
 from polyida.integrate.state import Counts
