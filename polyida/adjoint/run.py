@@ -100,7 +100,7 @@ class Backward:
             for work in works:
                 self.totals.work(work)
             if keep:
-                self._move(piece, first, last, works, own.t, keep, *more.values())
+                self._move(piece, first, last, works, own.by_time(), keep, *more.values())
             sent = swept.sent
             progress(float(t[0]))
         return sent
@@ -162,8 +162,9 @@ def _sweep_of(model, settings):
 def _spread(own, frames):
     """Slopes of frames as those of states, of which the others are no frames."""
     found = {}
-    for name in ("q", "v", "a", "lam", "t"):
-        if (slopes := getattr(own, name)) is not None:
+    each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
+    for name, slopes in each.items():
+        if slopes is not None:
             found[name] = np.zeros((len(frames), *slopes.shape[1:]))
             found[name][frames >= 0] = slopes
     return Slopes(**found)
