@@ -55,6 +55,9 @@ _PLACES = {
     "StateSpace": "modal.state_space",
     "frequency_response": "modal.response",
     "FrequencyResponse": "modal.response",
+    "gradient": "gradient.gradient",
+    "check_gradient": "gradient.check",
+    "Gradient": "gradient.result",
     "State": "integrate.state",
     "Counts": "integrate.state",
     "GeneralizedAlpha": "integrate.alpha.generalized_alpha",
@@ -64,6 +67,7 @@ _PLACES = {
 }
 _MODULES = {
     "mesh": "mesh",
+    "design": "design",
     "profile": "profile",
     "sensor": "sensor",
     "objective": "objective",

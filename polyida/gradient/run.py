@@ -7,14 +7,15 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.gradient.beginning import begun, first
 from polyida.gradient.course import course_of
-from polyida.gradient.parameters.work import Work
+from polyida.gradient.forward import Forward, beginning
+from polyida.gradient.moving import Moving
+from polyida.gradient.parameters.work import Work, stacked
 from polyida.gradient.plain import PlainSweep, Sent
 from polyida.gradient.result import Gradient
-from polyida.gradient.slips import Slips
 from polyida.gradient.totals import Totals
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.kinks import inner_side
-from polyida.integrate.state import Counts, State
+from polyida.integrate.state import Counts
 from polyida.model.guarded import guard
 from polyida.objective.slopes import Slopes
 
@@ -27,9 +28,10 @@ def gradient_of_run(run, objective, names, progress, memory_limit):
     _require(run)
     back = Backward(run, objective, names, memory_limit)
     sent, lam = back.through(progress or (lambda t: None))
-    state = back.state(0)
+    state = beginning(back.course, back.course.pieces[0], None)
     start = first(back.model, state, sent, lam)
-    back.totals.entries(start.entries)
+    if work := stacked(start.entries):
+        back.totals.work(work)
     back.totals.start(state, start.v0)
     return Gradient(float(objective(run)), back.totals.slopes(), back.counts)
 
@@ -59,54 +61,67 @@ class Backward:
         self.own = objective.slopes(run)
         self.totals = Totals(run.model, names)
         self.counts, self.sweeps = Counts(), {}
+        self.moving = Moving(self.model, self.settings, run, self.totals.parameters)
         self.tied = self.settings.form == "stabilised" and self.model.m > 0
-        self.slips = Slips(self.model, self.settings, self.course) if self.tied else None
+        again = self.tied or self.moving.speeds
+        self.forward = Forward(self.model, self.settings, self.course) if again else None
 
     def through(self, progress):
         """(Sent to the run's first state, the bar of its lam), all slopes of its frame with them."""
         sent, lam = Sent(*np.zeros((4, self.model.n))), np.zeros(self.model.m)
         for piece in reversed(self.course.pieces):
             sent = self._steps(piece, sent, lam, progress)
-            state = self.state(piece.first)
-            before = begun(self.settings, self.model, state, piece, sent)
-            self.totals.entries(before.entries)
+            if self.moving.speeds:
+                self.moving.begun(piece, self.forward.ready[piece.first].state, sent)
+            before = begun(self.settings, self.model, beginning(self.course, piece, None), piece, sent)
+            self._entries(piece, before.entries)
             sent, lam = before.sent, before.lam
-            progress(state.t)
+        if self.moving.speeds:
+            self.moving.add_to(self.totals.sums, self.course)
         own = self._own(0, 1)
         bars = [bar + slope[0] if slope is not None else bar for bar, slope in zip(sent, (own.q, own.v, own.a))]
         return Sent(*bars, sent.ahead), lam if own.lam is None else lam + own.lam[0]
 
-    def state(self, number):
-        """A State of the course."""
-        t, *vectors = (x[0] for x in self.course.states(number, number + 1))
-        return State(float(t), *vectors)
-
     def _steps(self, piece, sent, lam, progress):
         """Sent to what a piece began with; lam: what is sent to the multipliers of its last state."""
         sweep, end = self._sweep(piece.h), piece.first + piece.count
-        slips = self.slips.of(piece) if self.tied else None
+        slips = self.forward.slips(piece) if self.tied else None
         longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
-        for first in range(end - 1, piece.first - 1, -longest):
-            first, last = max(piece.first, first - longest + 1), first + 1
+        for last in range(end, piece.first, -longest):
+            first = max(piece.first, last - longest)
             t, q, v, a, rows = self.course.states(first + 1, last + 1)
-            own = self._own(first + 1, last + 1)
+            own, inner = self._own(first + 1, last + 1), t
             if last == end:
-                t, own = np.append(t[:-1], inner_side(self.model, t[-1], piece.h)), _with_last(own, lam, rows.shape)
+                inner, own = np.append(t[:-1], inner_side(self.model, t[-1], piece.h)), _with_last(own, lam, rows.shape)
             more = {"slips": slips[first - piece.first : last - piece.first]} if self.tied else {}
-            swept = sweep.back(t, q, v, a, rows, own, sent, **more)
-            self._add(t, q, v, a, rows, swept)
+            keep = tuple(np.empty((2, *q.shape))) if self.moving.speeds else None
+            swept = sweep.back(inner, q, v, a, rows, own, sent, keep, **more)
+            works = _works(inner, q, v, a, rows, swept)
+            for work in works:
+                self.totals.work(work)
+            if keep:
+                self._move(piece, first, last, works, own.t, keep, *more.values())
             sent = swept.sent
-            progress(t[0])
+            progress(float(t[0]))
         return sent
 
-    def _add(self, t, q, v, a, lam, swept):
-        """Add what the steps say of parameters."""
-        self.totals.work(Work(t, q, v, a, lam, swept.w, swept.mu, swept.kappa))
-        if swept.slips:
-            ahead, slip, eta = swept.slips
-            still = np.zeros_like(q)
-            self.totals.work(Work(t, q, still, slip, eta, ahead))
-            self.totals.work(Work(t, q, still, still, np.zeros_like(eta), -ahead))
+    def _move(self, piece, first, last, works, own, keep, slip=0.0):
+        """Add what steps say of times that move."""
+        t, q, v, _, _ = self.course.states(first, last + 1)
+        if first == piece.first:
+            v = np.concatenate([self.forward.ready[first].v[None], v[1:]])
+        self.moving.works(t[1:], works[0], own)
+        for work in works[1:]:
+            self.moving.works(t[1:], work)
+        self.moving.steps(piece, q[:-1], v[:-1], (q[1:] - slip, v[1:]), *keep)
+
+    def _entries(self, piece, entries):
+        """Add what a piece's beginning says of parameters, and of the time it is at."""
+        if work := stacked(entries):
+            self.totals.work(work)
+            if self.moving.speeds:
+                t = self.course.states(piece.first, piece.first + 1)[0]
+                self.moving.works(np.repeat(t, len(work.t)), work)
 
     def _sweep(self, h):
         """The sweep of steps of this size, with the factor that it has."""
@@ -124,6 +139,15 @@ class Backward:
         own = self.own(slice(int(kept[0]), int(kept[-1]) + 1))
         self.totals.own(own)
         return own if len(kept) == len(frames) else _spread(own, frames)
+
+
+def _works(t, q, v, a, lam, swept):
+    """The Works of steps: of their equations, and of the stabilised form's slip of q."""
+    works = [Work(t, q, v, a, lam, swept.w, swept.mu, swept.kappa)]
+    if swept.slips:
+        (ahead, slip, eta), still = swept.slips, np.zeros_like(q)
+        works += [Work(t, q, still, slip, eta, ahead), Work(t, q, still, still, np.zeros_like(eta), -ahead)]
+    return works
 
 
 def _sweep_of(model, settings):

@@ -22,11 +22,6 @@ class Totals:
         for name, parameter in self.parameters.items():
             self.sums[name] = self.sums[name] + parameter.work(work)
 
-    def entries(self, entries):
-        """Add entries of single states."""
-        if entries:
-            self.work(Work(np.array([entry.t for entry in entries]), *(np.stack(column) for column in list(zip(*entries))[1:])))
-
     def own(self, slopes):
         """Add what an objective's own Slopes say of parameters."""
         for name in self.sums.keys() & slopes.direct.keys():

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 
@@ -21,3 +22,10 @@ class Work(NamedTuple):
     mu: NDArray | None = None
     kappa: NDArray | None = None
     nu: NDArray | None = None
+
+
+def stacked(entries):
+    """One Work of entries of single states, or None where there is none."""
+    if not entries:
+        return None
+    return Work(np.array([entry.t for entry in entries]), *(np.stack(column) for column in list(zip(*entries))[1:]))
