@@ -6,9 +6,9 @@ import numpy as np
 
 import polyida as pi
 from polyida.compiled import entry
-from polyida.gradient.plain import Sent
-from polyida.gradient.scene import corrections, products
-from polyida.gradient.scene.sweep import SceneSweep
+from polyida.adjoint.plain import Sent
+from polyida.adjoint.scene import corrections, products
+from polyida.adjoint.scene.sweep import SceneSweep
 from polyida.integrate.state import Counts
 from polyida.machine import one_blas_thread
 from polyida.problems import plates

@@ -5,9 +5,9 @@ import pytest
 
 import polyida as pi
 from polyida import machine
-from polyida.gradient.plain import PlainSweep, Sent
-from polyida.gradient.scene.products import products_at
-from polyida.gradient.scene.sweep import SceneSweep
+from polyida.adjoint.plain import PlainSweep, Sent
+from polyida.adjoint.scene.products import products_at
+from polyida.adjoint.scene.sweep import SceneSweep
 from polyida.integrate.alpha import scene as compiled_loop
 from polyida.model.differences import along
 from polyida.objective.slopes import Slopes

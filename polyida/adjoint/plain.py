@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.gradient.saddle import StepAdjoint
+from polyida.adjoint.saddle import StepAdjoint
 
 
 class Sent(NamedTuple):

@@ -4,9 +4,9 @@ What J says of parameters by itself is the modes' at that state; where this is a
 adjoint of that adds what J says of q and lam. Any other state is held as it is.
 """
 
-from polyida.gradient.result import Gradient
-from polyida.gradient.static import adjoint_of_static
-from polyida.gradient.totals import Totals
+from polyida.adjoint.result import Gradient
+from polyida.adjoint.static import adjoint_of_static
+from polyida.adjoint.totals import Totals
 from polyida.integrate.state import Counts
 from polyida.integrate.statics.loading import Equilibrium
 

@@ -18,6 +18,6 @@ def residual_v(model, t, q, v, w):
 
 
 def _products(model, t, q, v, lam, w):
-    from polyida.gradient.scene.products import products_at
+    from polyida.adjoint.scene.products import products_at
 
     return products_at(model, t, q, v, lam, w, np.zeros(model.m))

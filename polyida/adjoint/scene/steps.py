@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.compiled import entry, pack, part
-from polyida.gradient.scene import products
-from polyida.gradient.scene.corrections import correct, hold
+from polyida.adjoint.scene import products
+from polyida.adjoint.scene.corrections import correct, hold
 from polyida.integrate.alpha.step import SLOW, nearest, pairs
 from polyida.integrate.stepping.ended import DONE, REFACTOR, SINGULAR
 

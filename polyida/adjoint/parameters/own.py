@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import floats
-from polyida.gradient.parameters.parameter import Parameter
+from polyida.adjoint.parameters.parameter import Parameter
 
 STEP = 1e-4  # of a parameter's size: over which kinks move evenly
 

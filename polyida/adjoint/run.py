@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.gradient.beginning import begun, first
-from polyida.gradient.course import course_of
-from polyida.gradient.forward import Forward, beginning
-from polyida.gradient.moving import Moving
-from polyida.gradient.parameters.work import Work, stacked
-from polyida.gradient.plain import PlainSweep, Sent
-from polyida.gradient.result import Gradient
-from polyida.gradient.totals import Totals
+from polyida.adjoint.beginning import begun, first
+from polyida.adjoint.course import course_of
+from polyida.adjoint.forward import Forward, beginning
+from polyida.adjoint.moving import Moving
+from polyida.adjoint.parameters.work import Work, stacked
+from polyida.adjoint.plain import PlainSweep, Sent
+from polyida.adjoint.result import Gradient
+from polyida.adjoint.totals import Totals
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import Counts
@@ -153,7 +153,7 @@ def _works(t, q, v, a, lam, swept):
 def _sweep_of(model, settings):
     """The compiled sweep of a scene, or the plain one."""
     if model.compiled and settings.form == "index3" and settings.linear != "kkt":
-        from polyida.gradient.scene.sweep import SceneSweep
+        from polyida.adjoint.scene.sweep import SceneSweep
 
         return SceneSweep
     return PlainSweep

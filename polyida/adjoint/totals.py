@@ -4,8 +4,8 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_one_of
-from polyida.gradient.parameters import parameters_of
-from polyida.gradient.parameters.work import Work
+from polyida.adjoint.parameters import parameters_of
+from polyida.adjoint.parameters.work import Work
 
 
 class Totals:

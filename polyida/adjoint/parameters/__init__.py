@@ -4,16 +4,16 @@ from typing import Any
 
 from polyida.assembly.bodies.motion import motions_given
 from polyida.assembly.bodies.motion_slopes import motion_slopes
-from polyida.gradient.parameters.drives import drive_works
-from polyida.gradient.parameters.fields import of_fields
-from polyida.gradient.parameters.in_time import in_time
-from polyida.gradient.parameters.loads import of_loads
-from polyida.gradient.parameters.motions import of_motions
-from polyida.gradient.parameters.own import of_own
-from polyida.gradient.parameters.parameter import Parameter
-from polyida.gradient.parameters.plates import of_plates
-from polyida.gradient.parameters.profiles import of_profiles
-from polyida.gradient.parameters.shared import Shared
+from polyida.adjoint.parameters.drives import drive_works
+from polyida.adjoint.parameters.fields import of_fields
+from polyida.adjoint.parameters.in_time import in_time
+from polyida.adjoint.parameters.loads import of_loads
+from polyida.adjoint.parameters.motions import of_motions
+from polyida.adjoint.parameters.own import of_own
+from polyida.adjoint.parameters.parameter import Parameter
+from polyida.adjoint.parameters.plates import of_plates
+from polyida.adjoint.parameters.profiles import of_profiles
+from polyida.adjoint.parameters.shared import Shared
 
 __all__ = ["Parameter", "in_time", "parameters_of"]
 

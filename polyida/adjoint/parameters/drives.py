@@ -7,9 +7,9 @@ import numpy as np
 from polyida.assembly.own.forces import OwnForce
 from polyida.force.force_element import ForceElement
 from polyida.given import complex_of_pairs
-from polyida.gradient.parameters.elements import element_work
-from polyida.gradient.parameters.rebuilt import holding_profile, profiles_of
-from polyida.gradient.parameters.times import ORDERS, over
+from polyida.adjoint.parameters.elements import element_work
+from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
+from polyida.adjoint.parameters.times import ORDERS, over
 from polyida.model.differences import along
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.gradient.parameters.work import Work
+from polyida.adjoint.parameters.work import Work
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.force.force_element import numbers_of
-from polyida.gradient.parameters.times import over
+from polyida.adjoint.parameters.times import over
 from polyida.profile import Profile
 
 

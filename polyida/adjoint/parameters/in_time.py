@@ -3,10 +3,10 @@
 import numpy as np
 
 from polyida.force.force_element import ForceElement
-from polyida.gradient.parameters.drives import drive_works
-from polyida.gradient.parameters.parameter import total
-from polyida.gradient.parameters.times import ORDERS, over
-from polyida.gradient.parameters.work import Work
+from polyida.adjoint.parameters.drives import drive_works
+from polyida.adjoint.parameters.parameter import total
+from polyida.adjoint.parameters.times import ORDERS, over
+from polyida.adjoint.parameters.work import Work
 from polyida.model.differences import along
 
 

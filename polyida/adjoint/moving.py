@@ -7,7 +7,7 @@ at fixed times come `sum dt/dp d/dt (w . r + mu . phi + J)`, what h does in Newm
 
 import numpy as np
 
-from polyida.gradient.parameters import in_time
+from polyida.adjoint.parameters import in_time
 from polyida.integrate.alpha.start import started
 from polyida.integrate.kinks import segments
 

@@ -5,23 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.adjoint.recorded import SAME, Piece, Recorded, Room, Segments
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.state import Counts, State
-
-SAME = 1e-9  # steps that differ by less of their size are equal
-
-
-class Piece(NamedTuple):
-    """Equal steps of h from state number `first` on, `count` of them.
-
-    kind: how they began: "begin", as a run does, "cut", as within a step that failed, or "on", behind steps of `before`, s.
-    """
-
-    kind: str
-    before: float
-    h: float
-    first: int
-    count: int
+from polyida.io.frames import MEMORY_LIMIT
 
 
 class Course(NamedTuple):
@@ -35,9 +22,9 @@ class Course(NamedTuple):
     frames: np.ndarray
 
 
-def course_of(run, model, progress=None, memory_limit=None):
+def course_of(run, model, memory_limit=MEMORY_LIMIT):
     """The Course of a run: read from its frames where these are all of its steps, run again otherwise."""
-    return _of_frames(run, model) if _whole(run) else _again(run, model)
+    return _of_frames(run, model) if _whole(run) else _again(run, model, memory_limit)
 
 
 def _whole(run):
@@ -71,24 +58,25 @@ def _require_steps(run, pieces):
             )
 
 
-def _again(run, model):
+def _again(run, model, memory_limit):
     begin = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
-    seen = Recorded(begin)
-    for state in run.integrator.in_pieces(model, begin, run.plan["t_end"], Counts(), watch=seen):
-        seen.accepted(state)
+    seen = Recorded(begin, Room.of(model, memory_limit))
+    for state in _accepted(run, model, seen):
         if state.t >= run.t[-1]:
             break
-    states = seen.states
-    t = np.array([state.t for state in states])
+    t = np.array(seen.times)
     frames = np.searchsorted(run.t, t)
     frames[~np.isin(t, run.t)] = -1
     _require_frames(run, frames)
+    segments = Segments(lambda kept: _accepted(run, model, kept), seen)
+    return Course(seen.pieces, lambda first, end: (t[first:end], *segments.vectors(first, end)), frames)
 
-    def read(first, end):
-        part = states[first:end]
-        return t[first:end], *(np.array([getattr(state, name) for state in part]) for name in ("q", "v", "a", "lam"))
 
-    return Course(seen.pieces, read, frames)
+def _accepted(run, model, seen):
+    """The accepted states of the run behind the first that `seen` has, which is told of all steps."""
+    for state in run.integrator.in_pieces(model, seen.states[seen.first], run.plan["t_end"], Counts(), watch=seen):
+        seen.accepted(state)
+        yield state
 
 
 def _require_frames(run, frames):
@@ -99,44 +87,3 @@ def _require_frames(run, frames):
             f"gradient: the frame at t = {run.t[lost]:.9g} s lies between two steps, or another run's; keep the ends of steps: "
             "solve without `output` and `until`"
         )
-
-
-class Recorded:
-    """What the engine of a run says of its beginnings and steps; attempts that failed are forgotten."""
-
-    def __init__(self, state):
-        self.states, self.pieces, self.moving = [state], [], False
-
-    def begun(self, ready, h):
-        """Steps of h begin at a state."""
-        self._forget(ready.t)
-        last = self.pieces[-1] if self.pieces else None
-        kind = "cut" if "cut" in ready.memory else "on" if last and self.moving else "begin"
-        self.pieces.append(Piece(kind, last.h if last else 0.0, h, len(self.states) - 1, 0))
-        self.moving = True
-
-    def stepped(self, state):
-        """A step ended."""
-        self.states.append(state)
-        self.pieces[-1] = self.pieces[-1]._replace(count=self.pieces[-1].count + 1)
-
-    def accepted(self, state):
-        """A step of the run ended: one at rest, where nobody stepped."""
-        if state.t > self.states[-1].t:
-            h, last = state.t - self.states[-1].t, self.pieces[-1] if self.pieces else None
-            if self.moving or not last or abs(last.h - h) > SAME * h:
-                self.pieces.append(Piece("on" if self.moving else "begin", last.h if last else 0.0, h, len(self.states) - 1, 0))
-            self.stepped(state)
-            self.moving = False
-
-    def _forget(self, t):
-        """All that came after t, of an attempt that failed."""
-        while self.states[-1].t > t:
-            self.states.pop()
-            self.pieces[-1] = self.pieces[-1]._replace(count=self.pieces[-1].count - 1)
-            self._drop_empty()
-        self._drop_empty()
-
-    def _drop_empty(self):
-        while self.pieces and not self.pieces[-1].count:
-            self.pieces.pop()

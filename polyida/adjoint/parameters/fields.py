@@ -11,9 +11,9 @@ from polyida.body.body import Body
 from polyida.body.field_body import FieldBody
 from polyida.body.plate import Plate
 from polyida.force.force_element import ForceElement
-from polyida.gradient.parameters.elements import element_work
-from polyida.gradient.parameters.parameter import Parameter, total
-from polyida.gradient.parameters.rebuilt import changed, with_part
+from polyida.adjoint.parameters.elements import element_work
+from polyida.adjoint.parameters.parameter import Parameter, total
+from polyida.adjoint.parameters.rebuilt import changed, with_part
 from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
 from polyida.model.differences import EVERYWHERE, along

@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from polyida.assembly.bodies.motion import motion_of
-from polyida.gradient.parameters.parameter import Parameter
-from polyida.gradient.parameters.rebuilt import changed, with_part
+from polyida.adjoint.parameters.parameter import Parameter
+from polyida.adjoint.parameters.rebuilt import changed, with_part
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,10 @@ import numpy as np
 from polyida.assembly.factors.works import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
 from polyida.force.loads import EdgeTraction
-from polyida.gradient.parameters.loads import load_work
-from polyida.gradient.parameters.parameter import Parameter
-from polyida.gradient.parameters.rebuilt import changed, with_part
-from polyida.gradient.parameters.shared import Shared
+from polyida.adjoint.parameters.loads import load_work
+from polyida.adjoint.parameters.parameter import Parameter
+from polyida.adjoint.parameters.rebuilt import changed, with_part
+from polyida.adjoint.parameters.shared import Shared
 
 PATHS = {"thickness": ("thickness",), "E": ("material", "E"), "rho": ("material", "rho")}
 

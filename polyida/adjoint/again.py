@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.gradient.beginning import given_velocity
+from polyida.adjoint.beginning import given_velocity
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import segments
@@ -14,13 +14,15 @@ from polyida.integrate.state import Counts, State
 from polyida.integrate.stepping.grid import Grid
 from polyida.model.guarded import guard
 
+ITERATIONS = 25  # of Newton's method, at least, that so tight a tolerance may take
+
 
 class Again:
     """A run, to be taken again by the steps of its course. tolerance: Newton's."""
 
     def __init__(self, run, course, tolerance):
         self.run, self.course, self.model = run, course, guard(run.model)
-        self.settings = replace(run.integrator, tolerance=tolerance)
+        self.settings = replace(run.integrator, tolerance=tolerance, max_iterations=max(ITERATIONS, run.integrator.max_iterations))
         t, *vectors = (x[0] for x in course.states(0, 1))
         self.state = State(float(t), *vectors)
         self.given, self.own = given_velocity(self.model, self.state)

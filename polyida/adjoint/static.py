@@ -8,9 +8,9 @@ K, B, r and phi are those at the equilibrium; of one for small displacements tho
 
 import numpy as np
 
-from polyida.gradient.parameters.work import Work
-from polyida.gradient.result import Gradient
-from polyida.gradient.totals import Totals
+from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.result import Gradient
+from polyida.adjoint.totals import Totals
 from polyida.integrate.state import Counts, StepFailure
 from polyida.integrate.statics.loading import FREE
 from polyida.linear.kkt import KKT, scaling_factors
