@@ -5,10 +5,10 @@ from functools import lru_cache, partial
 import numpy as np
 
 import polyida as pi
-from polyida.compiled import entry
 from polyida.adjoint.plain import Sent
 from polyida.adjoint.scene import corrections, products
 from polyida.adjoint.scene.sweep import SceneSweep
+from polyida.compiled import entry
 from polyida.integrate.state import Counts
 from polyida.machine import one_blas_thread
 from polyida.problems import plates

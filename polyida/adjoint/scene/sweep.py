@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from polyida.assembly.rows.increments import drive_table
 from polyida.adjoint.plain import Sent, Swept
 from polyida.adjoint.scene import steps
 from polyida.adjoint.scene.products import arrays_of, scratch
+from polyida.assembly.rows.increments import drive_table
 from polyida.integrate.alpha import scene as loop
 from polyida.integrate.stepping.ended import DONE, REASONS, SINGULAR
 from polyida.linear.cholesky.helpers import Helpers
