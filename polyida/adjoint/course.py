@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.errors import InputError
 from polyida.adjoint.recorded import SAME, Piece, Recorded, Room, Segments
+from polyida.errors import InputError
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.state import Counts, State
 from polyida.io.frames import MEMORY_LIMIT

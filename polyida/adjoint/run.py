@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.errors import InputError
 from polyida.adjoint.beginning import begun, first
 from polyida.adjoint.course import course_of
 from polyida.adjoint.forward import Forward, beginning
@@ -13,6 +12,7 @@ from polyida.adjoint.parameters.work import Work, stacked
 from polyida.adjoint.plain import PlainSweep, Sent
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.totals import Totals
+from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import Counts
