@@ -3,10 +3,10 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from polyida.adjoint.modal import gradient_of_modes
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.run import gradient_of_run
-from polyida.adjoint.static import gradient_of_static
+from polyida.adjoint.still.modal import gradient_of_modes
+from polyida.adjoint.still.static import gradient_of_static
 from polyida.bar import over_time, require_progress
 from polyida.errors import InputError
 from polyida.integrate.statics.loading import Equilibrium

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.adjoint.beginning import begun, first
-from polyida.adjoint.course import course_of
-from polyida.adjoint.forward import Forward, beginning
-from polyida.adjoint.moving import Moving
+from polyida.adjoint.alpha.beginning import begun, first
+from polyida.adjoint.alpha.forward import Forward, beginning
+from polyida.adjoint.alpha.moving import Moving
+from polyida.adjoint.alpha.plain import PlainSweep, Sent
 from polyida.adjoint.parameters.work import Work, stacked
-from polyida.adjoint.plain import PlainSweep, Sent
 from polyida.adjoint.result import Gradient
+from polyida.adjoint.steps.course import course_of
 from polyida.adjoint.totals import Totals
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.adjoint.recorded import SAME, Piece, Recorded, Room, Segments
+from polyida.adjoint.steps.recorded import SAME, Piece, Recorded, Room, Segments
 from polyida.errors import InputError
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.state import Counts, State

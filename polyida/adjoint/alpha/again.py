@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.adjoint.beginning import given_velocity
+from polyida.adjoint.alpha.beginning import given_velocity
 from polyida.errors import InputError
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
