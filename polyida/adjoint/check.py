@@ -12,6 +12,7 @@ from polyida.adjoint.parameters import parameters_of
 from polyida.keywords import named_keywords
 from polyida.model.differences import central
 from polyida.model.guarded import guard
+from polyida.objective.objective import Objective
 
 TIGHT = 1e-11  # Newton's tolerance in the runs that differences are made of
 LITTLE = 1e-3  # of J: what J changes by with a whole parameter, below which that is no measure of errors
@@ -29,6 +30,7 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     that move a kink at the run's very beginning, or what its constraints ask of the start. A run of GeneralizedAlpha only. Raises InputError
     as `pi.gradient`.
     """
+    objective = objective.named(run.model) if isinstance(objective, Objective) else objective
     found, known = gradient(run, objective, parameters=parameters), parameters_of(run.model)
     again = Again(run, course_of(run, guard(run.model)), min(TIGHT, run.integrator.tolerance or TIGHT))
     random, errors = np.random.default_rng(seed), {}

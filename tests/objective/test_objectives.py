@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.adjoint.parameters import parameters_of
 
 of = pi.objective
 FRAMES = ("t", "q", "v", "a", "lam")
@@ -116,6 +117,13 @@ def test_parts_are_given_by_themselves_too(motion):
     assert of.StrainEnergy(parts["upper"])(motion) == of.StrainEnergy("upper")(motion)
     assert of.PeakReaction(parts["motor"])(motion) == of.PeakReaction("motor")(motion)
     assert of.Deviation(end, (1.0, 0.0))(motion) == of.Deviation(parts["tip"], (1.0, 0.0))(motion)
+    objective = of.StrainEnergy(parts["upper"]) + of.PeakReaction(parts["motor"]) + of.Deviation(end, CIRCLE)
+    other = replace(motion, model=parameters_of(motion.model)["upper.E"].replaced(6e7))
+    with pytest.raises(pi.InputError, match="no body that deforms is called Plate"):
+        objective(other)
+    assert objective.named(motion.model)(other) == (of.StrainEnergy("upper") + of.PeakReaction("motor") + of.Deviation("tip", CIRCLE))(
+        other
+    )
     one, two = of.StrainEnergy(), of.PeakReaction("motor")
     assert sum([one, -two, two * 2])(motion) == pytest.approx(one(motion) + two(motion), rel=1e-13)
 

@@ -77,13 +77,9 @@ class TimeMean(Objective):
 
         def elsewhere(model, part):
             """What is seen of the frames with another model."""
-            return self._named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]
+            return self.named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]
 
         return of
-
-    def _named(self, model: Any) -> "TimeMean":
-        """The same with names in place of parts, which a model of other parts knows."""
-        return self
 
     def _of(self, run):
         return self._seen(guard(run.model, type(self).__name__), _span(run))
