@@ -1,6 +1,6 @@
 """Objectives against what runs tell, and their slopes against differences of their own values."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -150,6 +150,51 @@ def test_long_runs_are_read_in_pieces(motion, monkeypatch):
     far = replace(motion, q=motion.q.view(Frames))
     assert of.StrainEnergy()(far) == of.StrainEnergy()(motion)
     assert [key.stop - key.start for key in asked] == [2, 2, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Sprung(pi.Body):
+    """Two points on a spring of rest length 1 m, its energy a user's Python."""
+
+    k: float = 30.0
+    name: str | None = None
+
+    def coordinates(self):
+        return [0.0, 1.0]
+
+    def mass_matrix(self):
+        return np.eye(2)
+
+    def attachments(self):
+        return {"a": [1.0, 0.0], "b": [0.0, 1.0]}
+
+    def translation(self):
+        return [1.0, 1.0]
+
+    def elastic(self, z):
+        w = z[1] - z[0]
+        pull = self.k * (abs(w) - 1.0) * w / abs(w)
+        return np.array([-pull, pull])
+
+    def energy(self, z):
+        return 0.5 * self.k * (abs(z[1] - z[0]) - 1.0) ** 2
+
+
+def test_energy_of_own_bodies():
+    made, mesh = pi.Scene(), pi.mesh.quads(1.0, 0.2, 2, 1)
+    made.add(pi.Plate(mesh, pi.Material(5e4, 0.3, 1100.0), 0.01, name="plate"))
+    made.add(Sprung(name="spring"))
+    run = moving(made.build())
+    energies = [of.StrainEnergy(name) for name in ("plate", "spring", None)]
+    lengths = np.hypot(*(np.array([[1.0], [0.0]]) + (run.q[:, -2:] - run.q[:, -4:-2]).T))
+    assert energies[1](run) == pytest.approx(np.trapezoid(15.0 * (lengths - 1.0) ** 2, run.t) / np.ptp(run.t), rel=1e-10)
+    assert energies[0](run) + energies[1](run) == pytest.approx(energies[2](run), rel=1e-12)
+    way = 1e-3 * np.random.default_rng(4).standard_normal(run.q.shape)
+    for energy in energies:
+        slopes = energy.slopes(run)(slice(None))
+        assert np.sum(slopes.q * way) == pytest.approx(difference(lambda s: energy(replace(run, q=run.q + s * way))), rel=1e-7)  # noqa: B023
+    stiffer = parameters_of(run.model)["spring.k"].of_model(energies[1].slopes(run)(slice(None)).of_model)
+    assert 30.0 * stiffer == pytest.approx(energies[1](run), rel=1e-9)
 
 
 class Rods(pi.problems.get("pendulum").model.__class__):
