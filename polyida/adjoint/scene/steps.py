@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.compiled import entry, pack, part
 from polyida.adjoint.scene import products
 from polyida.adjoint.scene.corrections import correct, hold
+from polyida.compiled import entry, pack, part
 from polyida.integrate.alpha.step import SLOW, nearest, pairs
 from polyida.integrate.stepping.ended import DONE, REFACTOR, SINGULAR
 

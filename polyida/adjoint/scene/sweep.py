@@ -1,11 +1,11 @@
-"""The backward sweep of generalized-alpha on a compiled scene; what it solves is in `gradient/plain.py`."""
+"""The backward sweep of generalized-alpha on a compiled scene; what it solves is in `adjoint/alpha/plain.py`."""
 
 import numpy as np
 
-from polyida.assembly.rows.increments import drive_table
-from polyida.adjoint.plain import Sent, Swept
+from polyida.adjoint.alpha.plain import Sent, Swept
 from polyida.adjoint.scene import steps
 from polyida.adjoint.scene.products import arrays_of, scratch
+from polyida.assembly.rows.increments import drive_table
 from polyida.integrate.alpha import scene as loop
 from polyida.integrate.stepping.ended import DONE, REASONS, SINGULAR
 from polyida.linear.cholesky.helpers import Helpers

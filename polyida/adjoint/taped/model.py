@@ -7,7 +7,8 @@ parameters is left as an entry of `entries`: what multiplies r, phi, its rate an
 import numpy as np
 
 from polyida.adjoint.parameters.work import Work
-from polyida.adjoint.tape import add_to, value_of
+from polyida.adjoint.taped.pulled import residual_q, residual_v
+from polyida.adjoint.taped.tape import add_to, value_of
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate
 from polyida.integrate.state import Counts
@@ -35,9 +36,9 @@ class TapedModel:
 
         def back(bar):
             at = t, value_of(q), value_of(v)
-            add_to(q, self.model.force_q(*at).T @ bar)
+            add_to(q, residual_q(self.model, *at, *self._none, bar))
             if self.needs.velocity_forces:
-                add_to(v, self.model.force_v(*at).T @ bar)
+                add_to(v, residual_v(self.model, *at, bar))
             self.note(t, q, v, w=bar)
 
         return self.tape.noted([self.model.force(t, value_of(q), value_of(v))], back)[0]
@@ -156,9 +157,9 @@ def _moved(taped, state, way, alpha, nu, gain):
     now = [value_of(x) for x in (state.q, state.v, state.a, state.lam)]
     at = lambda s: [x + s * d for x, d in zip(now, way)]  # noqa: E731
     reach = (1.0 + np.abs(q).max()) / max(np.abs(way[0]).max(), 1e-300)
-    add_to(state.q, -along(lambda s: model.tangent(t, *at(s), 0.0, 0.0, 1.0).T @ alpha, reach) - turned(model, t, q, nu, gain))
+    add_to(state.q, -along(lambda s: residual_q(model, t, *at(s), alpha), reach) - turned(model, t, q, nu, gain))
     if model.needs.velocity_forces:
-        add_to(state.v, -along(lambda s: model.force_v(t, *at(s)[:2]).T @ alpha, reach))
+        add_to(state.v, -along(lambda s: residual_v(model, t, *at(s)[:2], alpha), reach))
     if model.needs.mass_varies:
         add_to(state.a, -along(lambda s: model.mass(at(s)[0]) @ alpha, reach))
     if model.needs.phi_q_varies:
