@@ -54,6 +54,16 @@ def test_equilibria(linear):
     compare(scene(), answer, OBJECTIVES, pi.gradient, ("beam.nu", "beam.tau", "low.E", "spring.length"))
 
 
+def test_they_are_checked_as_runs_are():
+    """The spring's slopes are differences, which third derivatives of its energy tell."""
+    model, names = scene(), ["beam.E", "beam.mass", "tip.mass"]
+    still, place = pi.static(model, t=0.3), of.Deviation(model.parts["low"].section("right"), (2.0, 0.5))
+    subjects = (still, place, 1e-8), (pi.modes(model, still, count=1), of.Frequency(), 1e-5), (pi.modes(scene(0.0)), of.Frequency(), 1e-7)
+    for subject, objective, least in subjects:
+        errors = pi.check_gradient(subject, objective, names)
+        assert list(errors) == names and max(errors.values()) < least
+
+
 def test_one_solve():
     found = pi.static(scene(), t=0.3)
     assert found.model.n == len(found.q)

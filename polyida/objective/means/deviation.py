@@ -35,9 +35,8 @@ class Deviation(TimeMean):
 
     def named(self, model: Any) -> "Deviation":
         """By the name of its part, or of the body that an attachment is of."""
-        if isinstance(self.point, Attachment):
-            return replace(self, point=OnBody(named(model, self.point.body), self.point))
-        return replace(self, point=named(model, self.point))
+        body = named(model, self.point.body) if isinstance(self.point, Attachment) else None
+        return replace(self, point=OnBody(body, self.point) if isinstance(body, str) else named(model, self.point))
 
     def _seen(self, model, span):
         """The squared distance."""

@@ -112,9 +112,9 @@ class _Mean:
         length = float(t[-1] - t[0]) or 1.0
         weights = np.convolve(steps, [0.5, 0.5]) if len(steps) else np.ones(1)
         self.value = power_mean(weights / length, s, p)
-        rates = relative(s, self.value) ** (p - 1.0)
-        self.shares = weights / length * rates
-        by_weights = s * rates
+        steep = relative(s, self.value) ** (p - 1.0)
+        self.shares = weights / length * steep
+        by_weights = s * steep
         turned = np.convolve(by_weights[:-1] + by_weights[1:], [-0.5, 0.5]) if len(steps) else np.zeros(1)
         if len(steps):
             turned[[0, -1]] += self.value, -self.value
