@@ -27,8 +27,8 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     That is found again with each parameter changed by a thousandth and two, up and down; of an array along one direction drawn at random
     (seed). A run takes the same steps again, at a Newton's tolerance of 1e-11, its pieces between kinks stretched as these move. So what is
     seen is the error of the gradient, that of the run's own tolerance with it. Relative to the difference, or to J over a thousand times
-    the parameter where that is larger. Left out are parameters that move a kink at the very beginning, or what constraints ask of the start.
-    Raises InputError as `pi.gradient`.
+    the parameter where that is larger. Left out are parameters that move a kink at the very beginning, or what constraints ask of the
+    start. Raises InputError as `pi.gradient`.
     """
     found, known = gradient(run, objective, parameters=parameters), parameters_of(run.model)
     objective, again = objective.named(run.model), _again(run)
