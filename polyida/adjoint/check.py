@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.again import Again
-from polyida.adjoint.course import course_of
+from polyida.adjoint.alpha.again import Again
 from polyida.adjoint.gradient import gradient
 from polyida.adjoint.parameters import parameters_of
+from polyida.adjoint.steps.course import course_of
 from polyida.keywords import named_keywords
 from polyida.model.differences import central
 from polyida.model.guarded import guard

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from polyida.bar import over_time, require_progress
-from polyida.errors import InputError
-from polyida.adjoint.modal import gradient_of_modes
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.run import gradient_of_run
-from polyida.adjoint.static import gradient_of_static
+from polyida.adjoint.still.modal import gradient_of_modes
+from polyida.adjoint.still.static import gradient_of_static
+from polyida.bar import over_time, require_progress
+from polyida.errors import InputError
 from polyida.integrate.statics.loading import Equilibrium
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.keywords import named_keywords
@@ -54,8 +54,15 @@ def gradient(
             return gradient_of_modes(run, objective, names)
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
-        with over_time(progress, 0.0, float(run.t[-1] - run.t[0])) as tell:
-            return gradient_of_run(run, objective, names, tell, memory_limit)
+        begin, end = float(run.t[0]), float(run.t[-1])
+        if progress is not True:
+            return gradient_of_run(run, objective, names, progress or _nobody, memory_limit)
+        with over_time(progress, begin, end) as tell:
+            return gradient_of_run(run, objective, names, lambda t: tell(begin + end - t), memory_limit)
+
+
+def _nobody(t):
+    """What is told of progress where nobody asks."""
 
 
 def _names(parameters):

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.errors import InputError
-from polyida.adjoint.beginning import begun, first
-from polyida.adjoint.course import course_of
-from polyida.adjoint.forward import Forward, beginning
-from polyida.adjoint.moving import Moving
+from polyida.adjoint.alpha.beginning import begun, first
+from polyida.adjoint.alpha.forward import Forward, beginning
+from polyida.adjoint.alpha.moving import Moving
+from polyida.adjoint.alpha.plain import PlainSweep, Sent
 from polyida.adjoint.parameters.work import Work, stacked
-from polyida.adjoint.plain import PlainSweep, Sent
 from polyida.adjoint.result import Gradient
+from polyida.adjoint.steps.course import course_of
 from polyida.adjoint.totals import Totals
+from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import Counts
@@ -27,7 +27,7 @@ def gradient_of_run(run, objective, names, progress, memory_limit):
     """The Gradient of an objective of a run. Raises InputError for a run that has no adjoint here."""
     _require(run)
     back = Backward(run, objective, names, memory_limit)
-    sent, lam = back.through(progress or (lambda t: None))
+    sent, lam = back.through(progress)
     state = beginning(back.course, back.course.pieces[0], None)
     start = first(back.model, state, sent, lam)
     if work := stacked(start.entries):
@@ -100,7 +100,7 @@ class Backward:
             for work in works:
                 self.totals.work(work)
             if keep:
-                self._move(piece, first, last, works, own.t, keep, *more.values())
+                self._move(piece, first, last, works, own.by_time(), keep, *more.values())
             sent = swept.sent
             progress(float(t[0]))
         return sent
@@ -162,8 +162,9 @@ def _sweep_of(model, settings):
 def _spread(own, frames):
     """Slopes of frames as those of states, of which the others are no frames."""
     found = {}
-    for name in ("q", "v", "a", "lam", "t"):
-        if (slopes := getattr(own, name)) is not None:
+    each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
+    for name, slopes in each.items():
+        if slopes is not None:
             found[name] = np.zeros((len(frames), *slopes.shape[1:]))
             found[name][frames >= 0] = slopes
     return Slopes(**found)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from polyida.errors import InputError
-from polyida.given import is_one_of
 from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.parameters.work import Work
+from polyida.errors import InputError
+from polyida.given import is_one_of
 
 
 class Totals:

@@ -5,7 +5,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 import polyida as pi
-from polyida.adjoint.plain import Sent
+from polyida.adjoint.alpha.plain import Sent
 from polyida.adjoint.scene import corrections, products
 from polyida.adjoint.scene.sweep import SceneSweep
 from polyida.compiled import entry

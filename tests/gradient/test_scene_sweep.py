@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida import machine
-from polyida.adjoint.plain import PlainSweep, Sent
+from polyida.adjoint.alpha.plain import PlainSweep, Sent
 from polyida.adjoint.scene.products import products_at
 from polyida.adjoint.scene.sweep import SceneSweep
 from polyida.integrate.alpha import scene as compiled_loop

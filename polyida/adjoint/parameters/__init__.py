@@ -2,8 +2,6 @@
 
 from typing import Any
 
-from polyida.assembly.bodies.motion import motions_given
-from polyida.assembly.bodies.motion_slopes import motion_slopes
 from polyida.adjoint.parameters.drives import drive_works
 from polyida.adjoint.parameters.fields import of_fields
 from polyida.adjoint.parameters.in_time import in_time
@@ -14,6 +12,8 @@ from polyida.adjoint.parameters.parameter import Parameter
 from polyida.adjoint.parameters.plates import of_plates
 from polyida.adjoint.parameters.profiles import of_profiles
 from polyida.adjoint.parameters.shared import Shared
+from polyida.assembly.bodies.motion import motions_given
+from polyida.assembly.bodies.motion_slopes import motion_slopes
 
 __all__ = ["Parameter", "in_time", "parameters_of"]
 

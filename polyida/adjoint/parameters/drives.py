@@ -4,24 +4,30 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.assembly.own.forces import OwnForce
-from polyida.force.force_element import ForceElement
-from polyida.given import complex_of_pairs
 from polyida.adjoint.parameters.elements import element_work
 from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
 from polyida.adjoint.parameters.times import ORDERS, over
+from polyida.assembly.own.forces import OwnForce
+from polyida.force.force_element import ForceElement
+from polyida.given import complex_of_pairs
 from polyida.model.differences import along
 
 
 def drive_works(model, work):
     """(k, profiles, 3): the slopes of each entry of the sum in value, rate and second derivative of every profile of a scene."""
+    found = on_rows_and_loads(model, work)
+    for name, part in model.parts.items():
+        if isinstance(part, ForceElement):
+            _add_element(model, name, part, work, found)
+    return found
+
+
+def on_rows_and_loads(model, work):
+    """The same without force elements."""
     found = np.zeros((len(work.t), len(model.profiles), 3))
     _add_loads(model, work, found)
     _add_shifts(model, work, found)
     _add_products(model, work, found)
-    for name, part in model.parts.items():
-        if isinstance(part, ForceElement):
-            _add_element(model, name, part, work, found)
     return found
 
 

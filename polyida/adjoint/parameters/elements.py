@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polyida.force.force_element import numbers_of
 from polyida.adjoint.parameters.times import over
+from polyida.force.force_element import numbers_of
 from polyida.profile import Profile
 
 

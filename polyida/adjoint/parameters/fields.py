@@ -5,15 +5,15 @@ from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import Any
 
+from polyida.adjoint.parameters.elements import element_work
+from polyida.adjoint.parameters.parameter import Parameter, total
+from polyida.adjoint.parameters.rebuilt import changed, with_part
 from polyida.assembly.bodies.motion import motions_given
 from polyida.assembly.own.forces import OwnForce
 from polyida.body.body import Body
 from polyida.body.field_body import FieldBody
 from polyida.body.plate import Plate
 from polyida.force.force_element import ForceElement
-from polyida.adjoint.parameters.elements import element_work
-from polyida.adjoint.parameters.parameter import Parameter, total
-from polyida.adjoint.parameters.rebuilt import changed, with_part
 from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
 from polyida.model.differences import EVERYWHERE, along

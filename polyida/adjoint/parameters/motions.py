@@ -5,9 +5,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from polyida.assembly.bodies.motion import motion_of
 from polyida.adjoint.parameters.parameter import Parameter
 from polyida.adjoint.parameters.rebuilt import changed, with_part
+from polyida.assembly.bodies.motion import motion_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from polyida.adjoint.parameters.parameter import Parameter
 from polyida.errors import InputError
 from polyida.given import floats
-from polyida.adjoint.parameters.parameter import Parameter
 
 STEP = 1e-4  # of a parameter's size: over which kinks move evenly
 

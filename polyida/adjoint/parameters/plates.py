@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from polyida.assembly.factors.works import mass_work, stiffness_work
-from polyida.assembly.loads import gravity_at
-from polyida.force.loads import EdgeTraction
 from polyida.adjoint.parameters.loads import load_work
 from polyida.adjoint.parameters.parameter import Parameter
 from polyida.adjoint.parameters.rebuilt import changed, with_part
 from polyida.adjoint.parameters.shared import Shared
+from polyida.assembly.factors.works import mass_work, stiffness_work
+from polyida.assembly.loads import gravity_at
+from polyida.force.loads import EdgeTraction
 
 PATHS = {"thickness": ("thickness",), "E": ("material", "E"), "rho": ("material", "rho")}
 

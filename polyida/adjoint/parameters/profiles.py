@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.assembly.loads import GRAVITY
-from polyida.errors import InputError
-from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.given import floats, is_number
 from polyida.adjoint.parameters.parameter import Parameter
 from polyida.adjoint.parameters.rebuilt import with_profile
 from polyida.adjoint.parameters.times import kink_speeds, over, slope_over
 from polyida.adjoint.parameters.work import Work
+from polyida.assembly.loads import GRAVITY
+from polyida.errors import InputError
+from polyida.force.loads import EdgeTraction, PointLoad
+from polyida.given import floats, is_number
 from polyida.profile import MAKERS, Profile, polynomial, scaled
 
 DEFAULTS = tuple(kind.profile for kind in (PointLoad, EdgeTraction))  # of loads that were given none

@@ -1,8 +1,8 @@
-"""The backward sweep of generalized-alpha on a compiled scene; what it solves is in `adjoint/plain.py`."""
+"""The backward sweep of generalized-alpha on a compiled scene; what it solves is in `adjoint/alpha/plain.py`."""
 
 import numpy as np
 
-from polyida.adjoint.plain import Sent, Swept
+from polyida.adjoint.alpha.plain import Sent, Swept
 from polyida.adjoint.scene import steps
 from polyida.adjoint.scene.products import arrays_of, scratch
 from polyida.assembly.rows.increments import drive_table

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.adjoint.saddle import StepAdjoint
+from polyida.adjoint.alpha.saddle import StepAdjoint
 
 
 class Sent(NamedTuple):

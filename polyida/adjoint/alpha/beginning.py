@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.adjoint.plain import Sent
-from polyida.adjoint.tape import Tape, add_to
-from polyida.adjoint.taped_model import TapedModel
+from polyida.adjoint.alpha.plain import Sent
+from polyida.adjoint.taped.model import TapedModel
+from polyida.adjoint.taped.tape import Tape, add_to
 from polyida.integrate.alpha.start import started
 from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import State

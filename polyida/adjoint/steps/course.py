@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.adjoint.steps.recorded import SAME, Piece, Recorded, Room, Segments
 from polyida.errors import InputError
-from polyida.adjoint.recorded import SAME, Piece, Recorded, Room, Segments
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.state import Counts, State
 from polyida.io.frames import MEMORY_LIMIT
@@ -29,9 +29,12 @@ def course_of(run, model, memory_limit=MEMORY_LIMIT):
 
 def _whole(run):
     """Whether the frames are the ends of all steps, of steps that nothing but h and kinks chose."""
-    plan, settings = run.plan, run.integrator
-    every = plan.get("every", 1) == 1 and not plan.get("output") and plan.get("precision", "double") == "double"
-    return every and settings.h is not None and not settings.adaptive and not run.counts.rejected and run.status != "stopped"
+    every = run.plan.get("every", 1) == 1 and not run.plan.get("output") and _double(run)
+    return every and _repeats(run.integrator) and not run.counts.rejected and run.status != "stopped"
+
+
+def _double(run):
+    return run.plan.get("precision", "double") == "double"
 
 
 def _of_frames(run, model):
@@ -45,8 +48,13 @@ def _of_frames(run, model):
         if done >= len(run) - 1:
             break
     _require_steps(run, pieces)
+    return Course(pieces, _reader(run), np.arange(len(run)))
+
+
+def _reader(run):
+    """A function (first, end) that gives the run's own frames."""
     arrays = run.t, run.q, run.v, run.a, run.lam
-    return Course(pieces, lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays), np.arange(len(run)))
+    return lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays)
 
 
 def _require_steps(run, pieces):
@@ -60,7 +68,7 @@ def _require_steps(run, pieces):
 
 def _again(run, model, memory_limit):
     begin = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
-    seen = Recorded(begin, Room.of(model, memory_limit))
+    seen = Recorded(begin, Room.of(model, memory_limit, _repeats(run.integrator)))
     for state in _accepted(run, model, seen):
         if state.t >= run.t[-1]:
             break
@@ -68,8 +76,25 @@ def _again(run, model, memory_limit):
     frames = np.searchsorted(run.t, t)
     frames[~np.isin(t, run.t)] = -1
     _require_frames(run, frames)
+    if seen.states is None and not _repeats(run.integrator):
+        return Course(seen.pieces, _read(run, frames, memory_limit), frames)
     segments = Segments(lambda kept: _accepted(run, model, kept), seen)
     return Course(seen.pieces, lambda first, end: (t[first:end], *segments.vectors(first, end)), frames)
+
+
+def _repeats(settings):
+    """Whether steps behind a checkpoint are those of the run bit by bit: steps whose size is chosen on the way are not."""
+    return settings.h is not None and not settings.adaptive
+
+
+def _read(run, frames, memory_limit):
+    """What reads states from frames. Raises InputError where these are not all of them."""
+    if not ((frames >= 0).all() and _double(run)):
+        raise InputError(
+            f"gradient: memory_limit = {memory_limit:.3g} bytes has no room for the {len(frames) - 1} steps of the run, and adaptive steps "
+            "cannot be taken again from checkpoints; allow more, or keep every step as a frame"
+        )
+    return _reader(run)
 
 
 def _accepted(run, model, seen):

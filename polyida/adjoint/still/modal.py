@@ -5,7 +5,7 @@ adjoint of that adds what J says of q and lam. Any other state is held as it is.
 """
 
 from polyida.adjoint.result import Gradient
-from polyida.adjoint.static import adjoint_of_static
+from polyida.adjoint.still.static import adjoint_of_static
 from polyida.adjoint.totals import Totals
 from polyida.integrate.state import Counts
 from polyida.integrate.statics.loading import Equilibrium

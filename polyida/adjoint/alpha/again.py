@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from polyida.adjoint.alpha.beginning import given_velocity
 from polyida.errors import InputError
-from polyida.adjoint.beginning import given_velocity
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import segments

@@ -7,8 +7,8 @@ parameters is left as an entry of `entries`: what multiplies r, phi, its rate an
 import numpy as np
 
 from polyida.adjoint.parameters.work import Work
-from polyida.adjoint.pulled import residual_q, residual_v
-from polyida.adjoint.tape import add_to, value_of
+from polyida.adjoint.taped.pulled import residual_q, residual_v
+from polyida.adjoint.taped.tape import add_to, value_of
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate
 from polyida.integrate.state import Counts

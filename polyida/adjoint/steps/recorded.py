@@ -32,9 +32,11 @@ class Room(NamedTuple):
     limit: float
 
     @classmethod
-    def of(cls, model, memory_limit):
-        """Of a number of bytes, half of them for checkpoints where these are needed."""
+    def of(cls, model, memory_limit, repeats):
+        """Of a number of bytes, half of them for checkpoints where these are of use, since steps behind them repeat."""
         frame, half = 8 * (3 * model.n + model.m), memory_limit / 2
+        if not repeats:
+            return cls(memory_limit / frame, np.inf, np.inf, memory_limit)
         return cls(memory_limit / frame, half / frame / 2, half / (8 * NUMBERS * model.n), memory_limit)
 
 

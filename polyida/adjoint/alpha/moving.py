@@ -59,9 +59,7 @@ class Moving:
     def _by_before(self, state, sent, piece):
         if piece.kind != "on":
             return 0.0
-        values = [
-            _dot(sent, started(self.settings, self.model, _after(state, piece.before * (1.0 + s)), piece.h)) for s in (SMALL, -SMALL)
-        ]
+        values = [_dot(sent, started(self.settings, self.model, _after(state, piece.before * (1.0 + s)), piece.h)) for s in (SMALL, -SMALL)]
         return (values[0] - values[1]) / (2.0 * SMALL * piece.before)
 
     def add_to(self, sums, course):
