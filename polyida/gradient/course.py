@@ -78,7 +78,11 @@ def _again(run, model):
         seen.accepted(state)
         if state.t >= run.t[-1]:
             break
-    states = seen.states
+    return of_states(run, seen.states, seen.pieces)
+
+
+def of_states(run, states, pieces):
+    """The Course of a run that was run again. Raises InputError where a frame is no state of the steps."""
     t = np.array([state.t for state in states])
     frames = np.searchsorted(run.t, t)
     frames[~np.isin(t, run.t)] = -1
@@ -88,7 +92,7 @@ def _again(run, model):
         part = states[first:end]
         return t[first:end], *(np.array([getattr(state, name) for state in part]) for name in ("q", "v", "a", "lam"))
 
-    return Course(seen.pieces, read, frames)
+    return Course(pieces, read, frames)
 
 
 def _require_frames(run, frames):
