@@ -8,12 +8,12 @@ from polyida.gradient.plain import Sent
 from polyida.gradient.radau.course import course_of
 from polyida.gradient.radau.equations import Linearised
 from polyida.gradient.radau.lifted import lift_bars
-from polyida.gradient.radau.stages import StagesAgain
+from polyida.gradient.radau.stages import StagesAgain, begun
 from polyida.gradient.tape import Tape, add_to
 from polyida.gradient.taped_model import TapedModel
 from polyida.gradient.totals import OwnSlopes, Totals
 from polyida.integrate.kinks import at_kink, beside, inner_side
-from polyida.integrate.start import consistent_acceleration, far_side, on_velocity
+from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import Counts, State
 from polyida.model.guarded import guard
 
@@ -58,24 +58,19 @@ class RadauBackward:
 
     def _steps(self, first, end, bars):
         """Bars of q and v of state `first`, from those of state `end` without the objective's own."""
-        begun = [self._begun(k) for k in range(first, end)]
-        times = self.course.states(first, end + 1)[0].tolist()
-        steps = [self.again.of(state, t) for state, t in zip(begun, times[1:])]
+        states = [self.state(k) for k in range(first, end + 1)]
+        ready = [begun(self.model, state) for state in states[:-1]]
+        steps = [self.again.of(*ends) for ends in zip(ready, states[1:])]
         own = self.own.of(first + 1, end + 1)
         if own.t is not None and self.moving.speeds:
-            self.moving.at(np.array(times[1:]), own.t)
+            self.moving.at(np.array([state.t for state in states[1:]]), own.t)
         for k in reversed(range(end - first)):
-            bars = self._at_end(first + k + 1, [None if x is None else x[k] for x in (own.q, own.v, own.a, own.lam)], bars)
-            bars = self._step(self.course.pieces[first + k], begun[k], steps[k], self._projected(steps[k], times[k + 1], bars))
-            bars = self._behind_kink(first + k, bars)
+            bars = self._at_end(states[k + 1], steps[k].h, [None if x is None else x[k] for x in (own.q, own.v, own.a, own.lam)], bars)
+            bars = self._step(self.course.pieces[first + k], ready[k], steps[k], self._projected(steps[k], states[k + 1].t, bars))
+            bars = self._behind_kink(states[k], bars)
         return bars
 
-    def _begun(self, number):
-        """The State that the step behind a state began from."""
-        state = self.state(number)
-        return far_side(self.model, state, beside(state.t, 1)) if at_kink(self.model, state.t) else state
-
-    def _step(self, piece, begun, stages, bars):
+    def _step(self, piece, state, stages, bars):
         """Bars of what a step began with, from those of its end."""
         W, c, h = self.again.tableau.W, self.again.tableau.c, stages.h
         self.equations.at(stages)
@@ -87,16 +82,15 @@ class RadauBackward:
             self.lifted += self.equations.pushed(stages.mu, found.v)
         self.works += works
         if self.moving.speeds:
-            slope = (c @ found.q) @ begun.v - np.sum((W @ stages.e) * found.v) / h**2 - np.sum(stages.a * found.a) / h
+            slope = (c @ found.q) @ state.v - np.sum((W @ stages.e) * found.v) / h**2 - np.sum(stages.a * found.a) / h
             self.moving.stretch(piece, slope)
         return found.q.sum(axis=0), (c * h) @ found.q + found.v.sum(axis=0) - W.sum(axis=1) @ found.a / h
 
-    def _at_end(self, number, own, bars):
+    def _at_end(self, state, before, own, bars):
         """Bars of q and v of a state, with the objective's own there; a and lam of a frame follow from its q and v."""
         b_q, b_v = (bar if slope is None else bar + slope for bar, slope in zip(bars, own))
         if own[2] is None and own[3] is None:
             return b_q, b_v
-        state, before = self.state(number), self.course.pieces[number - 1].h
         at = inner_side(self.model, state.t, before)
         made = lambda model, q, v: consistent_acceleration(model, at, q, v)  # noqa: E731
         return self._taped(state, made, own[2:], (b_q, b_v))
@@ -109,9 +103,8 @@ class RadauBackward:
         moved = lambda model, q, v: (on_velocity(model, stages.t[-1], q, v),)  # noqa: E731
         return self._taped(last, moved, bars[1:], (bars[0], np.zeros(self.model.n)))
 
-    def _behind_kink(self, number, bars):
+    def _behind_kink(self, state, bars):
         """Bars of q and v of a state, from those of what the step behind it began with."""
-        state = self.state(number)
         if not at_kink(self.model, state.t):
             return bars
         moved = lambda model, q, v: (on_velocity(model, beside(state.t, 1), q, v),)  # noqa: E731

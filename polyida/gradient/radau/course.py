@@ -3,7 +3,8 @@
 import numpy as np
 
 from polyida.gradient.course import Course, Piece, of_states
-from polyida.gradient.radau.stages import StagesAgain
+from polyida.gradient.radau.stages import begun, within
+from polyida.integrate.radau.steps import Steps
 from polyida.integrate.state import Counts, State
 from polyida.integrate.stepping.grid import Grid
 
@@ -33,22 +34,30 @@ def _pieces(t):
 
 
 def _again(run, model):
-    begin = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
-    states, parts = [begin], StagesAgain(model, run.integrator, begin, run.plan["t_end"], Counts())
-    for state in run.integrator.steps(model, begin, run.plan["t_end"], Counts()):
-        states += [*_between(parts, states[-1], state), state]
+    begin, t_end = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam))), run.plan["t_end"]
+    states, before = [begin], begin
+    for state in run.integrator.steps(model, begin, t_end, Counts()):
+        states += map(_bare, (*_parts(run.integrator, model, before, state), state))
+        before = state
         if state.t >= run.t[-1]:
             break
     return of_states(run, states, _pieces(np.array([state.t for state in states])))
 
 
-def _between(again, state, end):
-    """The states at the ends of the parts of a fixed step that failed as a whole, without its end."""
+def _bare(state):
+    """A State without its memory, which is larger than itself."""
+    return State(state.t, state.q, state.v, state.a, state.lam)
+
+
+def _parts(settings, model, state, end):
+    """The states at the ends of the parts in which a fixed step was taken that failed as a whole, without its end."""
     last = end.within.h if end.within else np.inf
     if last > PARTED * (end.t - state.t):
         return
-    parts = Grid(state.t, end.t, round((end.t - state.t) / last))
+    state = begun(model, state)
+    engine, parts = Steps(settings, model, Counts(), end.memory["sizes"]), Grid(state.t, end.t, round((end.t - state.t) / last))
+    engine.begin(state)
+    engine.limits = within(model, state.t, end.t)
     for k in range(1, parts.count):
-        again.of(state, parts.time(k))
-        state = again.before
+        state, _ = engine.step(state, parts.h, parts.time(k))
         yield state

@@ -5,13 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.integrate.kinks import inner_side
+from polyida.integrate.kinks import at_kink, beside, inner_side
+from polyida.integrate.radau.newton import Newton
 from polyida.integrate.radau.plain import PlainSystem, lift
-from polyida.integrate.radau.radau_iia import EXACT
+from polyida.integrate.radau.radau_iia import EXACT, restarted
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.sizes import typical_sizes
-from polyida.integrate.state import State
+from polyida.integrate.start import far_side
 from polyida.linear.matrix import dense
+
+MOST = 30  # Newton iterations
 
 
 class Stages(NamedTuple):
@@ -35,24 +38,23 @@ class StagesAgain:
     """
 
     def __init__(self, model, settings, first, t_end, counts):
-        sizes = typical_sizes(model, first, t_end - first.t)
-        self.model = model
-        self.engine = Steps(replace(settings, tolerance=EXACT * float(sizes[0])), model, counts, sizes)
+        sizes, self.model = typical_sizes(model, first, t_end - first.t), model
+        exact = replace(settings, tolerance=EXACT * float(sizes[0]), max_iterations=max(MOST, settings.max_iterations))
+        self.engine = Steps(exact, model, counts, sizes)
         self.engine.begin(first)
         self.engine.looks = False
         system, self.tableau = self.engine.system, self.engine.tableau
+        self.engine.newton = self.newton = Between(system, self.tableau, exact.max_iterations)
         self.tied, self.moves_v = system.tied, system.moves_v and not system.tied
         self.lifts = isinstance(system, PlainSystem) and system.tied and not model.alike
         self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
-        self.before = None
 
-    def of(self, state, t):
-        """The Stages of the step from a state to t. Raises StepFailure."""
-        h, begin = t - state.t, inner_side(self.model, state.t, state.t - t)
-        self.engine.limits = begin if begin != state.t else -np.inf, inner_side(self.model, t, t - state.t)
-        goes_on = self.before is not None and self.before.t == state.t and begin == state.t
-        memory = self.before.memory if goes_on else {}
-        self.before, _ = self.engine.step(State(state.t, state.q, state.v, state.a, state.lam, memory), h, t)
+    def of(self, state, end):
+        """The Stages of the step from a state to another. Raises StepFailure."""
+        h = end.t - state.t
+        self.engine.limits = within(self.model, state.t, end.t)
+        self.newton.end = end
+        self.engine.step(state, h, end.t)
         return self._stages(state, h)
 
     def _stages(self, state, h):
@@ -64,3 +66,25 @@ class StagesAgain:
         if self.tied:
             dv += [self.lift * (dense(model.phi_q(*at)).T @ more) for *at, more in zip(t, q, mu)]
         return Stages(h, t, e, q, state.v + dv, W @ dv / h, lam, mu)
+
+
+class Between(Newton):
+    """A Newton that begins between the two ends of a step, both of which are known: `end`, a State, is the second."""
+
+    def _guess(self, state, h):
+        """On the cubic through q and v of both, and on straight lines of lam."""
+        x, end, c = self.system.trial, self.end, self.tableau.c[:, None]
+        way, turn = end.q - state.q - h * state.v, h * (end.v - state.v)
+        x.e[:] = c**2 * (3 * way - turn) + c**3 * (turn - 2 * way)
+        x.lam[:] = (1 - c) * state.lam + c * end.lam
+        x.mu[:] = 0.0
+
+
+def within(model, begin, end):
+    """The limits of times in a step: beside its ends where they are kinks."""
+    return inner_side(model, begin, begin - end) if at_kink(model, begin) else -np.inf, inner_side(model, end, end - begin)
+
+
+def begun(model, state):
+    """The State that the step behind a state began from: behind a kink that of the far side."""
+    return restarted(far_side(model, state, beside(state.t, 1))) if at_kink(model, state.t) else state
