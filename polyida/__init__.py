@@ -55,6 +55,9 @@ _PLACES = {
     "StateSpace": "modal.state_space",
     "frequency_response": "modal.response",
     "FrequencyResponse": "modal.response",
+    "gradient": "adjoint.gradient",
+    "check_gradient": "adjoint.check",
+    "Gradient": "adjoint.result",
     "State": "integrate.state",
     "Counts": "integrate.state",
     "GeneralizedAlpha": "integrate.alpha.generalized_alpha",
@@ -64,6 +67,7 @@ _PLACES = {
 }
 _MODULES = {
     "mesh": "mesh",
+    "design": "design",
     "profile": "profile",
     "sensor": "sensor",
     "objective": "objective",

@@ -27,7 +27,9 @@ PUBLIC |= {
     f"pi.profile.{name}": getattr(pi.profile, name)
     for name in ("constant", "polynomial", "quintic", "ramp", "linear", "sine", "from_function")
 }
+PUBLIC |= {f"pi.design.{name}": getattr(pi.design, name) for name in pi.design.__all__}
 PUBLIC |= {f"pi.sensor.{name}": getattr(pi.sensor, name) for name in pi.sensor.__all__}
+PUBLIC |= {f"pi.objective.{name}": getattr(pi.objective, name) for name in pi.objective.__all__ if name != "Objective"}
 PUBLIC |= {"pi.export.vtu": pi.export.vtu, "pi.study.sweep": pi.study.sweep}
 
 

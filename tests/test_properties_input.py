@@ -79,6 +79,7 @@ NUMBER = NOTHING + LISTS + SCALARS[2:]
 SHARE = POSITIVE + [1.0, 2.0, 1e300]
 COUNT = POSITIVE + [0.5, 1.5, 2.0, np.float64(3.0), "3"]
 PAIR = NOTHING + LISTS + SCALARS + [1.0]
+DENSITY = without(NOTHING, range) + [[0.5, 1.5], [-0.1], [np.nan], ["a"], [None], [1j]]
 TEXT = without(NOTHING[2:] + LISTS, str) + [""] + SCALARS + [1.0]
 CHOICE = NOTHING + LISTS + SCALARS + [1.0, "Stress", "no such thing"]
 PROFILE = (
@@ -256,6 +257,21 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
         made(pi.mesh.polygonize, domain=pi.mesh.Rectangle(1.0, 1.0), cells=4),
         {"domain": NOTHING + LISTS + [MESH], "cells": COUNT, "seed": [-1, 0.5, None, "1"], "iterations": COUNT},
     ),
+    "mesh.density_filter": (made(pi.mesh.density_filter, mesh=MESH, radius=0.1), {"mesh": MESHES, "radius": POSITIVE}),
+    "design.ramp": (made(pi.design.ramp, rho=0.5), {"rho": DENSITY, "q": NUMBER + [-1.0, True], "void": NUMBER + [0, 1.0]}),
+    "design.simp": (made(pi.design.simp, rho=0.5), {"rho": DENSITY, "p": NUMBER + [0.5, True], "void": NUMBER + [0, 1.0]}),
+    "design.mass": (made(pi.design.mass, rho=0.5), {"rho": DENSITY, "low": NUMBER + [-0.1, 1.0], "void": NUMBER + [0, 1.0]}),
+    "design.project": (made(pi.design.project, rho=0.5, beta=2.0), {"rho": DENSITY, "beta": POSITIVE, "eta": NUMBER + [0, 1.0]}),
+    "design.threshold": (
+        made(pi.design.threshold, mesh=MESH, rho=np.ones(8)),
+        {
+            "mesh": MESHES,
+            "rho": NOTHING + LISTS + SCALARS + [np.zeros(8), np.ones(7)],
+            "at": NUMBER + [2.0],
+            "keep": without(NOTHING, range, dict) + [["left", "tip"], [None], {"a": 1}],
+            "hanging": CHOICE,
+        },
+    ),
     "mesh.Rectangle": (
         made(pi.mesh.Rectangle, length=1.0, height=1.0),
         {"length": NUMBER[:-1] + [0, -1.0], "height": NUMBER[:-1] + [0], "origin": PAIR},
@@ -402,6 +418,7 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
             "steps": COUNT,
             "tolerance": SHARE,
             "max_iterations": COUNT,
+            "linear": NOTHING + LISTS + [1, "yes"],
         },
     ),
     "equilibrium_path": (
@@ -468,6 +485,26 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
         made(STANDING.section_forces, plate="board", at=(0.5, 0.0)),
         {"plate": [part for part in PART if part is not BOARD], "at": PAIR + [(5.0, 0.0)], "normal": PAIR + [(0.0, 0.0)], "frame": INDEX},
     ),
+    "objective.Deviation": (
+        made(pi.objective.Deviation, point="hinge", path=(1.0, 0.0)),
+        {"path": [value for value in PAIR if not callable(value)]},
+    ),
+    "objective.PeakReaction": (made(pi.objective.PeakReaction, joint="hinge"), {"p": POSITIVE + [0.5], "unit": CHOICE[1:]}),
+    "objective.PeakStress": (pi.objective.PeakStress, {"p": POSITIVE + [0.5]}),
+    "objective.Frequency": (pi.objective.Frequency, {"number": NOTHING + LISTS + SCALARS + [-1, 0.5]}),
+    "objective.Own": (
+        made(pi.objective.Own, value=float, slopes=dict),
+        {name: [value for value in NOTHING if not callable(value)] for name in ("value", "slopes")},
+    ),
+    "objective of a run": (
+        lambda **given: [kind(**given)(STANDING) for kind in (pi.objective.StrainEnergy, pi.objective.PeakStress)],
+        {"plate": [part for part in PART if part is not None and part is not BOARD]},
+    ),
+    "reaction of a run": (lambda joint: pi.objective.PeakReaction(joint)(STANDING), {"joint": PART}),
+    "deviation of a run": (lambda point: pi.objective.Deviation(point, (0.0, 0.0))(STANDING), {"point": PART}),
+    "objective of what is no run": (pi.objective.StrainEnergy(), {"run": NOTHING + LISTS + [BOARD, MODEL]}),
+    "sum of objectives": (lambda other: pi.objective.StrainEnergy() + other, {"other": PART}),
+    "objective times a number": (lambda number: pi.objective.StrainEnergy() * number, {"number": NUMBER}),
     "problems.get": (pi.problems.get, {"name": CHOICE}),
     "double_plate": (plates.double_plate, {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE}),
     "plate_chain": (plates.plate_chain, {"links": COUNT}),

@@ -1,5 +1,6 @@
 """Polygon meshes: the container, the mesher and its domains, structured meshes, files."""
 
+from polyida.mesh.density_filter import density_filter
 from polyida.mesh.drawings.outlines import read_outline, svg_path
 from polyida.mesh.files.lists import from_lists
 from polyida.mesh.files.raw import RawMesh
@@ -30,6 +31,7 @@ __all__ = [
     "Rectangle",
     "Section",
     "Union",
+    "density_filter",
     "from_lists",
     "polygonize",
     "quads",

@@ -1,0 +1,174 @@
+"""Plates designed in motion: material placed by gradients of a run, against the best static design, a thinner plate and a narrower one."""
+
+import numpy as np
+
+from designed_in_motion import designs, pictures
+from polyida.cli.study import main
+from polyida.show.html import Movie
+from polyida.study.drawing import curves, drawn, legend, look, panels, picture
+from polyida.study.rows import each, last, pick, value
+from polyida.study.sweeps.harness import Study
+
+MOTION, STATIC, PLAIN = "in motion", tuple(designs.LOADS), ("uniform", "bar")
+DESIGNS = (MOTION, *STATIC, *PLAIN)
+CELLS = {"arm": 1000, "two arms": 900}  # of a plate
+QUICK = {"arm": 300}
+
+
+def tasks(quick):
+    return [
+        {"machine": machine, "design": design, "cells": cells, "stages": "short" if quick else "full"}
+        for machine, cells in (QUICK if quick else CELLS).items()
+        for design in DESIGNS
+    ]
+
+
+def run(**task):
+    return designs.design(**task)
+
+
+def best_static(rows, machine):
+    """The row of the static design that moves best once it is solid: the comparison is with that one; None where there is none."""
+    found = [row for name in STATIC for row in pick(rows, machine=machine, design=name)]
+    return min(found, key=lambda row: row["J"], default=None)
+
+
+def gains(rows):
+    """J of the static optimum over that of the design in motion, both solid, and what the design of the arm takes."""
+    moving, still = last(rows, machine="arm", design=MOTION), best_static(rows, "arm")
+    plain = {name: value(last(rows, machine="arm", design=name), "J") / value(moving, "J") for name in PLAIN}
+    return {
+        "design_gain_over_static": value(still, "J") / value(moving, "J"),
+        **{f"design_gain_over_{name}": gain for name, gain in plain.items()},
+        "design_wall_s": value(moving, "wall_s"),
+        "design_cpu_s": value(moving, "cpu_s"),
+    }
+
+
+def measures(rows):
+    """J, the largest deviation and the peak torque of every solid design."""
+    names = {"J": "J_m2", "largest": "deviation_m", "torque": "torque_Nm"}
+    return {f"{short(row)}_{name}": row[key] for row in pick(rows) for key, name in names.items()}
+
+
+def short(row):
+    return "_".join(f"{row['machine']} {row['design']}".replace(",", "").split())
+
+
+def told(rows):
+    """Every solid design in a line; how the designs were found."""
+    lines = [
+        f"{row['machine']}, {row['design']}: J {row['J']:.3g} m2, at most {1e3 * row['largest']:.3g} mm off, torque {row['torque']:.3g} N m, "
+        f"{1e3 * row['thickness']:.4g} mm thick"
+        for row in pick(rows)
+    ]
+    return lines + [
+        f"{row['machine']}, {row['design']}: {row['evaluations']} evaluations in {row['wall_s']:.3g} s ({row['cpu_s']:.3g} CPU s), "
+        f"{row['first']:.3g} to {row['grey_J']:.3g} on densities, "
+        f"{100 * row['grey']:.2g} % grey; what has a density of {row['at']:.2f} and more is solid"
+        for row in pick(rows)
+        if "rho" in row
+    ]
+
+
+def what_is_compared(rows):
+    return [
+        "all designs of a machine have the same mass: the densest cells of a design are solid, as many as the volume asks for, and what rounding and "
+        "kept sections change is made up for by the thickness; the static design that is compared with is the one that moves best"
+    ]
+
+
+@drawn
+def densities_figure(rows):
+    """Densities of the designs, from the start through the stages of the projection to the end; black is solid."""
+    found = [row for row in pick(rows) if "rho" in row]
+    count = max((len(row["stages"]) + 1 for row in found), default=0)
+    made, axes = panels(count * len(found), width=9.0, height=0.75, columns=count)
+    for line, row in zip(axes.reshape(len(found), count), found):
+        meshes = pictures.meshes_of(row)
+        for k, (axis, rho) in enumerate(zip(line, [*row["stages"], row["rho"]])):
+            pictures.draw_densities(axis, meshes, rho)
+            axis.set_title(f"{row['machine']}, {row['design']}" if k == 0 else "", loc="left", fontsize=7)
+    return picture(made, "densities")
+
+
+@drawn
+def solids_figure(rows):
+    """The solid designs, all of the same mass."""
+    found = pick(rows)
+    made, axes = panels(len(found), width=9.0, height=1.25)
+    for axis, row in zip(axes, found):
+        pictures.draw_meshes(axis, pictures.solids_of(row))
+        axis.set_title(f"{row['machine']}, {row['design']}: J = {row['J']:.3g} m2", loc="left")
+    return picture(made, "solids")
+
+
+@drawn
+def history_figure(rows):
+    """What is minimised over the evaluations, of what it was at the start: the projection grows harder from stage to stage."""
+    found = [row for row in pick(rows) if "rho" in row]
+    made, (axis,) = panels(1 if found else 0, width=5.6)
+    for i, row in enumerate(found):
+        values = np.array(row["history"]) / row["history"][0]
+        axis.semilogy(range(1, len(values) + 1), values, **look(i) | {"marker": ""}, label=f"{row['machine']}, {row['design']}")
+    axis.set(xlabel="evaluation", ylabel="of the value at the start")
+    legend(made, axis, 2)
+    return curves(made, "history")
+
+
+@drawn
+def motion_figure(rows):
+    """How far the tip is from where a rigid machine has it, and the torque of the first motor, over time; solid designs."""
+    machines = each(pick(rows), "machine")
+    made, axes = panels(2 * len(machines), width=8.0, height=2.6)
+    for (off, torque), machine in zip(axes.reshape(-1, 2), machines):
+        for row in pick(rows, machine=machine):
+            style = look(DESIGNS.index(row["design"])) | {"marker": ""}
+            off.semilogy(row["t"], np.maximum(1e3 * np.array(row["off"]), 1e-3), label=row["design"], **style)
+            torque.plot(row["t"], row["torques"][0], label=row["design"], **style)
+        off.set(xlabel="t, s", ylabel="deviation of the tip, mm", title=machine)
+        torque.set(xlabel="t, s", ylabel="torque, N m", title=machine)
+    legend(made, axes, 5)
+    return curves(made, "motion")
+
+
+@drawn
+def movie(rows):
+    """The arm in motion: the design in motion, the static one and the bar of the same mass."""
+    shown = [last(rows, machine="arm", design=MOTION), best_static(rows, "arm"), last(rows, machine="arm", design="bar")]
+    if not any(shown):
+        raise LookupError("no rows to draw")
+    names = [row["design"] for row in shown if row]
+    caption = f"The arm, solid and of equal mass, from left to right: {'; '.join(names)}. Coloured by von Mises stress."
+    return [Movie(pictures.beside_each_other([row for row in shown if row]), caption, 6.0)]
+
+
+STUDY = Study(
+    "designed_in_motion",
+    "plates designed in motion: the mean square deviation J of the tip, of solid designs of equal mass",
+    tasks,
+    run,
+    (gains, measures),
+    (densities_figure, solids_figure, history_figure, motion_figure, movie),
+    (
+        "machine",
+        "design",
+        "cells",
+        "J",
+        "largest",
+        "torque",
+        "thickness",
+        "left_out",
+        "evaluations",
+        "wall_s",
+        "cpu_s",
+        "grey_J",
+        "grey",
+        "error",
+    ),
+    notes=(told, what_is_compared),
+    headline=("design_gain_over_static", "design_wall_s"),
+)
+
+if __name__ == "__main__":
+    main(STUDY)

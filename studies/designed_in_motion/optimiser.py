@@ -1,0 +1,65 @@
+"""The method of moving asymptotes of nlopt, in stages of a harder and harder projection."""
+
+import math
+
+from polyida.errors import InputError
+
+STAGES = {  # q of RAMP, beta of the projection, evaluations; what is found at rest begins with grey, what is found in motion with that
+    "full": {
+        "rest": ((5.0, None, 20), (10.0, 4.0, 16), (20.0, 8.0, 16), (20.0, 16.0, 16), (20.0, 32.0, 16)),
+        "motion": ((20.0, 16.0, 42), (20.0, 32.0, 42)),
+    },
+    "short": {"rest": ((5.0, None, 16), (20.0, 8.0, 16), (20.0, 16.0, 16)), "motion": ((20.0, 16.0, 24),)},
+}
+VOLUME = 0.45
+STOPPED = 1e3  # times the first value: what a design counts as whose run stops, so that the optimiser turns back
+
+
+def minimised(densities, value, stages, x, volume=VOLUME):
+    """(variables, densities at the end of each stage, values of all evaluations), beginning with the variables x.
+
+    value(rho, q): (a positive value, its slopes in rho); ArithmeticError where a run stops. What is minimised is its logarithm, so that steps are the same in any unit; volume:
+    the most of the mean of rho over the area.
+    """
+    nlopt, history, kept = _nlopt(), [], []
+    for q, beta, evaluations in stages:
+        mma = nlopt.opt(nlopt.LD_MMA, len(x))
+        mma.set_lower_bounds(0.0)
+        mma.set_upper_bounds(1.0)
+        mma.set_maxeval(evaluations)
+        mma.set_min_objective(_objective(densities, q, beta, value, history))
+        mma.add_inequality_constraint(_constraint(densities, beta, volume), 1e-6)
+        x = mma.optimize(x)
+        kept.append(densities.of(x, beta)[0])
+    return x, kept, history
+
+
+def _objective(densities, q, beta, value, history):
+    def objective(x, slope):
+        rho, rate = densities.of(x, beta)
+        try:
+            found, slopes = value(rho, q)
+        except ArithmeticError:
+            found, slopes = STOPPED * history[0], 0.0 * rho
+        history.append(found)
+        slope[:] = densities.blur.T @ (slopes * rate) / found
+        return math.log(found)
+
+    return objective
+
+
+def _constraint(densities, beta, volume):
+    def constraint(x, slope):
+        rho, rate = densities.of(x, beta)
+        slope[:] = densities.blur.T @ (densities.share * rate)
+        return float(densities.share @ rho) - volume
+
+    return constraint
+
+
+def _nlopt():
+    try:
+        import nlopt
+    except ImportError:
+        raise InputError("designed_in_motion: the optimiser is missing: pip install 'polyida[design]'") from None
+    return nlopt

@@ -1,0 +1,65 @@
+"""Pictures of designs: densities in grey, solid meshes, and several machines moving beside each other."""
+
+from functools import lru_cache
+
+import numpy as np
+
+import polyida as pi
+from designed_in_motion import optimiser, solids
+from designed_in_motion.machines import MACHINES
+
+APART = 1.3  # m, between the hinges of machines that are shown moving
+
+
+def draw_densities(axes, meshes, rho, apart=1.0):
+    """Densities of meshes in a row, each `apart` from the one before, in grey, to scale, without ticks."""
+    from matplotlib.collections import PolyCollection
+
+    cells = [mesh.points[mesh.cell(i)] + [k * apart, 0.0] for k, mesh in enumerate(meshes) for i in range(mesh.n_cells)]
+    look = {"cmap": "Greys", "clim": (0, 1), "edgecolors": "face", "linewidths": 0.2}
+    axes.add_collection(PolyCollection(cells, array=np.asarray(rho, float), **look))
+    _frame(axes, np.concatenate(cells))
+
+
+def draw_meshes(axes, meshes, apart=1.0):
+    """The polygons of meshes in a row."""
+    from matplotlib.collections import PolyCollection
+
+    cells = [mesh.points[mesh.cell(i)] + [k * apart, 0.0] for k, mesh in enumerate(meshes) for i in range(mesh.n_cells)]
+    axes.add_collection(PolyCollection(cells, facecolors="#9fc3dd", edgecolors="#0072B2", linewidths=0.25))
+    _frame(axes, np.concatenate(cells))
+
+
+def _frame(axes, points):
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.01 * (high - low).max()
+    axes.set(aspect="equal", xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), xticks=[], yticks=[])
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def meshes_of(row):
+    """The meshes on which a row's design was made."""
+    machine = MACHINES[row["machine"]]
+    height = machine.height * (optimiser.VOLUME if row["design"] == "bar" else 1.0)
+    return [machine.mesh(row["cells"], height)] * len(machine.names)
+
+
+def solids_of(row):
+    """The meshes of a row's solid design."""
+    return list(_solids(row["machine"], row["cells"], tuple(row["rho"]))) if "rho" in row else meshes_of(row)
+
+
+@lru_cache(maxsize=16)
+def _solids(machine, cells, rho):
+    meshes = [MACHINES[machine].mesh(cells)] * len(MACHINES[machine].names)
+    return solids.solid_meshes(meshes, rho, optimiser.VOLUME)[0]
+
+
+def beside_each_other(rows):
+    """A Trajectory of the solid designs of several rows of one machine, one beside the other."""
+    machine, scene = MACHINES[rows[0]["machine"]], pi.Scene(MACHINES[rows[0]["machine"]].gravity)
+    for k, row in enumerate(rows):
+        machine.add_to(scene, solids_of(row), row["thickness"], f"{row['design']}: ", k * APART * len(machine.names))
+    return pi.solve(scene.build(), machine.t_end, pi.GeneralizedAlpha(h=machine.h))

@@ -1,0 +1,1 @@
+"""What studies/mbb_beam.py is made of: the beam, its elements, the optimality criteria."""
