@@ -30,9 +30,17 @@ class RadauBackward:
         self.totals = Totals(run.model, names)
         self.own = OwnSlopes(objective, run, self.course.frames, self.totals)
         self.moving = Moving(self.model, self.settings, run, self.totals.parameters)
-        self.again = again = StagesAgain(self.model, self.settings, self.state(0), float(run.plan["t_end"]), self.counts)
-        self.equations = Linearised(self.model, again.tableau, again.lift, again.tied, self.counts)
+        self.again = StagesAgain(self.model, self.settings, self.state(0), float(run.plan["t_end"]), self.counts)
+        self.equations = self._equations()
         self.works, self.entries, self.lifted = [], [], np.zeros(self.model.n)
+
+    def _equations(self):
+        given = self.model, self.again.tableau, self.again.lift, self.again.tied, self.counts
+        if not self.model.compiled or self.settings.linear == "kkt":
+            return Linearised(*given)
+        from polyida.adjoint.radau.scene import SceneLinearised
+
+        return SceneLinearised(*given, self.settings.linear)
 
     def state(self, number):
         """A State of the course."""

@@ -23,6 +23,8 @@ from polyida.linear.condition import scaled
 from polyida.linear.lu import LU
 from polyida.linear.matrix import dense
 
+ROUNDS = 2  # solves with a step's factor: the second takes what round-off left
+
 
 class Multipliers(NamedTuple):
     """Of a step's equations, w (s, n), mu and kappa (s, m), and bars of its stages' q, v and v', (s, n) each."""
@@ -42,60 +44,69 @@ class Linearised:
         self.model, self.tableau, self.lift, self.tied, self.counts = model, tableau, lift, tied, counts
 
     def at(self, stages):
-        """Take the matrices of a step's stages."""
-        model, self.h = self.model, stages.h
-        states = list(zip(stages.t, stages.q, stages.v, stages.a, stages.lam))
+        """Take a step's stages, and their matrices."""
+        self.stages, self.h = stages, stages.h
+        self._take_rows()
+        self._take_forces()
+
+    def _take_rows(self):
+        model, x = self.model, self.stages
+        self.B = [model.phi_q(*state) for state in zip(x.t, x.q)]
+        if self.tied:
+            self.H = [model.phi_rate_q(*state) for state in zip(x.t, x.q, x.v)]
+            self.T = [model.reaction_q(*state) for state in zip(x.t, x.q, x.mu)]
+
+    def _take_forces(self):
+        model, states = self.model, list(zip(*self.stages[1:2], *self.stages[3:7]))
         self.K = [model.tangent(*state, 0.0, 0.0, 1.0) for state in states]
         self.M = [model.mass(state[1]) for state in states]
         self.C = [model.force_v(*state[:3]) for state in states] if model.needs.velocity_forces else None
-        self.B = [model.phi_q(*state[:2]) for state in states]
-        if self.tied:
-            self.H = [model.phi_rate_q(*state[:3]) for state in states]
-            self.T = [model.reaction_q(t, q, mu) for t, q, mu in zip(stages.t, stages.q, stages.mu)]
 
     def back(self, b_q, b_v):
         """The Multipliers of the step whose end has bars b_q and b_v, (n,) each. Raises SingularSystem."""
-        w, mu, kappa = self._solved(*self._right(b_q, b_v))
-        return self._bars(w, mu, kappa, b_q, b_v)
+        rows, columns = self._sizes()
+        lu = LU(scaled(self._matrix(), rows, columns), pivoting=True)
+        self.counts.factorizations += 1
+        self.counts.solves += ROUNDS
+        found = self._none()
+        for _ in range(ROUNDS):
+            left = np.concatenate([part.ravel() for part in self._left(found, b_q, b_v)[1]])
+            found = self._less(found, rows * lu.solve(columns * left, transposed=True))
+        return Multipliers(*found, *self._left(found, b_q, b_v)[0])
+
+    def _none(self):
+        """(w, mu, kappa), zero."""
+        s, m = self.tableau.stages, self.model.m
+        return np.zeros((s, self.model.n)), np.zeros((s, m)), np.zeros((s, m))
+
+    def _less(self, found, x):
+        s, n, m = self.tableau.stages, self.model.n, self.model.m
+        parts = np.split(x, [s * n, s * (n + m)])
+        return [part - more.reshape(part.shape) if more.size else part for part, more in zip(found, parts)]
+
+    def _left(self, found, b_q, b_v):
+        """((q*, v*, a*), what is left of the rows of e, lam and mu, (s, .) each) with multipliers (w, mu, kappa)."""
+        w, mu, kappa = found
+        rates = self.tableau.W.T / self.h
+        q, v, a, on_lam = self._pulled(w, mu)
+        v = v + rates @ a
+        q[-1] += b_q
+        v[-1] += b_v
+        on_mu = np.zeros((len(w), 0))
+        if self.tied:
+            v = v + _each(self.B, kappa)
+            q = q + _each(self.H, kappa) + _each(self.T, self.lift * v)
+            on_mu = np.array([B @ row for B, row in zip(self.B, self.lift * v)])
+        return (q, v, a), (q + rates @ v, on_lam, on_mu)
+
+    def _pulled(self, w, mu):
+        """K^T w + B^T mu, C^T w, M w and B w of the stages."""
+        damped = np.zeros_like(w) if self.C is None else _each(self.C, w)
+        return _each(self.K, w) + _each(self.B, mu), damped, _each(self.M, w), np.array([B @ row for B, row in zip(self.B, w)])
 
     def pushed(self, mu, v):
         """The slope in the diagonal of D^-1, (n,), from bars v (s, n) of the stages."""
         return (_each(self.B, mu) * v).sum(axis=0)
-
-    def _right(self, b_q, b_v):
-        """What the end's bars leave in the rows of e and mu: (s, n) and (s, m) or (s, 0)."""
-        on_e, on_mu = np.outer(self.tableau.W[-1] / self.h, b_v), np.zeros((len(self.B), self.model.m if self.tied else 0))
-        on_e[-1] += b_q
-        if self.tied:
-            on_e[-1] += self.T[-1].T @ (self.lift * b_v)
-            on_mu[-1] = self.B[-1] @ (self.lift * b_v)
-        return on_e, on_mu
-
-    def _bars(self, w, mu, kappa, b_q, b_v):
-        rates = self.tableau.W.T / self.h
-        a = _each(self.M, w)
-        v = rates @ a
-        v[-1] += b_v
-        q = _each(self.K, w) + _each(self.B, mu)
-        q[-1] += b_q
-        if self.C is not None:
-            v += _each(self.C, w)
-        if self.tied:
-            v += _each(self.B, kappa)
-            q += _each(self.H, kappa) + _each(self.T, self.lift * v)
-        return Multipliers(w, mu, kappa, q, v, a)
-
-    def _solved(self, on_e, on_mu):
-        """(w, mu, kappa) of the transposed system."""
-        (s, n), m = on_e.shape, self.model.m
-        rows, columns = self._sizes()
-        lu = LU(scaled(self._matrix(), rows, columns), pivoting=True)
-        self.counts.factorizations += 1
-        self.counts.solves += 1
-        right = -np.concatenate([on_e.ravel(), np.zeros(s * m), on_mu.ravel()])
-        x = rows * lu.solve(columns * right, transposed=True)
-        w, mu = x[: s * n].reshape(s, n), x[s * n : s * (n + m)].reshape(s, m)
-        return w, mu, x[s * (n + m) :].reshape(s, m) if self.tied else np.zeros((s, m))
 
     def _sizes(self):
         """Factors of rows and columns: r and lam measured in the size of `K + M / h^2`, mu in 1/h, `B v + phi_t` too."""
