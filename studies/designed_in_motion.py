@@ -12,12 +12,12 @@ from polyida.study.sweeps.harness import Study
 MOTION, STATIC, PLAIN = "in motion", tuple(designs.LOADS), ("uniform", "bar")
 DESIGNS = (MOTION, *STATIC, *PLAIN)
 CELLS = {"arm": 1000, "two arms": 900}  # of a plate
-QUICK = {"arm": 300}
+QUICK = {"arm": 400}
 
 
 def tasks(quick):
     return [
-        {"machine": machine, "design": design, "cells": cells, "stages": "short" if quick else "full"}
+        {"machine": machine, "design": design, "cells": cells, "effort": "short" if quick else "full"}
         for machine, cells in (QUICK if quick else CELLS).items()
         for design in DESIGNS
     ]

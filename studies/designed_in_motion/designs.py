@@ -14,17 +14,17 @@ TIP = {"gravity": (0.0, 0.0), "load": (0.0, -1.0)}  # of the motors held, 1 N
 LOADS = {"static, tip load": TIP, "static, tip load and weight": TIP | {"gravity": (0.0, -1.0)}}
 
 
-def design(machine, design, cells, stages):
+def design(machine, design, cells, effort):
     """The row of a design: how it was found, its densities, and how it moves as solid plates.
 
     design: "in motion", one of LOADS, "uniform" (plates of full size that are thinner) or "bar" (of full thickness that are narrower). cells: of
-    a plate; stages: a name of optimiser.STAGES.
+    a plate; effort: a name of optimiser.MOTION.
     """
     which, volume = MACHINES[machine], optimiser.VOLUME
     meshes = [which.mesh(cells, which.height * (volume if design == "bar" else 1.0))] * len(which.names)
     found = {}
     if design not in ("uniform", "bar"):
-        found = optimised(which, design, meshes, optimiser.STAGES[stages])
+        found = optimised(which, design, meshes, optimiser.MOTION[effort])
         meshes, found["at"] = solids.solid_meshes(meshes, found["rho"], volume)
     thickness = solids.thickness_for(which, meshes, volume)
     run = solids.moved(which, meshes, thickness)
@@ -32,19 +32,19 @@ def design(machine, design, cells, stages):
 
 
 def optimised(which, design, meshes, stages):
-    """Densities of a design and how they came about.
+    """Densities of a design and how they came about; stages: of the one in motion.
 
     One in motion takes the place of the last stage at rest, under a load on the tip: from grey alone it gets stuck in grey.
     """
     densities = Densities(which.names, meshes, which.radius)
     x, spent = np.full(len(densities.share), optimiser.VOLUME), Spent()
     kept, history = [densities.of(x, None)[0]], []
-    ways = [(stages["rest"], at_rest(which, meshes, LOADS.get(design, TIP)))]
+    ways = [(optimiser.REST, at_rest(which, meshes, LOADS.get(design, TIP)))]
     if design == "in motion":
-        ways = [(stages["rest"][:-1], ways[0][1]), (stages["motion"], in_motion(which, meshes))]
+        ways = [(optimiser.REST[:-1], ways[0][1]), (stages, in_motion(which, meshes))]
     for steps, (model, judge) in ways:
         value = partial(densities.evaluated, model, judge)
-        value(kept[0], stages["rest"][0][0])  # kernels are compiled before the clock starts
+        value(kept[0], optimiser.REST[0][0])  # kernels are compiled before the clock starts
         with spent:
             x, rhos, history = optimiser.minimised(densities, value, steps, x)
         kept += rhos
