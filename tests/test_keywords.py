@@ -29,6 +29,7 @@ PUBLIC |= {
 }
 PUBLIC |= {f"pi.design.{name}": getattr(pi.design, name) for name in pi.design.__all__}
 PUBLIC |= {f"pi.sensor.{name}": getattr(pi.sensor, name) for name in pi.sensor.__all__}
+PUBLIC |= {f"pi.objective.{name}": getattr(pi.objective, name) for name in pi.objective.__all__ if name != "Objective"}
 PUBLIC |= {"pi.export.vtu": pi.export.vtu, "pi.study.sweep": pi.study.sweep}
 
 

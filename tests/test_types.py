@@ -7,7 +7,7 @@ import pytest
 
 import polyida as pi
 
-MODULES = (pi.mesh, pi.design, pi.profile, pi.sensor, pi.problems, pi.export, pi.study)
+MODULES = (pi.mesh, pi.design, pi.profile, pi.sensor, pi.objective, pi.problems, pi.export, pi.study)
 
 
 def shown(module):

@@ -50,10 +50,7 @@ def first(model, state, bars, lam):
     """The First of a run's consistent start (integrate/start.py); bars: a Sent, of its state, and lam (m,)."""
     tape = Tape()
     taped = TapedModel(model, tape)
-    given = model.initial_velocity(state.t, state.q)
-    consistent = on_velocity(model, state.t, state.q, given)
-    own = np.abs(consistent - state.v).max() <= NEAR * max(np.abs(state.v).max(), 1e-300)
-    q, v0 = tape.var(state.q), tape.var(given if own else state.v)
+    q, v0 = tape.var(state.q), tape.var(given_velocity(model, state)[0])
     v = on_velocity(taped, state.t, q, v0)
     a, multipliers = consistent_acceleration(taped, state.t, q, v)
     for var, bar in ((q, bars.q), (v, bars.v), (a, bars.a), (multipliers, lam)):
@@ -63,3 +60,11 @@ def first(model, state, bars, lam):
         _, nu = model.mass_system(state.t, state.q).solve(q.bar, np.zeros(model.m))
         taped.note(state.t, state.q, mu=nu)
     return First(v0.bar, taped.entries)
+
+
+def given_velocity(model, state):
+    """(velocities that a run which began with a state was given, whether they are the bodies' own)."""
+    given = model.initial_velocity(state.t, state.q)
+    consistent = on_velocity(model, state.t, state.q, given)
+    own = np.abs(consistent - state.v).max() <= NEAR * max(np.abs(state.v).max(), 1e-300)
+    return (given if own else state.v), own

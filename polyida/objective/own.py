@@ -23,7 +23,7 @@ class Own(Objective):
     run for other names and shapes, and numbers that are not finite.
     """
 
-    def __init__(self, value: Callable[[Any], float], slopes: Callable[[Any], Mapping[str, Any]]):
+    def __init__(self, value: Callable[[Any], float], slopes: Callable[[Any], Mapping[str, Any]]) -> None:
         for name, given in (("value", value), ("slopes", slopes)):
             if not callable(given):
                 raise InputError(f"Own: {name} = {given!r:.100} must be a function of a run")

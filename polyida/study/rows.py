@@ -7,7 +7,7 @@ NAN = float("nan")
 
 def pick(rows, **wanted):
     """The rows of tasks that did not fail, with these values."""
-    return [row for row in rows if not row.get("error") and all(row.get(key) == value for key, value in wanted.items())]
+    return [row for row in rows if not row.get("error") and wanted.items() <= row.items()]
 
 
 def value(row, name):
@@ -38,7 +38,7 @@ def least(numbers):
 
 def every(rows, name, **wanted):
     """A number of all rows with these values, those that failed included: theirs are NaN."""
-    return column([row for row in rows if all(row.get(key) == value for key, value in wanted.items())], name)
+    return column([row for row in rows if wanted.items() <= row.items()], name)
 
 
 def worst(rows, name, **wanted):

@@ -54,14 +54,13 @@ def killed_after(number, delay):
     return os.WIFEXITED(status)
 
 
-def killed_runs(kills, name, seed=0):
+def killed_runs(kills, name, seed=0, t_end=0.4):
     """`kills` kills of runs to a file, each resumed until it is killed again or ends: (last whole Trajectory, checks).
 
     Lost frames: those accepted up to the last flush before a kill that the file does not hold, where at most one flush
     interval and one stretch may be missing. Wrong frames: up to the first kill and, where resuming is exact, all.
     """
     model, method = plates.double_plate_motors(cells=4).build(), integrator(name, **SETTINGS.get(name, {"rtol": 1e-6}))
-    t_end = 0.4
     solve(model, t_end / 100, method)  # loads the kernels
     begin = time.monotonic()
     whole = solve(model, t_end, method)

@@ -240,7 +240,7 @@ def by_law(law, functions=()):
         (pi.GeneralizedAlpha(h=1e-3, tolerance=1e-11, start="plain"), 1e-12),
         (pi.GeneralizedAlpha(h=1e-3, form="stabilised", tolerance=1e-11, start="plain"), 1e-12),
         (pi.EnergyMomentum(h=1e-3), 1e-12),
-        (pi.IDA(rtol=1e-8), 1e-7),
+        (pi.IDA(rtol=1e-8, max_order=5), 1e-7),
         (pi.RadauIIA(rtol=1e-6), 1e-7),
     ],
 )

@@ -1,6 +1,7 @@
 """Each parameter's slope against differences of what it is the slope of, in scenes that have one of everything."""
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -94,13 +95,18 @@ def thrown():
     scene.add(pi.Revolute(one.section("right"), two.section("left"), name="elbow"))
     scene.add(pi.Revolute(two.section("right"), three.section("left"), name="wrist"))
     scene.add(pi.Revolute(three.section("right"), bar.at("left"), name="finger"))
-    scene.add(pi.Path(one.node(0), pi.profile.sine(0.1, 1.0), None, name="path"))
+    scene.add(pi.Path(one.node(0), None, pi.profile.sine(0.1, 1.0), name="path"))
+    scene.add(pi.AngleMotor(one.section("right"), two.section("left"), pi.profile.linear(0.2, 1.0, 0.4), name="motor"))
     scene.add(pi.PointMass(two.section("right"), 0.3, name="mass"))
+    scene.add(pi.PointLoad(two.section("right"), (1.0, 3.0), scene.parts["motor"].angle, name="load"))
     return scene.build().with_factors(one=(None, np.array([0.3, 1.0, 1.0])))
 
 
 THROWN = thrown()
-STARTS, MOVING = parameters_of(THROWN), (".velocity", ".spin", ".mass", ".rho", ".thickness", ".inertia")
+STARTS, MOVING = (
+    parameters_of(THROWN),
+    (".velocity", ".spin", ".mass", ".rho", ".thickness", ".inertia", "path.frequency", "path.phase", "motor.start", "motor.duration"),
+)
 
 
 @pytest.mark.parametrize("name", [name for name in STARTS if name.endswith((*MOVING, ".stiffness", ".E"))])
@@ -158,6 +164,26 @@ def test_what_is_asked_for_alone():
     assert {"steady.force", "traction.traction", "traction.value", "gravity.end", "push.x.value", "torque.frequency"} <= offered
     assert not {"spring.stiffness", "contact.exponent", "bar.inertia", "three.E", "motor.scale", "two.spin", "own.zero"} & offered
     assert "steady.value" not in PARAMETERS and "rod.length" not in PARAMETERS
+
+
+@dataclass(frozen=True, eq=False)
+class Geared(pi.Joint):
+    """Two directions, each turned by a profile of its own."""
+
+    first: pi.profile.Profile
+    other: pi.profile.Profile
+
+    def rows(self):
+        return [pi.cross(self.a.d.turned(self.first), self.b.d.turned(self.other))]
+
+
+def test_profiles_of_which_a_row_has_the_difference_are_not_named():
+    scene, turn = pi.Scene(), pi.profile.sine(0.3, 1.0)
+    arm = scene.add(pi.Plate(pi.mesh.quads(1.0, 0.2, 2, 1), STEEL, 0.01, name="arm"))
+    scene.add(Geared(pi.ground, arm.section("left"), turn, pi.profile.ramp(0.0, 1.0, 0.2), name="gear"))
+    scene.add(pi.PointLoad(arm.section("right"), (0.0, 1.0), pi.profile.linear(0.0, 1.0, 0.2), name="load"))
+    names = parameters_of(scene.build())
+    assert "load.end" in names and not [name for name in names if name.startswith("gear")]
 
 
 def test_a_model_with_another_value_keeps_the_rest():

@@ -19,7 +19,7 @@ INTEGRATORS = {name: pi.GeneralizedAlpha(h=1e-3, **choice) for name, choice in F
     "adaptive": pi.GeneralizedAlpha(h=1e-2, rtol=1e-5),
     "adaptive, whole matrix": pi.GeneralizedAlpha(h=1e-2, rtol=1e-5, linear="kkt"),
     "energy-momentum": pi.EnergyMomentum(h=1e-3),
-    "ida": pi.IDA(rtol=1e-6, atol=1e-8),
+    "ida": pi.IDA(rtol=1e-5, atol=1e-7),
     "radau": pi.RadauIIA(rtol=1e-6),
     "radau, fixed steps": pi.RadauIIA(h=5e-3),
 }

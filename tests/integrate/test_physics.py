@@ -1,5 +1,7 @@
 """One physical test over all integrators and all joints, and what must hold between integrators."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -32,9 +34,15 @@ def momenta(run, about=(0.0, 0.0)):
     return p.sum(axis=1), (x[..., 0] * p[..., 1] - x[..., 1] * p[..., 0]).sum(axis=1)
 
 
-def require_balance(model, integrator, kind=""):
-    """Joints hold, the energy is accounted for, and the motion is that of generalized-alpha."""
-    run, other = pi.solve(model, 0.1, integrator), pi.solve(model, 0.1, INTEGRATORS["alpha"])
+@pytest.fixture(scope="module")
+def by_alpha(scenes):
+    """Function (kind, level) -> run of a jointed scene by generalized-alpha, made once."""
+    return cache(lambda kind, level="full": pi.solve(scenes.jointed(kind, level=level).build(), 0.1, INTEGRATORS["alpha"]))
+
+
+def require_balance(other, integrator, kind=""):
+    """Joints hold, the energy is accounted for, and the motion is that of another run."""
+    run = pi.solve(other.model, 0.1, integrator)
     loose = getattr(integrator, "linear", None) == "whole" and kind.startswith(("prismatic", "slot"))
     held = integrator.atol if loose else 1e-10  # where Newton's method stops on rows that are not linear
     assert run.success, run.message
@@ -44,14 +52,14 @@ def require_balance(model, integrator, kind=""):
     assert np.abs(run.position("joint")[-1] - other.position("joint")[-1]).max() < 3e-5
 
 
-def test_joints_hold_and_energy_balances(scenes, kind, integrator):
-    require_balance(scenes.jointed(kind).build(), integrator, kind)
+def test_joints_hold_and_energy_balances(by_alpha, kind, integrator):
+    require_balance(by_alpha(kind), integrator, kind)
 
 
 @pytest.mark.parametrize("level", ["reduced", "rigid"])
 @pytest.mark.parametrize("integrator", ["alpha", "ida ggl2", "radau"], indirect=True)
-def test_joints_hold_bodies_of_few_coordinates(scenes, kind, level, integrator):
-    require_balance(scenes.jointed(kind, level=level).build(), integrator)
+def test_joints_hold_bodies_of_few_coordinates(by_alpha, kind, level, integrator):
+    require_balance(by_alpha(kind, level), integrator)
 
 
 def test_free_plates_keep_their_momentum(scenes, integrator):

@@ -114,13 +114,13 @@ def errors(name, number, settings):
 @pytest.mark.parametrize(
     "name, number, settings, orders",
     [
-        ("pendulum", 400, {}, (5, 5, 5)),
+        ("pendulum", 200, {}, (5, 5, 5)),
         ("car-axis", 400, {}, (5, 5, 5)),
         ("pendulum", 400, {"stages": 2}, (3, 3, 3)),
-        ("pendulum", 400, {"form": "index3"}, (5, 5, 5)),
+        ("pendulum", 200, {"form": "index3"}, (5, 5, 5)),
         ("pendulum", 400, {"form": "index3", "project": False}, (5, 3, 5)),
         ("pendulum", 400, {"form": "index3", "stages": 2}, (3, 3, 3)),
-        ("andrews", 300, {}, (5, 5, None)),
+        ("andrews", 200, {}, (5, 5, None)),
     ],
     ids=str,
 )

@@ -29,6 +29,17 @@ def test_solves_the_system_in_every_scaling(scaling, sparse):
     assert np.allclose(S @ dq + B.T @ dlam, -r, atol=1e-9) and np.allclose(B @ dq, -phi, atol=1e-9)
 
 
+@pytest.mark.parametrize("scaling", SCALINGS)
+@pytest.mark.parametrize("sparse", [False, True])
+def test_solves_the_adjoint_of_the_same_factor(scaling, sparse):
+    S, B, step = system()
+    S = S + 0.1 * np.triu(S)
+    r, phi = np.random.default_rng(1).standard_normal(8), np.random.default_rng(2).standard_normal(3)
+    S_given, B_given = (csc_array(S), csc_array(B)) if sparse else (S, B)
+    w, mu = KKT(S_given, B_given, scaling_factors(scaling, step, S_given)).adjoint(r, phi)
+    assert np.allclose(S.T @ w + B.T @ mu, -r, atol=1e-9) and np.allclose(B @ w, -phi, atol=1e-9)
+
+
 @pytest.mark.parametrize("sparse", [False, True])
 def test_without_constraints(sparse):
     S = system()[0]

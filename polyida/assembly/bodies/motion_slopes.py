@@ -13,6 +13,7 @@ class MotionSlopes(NamedTuple):
 
     motions (3 bodies,): in velocity along x and y, and spin, that each body was given. left, right: in masses, `left^T dM right` of M's
     change dM, (n,) each. centres_left, centres_right: likewise, of the change of the bodies' own M alone, which moves their centres.
+    v (n,), lam, kappa (m,): in profiles, `left . d(phi_q^T lam) + kappa . d(phi_q v + phi_t)`.
     """
 
     motions: np.ndarray
@@ -20,20 +21,31 @@ class MotionSlopes(NamedTuple):
     right: np.ndarray
     centres_left: np.ndarray
     centres_right: np.ndarray
+    v: np.ndarray
+    lam: np.ndarray
+    kappa: np.ndarray
 
 
 def motion_slopes(model, t, q, bar):
-    """The MotionSlopes, with P = I - G^-1 Y^T (Y G^-1 Y^T)^+ Y, Y = phi_q R, G = R^T M R, and the change c of the motions w.
+    """The MotionSlopes, with the motions w and their change c, `G c + Y^T lam = 0`, `Y (w + c) + phi_t = 0`, Y = phi_q R, G = R^T M R.
 
-    Motions: `P^T R^T bar = s`. Metric: `-(R G^-1 s)^T dM R c`. A centre that moves by dx turns the velocity v that is meant into
+    Adjoint to that, `G g + Y^T kappa = R^T bar`, `Y g = 0`: the slope in w is `s = R^T bar - Y^T kappa`, that in G `-g^T dG c`, that in
+    the rows `-g^T dY^T lam - kappa^T (dY (w + c) + dphi_t)`. A centre that moves by dx turns the velocity v that is meant into
     `v - i spin dx`, `dx = T^H dM (z - T x_G) / m`.
     """
     wanted, R = motions_given(model), rigid_motions(model, q)
-    rows, roots = asked_of_motions(model, t, q, R) if model.m else (np.zeros((0, len(wanted))), np.zeros((len(wanted), 0)))
-    least = roots @ np.linalg.pinv(rows @ roots, rcond=NOTHING) if model.m else np.zeros((len(wanted), 0))
-    pushed = R.T @ bar
-    motions = pushed - rows.T @ (least.T @ pushed)
-    change = -least @ (rows @ wanted + model.phi_t(t, q))
+    rows, roots = asked_of_motions(model, t, q, R)
+    least = np.linalg.pinv(rows @ roots, rcond=NOTHING)
+    pushed, rate = R.T @ bar, rows @ wanted + model.phi_t(t, q)
+    kappa = least.T @ (roots.T @ pushed)
+    motions, change = pushed - rows.T @ kappa, -roots @ (least @ rate)
+    g = roots @ (roots.T @ motions)
+    centres = _centres(model, motions, wanted, q)
+    return MotionSlopes(motions, -(R @ g), R @ change, *centres, R @ (wanted + change), least.T @ (least @ rate), -kappa)
+
+
+def _centres(model, motions, wanted, q):
+    """What dM is multiplied by from left and right where it moves the centres of bodies."""
     left, right = np.zeros((2, model.n_nodes), complex)
     z = complex_of_pairs(model.reference + q.reshape(-1, 2))
     for k, placed in enumerate((*model.bodies, *model.few)):
@@ -42,5 +54,4 @@ def motion_slopes(model, t, q, bar):
         slope, spin = complex(*motions[3 * k : 3 * k + 2]), wanted[3 * k + 2]
         left[placed.pairs] = slope * 1j * spin / mass * placed.translation
         right[placed.pairs] = z[placed.pairs] - placed.translation * centre
-    flat = lambda x: pairs_of(x).ravel()  # noqa: E731
-    return MotionSlopes(motions, -(R @ (roots @ (roots.T @ motions))), R @ change, flat(left), flat(right))
+    return pairs_of(left).ravel(), pairs_of(right).ravel()

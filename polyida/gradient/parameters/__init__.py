@@ -35,4 +35,4 @@ def _of_scene(model):
     yield from of_plates(model, changes)
     yield from of_loads(model, changes)
     yield from of_motions(model, slopes)
-    yield from of_profiles(model, Shared(drive_works, model))
+    yield from of_profiles(model, Shared(drive_works, model), changes)

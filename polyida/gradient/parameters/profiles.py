@@ -15,6 +15,7 @@ from polyida.given import floats, is_number
 from polyida.gradient.parameters.parameter import Parameter
 from polyida.gradient.parameters.rebuilt import with_profile
 from polyida.gradient.parameters.times import kink_speeds, over, slope_over
+from polyida.gradient.parameters.work import Work
 from polyida.profile import MAKERS, Profile, polynomial, scaled
 
 DEFAULTS = tuple(kind.profile for kind in (PointLoad, EdgeTraction))  # of loads that were given none
@@ -25,13 +26,15 @@ class OfProfile(Parameter):
     """A number of a profile, wherever the scene has that.
 
     drive: which of the model's profiles. made: the profile of another number. scale: over which it varies with that. works: of a Work,
-    what the drives are multiplied by. asked: where the profile's own numbers say the same.
+    what the drives are multiplied by. slopes: of (t, q, bar), the MotionSlopes of the start. asked: where the profile's own numbers say
+    the same.
     """
 
     drive: int
     made: Callable[[Any], Profile]
     scale: Callable[[Any], float]
     works: Callable
+    slopes: Callable
     asked: bool = False
 
     @property
@@ -46,6 +49,16 @@ class OfProfile(Parameter):
             used = np.flatnonzero(each[:, order])
             result = result + each[used, order] @ self._slopes(order, work.t[used])
         return result
+
+    def start(self, t, q, bar):
+        """Where driven joints change the motions that bodies were given."""
+        found = self.slopes(t, q, bar)
+        if found is None:
+            return None
+        none = np.zeros_like(found.lam)
+        entries = (found.v, found.lam, found.left, none, found.kappa), (found.v, none, -found.left, none, none)  # but for loads
+        v, lam, w, mu, kappa = map(np.stack, zip(*entries))
+        return self.work(Work(np.full(2, t), np.stack((q, q)), v, np.zeros_like(v), lam, w, mu, kappa))
 
     def _slopes(self, order, t):
         return slope_over(self.profile, self._near, self.scale(t), order, t)
@@ -83,17 +96,23 @@ class Coefficients(OfProfile):
         return {}
 
 
-def of_profiles(model, works):
+def of_profiles(model, works, slopes):
     """The parameters of all profiles that parts of a scene, or its gravity, were given."""
-    return [p for drive, name in named_drives(model).items() for p in _of_drive(model, drive, name, works)]
+    for drive, name in named_drives(model).items():
+        if not any(model.profiles[drive] is default for default in DEFAULTS):
+            yield from _of_drive(model, drive, name, works, slopes)
 
 
 def named_drives(model):
-    """{number of a profile: its name}: that of the first part that has it, with the field, or axis, where the part has several."""
-    found = {}
-    for name, part in model.parts.items():
-        found |= {key: value for key, value in _named(name, _fields(part)).items() if key not in found}
-    found |= {key: value for key, value in _named(GRAVITY, list(zip("xy", model.gravity))).items() if key not in found}
+    """{number of a profile: its name}: that of the first part that has it, with the field, or axis, where the part has several.
+
+    Not those of a joint of one's own that turns two vectors of one row by two of them: the row then has their difference.
+    """
+    given = [(name, _fields(part)) for name, part in model.parts.items()] + [(GRAVITY, zip("xy", model.gravity))]
+    named = [(name, _named(name, values)) for name, values in given]
+    known = {key for _, profiles in named for key in profiles}
+    mixed = {name for name, profile in model.named_profiles if name and id(profile) not in known}
+    found = {key: called for name, profiles in reversed(named) if name not in mixed for key, called in profiles.items()}
     return {drive: found[id(profile)] for drive, profile in enumerate(model.profiles) if id(profile) in found}
 
 
@@ -107,21 +126,21 @@ def _fields(part):
 
 def _named(name, given):
     """{id of a profile: name} of what a part is given."""
-    held = [(key, value) for key, value in given if isinstance(value, Profile) and not any(value is known for known in DEFAULTS)]
+    held = [(key, value) for key, value in given if isinstance(value, Profile)]
     return {id(value): name if len(held) == 1 else f"{name}.{key}" for key, value in held}
 
 
-def _of_drive(model, drive, name, works):
+def _of_drive(model, drive, name, *shared):
     profile = model.profiles[drive]
     kind, *given = profile.formula or ("",)
     if kind == "polynomial" and len(given) > 1:
-        yield Coefficients(f"{name}.coefficients", np.array(given), model, drive, polynomial, lambda t: 1.0, works)
+        yield Coefficients(f"{name}.coefficients", np.array(given), model, drive, polynomial, lambda t: 1.0, *shared)
     elif kind:
         keys = ["value"] if kind == "polynomial" else list(signature(MAKERS[kind]).parameters)
         for i, key in enumerate(keys):
             made = lambda value, i=i: MAKERS[kind](*given[:i], value, *given[i + 1 :])  # noqa: E731
-            yield OfProfile(f"{name}.{key}", given[i], model, drive, made, _scale_of(key, dict(zip(keys, given))), works)
-    yield OfProfile(f"{name}.scale", 1.0, model, drive, lambda value: scaled(profile, value), lambda t: 1.0, works, bool(kind))
+            yield OfProfile(f"{name}.{key}", given[i], model, drive, made, _scale_of(key, dict(zip(keys, given))), *shared)
+    yield OfProfile(f"{name}.scale", 1.0, model, drive, lambda value: scaled(profile, value), lambda t: 1.0, *shared, bool(kind))
 
 
 def _scale_of(key, given):

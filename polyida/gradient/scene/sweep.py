@@ -6,7 +6,7 @@ from polyida.assembly.rows.increments import drive_table
 from polyida.gradient.plain import Sent, Swept
 from polyida.gradient.scene import steps
 from polyida.gradient.scene.products import arrays_of, scratch
-from polyida.integrate.alpha.scene import SHARED
+from polyida.integrate.alpha import scene as loop
 from polyida.integrate.stepping.ended import DONE, REASONS, SINGULAR
 from polyida.linear.cholesky.helpers import Helpers
 from polyida.linear.lu import SingularSystem
@@ -28,17 +28,18 @@ class SceneSweep:
         self.viscosity = model.arrays.plates.body_viscosity if model.damped else None
         self.memory, self.trial = steps.empty(model.n, model.m)
         self.system, self.before = None, np.inf
-        self.helpers = Helpers(threads() if model.n >= SHARED else 1)
+        self.helpers = Helpers(threads() if model.n >= loop.SHARED else 1)
 
     def back(self, t, q, v, a, lam, slopes, sent, keep=None):
-        """The Swept of steps that ended at these frames, in order of time.
+        """The Swept of steps that ended at these frames, in order of time, (count, .) each.
 
-        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n).
+        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n) each,
+        or None.
         """
         if abs(t[-1] - self.before) > 0.5 * self.method.h:
             steps.forget(self.memory)
         self.memory.sent[:], self.before = sent, t[0] - self.method.h
-        found = steps.Found(np.empty_like(q), np.empty_like(lam), *(keep or np.zeros((2, 0, self.model.n))))
+        found = steps.Found(np.empty_like(q), np.empty_like(lam), *(keep or np.empty((2, 0, self.model.n))))
         frames, drives = self._frames(q, v, lam, slopes), drive_table(self.model, t, (t[0], t[-1]))
         done, fresh = len(t), False
         while done:

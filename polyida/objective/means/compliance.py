@@ -18,7 +18,7 @@ class Compliance(TimeMean):
     springs are strained at q = 0: what topology optimisation calls compliance.
     """
 
-    def seen(self, model, span):
+    def _seen(self, model, span):
         """f . q."""
         still = np.zeros(model.n)
 

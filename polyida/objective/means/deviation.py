@@ -31,7 +31,7 @@ class Deviation(TimeMean):
         if not callable(self.path):
             self._place(self.path)
 
-    def seen(self, model, span):
+    def _seen(self, model, span):
         """The squared distance."""
         pull = _pull(model, self.point)
 

@@ -32,14 +32,14 @@ class PeakReaction(TimeMean):
     joint: Any
     p: float = 8.0
     unit: str | None = None
-    of_material = True
+    _of_material = True
 
     def __post_init__(self):
         settle(self, p=power("PeakReaction", self.p))
         if not (self.unit is None or is_one_of(self.unit, UNITS)):
             raise InputError(f'PeakReaction: unit = {self.unit!r:.100} must be "N" or "N m", or None')
 
-    def seen(self, model, span):
+    def _seen(self, model, span):
         """|R|."""
         name = self._name(model)
         joint, columns = model.joints[name], model.rows[name]
@@ -69,7 +69,7 @@ class PeakReaction(TimeMean):
             raise InputError(f"PeakReaction: the reaction of {name!r} is not unique, constraints are redundant; it has no slopes")
         return name
 
-    def named(self, model):
+    def _named(self, model):
         """By the joint's name."""
         return replace(self, joint=self._name(model))
 

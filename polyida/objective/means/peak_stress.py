@@ -26,17 +26,17 @@ class PeakStress(TimeMean):
     """
 
     plate: Any = None
-    of_material = True
+    _of_material = True
     p: float = 8.0
 
     def __post_init__(self):
         settle(self, p=power("PeakStress", self.p))
 
-    def named(self, model):
+    def _named(self, model):
         """By the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
-    def seen(self, model, span):
+    def _seen(self, model, span):
         """The area mean of order p."""
         known = deforming(model) if model.is_scene else {}
         known = {body.name: body for body in model.drawn if body.name in known}

@@ -26,13 +26,13 @@ class StrainEnergy(TimeMean):
     """
 
     plate: Any = None
-    of_material = True
+    _of_material = True
 
-    def named(self, model):
+    def _named(self, model):
         """By the name of its body."""
         return replace(self, plate=named(model, self.plate))
 
-    def seen(self, model, span):
+    def _seen(self, model, span):
         """The energy."""
         elastic = Elastic(model, chosen("StrainEnergy", model, self.plate, deforming(model)))
 
@@ -121,8 +121,8 @@ def _stabilised(model, number, u, factor):
     if not scale:
         return 0.0
     shares = model.once(Shares, of_shape=True)
-    first, last = shares.plates.at[number : number + 2, 6]
-    rows = np.repeat(np.arange(operator.n_nodes), np.diff(operator.indptr))
-    apart = sum(f * np.sum((one[rows] - one[operator.indices]) ** 2, axis=1) for one, f in zip(u, factor))
-    cells = slice(*shares.cells[number : number + 2])
-    return -0.25 * scale * (shares.stabilisation[first:last, cells].T @ apart)
+    rows, squares = np.repeat(np.arange(operator.n_nodes), np.diff(operator.indptr)), np.zeros(len(shares.plates.stabilisation))
+    apart = squares[slice(*shares.plates.at[number : number + 2, 6])]
+    for one, f in zip(u, factor):
+        apart += f * np.sum((one[rows] - one[operator.indices]) ** 2, axis=1)
+    return -0.25 * scale * shares.by_plate(shares.stabilisation.slopes(squares, shares.first[-1]))[model.bodies[number].name]

@@ -49,12 +49,12 @@ class Frames:
 
 
 class TimeMean(Objective):
-    """A mean of order p over time. of_material: whether it depends on the model beyond what the `direct` of its slopes names."""
+    """A mean of order p over time. _of_material: whether it depends on the model beyond what the `direct` of its slopes names."""
 
     p: float = 1.0
-    of_material = False
+    _of_material = False
 
-    def seen(self, model: Any, span: float) -> Callable[[Frames], tuple[NDArray, Callable[[NDArray], Slopes]]]:
+    def _seen(self, model: Any, span: float) -> Callable[[Frames], tuple[NDArray, Callable[[NDArray], Slopes]]]:
         """A function of Frames of a model: (s (count,), a function of dJ/ds (count,) that gives the Slopes).
 
         span: the time from one frame to the next, s, about. Raises InputError where the model has not what is asked for.
@@ -63,32 +63,34 @@ class TimeMean(Objective):
 
     def __call__(self, run: Any) -> float:
         run = run_of(type(self).__name__, run)
-        return _Mean(run.t, self._sizes(run, self._seen(run)), self.p).value
+        return _Mean(run.t, self._sizes(run, self._of(run)), self.p).value
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """Those of J: what is seen is looked at once over the whole run, and again in every slice."""
         run = run_of(type(self).__name__, run)
-        seen = self._seen(run)
+        seen = self._of(run)
         mean = _Mean(run.t, self._sizes(run, seen), self.p)
 
         def of(part):
             found = seen(Frames(run, part))[1](mean.shares[part])
             t = mean.by_times[part]
-            of_model = (lambda model: float(mean.shares[part] @ self._of(run, model)(Frames(run, part))[0])) if self.of_material else None
+            of_model = (
+                (lambda model: float(mean.shares[part] @ self._elsewhere(run, model)(Frames(run, part))[0])) if self._of_material else None
+            )
             return replace(found, t=t if found.t is None else t + found.t, of_model=of_model)
 
         return of
 
-    def named(self, model: Any) -> "TimeMean":
+    def _named(self, model: Any) -> "TimeMean":
         """The same with names in place of parts, which a model of other parts knows."""
         return self
 
-    def _seen(self, run):
-        return self.seen(guard(run.model, type(self).__name__), _span(run))
+    def _of(self, run):
+        return self._seen(guard(run.model, type(self).__name__), _span(run))
 
-    def _of(self, run, model):
+    def _elsewhere(self, run, model):
         """What is seen of a run with another model."""
-        return self.named(run.model).seen(guard(model), _span(run))
+        return self._named(run.model)._seen(guard(model), _span(run))
 
     def _sizes(self, run, seen):
         step = frames_at_once(run.q.shape[1])
@@ -103,7 +105,7 @@ FRAMES_WIDE = 10.0  # times between frames in which something varies in time, ab
 
 
 def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:
-    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `seen`."""
+    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `_seen`."""
     wide = FRAMES_WIDE * (span or 1.0)
     rooms = [around(model.kinks(at - wide, at + wide), at) for at in t]
     return np.array([along(lambda s, at=at: function(float(at + s)), wide, room) for at, room in zip(t, rooms)])

@@ -1,0 +1,163 @@
+"""The compiled backward sweep of a scene: its products against differences of the residual, its steps against the plain sweep."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida import machine
+from polyida.gradient.plain import PlainSweep, Sent
+from polyida.gradient.scene import products
+from polyida.gradient.scene.sweep import SceneSweep
+from polyida.integrate.alpha import scene as compiled_loop
+from polyida.model.differences import along
+from polyida.objective.slopes import Slopes
+
+H, STEPS = 1e-3, 8
+DAMPED = {"viscosity": 1e-3, "mass_damping": 2.0}
+
+
+def pushed(scene):
+    """A scene with loads and force elements too."""
+    end, upper = scene.parts["lower"].section("right"), scene.parts["upper"]
+    scene.add(pi.SpringDamper(pi.ground.at((1.5, 0.6)), end, 50.0, damping=3.0))
+    scene.add(pi.TorsionSpring(upper.section("right"), end, 1.0))
+    scene.add(pi.Force(end, (1.0, pi.profile.ramp(0.0, 1.0, duration=0.1)), follower=True))
+    scene.add(pi.EdgeTraction(upper.section("top"), (0.0, 30.0), pi.profile.sine(1.0, 4.0)))
+    return scene
+
+
+CASES = {
+    "plates": lambda scenes: scenes.jointed("slot", cells=12),
+    "virtual": lambda scenes: scenes.jointed("motor between", cells=12, element="virtual"),
+    "damped": lambda scenes: scenes.jointed("prismatic", cells=12, element="virtual", material=DAMPED),
+    "reduced": lambda scenes: scenes.jointed("distance", cells=12, level="reduced"),
+    "damped and reduced": lambda scenes: scenes.jointed("weld", cells=12, level="reduced", material=DAMPED),
+    "rigid": lambda scenes: scenes.jointed("path", level="rigid", material=DAMPED),
+    "forces": lambda scenes: pushed(scenes.jointed("clamp between", cells=12)),
+    "free": lambda scenes: scenes.single(cells=12)[0],
+}
+
+
+@pytest.fixture(params=CASES)
+def case(request, scenes):
+    """The model of each case in turn."""
+    return CASES[request.param](scenes).build()
+
+
+def bent(model, random):
+    """(q, v) some way from rest, smooth within each body."""
+    x = model.reference
+    shapes = np.stack([np.sin(2 * x[:, 0]), np.cos(3 * x[:, 0] + x[:, 1]), x[:, 0] * x[:, 1]])
+    return (0.02 * (random.standard_normal((2, 2, 3)) @ shapes)).transpose(0, 2, 1).reshape(2, -1)
+
+
+def test_products_are_derivatives_of_the_residual(case):
+    random, t = np.random.default_rng(0), 0.05
+    (q, v), lam = bent(case, random), random.standard_normal(case.m)
+    (w, d), mu, zero = random.standard_normal((2, case.n)), random.standard_normal(case.m), np.zeros(case.n)
+    x, slopes = products.scratch(case), np.empty(len(case.arrays.links.row_columns))
+    viscosity = case.arrays.plates.body_viscosity if case.damped else None
+    nodal = [values.reshape(-1, 2).copy() for values in (q, v)], w.reshape(-1, 2).copy()
+    products.products(products.arrays_of(case), viscosity, case.laws, case.drives(t), slopes, *nodal[0], lam, nodal[1], mu, x)
+
+    def check(product, function, reach=1.0):
+        wanted = along(function, reach)
+        size = np.abs(product).max(initial=1e-300) * np.abs(d).max()
+        assert abs(product.ravel() @ d - wanted) < 1e-7 * size
+
+    check(x.stiff, lambda s: w @ case.residual(t, q + s * d, v, zero, lam) + mu @ case.phi(t, q + s * d), 1e-3)
+    check(x.heavy, lambda s: w @ case.residual(t, q, v, s * d, lam))
+    if case.needs.velocity_forces:
+        check(x.slowing, lambda s: w @ case.residual(t, q, v + s * d, zero, lam))
+    assert np.allclose(x.rows, case.phi_q(t, q) @ w, rtol=1e-12)
+    assert np.allclose(x.rotation, case.rotation(q), rtol=1e-12)
+
+
+def steps_of(model):
+    """(settings, what a sweep goes back over) of a short run and random slopes."""
+    settings = pi.GeneralizedAlpha(h=H, tolerance=1e-9)
+    run, random = pi.solve(model, STEPS * H, settings), np.random.default_rng(0)
+    frames = tuple(np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
+    sizes = (1.0, 1e-3, 1e-6, 1e-4)
+    own = Slopes(**{name: s * random.standard_normal(x.shape) for name, s, x in zip(("q", "v", "a", "lam"), sizes, frames[1:])})
+    return settings, (*frames, own, Sent(*np.zeros((4, model.n))))
+
+
+def swept(sweep, steps, keep=None):
+    """All that a sweep gives, as one list of arrays."""
+    found = sweep.back(*steps, keep=keep)
+    return [*found.sent, found.w, found.mu]
+
+
+def agree(found, wanted, tolerance=1e-9):
+    return all(np.abs(x - y).max(initial=0) <= tolerance * np.abs(y).max(initial=0) for x, y in zip(found, wanted, strict=True))
+
+
+def test_steps_are_those_of_the_plain_sweep(case):
+    settings, steps = steps_of(case)
+    counts, kept, other = pi.Counts(), *(tuple(np.zeros((2, STEPS, case.n))) for _ in range(2))
+    found = swept(SceneSweep(case, settings, H, counts), steps, kept)
+    wanted = swept(PlainSweep(case, settings, H, pi.Counts()), steps, other)
+    assert agree([*found, *kept], [*wanted, *other])
+    assert counts.factorizations == 1 and counts.solves < 6 * STEPS + 2 * case.n_points
+
+
+def test_factors_by_cell_are_in_it(scenes):
+    model = scenes.jointed("revolute", cells=12, element="virtual").build()
+    random = np.random.default_rng(1)
+    model = model.with_factors(upper=tuple(random.uniform(0.1, 2.0, (2, 12))))
+    settings, steps = steps_of(model)
+    assert agree(swept(SceneSweep(model, settings, H, pi.Counts()), steps), swept(PlainSweep(model, settings, H, pi.Counts()), steps))
+
+
+def test_a_factor_that_is_too_old_is_made_anew(scenes):
+    model = scenes.jointed("revolute", cells=12).build()
+    settings, steps = steps_of(model)
+    wanted = swept(SceneSweep(model, settings, H, pi.Counts()), steps)
+    counts = pi.Counts()
+    sweep, other = (SceneSweep(model, settings, h, counts) for h in (H, 0.2 * H))
+    for one in (sweep, other):
+        one._factor(*(x[-1] for x in steps[:5]))
+    sweep.system = other.system
+    assert agree(swept(sweep, steps), wanted) and counts.factorizations == 3
+
+
+def test_stretches_one_by_one_are_the_whole(scenes):
+    model = scenes.jointed("motor to ground", cells=12).build()
+    settings, (*frames, own, sent) = steps_of(model)
+    counts = [pi.Counts(), pi.Counts()]
+    wanted = swept(SceneSweep(model, settings, H, counts[0]), (*frames, own, sent))
+    sweep, parts = SceneSweep(model, settings, H, counts[1]), []
+    for part in (slice(5, None), slice(0, 5)):
+        slopes = Slopes(**{name: getattr(own, name)[part] for name in ("q", "v", "a", "lam")})
+        found = sweep.back(*(x[part] for x in frames), slopes, sent)
+        sent = found.sent
+        parts.insert(0, (found.w, found.mu))
+    assert all(np.array_equal(x, y) for x, y in zip([*sent, *map(np.concatenate, zip(*parts))], wanted))
+    assert vars(counts[0]) == vars(counts[1])
+
+
+def test_w_is_as_exact_as_newton_makes_worth_while(scenes):
+    model, errors = scenes.jointed("revolute", cells=12).build(), []
+    _, steps = steps_of(model)
+    wanted = swept(PlainSweep(model, pi.GeneralizedAlpha(h=H), H, pi.Counts()), steps)
+    solves = []
+    for tolerance in (1e-4, 1e-6, 1e-8):
+        counts = pi.Counts()
+        found = swept(SceneSweep(model, pi.GeneralizedAlpha(h=H, tolerance=tolerance), H, counts), steps)
+        errors.append(np.linalg.norm(found[4] - wanted[4]) / np.linalg.norm(wanted[4]))
+        solves.append(counts.solves)
+        assert errors[-1] < 0.1 * tolerance
+    assert solves[0] <= solves[1] < solves[2]
+
+
+def test_two_threads_give_the_same(scenes, monkeypatch):
+    monkeypatch.setattr(machine, "cores", lambda: 2)
+    monkeypatch.setattr(compiled_loop, "SHARED", 1)
+    model = scenes.jointed("revolute").build()
+    settings, steps = steps_of(model)
+    try:
+        alone, together = ((pi.threads(count), swept(SceneSweep(model, settings, H, pi.Counts()), steps))[1] for count in (1, 2))
+    finally:
+        pi.threads(1)
+    assert agree(together, alone)

@@ -1,0 +1,210 @@
+"""Objectives against what runs tell, and their slopes against differences of their own values."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import polyida as pi
+
+of = pi.objective
+FRAMES = ("t", "q", "v", "a", "lam")
+CIRCLE = lambda t: (2.0 * np.cos(3.0 * t), np.sin(3.0 * t))  # noqa: E731
+
+
+def scene(element="wachspress", plane="stress"):
+    """A plate that a motor turns, a reduced plate welded to it, a tip mass."""
+    mesh, made = pi.mesh.rectangle(1.0, 0.1, cells=8, seed=1), pi.Scene(gravity=(0.0, -9.81))
+    material = pi.Material(5e7, 0.3, 1100.0, plane=plane)
+    upper = made.add(pi.Plate(mesh, material, 0.01, name="upper", element=element))
+    lower = made.add(pi.Reduced(pi.Plate(mesh, material, 0.01, origin=(1.0, 0.0), name="lower"), modes=2))
+    made.add(pi.Revolute(pi.ground, upper.section("left"), name="hub"))
+    made.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.quintic(0.0, 0.6, 0.1), name="motor"))
+    made.add(pi.Weld(upper.section("right"), lower.section("left"), name="elbow"))
+    made.add(pi.PointLoad(lower.section("right"), (1.0, -5.0), pi.profile.sine(1.0, 2.0, 0.4), name="load"))
+    made.add(pi.PointMass(lower.section("right"), 0.5, name="tip"))
+    return made.build().with_factors(upper=(np.linspace(0.6, 1.5, 8), np.linspace(1.3, 0.7, 8)))
+
+
+def moving(model, seed=0):
+    """Six frames of a turning, shaking motion: no solution of anything."""
+    random, t = np.random.default_rng(seed), np.array([0.0, 0.01, 0.03, 0.04, 0.06, 0.09])
+    places = model.reference @ np.array([1.0, 1j])
+    q = [np.stack([z.real, z.imag], axis=1).ravel() for z in (places * (np.exp(1j * 5.0 * at) - 1.0) for at in t)]
+    q = np.array(q) + 1e-3 * random.standard_normal((len(t), model.n))
+    lam = 1.0 + random.standard_normal((len(t), model.m))
+    return pi.Trajectory(model, "by hand", t, q, *random.standard_normal((2, *q.shape)), lam)
+
+
+@pytest.fixture(scope="module", params=[("wachspress", "stress"), ("virtual", "strain")], ids=["wachspress", "virtual"])
+def motion(request):
+    return moving(scene(*request.param))
+
+
+KINDS = {
+    "path": lambda: of.Deviation("tip", CIRCLE),
+    "place": lambda: of.Deviation("elbow", (0.9, 0.1)),
+    "energy": of.StrainEnergy,
+    "energy of a plate": lambda: of.StrainEnergy("upper"),
+    "energy of a reduced plate": lambda: of.StrainEnergy("lower"),
+    "torque": lambda: of.PeakReaction("motor"),
+    "force": lambda: of.PeakReaction("hub", p=3),
+    "moment": lambda: of.PeakReaction("elbow", p=2, unit="N m"),
+    "stress": of.PeakStress,
+    "stress of a plate": lambda: of.PeakStress("upper", p=1),
+    "stress of a reduced plate": lambda: of.PeakStress("lower", p=4),
+    "work of loads": of.Compliance,
+    "sum": lambda: 2.0 * of.StrainEnergy() - 0.3 * of.PeakReaction("motor") + of.Deviation("tip", (2.0, 0.0)),
+}
+
+
+def difference(function, size=1.0):
+    """d function / ds at s = 0, of fourth order."""
+    s = 1e-3 * size
+    return (8 * (function(s) - function(-s)) - (function(2 * s) - function(-2 * s))) / (12 * s)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_slopes_in_frames_are_those_of_the_value(kind, motion):
+    objective, random = KINDS[kind](), np.random.default_rng(1)
+    slopes = objective.slopes(motion)
+    whole, parts = slopes(slice(0, 6)), [slopes(slice(0, 2)), slopes(slice(2, 6))]
+    size = abs(objective(motion))
+    for name in FRAMES:
+        frames, slope = getattr(motion, name), getattr(whole, name)
+        way = random.standard_normal(frames.shape) * {"t": 1e-3, "q": 1e-3}.get(name, 1.0)
+        expected = difference(lambda s: objective(replace(motion, **{name: frames + s * way})))  # noqa: B023
+        assert (0.0 if slope is None else np.sum(slope * way)) == pytest.approx(expected, rel=1e-7, abs=1e-9 * size), name
+        if slope is not None:
+            assert np.allclose(np.concatenate([getattr(part, name) for part in parts]), slope, rtol=1e-9, atol=1e-12 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("kind", ["energy", "energy of a plate", "stress", "stress of a plate"])
+def test_slopes_in_cells_at_fixed_frames(kind, motion):
+    objective, model = KINDS[kind](), motion.model
+    stiffness, mass = model.factors["upper"]
+    way = np.random.default_rng(2).standard_normal(8)
+    slopes = objective.slopes(motion)(slice(None))
+    scaled = lambda s: replace(motion, model=model.with_factors(upper=(stiffness + s * way, mass)))  # noqa: E731
+    assert slopes.direct["upper.stiffness"] @ way == pytest.approx(difference(lambda s: objective(scaled(s))), rel=1e-8)
+    assert slopes.direct["upper.E"] * 5e7 == pytest.approx(slopes.direct["upper.stiffness"] @ stiffness, rel=1e-12)
+    other = replace(motion, model=scaled(1e-4).model)
+    assert slopes.of_model(other.model) - slopes.of_model(model) == pytest.approx(objective(other) - objective(motion), rel=1e-2)
+
+
+def test_values_are_what_the_run_tells(motion):
+    mean = lambda values: np.trapezoid(values, motion.t) / np.ptp(motion.t)  # noqa: E731
+    assert of.StrainEnergy()(motion) == pytest.approx(mean(motion.energy.strain), rel=1e-12)
+    assert of.StrainEnergy("upper")(motion) + of.StrainEnergy("lower")(motion) == pytest.approx(of.StrainEnergy()(motion), rel=1e-12)
+    gap = motion.position("tip") - np.array([CIRCLE(t) for t in motion.t])
+    assert of.Deviation("tip", CIRCLE)(motion) == pytest.approx(mean(np.sum(gap**2, axis=1)), rel=1e-13)
+    torque = np.abs(motion.reaction("motor")[:, 0])
+    assert of.PeakReaction("motor", p=2)(motion) == pytest.approx(np.sqrt(mean(torque**2)), rel=1e-13)
+    assert 0.9 * torque.max() < of.PeakReaction("motor", p=400)(motion) <= torque.max()
+    stress = np.array([motion.von_mises(k) for k in range(6)])
+    areas = np.concatenate([body.operator.areas for body in motion.model.drawn])
+    assert of.PeakStress(p=3)(motion) == pytest.approx(mean((stress**3) @ areas / areas.sum()) ** (1 / 3), rel=1e-12)
+    assert 0.9 * stress.max() < of.PeakStress(p=1000)(motion) < stress.max()
+
+
+def test_parts_are_given_by_themselves_too(motion):
+    parts, end = motion.model.parts, motion.model.parts["lower"].section("right")
+    assert of.StrainEnergy(parts["upper"])(motion) == of.StrainEnergy("upper")(motion)
+    assert of.PeakReaction(parts["motor"])(motion) == of.PeakReaction("motor")(motion)
+    assert of.Deviation(end, (1.0, 0.0))(motion) == of.Deviation(parts["tip"], (1.0, 0.0))(motion)
+    one, two = of.StrainEnergy(), of.PeakReaction("motor")
+    assert sum([one, -two, two * 2])(motion) == pytest.approx(one(motion) + two(motion), rel=1e-13)
+
+
+def test_rest_has_no_slopes_and_no_nan():
+    model = scene()
+    place = model.attachment("tip").point
+    still = pi.Trajectory(model, "by hand", np.array([0.0, 1.0]), *np.zeros((3, 2, model.n)), np.zeros((2, model.m)))
+    for objective in (of.StrainEnergy(), of.PeakStress(), of.PeakReaction("motor"), of.Deviation("tip", place)):
+        slopes = objective.slopes(still)(slice(None))
+        assert objective(still) < 1e-20
+        assert not any(np.abs(x).max() > 1e-12 for x in (slopes.q, slopes.lam, slopes.t, *slopes.direct.values()) if x is not None)
+
+
+def test_long_runs_are_read_in_pieces(motion, monkeypatch):
+    monkeypatch.setattr("polyida.objective.means.time_mean.frames_at_once", lambda width: 2)
+    asked = []
+
+    class Frames(np.ndarray):
+        def __getitem__(self, key):
+            asked.append(key)
+            return np.asarray(self)[key]
+
+    far = replace(motion, q=motion.q.view(Frames))
+    assert of.StrainEnergy()(far) == of.StrainEnergy()(motion)
+    assert [key.stop - key.start for key in asked] == [2, 2, 2]
+
+
+class Rods(pi.problems.get("pendulum").model.__class__):
+    """The pendulum with a named point, whose place is no linear function of q."""
+
+    def position(self, name, q):
+        if name != "bob":
+            raise pi.InputError(f"no point is called {name!r}")
+        return q * (1.0 + 0.1 * np.sum(q**2, axis=1))[:, None]
+
+
+def test_named_points_of_own_models():
+    random = np.random.default_rng(3)
+    run = pi.Trajectory(Rods(), "by hand", np.linspace(0.0, 1.0, 5), *random.standard_normal((3, 5, 2)), np.zeros((5, 1)))
+    objective, way = of.Deviation("bob", CIRCLE), random.standard_normal((5, 2))
+    slopes = objective.slopes(run)(slice(0, 5))
+    assert np.sum(slopes.q * way) == pytest.approx(difference(lambda s: objective(replace(run, q=run.q + s * way))), rel=1e-9)
+    with pytest.raises(pi.InputError, match="StrainEnergy: Rods is no scene's model"):
+        of.StrainEnergy()(run)
+
+
+def test_own_objectives(motion):
+    squares = of.Own(
+        lambda run: float(np.sum(run.v**2) + np.sum(run.t)), lambda run: {"v": 2.0 * run.v, "t": np.ones(6), "upper.mass": np.arange(8.0)}
+    )
+    slopes = squares.slopes(motion)
+    assert squares(motion) == np.sum(motion.v**2) + motion.t.sum()
+    assert np.array_equal(slopes(slice(2, 4)).v, 2.0 * motion.v[2:4]) and slopes(slice(2, 4)).q is None
+    assert np.array_equal(slopes(slice(4, 6)).direct["upper.mass"], np.arange(8.0)) and not slopes(slice(2, 4)).direct
+
+
+@pytest.mark.parametrize(
+    "slopes, match",
+    [
+        ({"velocity": 0.0}, "'velocity'; known: 'q', 'v', 'a', 'lam', 't', and parameters"),
+        ({"v": np.zeros(3)}, r"\['v'\].* must be finite numbers of shape \(6, "),
+        ({"arm.mass": [np.nan]}, "must be finite numbers"),
+        ([], "must return a dictionary"),
+    ],
+)
+def test_own_slopes_are_looked_at(slopes, match, motion):
+    with pytest.raises(pi.InputError, match=match):
+        of.Own(lambda run: 0.0, lambda run: slopes).slopes(motion)
+
+
+@pytest.mark.parametrize(
+    "objective, match",
+    [
+        (lambda: of.Deviation("tap", (0.0, 0.0)), "'tap'; known: .*'tip'"),
+        (lambda: of.Deviation("tip", lambda t: (t, np.nan)), "path = .* must be two finite numbers"),
+        (lambda: of.StrainEnergy("tip"), "no body that deforms is called 'tip'; known: 'upper', 'lower'"),
+        (lambda: of.PeakStress("hub"), "no body that deforms is called 'hub'"),
+        (lambda: of.PeakReaction("tip"), "no joint is called 'tip'; known: 'hub', 'motor', 'elbow'"),
+        (lambda: of.PeakReaction("elbow"), "the reaction of 'elbow' is in N and N m; give one of these as unit"),
+        (lambda: of.Own(lambda run: "much", dict), "value.run. must return a finite number"),
+        (lambda: 1.0 * of.Frequency(10**4), "number = 10000 is too large"),
+    ],
+)
+def test_what_is_not_in_the_model_is_told(objective, match, motion):
+    with pytest.raises(pi.InputError, match=match):
+        objective()(motion)
+
+
+def test_reactions_that_are_not_unique_have_no_slopes(scenes):
+    made, upper = scenes.cantilever()
+    made.add(pi.Revolute(pi.ground, upper.section("left"), name="double"))
+    model = made.build(redundant="least-norm")
+    still = pi.Trajectory(model, "by hand", np.zeros(1), *np.zeros((3, 1, model.n)), np.zeros((1, model.m)))
+    with pytest.raises(pi.InputError, match="'double' is not unique"):
+        of.PeakReaction("double").slopes(still)
