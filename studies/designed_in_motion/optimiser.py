@@ -4,7 +4,13 @@ import math
 
 from polyida.errors import InputError
 
-REST = ((5.0, None, 20), (10.0, 4.0, 16), (20.0, 8.0, 16), (20.0, 16.0, 16), (20.0, 32.0, 16))  # q of RAMP, beta of the projection, evaluations
+REST = (
+    (5.0, None, 20),
+    (10.0, 4.0, 16),
+    (20.0, 8.0, 16),
+    (20.0, 16.0, 16),
+    (20.0, 32.0, 16),
+)  # q of RAMP, beta of the projection, evaluations
 MOTION = {"full": ((20.0, 16.0, 42), (20.0, 32.0, 42)), "short": ((20.0, 16.0, 16), (20.0, 32.0, 12))}
 VOLUME = 0.45
 STOPPED = 1e3  # times the first value: what a design counts as whose run stops, so that the optimiser turns back

@@ -48,13 +48,12 @@ def meshes_of(row):
 
 def solids_of(row):
     """The meshes of a row's solid design."""
-    return list(_solids(row["machine"], row["cells"], tuple(row["rho"]))) if "rho" in row else meshes_of(row)
+    return list(_solids(row["machine"], row["cells"], tuple(row["rho"]), row["at"])) if "rho" in row else meshes_of(row)
 
 
 @lru_cache(maxsize=16)
-def _solids(machine, cells, rho):
-    meshes = [MACHINES[machine].mesh(cells)] * len(MACHINES[machine].names)
-    return solids.solid_meshes(meshes, rho, optimiser.VOLUME)[0]
+def _solids(machine, cells, rho, at):
+    return solids.solid_meshes([MACHINES[machine].mesh(cells)] * len(MACHINES[machine].names), rho, at)
 
 
 def beside_each_other(rows):
