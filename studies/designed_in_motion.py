@@ -12,7 +12,7 @@ from polyida.study.sweeps.harness import Study
 
 MOTION, STATIC, PLAIN = "in motion", tuple(designs.LOADS), ("uniform", "bar")
 DESIGNS = (MOTION, *STATIC, *PLAIN)
-CELLS = {"arm": 1000, "two arms": 900}  # of a plate
+CELLS = {"arm": 1000, "two arms": 600}  # of a plate
 QUICK = {"arm": 400}
 
 

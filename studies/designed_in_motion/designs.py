@@ -45,17 +45,17 @@ def optimised(which, design, meshes, stages):
         with spent:
             starts = [optimiser.minimised(densities, value, optimiser.REST[:-1], x) for value in values[1:]]
             best = min(starts, key=lambda start: values[0](densities.of(start[0], stages[0][1])[0], stages[0][0])[0])
-            x, kept, history = optimiser.minimised(densities, values[0], stages, best[0])
+            _, kept, history, reached = optimiser.minimised(densities, values[0], stages, best[0])
         kept = best[1] + kept
     else:
-        stages, value = optimiser.REST, compiled(densities, x, *at_rest(which, meshes, LOADS[design]))
+        value = compiled(densities, x, *at_rest(which, meshes, LOADS[design]))
         with spent:
-            _, kept, history = optimiser.minimised(densities, value, stages, x)
+            _, kept, history, reached = optimiser.minimised(densities, value, optimiser.REST, x)
     rho = kept[-1]
     return spent.told() | {
         "evaluations": len(history),
         "first": history[0],
-        "grey_J": min(history[-stages[-1][-1] :]),
+        "grey_J": reached,
         "volume": float(densities.share @ rho),
         "grey": float(4.0 * densities.share @ (rho * (1.0 - rho))),
         "history": history,

@@ -17,7 +17,7 @@ STOPPED = 1e3  # times the first value: what a design counts as whose run stops,
 
 
 def minimised(densities, value, stages, x, volume=VOLUME):
-    """(variables, densities at the end of each stage, values of all evaluations), beginning with the variables x.
+    """(variables, densities at the end of each stage, values of all evaluations, value in the end), beginning with the variables x.
 
     value(rho, q): (a positive value, its slopes in rho); ArithmeticError where a run stops. What is minimised is its logarithm, so that steps are the same in any unit; volume:
     the most of the mean of rho over the area.
@@ -32,7 +32,7 @@ def minimised(densities, value, stages, x, volume=VOLUME):
         mma.add_inequality_constraint(_constraint(densities, beta, volume), 1e-6)
         x = mma.optimize(x)
         kept.append(densities.of(x, beta)[0])
-    return x, kept, history
+    return x, kept, history, math.exp(mma.last_optimum_value())
 
 
 def _objective(densities, q, beta, value, history):

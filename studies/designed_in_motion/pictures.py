@@ -8,7 +8,7 @@ import polyida as pi
 from designed_in_motion import optimiser, solids
 from designed_in_motion.machines import MACHINES
 
-APART = 1.3  # m, between the hinges of machines that are shown moving
+APART, STEPS = 1.3, 100  # m, between the hinges of machines that are shown moving, and steps of their run
 
 
 def draw_densities(axes, meshes, rho, apart=1.0):
@@ -61,4 +61,4 @@ def beside_each_other(rows):
     machine, scene = MACHINES[rows[0]["machine"]], pi.Scene(MACHINES[rows[0]["machine"]].gravity)
     for k, row in enumerate(rows):
         machine.add_to(scene, solids_of(row), row["thickness"], f"{row['design']}: ", k * APART * len(machine.names))
-    return pi.solve(scene.build(), machine.t_end, pi.GeneralizedAlpha(h=machine.h))
+    return pi.solve(scene.build(), machine.t_end, pi.GeneralizedAlpha(h=machine.t_end / STEPS))
