@@ -13,8 +13,8 @@ from polyida.keywords import named_keywords
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """dJ by the frames of a slice of a run: q, v, a (count, n), lam (count, m), t (count,), the times at which the frames are; None where
-    zero.
+    """dJ by the frames of a slice of a run: q, v, a (count, n), lam (count, m), t (count,), the times at which the frames are, or a function
+    without arguments that gives this, called where times move with a parameter; None where zero.
 
     direct: {name of a parameter: dJ/dp at fixed frames}, this slice's share, such as "arm.stiffness" (cells,). work: more of the same
     for every parameter, entries (t (k,), q, v, a (k, n), lam (k, m), w (k, n), mu (k, m)): dJ/dp holds the sum over them of
@@ -26,38 +26,48 @@ class Slopes:
     v: NDArray | None = None
     a: NDArray | None = None
     lam: NDArray | None = None
-    t: NDArray | None = None
+    t: NDArray | Callable[[], NDArray] | None = None
     direct: dict[str, NDArray | float] = field(default_factory=dict)
     work: tuple[NDArray, ...] | None = None
     of_model: Callable[[Any], float] | None = None
 
+    def by_time(self) -> NDArray | None:
+        """t, (count,), or None."""
+        return self.t() if callable(self.t) else self.t
+
     def times(self, factor: float) -> "Slopes":
         """Those of J times a number."""
-        found = {name: None if getattr(self, name) is None else factor * getattr(self, name) for name in FRAMES}
+        found: dict[str, Any] = {name: _times(factor, getattr(self, name)) for name in FRAMES}
         direct = {name: factor * value for name, value in self.direct.items()}
         work = None if self.work is None else (*self.work[:5], *(factor * x for x in self.work[5:]))
-        of_model = self.of_model and _times(factor, self.of_model)
-        return Slopes(**found, direct=direct, work=work, of_model=of_model)
+        return Slopes(**found, direct=direct, work=work, of_model=_times(factor, self.of_model))
 
     def plus(self, other: "Slopes") -> "Slopes":
         """Those of a sum of two objectives, of the same slice."""
-        found = {name: _sum(getattr(self, name), getattr(other, name)) for name in FRAMES}
+        found: dict[str, Any] = {name: _sum(getattr(self, name), getattr(other, name)) for name in FRAMES}
         direct = self.direct | {name: value + self.direct.get(name, 0.0) for name, value in other.direct.items()}
         works = [work for work in (self.work, other.work) if work is not None]
         work = tuple(map(np.concatenate, zip(*works))) if works else None
-        return Slopes(**found, direct=direct, work=work, of_model=_both(self.of_model, other.of_model))
+        return Slopes(**found, direct=direct, work=work, of_model=_sum(self.of_model, other.of_model))
 
 
 FRAMES = tuple(entry.name for entry in fields(Slopes))[:5]
 
 
+def _times(factor, x):
+    """Of an array or a function, None where there is none."""
+    if callable(x):
+        return lambda *given: factor * x(*given)
+    return None if x is None else factor * x
+
+
 def _sum(a, b):
-    return b if a is None else a if b is None else a + b
+    if a is None or b is None:
+        return b if a is None else a
+    if not (callable(a) or callable(b)):
+        return a + b
+    return lambda *given: _value(a, given) + _value(b, given)
 
 
-def _times(factor, function):
-    return lambda model: factor * function(model)
-
-
-def _both(one, other):
-    return (lambda model: one(model) + other(model)) if one and other else one or other
+def _value(x, given):
+    return x(*given) if callable(x) else x

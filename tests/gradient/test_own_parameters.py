@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.gradient.parameters import in_time, parameters_of
-from polyida.gradient.parameters.parameter import total
-from polyida.gradient.parameters.work import Work
+from polyida.adjoint.parameters import in_time, parameters_of
+from polyida.adjoint.parameters.parameter import total
+from polyida.adjoint.parameters.work import Work
 from polyida.model.differences import along
 from polyida.model.guarded import guard
 from polyida.problems.andrews import Q0, Andrews

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.gradient.parameters import in_time, parameters_of
-from polyida.gradient.parameters.motions import OfMotion
-from polyida.gradient.parameters.parameter import total
-from polyida.gradient.parameters.work import Work
+from polyida.adjoint.parameters import in_time, parameters_of
+from polyida.adjoint.parameters.motions import OfMotion
+from polyida.adjoint.parameters.parameter import total
+from polyida.adjoint.parameters.work import Work
 from polyida.model.differences import along
 
 STEEL = pi.Material(E=2e7, nu=0.3, rho=1000.0, viscosity=1e-3, mass_damping=0.4)

@@ -5,9 +5,9 @@ import pytest
 
 import polyida as pi
 from polyida import machine
-from polyida.gradient.plain import PlainSweep, Sent
-from polyida.gradient.scene import products
-from polyida.gradient.scene.sweep import SceneSweep
+from polyida.adjoint.alpha.plain import PlainSweep, Sent
+from polyida.adjoint.scene.products import products_at
+from polyida.adjoint.scene.sweep import SceneSweep
 from polyida.integrate.alpha import scene as compiled_loop
 from polyida.model.differences import along
 from polyida.objective.slopes import Slopes
@@ -55,10 +55,7 @@ def test_products_are_derivatives_of_the_residual(case):
     random, t = np.random.default_rng(0), 0.05
     (q, v), lam = bent(case, random), random.standard_normal(case.m)
     (w, d), mu, zero = random.standard_normal((2, case.n)), random.standard_normal(case.m), np.zeros(case.n)
-    x, slopes = products.scratch(case), np.empty(len(case.arrays.links.row_columns))
-    viscosity = case.arrays.plates.body_viscosity if case.damped else None
-    nodal = [values.reshape(-1, 2).copy() for values in (q, v)], w.reshape(-1, 2).copy()
-    products.products(products.arrays_of(case), viscosity, case.laws, case.drives(t), slopes, *nodal[0], lam, nodal[1], mu, x)
+    x = products_at(case, t, q, v, lam, w, mu)
 
     def check(product, function, reach=1.0):
         wanted = along(function, reach)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.gradient.modal import gradient_of_modes
-from polyida.gradient.parameters import parameters_of
-from polyida.gradient.static import gradient_of_static
+from polyida.adjoint.still.modal import gradient_of_modes
+from polyida.adjoint.parameters import parameters_of
+from polyida.adjoint.still.static import gradient_of_static
 from polyida.integrate.state import StepFailure
 from polyida.problems.pendulum import Pendulum
 

@@ -29,10 +29,10 @@ class Compliance(TimeMean):
             f = np.array([load(t) for t in frames.t.tolist()])
 
             def back(factor):
-                by_time = np.sum(rates(model, load, frames.t, span) * frames.q, axis=1)
+                by_time = lambda: factor * np.sum(rates(model, load, frames.t, span) * frames.q, axis=1)  # noqa: E731
                 rest, none = np.zeros_like(frames.q), np.zeros_like(frames.lam)
                 work = frames.t, rest, rest, rest, none, -factor[:, None] * frames.q, none
-                return Slopes(q=factor[:, None] * f, t=factor * by_time, work=work)
+                return Slopes(q=factor[:, None] * f, t=by_time, work=work)
 
             return np.sum(f * frames.q, axis=1), back
 

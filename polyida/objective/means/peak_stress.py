@@ -46,14 +46,16 @@ class PeakStress(TimeMean):
 
         def look(frames):
             moved = [model.nodal(q) for q in frames.q]
-            sizes = np.array([np.concatenate([body.von_mises(u) for body in bodies]) for u in moved])
+            stresses = [[body.stress(u) for body in bodies] for u in moved]
+            sizes = np.array([np.concatenate([body.von_mises(one) for body, one in zip(bodies, each)]) for each in stresses])
             means = np.array([power_mean(share, s, self.p) for s in sizes])
 
             def back(factor):
                 """ds/dvm = share (vm / s)^(p - 1)."""
                 rates = [relative(one, mean) ** (self.p - 1.0) for one, mean in zip(sizes, means)]
                 toward = factor[:, None] * share * np.array(rates).reshape(sizes.shape)
-                pull = [model.of_nodal(_pull(bodies, u, np.split(one, splits))) for u, one in zip(moved, toward)]
+                pulls = zip(moved, stresses, (np.split(one, splits) for one in toward))
+                pull = [model.of_nodal(_pull(bodies, *each)) for each in pulls]
                 works = np.split(np.sum(toward * sizes, axis=0), splits)
                 direct = [slopes for body, work in zip(bodies, works) if body.body in model.bodies for slopes in body.by_parameters(work)]
                 return Slopes(q=np.array(pull).reshape(-1, model.n), direct=dict(direct))
@@ -63,11 +65,11 @@ class PeakStress(TimeMean):
         return look
 
 
-def _pull(bodies, u, wanted):
+def _pull(bodies, u, stresses, wanted):
     """What acts on the nodes (nodes, 2)."""
     forces = np.zeros_like(u)
-    for body, one in zip(bodies, wanted):
-        body.pull(u, one, forces)
+    for body, stress, one in zip(bodies, stresses, wanted):
+        body.pull(u, stress, one, forces)
     return forces
 
 
@@ -78,9 +80,8 @@ class Stressed:
         modulus, nu = body.plate.material.in_plane
         self.body, self.operator, self.moduli, self.across = body, body.operator, (modulus / (1 - nu**2), nu), body.plate.material.across
 
-    def von_mises(self, u):
+    def von_mises(self, stress):
         """(cells,), Pa."""
-        stress = self.stress(u)
         return von_mises(stress, self.across * (stress[:, 0] + stress[:, 1]))
 
     def stress(self, u):
@@ -89,12 +90,10 @@ class Stressed:
         element.stress(*operator.force_arrays, operator.lane_cells, operator.areas, self.body.nodes.start, *self.moduli, u, out)
         return out
 
-    def pull(self, u, wanted, forces):
+    def pull(self, u, stress, wanted, forces):
         """forces (nodes, 2) += the slope in u of `wanted (cells,) . von Mises stress`; no slope where that is zero."""
-        stress = self.stress(u)
         xx, yy, xy = stress.T
-        zz = self.across * (xx + yy)
-        size = von_mises(stress, zz)
+        zz, size = self.across * (xx + yy), self.von_mises(stress)
         out = self.across * (2.0 * zz - xx - yy)
         squares = np.stack([2.0 * xx - yy - zz + out, 2.0 * yy - xx - zz + out, 6.0 * xy])
         toward = squares * np.divide(wanted, 2.0 * size * self.operator.areas, out=np.zeros_like(size), where=size > 0)

@@ -9,7 +9,6 @@ in which nothing overflows, however large p and s are. A run of one frame, an eq
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -73,11 +72,12 @@ class TimeMean(Objective):
 
         def of(part):
             found = seen(Frames(run, part))[1](mean.shares[part])
-            t = mean.by_times[part]
-            of_model = (
-                (lambda model: float(mean.shares[part] @ self._elsewhere(run, model)(Frames(run, part))[0])) if self._of_material else None
-            )
-            return replace(found, t=t if found.t is None else t + found.t, of_model=of_model)
+            of_model = (lambda model: float(mean.shares[part] @ elsewhere(model, part))) if self._of_material else None
+            return found.plus(Slopes(t=mean.by_times[part], of_model=of_model))
+
+        def elsewhere(model, part):
+            """What is seen of the frames with another model."""
+            return self._named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]
 
         return of
 
@@ -87,10 +87,6 @@ class TimeMean(Objective):
 
     def _of(self, run):
         return self._seen(guard(run.model, type(self).__name__), _span(run))
-
-    def _elsewhere(self, run, model):
-        """What is seen of a run with another model."""
-        return self._named(run.model)._seen(guard(model), _span(run))
 
     def _sizes(self, run, seen):
         step = frames_at_once(run.q.shape[1])

@@ -1,0 +1,1 @@
+"""Of generalized-alpha: its steps backward, and what they begin from."""

@@ -1,0 +1,56 @@
+"""A run taken again by the very steps that it took, of its model with a parameter changed: what differences of a run are made of."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from polyida.adjoint.alpha.beginning import given_velocity
+from polyida.errors import InputError
+from polyida.integrate.alpha.start import started
+from polyida.integrate.alpha.steps import Steps
+from polyida.integrate.kinks import segments
+from polyida.integrate.start import VIOLATION, restarted
+from polyida.integrate.state import Counts, State
+from polyida.integrate.stepping.grid import Grid
+from polyida.model.guarded import guard
+
+ITERATIONS = 25  # of Newton's method, at least, that so tight a tolerance may take
+
+
+class Again:
+    """A run, to be taken again by the steps of its course. tolerance: Newton's."""
+
+    def __init__(self, run, course, tolerance):
+        self.run, self.course, self.model = run, course, guard(run.model)
+        self.settings = replace(run.integrator, tolerance=tolerance, max_iterations=max(ITERATIONS, run.integrator.max_iterations))
+        t, *vectors = (x[0] for x in course.states(0, 1))
+        self.state = State(float(t), *vectors)
+        self.given, self.own = given_velocity(self.model, self.state)
+
+    def frames(self, model, moved=0.0):
+        """The run of another model, its frames at the same steps; moved: what is added to the velocities that it was given."""
+        guarded = guard(model)
+        given = guarded.initial_velocity(self.state.t, self.state.q) if self.own else self.given
+        states = [restarted(guarded, replace(self.state, v=given + moved))]
+        engine, times = Steps(self.settings, guarded, Counts()), self._times(guarded)
+        for piece in self.course.pieces:
+            grid, state = Grid(times(piece.first), times(piece.first + piece.count), piece.count), states[-1]
+            state = replace(state, memory={"begin": {}, "cut": {"cut": 1.0, "h": 0.0}}.get(piece.kind, state.memory))
+            engine.begin(started(self.settings, guarded, state, grid.h), grid.h)
+            states += engine.run(grid)
+        kept = [states[k] for k in np.flatnonzero(self.course.frames >= 0)]
+        vectors = {name: np.array([getattr(state, name) for state in kept]) for name in ("t", "q", "v", "a", "lam")}
+        return replace(self.run, model=model, **vectors)
+
+    def begins(self, model):
+        """Whether a run of another model can begin where this one did."""
+        phi = guard(model).phi(self.state.t, self.state.q)
+        return bool(np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max()))
+
+    def _times(self, model):
+        """A function of the number of a state: its time, which moves evenly with the kinks about it."""
+        begin, end = float(self.run.t[0]), float(self.run.t[-1])
+        edges, others = ([begin, *(last for _, last in segments(which, begin, end))] for which in (self.model, model))
+        if len(edges) != len(others):
+            raise InputError("check_gradient: a kink of a load or motor comes into the run, or leaves it, with the parameter")
+        return lambda k: float(np.interp(self.course.states(k, k + 1)[0][0], edges, others))

@@ -1,0 +1,74 @@
+"""`gradient`: the value of an objective and its slopes in all parameters of the model, of whatever was solved."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from polyida.adjoint.result import Gradient
+from polyida.adjoint.run import gradient_of_run
+from polyida.adjoint.still.modal import gradient_of_modes
+from polyida.adjoint.still.static import gradient_of_static
+from polyida.bar import over_time, require_progress
+from polyida.errors import InputError
+from polyida.integrate.statics.loading import Equilibrium
+from polyida.io.frames import MEMORY_LIMIT, require_bytes
+from polyida.keywords import named_keywords
+from polyida.machine import one_blas_thread
+from polyida.modal.modes import Modes
+from polyida.objective.objective import Objective
+from polyida.trajectory import Trajectory
+
+
+@named_keywords
+def gradient(
+    run: Any,
+    objective: Objective,
+    parameters: Sequence[str] | None = None,
+    memory_limit: float = MEMORY_LIMIT,
+    progress: Callable[[float], object] | bool | None = None,
+) -> Gradient:
+    """The Gradient of an objective of a run, of an equilibrium of `pi.static`, or of `pi.modes`: its value and dJ/dp by name.
+
+    Of a run by the discrete adjoint of GeneralizedAlpha: exact for the steps that were taken (their sizes, cuts, kinks and beginnings), up to
+    what Newton's tolerance left in them: 1e-9 at a tolerance of 1e-10, about the tolerance itself for what q says, more for lam and a. Cost:
+    about one run, whatever the number of parameters. A run whose frames are not all of its steps is taken again from its beginning; its
+    steps are held in memory up to `memory_limit` bytes, beyond that as checkpoints between which it is taken a third time.
+
+    parameters: names, or None for all that cost next to nothing: of plates `stiffness` and `mass` (a factor of each cell), `E`, `thickness`,
+    `rho`; `mass` of point masses; of motors and loads the numbers of their profiles (`motor.end`, `motor.duration`, `load.amplitude` ...);
+    velocities of bodies and `v0`; of models of one's own what their `parameters` names. By name also any number of a part, `spring.stiffness`.
+    progress: called with t as it goes back, or True for a bar of tqdm. Raises InputError for what is none of these, for another
+    integrator's run, for frames between steps (`output`, `until`, `extrapolate`), and for an unknown parameter.
+
+        found = pi.gradient(run, pi.objective.Deviation("tip", path))
+        found.value, found["arm.stiffness"]
+    """
+    if not isinstance(objective, Objective):
+        raise InputError(f"gradient: {objective!r:.80} is no objective; use one of polyida.objective, or objective.Own(value, slopes)")
+    names = _names(parameters)
+    require_progress("gradient", progress)
+    require_bytes("gradient", memory_limit)
+    with one_blas_thread():
+        if isinstance(run, Equilibrium):
+            return gradient_of_static(run, objective, names)
+        if isinstance(run, Modes):
+            return gradient_of_modes(run, objective, names)
+        if not isinstance(run, Trajectory):
+            raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
+        begin, end = float(run.t[0]), float(run.t[-1])
+        if progress is not True:
+            return gradient_of_run(run, objective, names, progress or _nobody, memory_limit)
+        with over_time(progress, begin, end) as tell:
+            return gradient_of_run(run, objective, names, lambda t: tell(begin + end - t), memory_limit)
+
+
+def _nobody(t):
+    """What is told of progress where nobody asks."""
+
+
+def _names(parameters):
+    if parameters is None:
+        return None
+    names = list(parameters) if not isinstance(parameters, str) else None
+    if names is None or not all(isinstance(name, str) for name in names):
+        raise InputError(f"gradient: parameters = {parameters!r:.80} must be a list of names, or None for all")
+    return names

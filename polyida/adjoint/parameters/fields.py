@@ -1,0 +1,94 @@
+"""Every other number of a scene's parts as a parameter, by differences of models or of force elements with another one."""
+
+import warnings
+from dataclasses import dataclass, fields, replace
+from functools import reduce
+from typing import Any
+
+from polyida.adjoint.parameters.elements import element_work
+from polyida.adjoint.parameters.parameter import Parameter, total
+from polyida.adjoint.parameters.rebuilt import changed, with_part
+from polyida.assembly.bodies.motion import motions_given
+from polyida.assembly.own.forces import OwnForce
+from polyida.body.body import Body
+from polyida.body.field_body import FieldBody
+from polyida.body.plate import Plate
+from polyida.force.force_element import ForceElement
+from polyida.joint.formula import rows_of
+from polyida.joint.joint import Joint
+from polyida.model.differences import EVERYWHERE, along
+
+POSITIVE = (0.0, float("inf"))
+PLACING = ("origin", "angle", "velocity", "spin")  # of bodies: where they are and how they start
+MATERIAL = ("nu", "viscosity", "mass_damping")
+OF_REDUCED = ("E", "rho", *MATERIAL)
+
+
+@dataclass(frozen=True, eq=False)
+class OfField(Parameter):
+    """A number in a field of a part, or of what stands in a field. part: its name. path: the names of the fields."""
+
+    part: str
+    path: tuple
+    asked = True
+
+    def work(self, work):
+        """By differences of fourth order, which for the zero of what is not negative look ahead only."""
+        return self._slope(lambda value: self._total(value, work))
+
+    def start(self, t, q, bar):
+        """The same, where bodies were given motions, which are changed in the metric of M."""
+        if isinstance(self.model.parts[self.part], ForceElement) or not motions_given(self.model).any():
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that they are, which the run has told
+            return self._slope(lambda value: bar @ self.replaced(value).initial_velocity(t, q))
+
+    def of_model(self, function):
+        """By differences."""
+        return self._slope(lambda value: function(self.replaced(value)))
+
+    def _slope(self, function):
+        room = POSITIVE if self.value == 0.0 else EVERYWHERE
+        return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, room))
+
+    def _total(self, value, work):
+        part = self.model.parts[self.part]
+        if isinstance(part, ForceElement):
+            return element_work(OwnForce(self.part, part, self.model), self._part(value), work).sum()
+        return total(self.replaced(value), work)
+
+    def _part(self, value):
+        """The part of another number; a reduced plate with the fields that it has."""
+        part: Any = self.model.parts[self.part]
+        made = next((placed.user.made_fields(placed.body) for placed in self.model.few if placed.user is part), {})
+        return changed(replace(part, **made), self.path, value)
+
+    def replaced(self, value):
+        """The scene with the part of another number."""
+        return with_part(self.model, self.part, self._part(value))
+
+
+def of_fields(model):
+    """The parameters of the numbers of all parts but loads, point masses, and what the drawing must agree with."""
+    for name, part in model.parts.items():
+        for path, value in _numbers(part):
+            yield OfField(f"{name}.{path[-1]}", value, model, name, path)
+
+
+def _numbers(part):
+    """(names of fields, number) of a part."""
+    if isinstance(part, Plate):
+        yield from _inner(part, ("material",), MATERIAL)
+        yield from _inner(part, (), ("tau",) if part.element == "virtual" else ())
+    elif isinstance(part, FieldBody):
+        yield from _inner(part, ("plate", "material"), OF_REDUCED)
+        yield from _inner(part, ("plate",), ("thickness",))
+    elif isinstance(part, (Body, ForceElement)) or isinstance(part, Joint) and all(row.driven for row in rows_of(part.facing().rows())):
+        known = [field.name for field in fields(part) if field.init and isinstance(getattr(part, field.name), float)]
+        yield from _inner(part, (), [key for key in known if not (isinstance(part, Body) and key in PLACING)])
+
+
+def _inner(part, path, keys):
+    for key in keys:
+        yield (*path, key), reduce(getattr, (*path, key), part)

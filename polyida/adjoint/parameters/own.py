@@ -1,0 +1,67 @@
+"""The parameters of models of one's own: attributes that they name."""
+
+from typing import Any
+
+import numpy as np
+
+from polyida.adjoint.parameters.parameter import Parameter
+from polyida.errors import InputError
+from polyida.given import floats
+
+STEP = 1e-4  # of a parameter's size: over which kinks move evenly
+
+
+class OfOwnModel(Parameter):
+    """An attribute of a model, a number or an array."""
+
+    def work(self, work):
+        """By the model's residual_p and phi_p; the slopes of rate and bias by differences."""
+        result = np.zeros(np.shape(self.value))
+        for k, state in enumerate(zip(work.t.tolist(), work.q, work.v, work.a, work.lam)):
+            result = result + work.w[k] @ self.model.residual_p(self.name, *state)
+            for given, slope in ((work.mu, self._phi_p), (work.kappa, self._rate_p), (work.nu, self._bias_p)):
+                if given is not None and given[k].any():
+                    result = result + given[k] @ slope(*state[:3])
+        return result if result.ndim else float(result)
+
+    def _phi_p(self, t, q, v):
+        return self.model.phi_p(self.name, t, q)
+
+    def _rate_p(self, t, q, v):
+        return self.model.slope_p(self.name, lambda model: model.phi_rate(t, q, v))
+
+    def _bias_p(self, t, q, v):
+        return self.model.slope_p(self.name, lambda model: model.phi_bias(t, q, v))
+
+    def replaced(self, value):
+        """The model with the attribute changed."""
+        return self.model.replaced(self.name, value)
+
+    def start(self, t, q, bar):
+        """By differences of the velocities that the model gives."""
+        found = bar @ self.model.slope_p(self.name, lambda model: model.initial_velocity(t, q))
+        return found if found.any() else None
+
+    def kinks(self, t0, t1):
+        """By differences of the model's kinks."""
+        if np.ndim(self.value):
+            return {}
+        step = STEP * (abs(self.value) or 1.0)
+        near = [self.replaced(self.value + s).kinks(t0, t1) for s in (-step, step)]
+        known = self.model.kinks(t0, t1)
+        if not len(near[0]) == len(near[1]) == len(known):
+            raise InputError(f"{self.name}: the model's kinks between {t0:g} and {t1:g} s come and go where it changes a little")
+        moved = np.subtract(near[1], near[0]) / (2 * step)
+        return {kink: speed for kink, speed in zip(known, moved.tolist()) if speed}
+
+
+def of_own(model: Any) -> list[Parameter]:
+    """A Parameter for each name that a model lists. Raises InputError for one that is no number or array of numbers."""
+    return [OfOwnModel(name, _value(model, name), model) for name in model.parameters]
+
+
+def _value(model, name):
+    value = floats(getattr(model, name, None))
+    if value is None:
+        raise InputError(f"{model!r}: its parameter {name!r} must be an attribute that is a number or an array of numbers")
+    return value if value.ndim else float(value)

@@ -1,0 +1,64 @@
+"""What a model's parameter answers: its slope in a sum over a run, and the model with another value."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from polyida.adjoint.parameters.work import Work
+
+
+@dataclass(frozen=True, eq=False)
+class Parameter:
+    """A number, or an array of numbers, of a model.
+
+    name: as in "arm.E". value: a float or an array. model: that it is a parameter of. asked: whether it is taken only where somebody
+    asks for it by name: its slope is made of differences of models, or another parameter says the same.
+    """
+
+    name: str
+    value: Any
+    model: Any
+    asked = False
+
+    def work(self, work: Work) -> Any:
+        """The slope, of the shape of the value, of the sum over the entries of `w . r + mu . phi + kappa . rate + nu . bias`.
+
+        Times stay; entries beside a kink stay on their side of it.
+        """
+        raise NotImplementedError
+
+    def of_model(self, function: Callable[[Any], float]) -> float:
+        """The slope of a function of the model; 0 where objectives say it by the parameter's name (Slopes)."""
+        return 0.0
+
+    def replaced(self, value: Any) -> Any:
+        """The model with another value of it, all else the same. Raises InputError where no model has it."""
+        raise NotImplementedError
+
+    def start(self, t: float, q: NDArray, bar: NDArray) -> Any:
+        """The slope of `bar . initial_velocity(t, q)`, of the shape of the value; None where that does not depend on it."""
+        return None
+
+    def kinks(self, t0: float, t1: float) -> dict[float, float]:
+        """{time of a kink in (t0, t1), s: by how much it moves with the parameter}, without those that stay."""
+        return {}
+
+
+def total(model: Any, work: Work) -> float:
+    """`sum w . r + mu . phi + kappa . rate + nu . bias` of a model over the entries."""
+    terms = ((model.phi, work.mu, False), (model.phi_rate, work.kappa, True), (model.phi_bias, work.nu, True))
+    result = 0.0
+    for k, (t, q, v) in enumerate(zip(work.t.tolist(), work.q, work.v)):
+        result += work.w[k] @ model.residual(t, q, v, work.a[k], work.lam[k])
+        for function, factor, moving in terms:
+            if factor is not None and model.m:
+                result += factor[k] @ (function(t, q, v) if moving else function(t, q))
+    return float(result)
+
+
+def dotted(first: NDArray, second: NDArray) -> float:
+    """The sum of the products of all entries."""
+    return float(np.vdot(first, second))

@@ -1,0 +1,178 @@
+"""Products of a scene's matrices with a field at one state: `K^T w + B^T mu`, `M w` and `C^T w`, without a matrix."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.assembly.bodies import compact, tangents
+from polyida.assembly.own.laws import add_own_curvature
+from polyida.assembly.rows import joints
+from polyida.compiled import entry, pack, part
+from polyida.element import kernels, product, stabilisation
+from polyida.linear.dense import clear
+
+
+@pack
+class Scratch(NamedTuple):
+    """Of products at a state: nodal rotations, what was made of the points and of bodies of few coordinates, and the results.
+
+    points (5, points, 2): displacements, velocities, those of w, forces, masses times those of w. curvature, slack
+    (2 points, 2 points): K and C on the points, of rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few
+    coordinates. stiff, heavy, slowing (nodes, 2): K^T w + B^T mu, M w, C^T w; rows (m,): B w.
+    """
+
+    rotation: np.ndarray
+    points: np.ndarray
+    curvature: np.ndarray
+    slack: np.ndarray
+    few: np.ndarray
+    slow: np.ndarray
+    stiff: np.ndarray
+    heavy: np.ndarray
+    slowing: np.ndarray
+    rows: np.ndarray
+
+
+DZ, VZ, WZ, FORCES = range(4)
+
+
+def arrays_of(model):
+    """Its arrays, the blocks of the bodies of few coordinates counted from the first of these."""
+    compact = model.arrays.compact
+    return model.arrays._replace(compact=compact._replace(block=compact.block - compact.block[0]))
+
+
+def scratch(model):
+    """Scratch of a scene's size."""
+    nodes, points, few = (model.n_nodes, 2), 2 * model.n_points, (int(np.ptp(model.arrays.compact.block)), 2, 2)
+    square = (points, points)
+    return Scratch(
+        np.zeros(nodes),
+        np.zeros((4, model.n_points, 2)),
+        np.zeros(square),
+        np.zeros(square if model.laws is not None else (0, 0)),
+        np.zeros(few),
+        np.zeros(few if model.damped else (0, 2, 2)),
+        np.zeros(nodes),
+        np.zeros(nodes),
+        np.zeros(nodes if model.needs.velocity_forces else (0, 2)),
+        np.zeros(model.m),
+    )
+
+
+@part
+def hold_state(s, laws, drives, u, v, lam, x):
+    """What products at a state are made of, beside the plates: its points, their curvature, the matrices of bodies of few coordinates."""
+    joints.point_values(s.links, u, x.points[DZ])
+    clear(x.curvature)
+    joints.joint_curvature(s.links, drives, lam, x.curvature)
+    if laws is not None:
+        clear(x.slack)
+        joints.point_values(s.links, v, x.points[VZ])
+        add_own_curvature(laws, drives, x.points[DZ], x.points[VZ], 1.0, 0.0, x.curvature)
+        add_own_curvature(laws, drives, x.points[DZ], x.points[VZ], 0.0, 1.0, x.slack)
+    if x.few.shape[0]:
+        x.few[:] = 0.0
+        tangents.blocks(s.compact, u, v, 0.0, 0.0, 1.0, x.few)
+        if x.slow.shape[0]:
+            x.slow[:] = 0.0
+            tangents.blocks(s.compact, u, v, 0.0, 1.0, 0.0, x.slow)
+
+
+@part
+def few_products(c, few, w, r):
+    """r += the transposed blocks of bodies of few coordinates times w."""
+    for b in range(c.drag.shape[0]):
+        first, count = c.pair[b], c.pair[b + 1] - c.pair[b]
+        for i in range(count):
+            for j in range(count):
+                block = few[c.block[b] + i * count + j]
+                for k in range(2):
+                    r[first + j, k] += block[0, k] * w[first + i, 0] + block[1, k] * w[first + i, 1]
+
+
+@part
+def body_products(s, viscosity, u, v, w, rotation, x):
+    """Fill x.stiff, x.heavy and x.slowing with what the bodies give; rotation: x.rotation, or (0, 2) where it is at hand."""
+    clear(x.stiff)
+    clear(x.heavy)
+    clear(x.slowing)
+    clear(rotation)
+    plate_products(s.plates, viscosity, u, v, w, rotation, x)
+    compact.momentum(s.compact, w, x.heavy)
+    few_products(s.compact, x.few, w, x.stiff)
+    if viscosity is not None:
+        few_products(s.compact, x.slow, w, x.slowing)
+    if rotation.shape[0]:
+        for b in range(s.compact.drag.shape[0]):
+            compact.turn(s.compact, b, u, rotation)
+
+
+@part
+def plate_products(s, viscosity, u, v, w, rotation, x):
+    """The plates' part."""
+    for b in range(s.body_operator.shape[0]):
+        o, n0 = s.body_operator[b], s.body_node[b]
+        p, e = s.at[o], s.at[o + 1]
+        layout, corners, gradients = s.layout[p[0] : e[0]], s.corners[p[1] : e[1]], s.gradients[p[2] : e[2]]
+        weights, c1, nu = s.weights[p[3] : e[3]], s.body_c1[b], s.body_nu[b]
+        indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
+        if viscosity is None:
+            product.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, w, x.stiff, rotation)
+        else:
+            product.viscous_products(layout, corners, gradients, weights, n0, c1, nu, viscosity[b], u, v, w, x.stiff, x.slowing, rotation)
+            if s.body_drag[b] != 0.0:
+                kernels.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w, x.slowing)
+        kernels.mass_product(indptr, indices, mass, s.body_density[b], n0, w, x.heavy)
+        if s.body_stabilisation[b] != 0.0:
+            stabilisation.force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, w, x.stiff)
+
+
+@part
+def point_products(s, laws, slopes, w, mu, x):
+    """Add what masses, rows and force elements give at the points; x.rows = B w. slopes: phi_z."""
+    wz, forces = x.points[WZ], x.points[FORCES]
+    joints.point_values(s, w, wz)
+    pull_back(x.curvature, wz, forces)
+    for k in range(mu.shape[0]):
+        total = 0.0
+        for e in range(s.row_start[k], s.row_start[k + 1]):
+            i = s.row_columns[e]
+            total += slopes[e] * wz[i // 2, i % 2]
+            forces[i // 2, i % 2] += slopes[e] * mu[k]
+        x.rows[k] = total
+    joints.spread(s, forces, x.stiff)
+    for f in range(forces.shape[0]):
+        forces[f, 0], forces[f, 1] = s.point_mass[f] * wz[f, 0], s.point_mass[f] * wz[f, 1]
+    joints.spread(s, forces, x.heavy)
+    if laws is not None:
+        pull_back(x.slack, wz, forces)
+        joints.spread(s, forces, x.slowing)
+
+
+@part
+def pull_back(matrix, wz, forces):
+    """forces = matrix^T wz."""
+    for j in range(matrix.shape[1]):
+        total = 0.0
+        for i in range(matrix.shape[0]):
+            total += matrix[i, j] * wz[i // 2, i % 2]
+        forces[j // 2, j % 2] = total
+
+
+@entry
+def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
+    """All of them at one state, into x; slopes is scratch for phi_z."""
+    hold_state(s, laws, drives, u, v, lam, x)
+    body_products(s, viscosity, u, v, w, x.rotation, x)
+    joints.joint_jacobian(s.links, drives, x.points[DZ], slopes)
+    point_products(s.links, laws, slopes, w, mu, x)
+
+
+def products_at(model, t, q, v, lam, w, mu):
+    """The Scratch that holds them at a state of a compiled scene."""
+    x, arrays, slopes = model.once(scratch), model.once(arrays_of), np.empty(len(model.arrays.links.row_columns))
+    u, v, w = (np.array(each, float).reshape(-1, 2) for each in (q, v, w))
+    viscosity = model.arrays.plates.body_viscosity if model.damped else None
+    products(arrays, viscosity, model.laws, model.drives(t), slopes, u, v, np.array(lam, float), w, np.array(mu, float), x)
+    return x

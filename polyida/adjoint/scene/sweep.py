@@ -1,0 +1,78 @@
+"""The backward sweep of generalized-alpha on a compiled scene; what it solves is in `adjoint/alpha/plain.py`."""
+
+import numpy as np
+
+from polyida.adjoint.alpha.plain import Sent, Swept
+from polyida.adjoint.scene import steps
+from polyida.adjoint.scene.products import arrays_of, scratch
+from polyida.assembly.rows.increments import drive_table
+from polyida.integrate.alpha import scene as loop
+from polyida.integrate.stepping.ended import DONE, REASONS, SINGULAR
+from polyida.linear.cholesky.helpers import Helpers
+from polyida.linear.lu import SingularSystem
+from polyida.machine import threads
+
+SHARE = 1e-2  # of what Newton leaves, over what it is compared with, that refinement leaves of w
+LEAST = 1e-11  # of |w|: no less
+MOST = 12  # corrections of a step with one factor
+
+
+class SceneSweep:
+    """Steps of h on a compiled scene, backward. counts: what counts its work."""
+
+    def __init__(self, model, settings, h, counts):
+        c, (_, most, _) = settings.coefficients, settings.newton_tolerance(0.0)
+        self.model, self.settings, self.counts = model, settings, counts
+        self.method = steps.Method(h, c.alpha_m, c.alpha_f, c.beta, c.gamma, *c.rates(h), max(LEAST, SHARE * most), MOST)
+        self.arrays, self.products = arrays_of(model), scratch(model)
+        self.viscosity = model.arrays.plates.body_viscosity if model.damped else None
+        self.memory, self.trial = steps.empty(model.n, model.m)
+        self.system, self.before = None, np.inf
+        self.helpers = Helpers(threads() if model.n >= loop.SHARED else 1)
+
+    def back(self, t, q, v, a, lam, slopes, sent, keep=None):
+        """The Swept of steps that ended at these frames, in order of time, (count, .) each.
+
+        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n) each,
+        or None.
+        """
+        if abs(t[-1] - self.before) > 0.5 * self.method.h:
+            steps.forget(self.memory)
+        self.memory.sent[:], self.before = sent, t[0] - self.method.h
+        found = steps.Found(np.empty_like(q), np.empty_like(lam), *(keep or np.empty((2, 0, self.model.n))))
+        frames, drives = self._frames(q, v, lam, slopes), drive_table(self.model, t, (t[0], t[-1]))
+        done, fresh = len(t), False
+        while done:
+            if self.system is None:
+                self._factor(*(x[done - 1] for x in (t, q, v, a, lam)))
+                fresh = True
+            last, (done, ended) = done, self._steps(drives, frames, done, found)
+            if ended != DONE:
+                if ended == SINGULAR or (fresh and done == last):
+                    raise SingularSystem(REASONS[ended][1])
+                self.system, fresh = None, False
+        return Swept(Sent(*self.memory.sent.copy()), found.w, found.mu)
+
+    def _frames(self, q, v, lam, slopes):
+        n, m = self.model.n, self.model.m
+        own = ((slopes.q, n), (slopes.v, n), (slopes.a, n), (slopes.lam, m))
+        given = [q, v, lam, *(np.zeros((0, size)) if part is None else part for part, size in own)]
+        return steps.Frames(*(np.ascontiguousarray(part, float) for part in given))
+
+    def _factor(self, t, q, v, a, lam):
+        method, self.system = self.method, self.settings.step_matrix(self.model)
+        self.system.factor(t, q.copy(), v.copy(), a.copy(), lam.copy(), method.to_a, method.to_v)
+        self.counts.factorizations += 1
+        self.counts.solves += self.system.solves
+        self.counts.backend = self.system.backend
+        self.memory.marks[steps.CONTRACTION], self.memory.marks[steps.AGE] = 1.0, steps.FRESHEN
+
+    def _steps(self, drives, frames, last, found):
+        marks, given = self.memory.marks, (self.products, self.memory, self.trial, found)
+        marks[steps.SOLVES] = 0.0
+        with self.helpers.at_work(self.system.corotated.factor, self.system.room) as room:
+            result = steps.stretch(
+                self.arrays, self.system.corotated, room, self.method, self.viscosity, self.model.laws, drives, frames, last, *given
+            )
+        self.counts.solves += int(marks[steps.SOLVES])
+        return result

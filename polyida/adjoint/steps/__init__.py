@@ -1,0 +1,1 @@
+"""The steps that a run took, in its frames or taken again."""

@@ -1,0 +1,114 @@
+"""The steps that a run of generalized-alpha took, and what each stretch of equal ones began from: in its frames, or run again."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.adjoint.steps.recorded import SAME, Piece, Recorded, Room, Segments
+from polyida.errors import InputError
+from polyida.integrate.kinks import enough_steps, stretches
+from polyida.integrate.state import Counts, State
+from polyida.io.frames import MEMORY_LIMIT
+
+
+class Course(NamedTuple):
+    """All accepted states of a run in order, its beginning first, and the pieces between them.
+
+    states: a function (first, end) -> (t, q, v, a, lam) of those numbers. frames (states,): which frame of the run each is, or -1.
+    """
+
+    pieces: list
+    states: object
+    frames: np.ndarray
+
+
+def course_of(run, model, memory_limit=MEMORY_LIMIT):
+    """The Course of a run: read from its frames where these are all of its steps, run again otherwise."""
+    return _of_frames(run, model) if _whole(run) else _again(run, model, memory_limit)
+
+
+def _whole(run):
+    """Whether the frames are the ends of all steps, of steps that nothing but h and kinks chose."""
+    every = run.plan.get("every", 1) == 1 and not run.plan.get("output") and _double(run)
+    return every and _repeats(run.integrator) and not run.counts.rejected and run.status != "stopped"
+
+
+def _double(run):
+    return run.plan.get("precision", "double") == "double"
+
+
+def _of_frames(run, model):
+    pieces, done, h = [], 0, 0.0
+    for begin, end, most in stretches(model, float(run.t[0]), run.plan.get("t_end", float(run.t[-1])), run.integrator.h):
+        state = State(begin, *(np.asarray(x[done], float) for x in (run.q, run.v, run.a, run.lam)))
+        count = enough_steps(model, state, begin, end, min(run.integrator.h, most))
+        size = (end - begin) / count
+        pieces.append(Piece("on" if pieces else "begin", h, size, done, min(count, len(run) - 1 - done)))
+        done, h = done + count, size
+        if done >= len(run) - 1:
+            break
+    _require_steps(run, pieces)
+    return Course(pieces, _reader(run), np.arange(len(run)))
+
+
+def _reader(run):
+    """A function (first, end) that gives the run's own frames."""
+    arrays = run.t, run.q, run.v, run.a, run.lam
+    return lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays)
+
+
+def _require_steps(run, pieces):
+    """Raise InputError where the frames are not at the ends of the pieces' steps: the run is of another model or integrator."""
+    for piece in pieces:
+        if abs(run.t[piece.first + piece.count] - run.t[piece.first] - piece.count * piece.h) > SAME * piece.h * piece.count:
+            raise InputError(
+                f"gradient: the run's frames from t = {run.t[piece.first]:.9g} s on are not steps of {piece.h:.6g} s of its model"
+            )
+
+
+def _again(run, model, memory_limit):
+    begin = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
+    seen = Recorded(begin, Room.of(model, memory_limit, _repeats(run.integrator)))
+    for state in _accepted(run, model, seen):
+        if state.t >= run.t[-1]:
+            break
+    t = np.array(seen.times)
+    frames = np.searchsorted(run.t, t)
+    frames[~np.isin(t, run.t)] = -1
+    _require_frames(run, frames)
+    if seen.states is None and not _repeats(run.integrator):
+        return Course(seen.pieces, _read(run, frames, memory_limit), frames)
+    segments = Segments(lambda kept: _accepted(run, model, kept), seen)
+    return Course(seen.pieces, lambda first, end: (t[first:end], *segments.vectors(first, end)), frames)
+
+
+def _repeats(settings):
+    """Whether steps behind a checkpoint are those of the run bit by bit: steps whose size is chosen on the way are not."""
+    return settings.h is not None and not settings.adaptive
+
+
+def _read(run, frames, memory_limit):
+    """What reads states from frames. Raises InputError where these are not all of them."""
+    if not ((frames >= 0).all() and _double(run)):
+        raise InputError(
+            f"gradient: memory_limit = {memory_limit:.3g} bytes has no room for the {len(frames) - 1} steps of the run, and adaptive steps "
+            "cannot be taken again from checkpoints; allow more, or keep every step as a frame"
+        )
+    return _reader(run)
+
+
+def _accepted(run, model, seen):
+    """The accepted states of the run behind the first that `seen` has, which is told of all steps."""
+    for state in run.integrator.in_pieces(model, seen.states[seen.first], run.plan["t_end"], Counts(), watch=seen):
+        seen.accepted(state)
+        yield state
+
+
+def _require_frames(run, frames):
+    """Raise InputError where a frame is no state of the steps."""
+    if len(np.unique(frames[frames >= 0])) < len(run):
+        lost = np.setdiff1d(np.arange(len(run)), frames)[0]
+        raise InputError(
+            f"gradient: the frame at t = {run.t[lost]:.9g} s lies between two steps, or another run's; keep the ends of steps: "
+            "solve without `output` and `until`"
+        )

@@ -1,0 +1,1 @@
+"""Of equilibria and of modes."""

@@ -1,0 +1,54 @@
+"""The gradient of an equilibrium, by one transposed solve.
+
+    [[K^T, B^T], [B, 0]] (w, mu) = (-j_q, -j_lam),   dJ/dp = w . dr/dp + mu . dphi/dp + what J says of p itself
+
+K, B, r and phi are those at the equilibrium; of one for small displacements those of what it solves, `r = g_0 + K_0 q + B_0^T lam`,
+`phi = phi_0 + B_0 q`, all at q = 0.
+"""
+
+import numpy as np
+
+from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.result import Gradient
+from polyida.adjoint.totals import Totals
+from polyida.integrate.state import Counts, StepFailure
+from polyida.integrate.statics.loading import FREE
+from polyida.linear.kkt import KKT, scaling_factors
+from polyida.linear.lu import SingularSystem
+from polyida.model.guarded import guard
+from polyida.objective.along import along_way
+
+
+def gradient_of_static(equilibrium, objective, names=None):
+    """The Gradient of an objective of an Equilibrium. Raises StepFailure where the structure can move freely."""
+    totals, counts = Totals(equilibrium.model, names), Counts()
+    own = objective.slopes(equilibrium)(slice(0, 1))
+    totals.own(own)
+    for work in adjoint_of_static(equilibrium, own, counts):
+        totals.work(work)
+    return Gradient(objective(equilibrium), totals.slopes(), counts)
+
+
+def adjoint_of_static(equilibrium, own, counts):
+    """Yield the Works of an equilibrium for an objective's own Slopes in it; none where these are zero."""
+    model, t, lam = guard(equilibrium.model), equilibrium.t, equilibrium.lam
+    j_q, j_lam = (np.zeros(x.shape) if slope is None else slope[0] for x, slope in ((equilibrium.q, own.q), (lam, own.lam)))
+    if not (j_q.any() or j_lam.any()):
+        return
+    still, none = np.zeros(model.n), np.zeros(model.m)
+    about = (still, none) if equilibrium.linear else (equilibrium.q, lam)
+    w, mu = _solved(model, t, *about, j_q, j_lam, counts)
+    entry = (t, about[0], still, still, lam, w, mu)
+    yield Work(*(np.asarray(x, float)[None] for x in entry))
+    if equilibrium.linear:
+        yield Work(*along_way(model, t, still, none, equilibrium.q, w, mu))
+
+
+def _solved(model, t, q, lam, j_q, j_lam, counts):
+    still = np.zeros(model.n)
+    K = model.tangent(t, q, still, still, lam, 0.0, 0.0, 1.0)
+    counts.tangents, counts.factorizations, counts.solves = 1, 1, 1
+    try:
+        return KKT(K, model.phi_q(t, q), scaling_factors("physical", 1.0, K)).adjoint(j_q, j_lam)
+    except SingularSystem:
+        raise StepFailure("singular", FREE, t) from None

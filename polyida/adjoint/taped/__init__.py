@@ -1,0 +1,1 @@
+"""Vectors on a tape, and a model whose functions take them."""

@@ -1,0 +1,181 @@
+"""A model whose functions take and give vectors on a tape: what is made of them by a method's own code is differentiated backwards.
+
+Of each function it knows the vector-Jacobian product in q, v and its other vectors, from the model's own derivatives; the slope in
+parameters is left as an entry of `entries`: what multiplies r, phi, its rate and its bias in which state (see Work).
+"""
+
+import numpy as np
+
+from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.taped.pulled import residual_q, residual_v
+from polyida.adjoint.taped.tape import add_to, value_of
+from polyida.integrate.alpha.start import resolution
+from polyida.integrate.start import start_values, velocity_rate
+from polyida.integrate.state import Counts
+from polyida.linear.refined import ExactSaddle
+from polyida.model.differences import along, central
+
+
+class TapedModel:
+    """A model on a tape."""
+
+    def __init__(self, model, tape):
+        self.model, self.tape, self.entries = model, tape, []
+        self.n, self.m, self.needs, self.kinks = model.n, model.m, model.needs, model.kinks
+        self._none = np.zeros(self.n), np.zeros(self.m)
+
+    def note(self, t, q, v=None, a=None, lam=None, w=None, **more):
+        """Leave an entry for the parameters' slopes."""
+        zero, rows = self._none
+        vectors = [zero if x is None else value_of(x) for x in (v, a)]
+        lam, w = (none if x is None else value_of(x) for x, none in ((lam, rows), (w, zero)))
+        self.entries.append(Work(t, value_of(q), *vectors, lam, w, *(more.get(name, rows) for name in ("mu", "kappa", "nu"))))
+
+    def force(self, t, q, v):
+        """g, with force_q and force_v."""
+
+        def back(bar):
+            at = t, value_of(q), value_of(v)
+            add_to(q, residual_q(self.model, *at, *self._none, bar))
+            if self.needs.velocity_forces:
+                add_to(v, residual_v(self.model, *at, bar))
+            self.note(t, q, v, w=bar)
+
+        return self.tape.noted([self.model.force(t, value_of(q), value_of(v))], back)[0]
+
+    def phi_rate(self, t, q, v):
+        """phi_q v + phi_t."""
+
+        def back(kappa):
+            at = t, value_of(q)
+            add_to(q, self.model.phi_rate_q(*at, value_of(v)).T @ kappa)
+            add_to(v, self.model.phi_q(*at).T @ kappa)
+            self.note(t, q, v, kappa=kappa)
+
+        return self.tape.noted([self.model.phi_rate(t, value_of(q), value_of(v))], back)[0]
+
+    def phi_t(self, t, q):
+        """phi_t."""
+        return self.phi_rate(t, q, self._none[0])
+
+    def phi_bias(self, t, q, v):
+        """(phi_q v)_q v + 2 phi_qt v + phi_tt."""
+
+        def back(nu):
+            at = t, value_of(q), value_of(v)
+            if self.needs.driven or self.needs.phi_q_varies:
+                add_to(q, self.model.phi_bias_q(*at).T @ nu)
+                add_to(v, 2.0 * (self.model.phi_rate_q(*at).T @ nu))
+            self.note(t, q, v, nu=nu)
+
+        return self.tape.noted([self.model.phi_bias(t, value_of(q), value_of(v))], back)[0]
+
+    def phi_q(self, t, q):
+        """B, to be multiplied with a vector."""
+        return _Rows(self, t, q)
+
+    def mass_system(self, t, q):
+        """`[[M, B^T], [B, 0]]`."""
+        return _MassSystem(self, t, q)
+
+
+class _Rows:
+    def __init__(self, taped, t, q):
+        self.taped, self.t, self.q = taped, t, q
+
+    def __matmul__(self, x):
+        taped, model, t, q = self.taped, self.taped.model, self.t, value_of(self.q)
+
+        def back(nu):
+            add_to(self.q, turned(model, t, q, nu, value_of(x)))
+            add_to(x, model.phi_q(t, q).T @ nu)
+            taped.note(t, q, x, kappa=nu)
+            taped.note(t, q, kappa=-nu)
+
+        return taped.tape.noted([model.phi_q(t, q) @ value_of(x)], back)[0]
+
+
+class _MassSystem:
+    """`M dq + B^T dlam = -r`, `B dq = -phi`; its adjoint is itself."""
+
+    def __init__(self, taped, t, q):
+        self.taped, self.t, self.q = taped, t, q
+        self.system = taped.model.mass_system(t, value_of(q))
+
+    def solve(self, r, phi):
+        """(dq, dlam)."""
+        taped, model, t, q = self.taped, self.taped.model, self.t, value_of(self.q)
+        dq, dlam = self.system.solve(value_of(r), value_of(phi))
+
+        def back(bar_q, bar_lam):
+            alpha, nu = self.system.solve(bar_q, bar_lam)  # of minus the adjoint's right-hand side: minus its solution
+            add_to(r, alpha)
+            add_to(phi, nu)
+            found = turned(model, t, q, dlam, alpha) + turned(model, t, q, nu, dq)
+            add_to(self.q, found + model.mass_a_q(q, dq).T @ alpha if model.needs.mass_varies else found)
+            taped.note(t, q, a=dq, lam=dlam, w=alpha)
+            taped.note(t, q, w=-alpha)
+            taped.note(t, q, dq, kappa=nu)
+            taped.note(t, q, kappa=-nu)
+
+        return tuple(taped.tape.noted([dq, dlam], back))
+
+
+def turned(model, t, q, lam, x):
+    """((B^T lam)_q)^T x, (n,)."""
+    return model.reaction_q(t, q, lam).T @ x if model.needs.phi_q_varies and model.m else np.zeros(model.n)
+
+
+@resolution.register
+def _(model: TapedModel, settings, state, h):
+    """F x on a tape. With y = F x, eta its multipliers and alpha, nu those of the adjoint, what moves y at fixed x is
+
+    `d/ds alpha . r(q + s y, v + s c_v y, a + s c_m (y - x), lam + s eta) + nu . B (y - x)`: its slopes are differences of r's own.
+    """
+    c, (t, q, v, a, lam) = settings.coefficients, (state.t, *map(value_of, (state.q, state.v, state.a, state.lam)))
+    c_m, c_v = 1 / (c.beta * h * h), c.gamma / (c.beta * h)
+    system = ExactSaddle(model.model, c_m, c_v, Counts())
+    system.at(t, q, v, a, lam)
+    mass, border = model.model.mass(q), system.B
+
+    def resolve(x):
+        y, eta = system.solve(c_m * (mass @ value_of(x)), border @ value_of(x))
+
+        def back(bar):
+            alpha, nu = system.solve(bar, np.zeros(model.m), transposed=True)
+            add_to(x, c_m * (mass @ alpha) + border.T @ nu)
+            _moved(model, state, (y, c_v * y, c_m * (y - value_of(x)), eta), alpha, nu, y - value_of(x))
+
+        return model.tape.noted([y], back)[0]
+
+    return resolve
+
+
+def _moved(taped, state, way, alpha, nu, gain):
+    """Take the slopes of `d/ds alpha . r(state + s way) + nu . B gain` from the state's bars."""
+    model, t, q = taped.model, state.t, value_of(state.q)
+    now = [value_of(x) for x in (state.q, state.v, state.a, state.lam)]
+    at = lambda s: [x + s * d for x, d in zip(now, way)]  # noqa: E731
+    reach = (1.0 + np.abs(q).max()) / max(np.abs(way[0]).max(), 1e-300)
+    add_to(state.q, -along(lambda s: residual_q(model, t, *at(s), alpha), reach) - turned(model, t, q, nu, gain))
+    if model.needs.velocity_forces:
+        add_to(state.v, -along(lambda s: residual_v(model, t, *at(s)[:2], alpha), reach))
+    if model.needs.mass_varies:
+        add_to(state.a, -along(lambda s: model.mass(at(s)[0]) @ alpha, reach))
+    if model.needs.phi_q_varies:
+        add_to(state.lam, -along(lambda s: model.phi_q(t, at(s)[0]) @ alpha, reach))
+    for s, weight in central(reach):
+        taped.note(t, *at(s), w=-weight * alpha)
+    taped.note(t, q, gain, kappa=-nu)
+    taped.note(t, q, kappa=nu)
+
+
+@velocity_rate.register
+def _(model: TapedModel, t, q, v):
+    return model.phi_rate(t, q, v) if model.m else np.zeros(0)
+
+
+@start_values.register
+def _(model: TapedModel, state, t=None):
+    """Of phi, which no other value is made of, nothing."""
+    return np.zeros(model.m), velocity_rate(model, state.t if t is None else t, state.q, state.v)

@@ -1,0 +1,56 @@
+"""The slopes of an objective in the parameters of a model, added up as the sweep goes back."""
+
+import numpy as np
+
+from polyida.adjoint.parameters import parameters_of
+from polyida.adjoint.parameters.work import Work
+from polyida.errors import InputError
+from polyida.given import is_one_of
+
+
+class Totals:
+    """Sums by the names of parameters. names: those that are wanted, or None for all that a model offers by itself."""
+
+    def __init__(self, model, names=None):
+        known = parameters_of(model)
+        self.parameters = {name: known[name] for name in _wanted(known, names)}
+        self.with_v0 = names is None or "v0" in names
+        self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
+
+    def work(self, work):
+        """Add what multiplies the equations of some states."""
+        for name, parameter in self.parameters.items():
+            self.sums[name] = self.sums[name] + parameter.work(work)
+
+    def own(self, slopes):
+        """Add what an objective's own Slopes say of parameters."""
+        for name in self.sums.keys() & slopes.direct.keys():
+            self.sums[name] = self.sums[name] + slopes.direct[name]
+        if slopes.of_model is not None:
+            for name, parameter in self.parameters.items():
+                self.sums[name] = self.sums[name] + parameter.of_model(slopes.of_model)
+        if slopes.work is not None:
+            self.work(Work(*slopes.work))
+
+    def start(self, state, v0):
+        """Add what velocities that the run was given do."""
+        for name, parameter in self.parameters.items():
+            found = parameter.start(state.t, state.q, v0)
+            if found is not None:
+                self.sums[name] = self.sums[name] + found
+        if self.with_v0:
+            self.sums["v0"] = v0
+
+    def slopes(self):
+        """{name: slope}, numbers as floats."""
+        return {name: float(total) if np.ndim(total) == 0 else total for name, total in self.sums.items()}
+
+
+def _wanted(known, names):
+    """The names asked for, or all that are offered unasked."""
+    if names is None:
+        return [name for name, parameter in known.items() if not parameter.asked]
+    for name in names:
+        if name != "v0" and not is_one_of(name, known):
+            raise InputError(f"gradient: {name!r} is no parameter of the model; known: {', '.join(map(repr, [*known, 'v0']))}")
+    return [name for name in names if name != "v0"]

@@ -1,0 +1,111 @@
+"""What a gradient costs beside its run, what its sweep back is made of, and how far Newton's tolerance leaves it from the exact one."""
+
+from functools import lru_cache, partial
+
+import numpy as np
+
+import polyida as pi
+from polyida.adjoint.alpha.plain import Sent
+from polyida.adjoint.scene import corrections, products
+from polyida.adjoint.scene.sweep import SceneSweep
+from polyida.compiled import entry
+from polyida.integrate.state import Counts
+from polyida.machine import one_blas_thread
+from polyida.problems import plates
+from step_cost.side import cells_for, cpu
+
+H = 1e-3  # s
+TIGHT = 1e-10  # Newton's tolerance of what errors are measured against
+SCENES = {"scene 1": plates.double_plate, "scene 2": plates.double_plate_motors}
+OBJECTIVES = {
+    "deviation": lambda: pi.objective.Deviation("tip", lambda t: (2.0 * np.cos(t), -2.0 * np.sin(t))),
+    "strain energy": lambda: pi.objective.StrainEnergy("upper"),
+    "peak reaction": lambda: pi.objective.PeakReaction("shoulder", p=8),
+}
+
+
+@lru_cache(maxsize=2)
+def model_of(scene, dof):
+    """The model of "scene 1" or "scene 2" with about `dof` coordinates."""
+    return SCENES[scene](cells_for(dof)).build()
+
+
+def ratio_row(scene, dof, objective, t_end, repeats):
+    """Medians over `repeats` turns of the CPU milliseconds of a run, all frames kept, of its gradient in all parameters, and of their ratio.
+
+    A short turn before loads the kernels.
+    """
+    model, settings, own = model_of(scene, dof), pi.GeneralizedAlpha(h=H), OBJECTIVES[objective]()
+    pi.gradient(pi.solve(model, 0.02, settings), own)
+    times = []
+    with one_blas_thread():
+        for _ in range(repeats):
+            run_s, run = cpu(partial(pi.solve, model, t_end, settings))
+            gradient_s, found = cpu(partial(pi.gradient, run, own))
+            times.append((run_s, gradient_s))
+        parts = sweep_us(model, settings, run, own, repeats)
+    run_s, gradient_s = np.transpose(times)
+    steps, solves = run.counts.steps, found.counts.solves / run.counts.steps
+    per_step = 1e6 / steps
+    return {
+        "n": model.n,
+        "steps": steps,
+        "run_us": per_step * float(np.median(run_s)),
+        "gradient_us": per_step * float(np.median(gradient_s)),
+        "ratio": float(np.median(gradient_s / run_s)),
+        "run_solves": run.counts.solves / steps,
+        "solves": solves,
+        "run_factorizations": run.counts.factorizations,
+        "factorizations": found.counts.factorizations,
+        "sweep_us": parts["sweep"],
+        "solve_us": solves * parts["solve"],
+        "product_us": (solves + 1.0) * parts["product"],
+    }
+
+
+@entry
+def _products(count, s, u, v, w, x):
+    for _ in range(count):
+        products.body_products(s, None, u, v, w, x.rotation[:0], x)
+
+
+@entry
+def _solves(count, s, c, room, r, phi, dq, dlam):
+    for _ in range(count):
+        corrections.correct(s, c, room, r, phi, dq, dlam)
+
+
+def sweep_us(model, settings, run, objective, repeats):
+    """CPU microseconds of the sweep back in a step of the run, of one product and of one solve in it."""
+    sweep, count = SceneSweep(model, settings, H, Counts()), max(20, 500_000 // model.n)
+    t, *frames = (np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
+    slopes, none = objective.slopes(run)(slice(1, len(run))), Sent(*np.zeros((4, model.n)))
+    swept = partial(sweep.back, t, *frames, slopes, none)
+    u, v, w = (x[-1].reshape(-1, 2).copy() for x in (*frames[:2], swept().w))
+    links, system, rows = sweep.arrays.links, sweep.system, np.zeros(model.m)
+    calls = {
+        "sweep": (len(t), swept),
+        "product": (count, partial(_products, count, sweep.arrays, u, v, w, sweep.products)),
+        "solve": (count, partial(_solves, count, links, system.corotated, system.room, w, rows, np.empty_like(w), rows.copy())),
+    }
+    for _, call in calls.values():
+        call()
+    return {name: 1e6 * float(np.median([cpu(call)[0] for _ in range(repeats)])) / times for name, (times, call) in calls.items()}
+
+
+def error_row(scene, dof, objective, tolerance, t_end):
+    """Relative distances of the slopes in each polygon's stiffness and mass from those of a run at Newton's tolerance `TIGHT`.
+
+    tolerance: None for the default one.
+    """
+    model, own = model_of(scene, dof), OBJECTIVES[objective]()
+    loose, tight = (_slopes(model, own, each, t_end) for each in (tolerance, TIGHT))
+    errors = {kind: float(np.linalg.norm(loose[kind] - tight[kind]) / np.linalg.norm(tight[kind])) for kind in ("stiffness", "mass")}
+    return {"n": model.n, "stiffness_error": errors["stiffness"], "mass_error": errors["mass"], "solves": loose["solves"]}
+
+
+def _slopes(model, objective, tolerance, t_end):
+    run = pi.solve(model, t_end, pi.GeneralizedAlpha(h=H, tolerance=tolerance))
+    found = pi.gradient(run, objective)
+    slopes = {kind: np.concatenate([found[f"{body.name}.{kind}"] for body in model.bodies]) for kind in ("stiffness", "mass")}
+    return slopes | {"solves": found.counts.solves / run.counts.steps}
