@@ -76,9 +76,7 @@ def fitted_slopes(rows):
 
 def order_notes(rows):
     found = orders(rows)
-    lines = [
-        f"order in {part} is {order:.3f}, not within 0.05 of 2" for part in PARTS if abs((order := found[f"order_{part}"]) - 2) > 0.05
-    ]
+    lines = [f"order in {part} is {order:.3f}, not within 0.05 of 2" for part in PARTS if abs((order := found[f"order_{part}"]) - 2) > 0.05]
     for kind in ("load", "motors"):
         runs = runs_of(rows, part="order", scene=kind, form="index3")
         for part in PARTS:

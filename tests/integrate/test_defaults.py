@@ -74,7 +74,9 @@ def test_every_form_of_generalized_alpha_chooses_its_steps(jointed, settings):
 
 def test_the_error_of_a_run_follows_its_tolerance(scenes, jointed):
     rtols = (1e-3, 1e-4, 1e-5)
-    assert scenes.slope(rtols, [error(jointed("revolute"), pi.GeneralizedAlpha(rtol=rtol)) for rtol in rtols]) == pytest.approx(1.0, abs=0.25)
+    assert scenes.slope(rtols, [error(jointed("revolute"), pi.GeneralizedAlpha(rtol=rtol)) for rtol in rtols]) == pytest.approx(
+        1.0, abs=0.25
+    )
 
 
 def test_ringing_mesh_modes_force_no_short_steps():
