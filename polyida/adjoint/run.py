@@ -9,15 +9,16 @@ from polyida.adjoint.alpha.forward import Forward, beginning
 from polyida.adjoint.alpha.moving import Moving
 from polyida.adjoint.alpha.plain import PlainSweep, Sent
 from polyida.adjoint.parameters.work import Work, stacked
+from polyida.adjoint.radau.backward import RadauBackward
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.steps.course import course_of
-from polyida.adjoint.totals import Totals
+from polyida.adjoint.totals import OwnSlopes, Totals
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.kinks import inner_side
+from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts
 from polyida.model.guarded import guard
-from polyida.objective.slopes import Slopes
 
 CHUNK = 4_000_000  # bytes of multipliers that are held at once
 LONGEST = 256  # steps
@@ -25,8 +26,7 @@ LONGEST = 256  # steps
 
 def gradient_of_run(run, objective, names, progress, memory_limit):
     """The Gradient of an objective of a run. Raises InputError for a run that has no adjoint here."""
-    _require(run)
-    back = Backward(run, objective, names, memory_limit)
+    back = _adjoint_of(run)(run, objective, names, memory_limit)
     sent, lam = back.through(progress)
     state = beginning(back.course, back.course.pieces[0], None)
     start = first(back.model, state, sent, lam)
@@ -36,20 +36,23 @@ def gradient_of_run(run, objective, names, progress, memory_limit):
     return Gradient(float(objective(run)), back.totals.slopes(), back.counts)
 
 
-def _require(run):
+def _adjoint_of(run):
+    """The class that goes through the run backwards. Raises InputError where there is none."""
     settings = run.integrator
-    if not isinstance(settings, GeneralizedAlpha):
+    found = next((adjoint for kind, adjoint in ADJOINTS.items() if isinstance(settings, kind)), None)
+    if found is None:
         raise InputError(f"gradient: {type(settings).__name__} {WHY.get(type(settings).__name__, OTHERS)}")
-    if settings.extrapolate:
+    if getattr(settings, "extrapolate", False):
         raise InputError("gradient: extrapolate = True makes frames of two runs; take the gradient of one without")
     if len(run) < 2:
         raise InputError("gradient: the run has no step")
+    return found
 
 
 WHY = {
-    "IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have; run polyida.GeneralizedAlpha(...)"
+    "IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)"
 }
-OTHERS = "has no adjoint here; run polyida.GeneralizedAlpha(...)"
+OTHERS = "has no adjoint here; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)"
 
 
 class Backward:
@@ -58,8 +61,8 @@ class Backward:
     def __init__(self, run, objective, names, memory_limit):
         self.model, self.settings = guard(run.model), run.integrator
         self.course = course_of(run, self.model, memory_limit)
-        self.own = objective.slopes(run)
         self.totals = Totals(run.model, names)
+        self.own = OwnSlopes(objective, run, self.course.frames, self.totals)
         self.counts, self.sweeps = Counts(), {}
         self.moving = Moving(self.model, self.settings, run, self.totals.parameters)
         self.tied = self.settings.form == "stabilised" and self.model.m > 0
@@ -78,7 +81,7 @@ class Backward:
             sent, lam = before.sent, before.lam
         if self.moving.speeds:
             self.moving.add_to(self.totals.sums, self.course)
-        own = self._own(0, 1)
+        own = self.own.of(0, 1)
         bars = [bar + slope[0] if slope is not None else bar for bar, slope in zip(sent, (own.q, own.v, own.a))]
         return Sent(*bars, sent.ahead), lam if own.lam is None else lam + own.lam[0]
 
@@ -90,7 +93,7 @@ class Backward:
         for last in range(end, piece.first, -longest):
             first = max(piece.first, last - longest)
             t, q, v, a, rows = self.course.states(first + 1, last + 1)
-            own, inner = self._own(first + 1, last + 1), t
+            own, inner = self.own.of(first + 1, last + 1), t
             if last == end:
                 inner, own = np.append(t[:-1], inner_side(self.model, t[-1], piece.h)), _with_last(own, lam, rows.shape)
             more = {"slips": slips[first - piece.first : last - piece.first]} if self.tied else {}
@@ -130,16 +133,6 @@ class Backward:
             self.sweeps[key] = _sweep_of(self.model, self.settings)(self.model, self.settings, h, self.counts)
         return self.sweeps[key]
 
-    def _own(self, first, end):
-        """The objective's own Slopes in states, zero in those that are no frames; what they say of parameters is added."""
-        frames = self.course.frames[first:end]
-        kept = frames[frames >= 0]
-        if not len(kept):
-            return Slopes()
-        own = self.own(slice(int(kept[0]), int(kept[-1]) + 1))
-        self.totals.own(own)
-        return own if len(kept) == len(frames) else _spread(own, frames)
-
 
 def _works(t, q, v, a, lam, swept):
     """The Works of steps: of their equations, and of the stabilised form's slip of q."""
@@ -159,17 +152,6 @@ def _sweep_of(model, settings):
     return PlainSweep
 
 
-def _spread(own, frames):
-    """Slopes of frames as those of states, of which the others are no frames."""
-    found = {}
-    each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
-    for name, slopes in each.items():
-        if slopes is not None:
-            found[name] = np.zeros((len(frames), *slopes.shape[1:]))
-            found[name][frames >= 0] = slopes
-    return Slopes(**found)
-
-
 def _with_last(own, bar, shape):
     """Slopes with more of the multipliers of the last state."""
     if not bar.any():
@@ -177,3 +159,6 @@ def _with_last(own, bar, shape):
     lam = np.zeros(shape) if own.lam is None else np.array(own.lam)
     lam[-1] += bar
     return replace(own, lam=lam)
+
+
+ADJOINTS = {GeneralizedAlpha: Backward, RadauIIA: RadauBackward}

@@ -6,6 +6,7 @@ from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.parameters.work import Work
 from polyida.errors import InputError
 from polyida.given import is_one_of
+from polyida.objective.slopes import Slopes
 
 
 class Totals:
@@ -44,6 +45,34 @@ class Totals:
     def slopes(self):
         """{name: slope}, numbers as floats."""
         return {name: float(total) if np.ndim(total) == 0 else total for name, total in self.sums.items()}
+
+
+class OwnSlopes:
+    """An objective's own Slopes, by the states of a course, of which some are frames of the run."""
+
+    def __init__(self, objective, run, frames, totals):
+        self.slopes, self.frames, self.totals = objective.slopes(run), frames, totals
+
+    def of(self, first, end):
+        """Those of states first to end, zero in those that are no frames; what they say of parameters is added to the totals."""
+        frames = self.frames[first:end]
+        kept = frames[frames >= 0]
+        if not len(kept):
+            return Slopes()
+        own = self.slopes(slice(int(kept[0]), int(kept[-1]) + 1))
+        self.totals.own(own)
+        return own if len(kept) == len(frames) else _spread(own, frames)
+
+
+def _spread(own, frames):
+    """Slopes of frames as those of states, of which the others are no frames."""
+    found = {}
+    each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
+    for name, slopes in each.items():
+        if slopes is not None:
+            found[name] = np.zeros((len(frames), *slopes.shape[1:]))
+            found[name][frames >= 0] = slopes
+    return Slopes(**found)
 
 
 def _wanted(known, names):

@@ -47,6 +47,7 @@ REQUIRED = {
         "reduction_s_4000",
     },
     "start": {"cold_alpha_cpu_s", "cold_main_job_cpu_s"},
+    "gradient_over_run": {"gradient_over_run_1e3", "gradient_over_run_1e4"},
     "designed_in_motion": {"design_gain_over_static", "design_wall_s"},
     "mbb_beam": {"mbb_compliance", "mbb_difference"},
     "mesh_convergence": {"elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"},
@@ -150,6 +151,10 @@ def performance(name, task):
             return {"n": task["dof"], "reference_doubt": 1e-9, "stiff_error": 1e-7}
         known = {"reference_doubt": 1e-8} if task["solver"] == "reference" else {"cpu_s": 1e-4 / setting, "steps": 1 / setting}
         return {"n": task["dof"], "error_max": 0.5 * setting**1.5, "error_end": setting**2} | known
+    if name == "gradient_over_run":
+        times = {f"{what}_us": 50.0 for what in ("run", "gradient", "sweep", "solve", "product")}
+        counts = dict.fromkeys(("run_solves", "solves", "run_factorizations", "factorizations", "ratio"), 1.0)
+        return times | counts | {"n": task["dof"], "steps": 10, "stiffness_error": 1e-6, "mass_error": 1e-6}
     if task["part"] in COSTS:
         return {"n": 1000} | dict.fromkeys(COSTS[task["part"]].split(), 1.0)
     parts = {f"{part}_ms": 1.0 for part in ("residual", "tangent", "factor", "solve", "rest")}

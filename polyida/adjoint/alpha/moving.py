@@ -34,22 +34,24 @@ class Moving:
 
     def works(self, t, work, own=None):
         """Entries at states whose times t are (k,), of a Work whose times are those or just beside; own: of J's own slope in these."""
-        self._at(t, in_time(self.model, work) if own is None else in_time(self.model, work) + own)
+        self.at(t, in_time(self.model, work) if own is None else in_time(self.model, work) + own)
 
-    def _at(self, t, slopes):
+    def at(self, t, slopes):
+        """Slopes in times t, (k,) each."""
         self.times.append(t)
         self.slopes.append(slopes)
 
     def steps(self, piece, q, v, ends, y, z):
         """Steps of a piece from q, v to ends = (q, v), (k, n) each, slips of q left out, with their multipliers y and z."""
         slope = -(np.sum(y * (2.0 * (ends[0] - q) / piece.h - v)) + np.sum(z * (ends[1] - v)) / piece.h)
-        self._stretch(piece, slope, 0.0)
+        self.stretch(piece, slope)
 
     def begun(self, piece, state, sent):
         """A piece's beginning; sent: bars of what its first step began with."""
-        self._stretch(piece, self._by_h(state, sent, piece.h), self._by_before(state, sent, piece))
+        self.stretch(piece, self._by_h(state, sent, piece.h), self._by_before(state, sent, piece))
 
-    def _stretch(self, piece, slope, before):
+    def stretch(self, piece, slope, before=0.0):
+        """Slopes in h of a piece, and of the piece before."""
         self.stretched.append((piece, slope, before))
 
     def _by_h(self, state, sent, h):

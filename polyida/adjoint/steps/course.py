@@ -24,13 +24,17 @@ class Course(NamedTuple):
 
 def course_of(run, model, memory_limit=MEMORY_LIMIT):
     """The Course of a run: read from its frames where these are all of its steps, run again otherwise."""
-    return _of_frames(run, model) if _whole(run) else _again(run, model, memory_limit)
+    return _of_frames(run, model) if _whole(run) else taken_again(run, model, memory_limit, _accepted, _repeats(run.integrator))
 
 
 def _whole(run):
     """Whether the frames are the ends of all steps, of steps that nothing but h and kinks chose."""
-    every = run.plan.get("every", 1) == 1 and not run.plan.get("output") and _double(run)
-    return every and _repeats(run.integrator) and not run.counts.rejected and run.status != "stopped"
+    return every_step(run) and _repeats(run.integrator) and not run.counts.rejected
+
+
+def every_step(run):
+    """Whether the frames are the ends of all steps that did not fail."""
+    return run.plan.get("every", 1) == 1 and not run.plan.get("output") and _double(run) and run.status != "stopped"
 
 
 def _double(run):
@@ -48,10 +52,10 @@ def _of_frames(run, model):
         if done >= len(run) - 1:
             break
     _require_steps(run, pieces)
-    return Course(pieces, _reader(run), np.arange(len(run)))
+    return Course(pieces, reader(run), np.arange(len(run)))
 
 
-def _reader(run):
+def reader(run):
     """A function (first, end) that gives the run's own frames."""
     arrays = run.t, run.q, run.v, run.a, run.lam
     return lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays)
@@ -66,19 +70,22 @@ def _require_steps(run, pieces):
             )
 
 
-def _again(run, model, memory_limit):
+def taken_again(run, model, memory_limit, accepted, repeats):
+    """The Course of a run, of which `accepted(run, model, Recorded)` gives the states behind the first that a Recorded has, and tells it of
+    all steps. repeats: whether those behind a checkpoint are the same bit by bit.
+    """
     begin = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
-    seen = Recorded(begin, Room.of(model, memory_limit, _repeats(run.integrator)))
-    for state in _accepted(run, model, seen):
+    seen = Recorded(begin, Room.of(model, memory_limit, repeats))
+    for state in accepted(run, model, seen):
         if state.t >= run.t[-1]:
             break
     t = np.array(seen.times)
     frames = np.searchsorted(run.t, t)
     frames[~np.isin(t, run.t)] = -1
     _require_frames(run, frames)
-    if seen.states is None and not _repeats(run.integrator):
+    if seen.states is None and not repeats:
         return Course(seen.pieces, _read(run, frames, memory_limit), frames)
-    segments = Segments(lambda kept: _accepted(run, model, kept), seen)
+    segments = Segments(lambda kept: accepted(run, model, kept), seen)
     return Course(seen.pieces, lambda first, end: (t[first:end], *segments.vectors(first, end)), frames)
 
 
@@ -94,7 +101,7 @@ def _read(run, frames, memory_limit):
             f"gradient: memory_limit = {memory_limit:.3g} bytes has no room for the {len(frames) - 1} steps of the run, and adaptive steps "
             "cannot be taken again from checkpoints; allow more, or keep every step as a frame"
         )
-    return _reader(run)
+    return reader(run)
 
 
 def _accepted(run, model, seen):

@@ -138,13 +138,13 @@ class RadauIIA:
         sizes, span = sizes_of_run(model, state, t_end), t_end - state.t
         engine, most_steps = Steps(self, model, counts, sizes), counts.steps + counts.rejected + self.max_num_steps
         ladder, longest = ladder_of(state, self._first(sizes, span)), self.h or self.max_step or np.inf
-        state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else _restarted(state)
+        state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else restarted(state)
         engine.begin(state)
         for begin, end, most in stretches(model, state.t, t_end, *((self.h,) if self.h else cells_of(longest, span))):
             engine.limits = (-np.inf, beside(end, -1) if at_kink(model, end) else np.inf)
             if at_kink(model, begin):
                 engine.limits = (beside(begin, 1), engine.limits[1])
-                state = _restarted(far_side(model, state, engine.limits[0]))
+                state = restarted(far_side(model, state, engine.limits[0]))
             if self.h:
                 piece = march(engine, self, model, state, begin, end, min(self.h, most), counts)
             else:
@@ -158,7 +158,7 @@ class RadauIIA:
         return self.first_step or min(span, EASY * length / speed * self.relative(sizes) ** (1 / (self.stages + 1)))
 
 
-def _restarted(state):
+def restarted(state):
     """The state without the last step's polynomial, which leads nowhere behind a kink, or is of other stages."""
     gone = ("stages_e", "stages_v", "a_end", "stages_lam", "step", "error", "phi", "rate", "radau_piece")
     memory = {name: value for name, value in state.memory.items() if name not in gone}

@@ -1,0 +1,154 @@
+"""A run of Radau IIA backwards: step by step, each by the transposed equations of its stages, with what comes before and behind on a tape."""
+
+import numpy as np
+
+from polyida.adjoint.alpha.moving import Moving
+from polyida.adjoint.alpha.plain import Sent
+from polyida.adjoint.parameters.work import Work, stacked
+from polyida.adjoint.radau.course import course_of
+from polyida.adjoint.radau.equations import Linearised
+from polyida.adjoint.radau.lifted import lift_bars
+from polyida.adjoint.radau.stages import StagesAgain, begun
+from polyida.adjoint.taped.model import TapedModel
+from polyida.adjoint.taped.tape import Tape, add_to
+from polyida.adjoint.totals import OwnSlopes, Totals
+from polyida.integrate.kinks import at_kink, beside, inner_side
+from polyida.integrate.start import consistent_acceleration, on_velocity
+from polyida.integrate.state import Counts, State
+from polyida.model.guarded import guard
+
+TOGETHER = 64  # steps whose multipliers are summed up at once, at most
+CHUNK = 4_000_000  # bytes of stages that are held at once
+
+
+class RadauBackward:
+    """Of a run; totals: the slopes so far."""
+
+    def __init__(self, run, objective, names, memory_limit):
+        self.model, self.settings = guard(run.model), run.integrator
+        self.course, self.counts = course_of(run, self.model, memory_limit), Counts()
+        self.totals = Totals(run.model, names)
+        self.own = OwnSlopes(objective, run, self.course.frames, self.totals)
+        self.moving = Moving(self.model, self.settings, run, self.totals.parameters)
+        self.again = StagesAgain(self.model, self.settings, self.state(0), float(run.plan["t_end"]), self.counts)
+        self.equations = self._equations()
+        self.works, self.entries, self.lifted = [], [], np.zeros(self.model.n)
+
+    def _equations(self):
+        given = self.model, self.again.tableau, self.again.lift, self.again.tied, self.counts
+        if not self.model.compiled or self.settings.linear == "kkt":
+            return Linearised(*given)
+        from polyida.adjoint.radau.scene import SceneLinearised
+
+        return SceneLinearised(*given, self.settings.linear)
+
+    def state(self, number):
+        """A State of the course."""
+        t, *vectors = (x[0] for x in self.course.states(number, number + 1))
+        return State(float(t), *vectors)
+
+    def through(self, progress):
+        """(Sent to the run's first state, the bar of its lam), all slopes of its frame with them."""
+        zero, rows, bars = np.zeros(self.model.n), np.zeros(self.model.m), np.zeros((2, self.model.n))
+        together = int(max(1, min(TOGETHER, CHUNK // (8 * self.model.n * self.settings.stages))))
+        for end in range(len(self.course.pieces), 0, -together):
+            bars = self._steps(max(0, end - together), end, bars)
+            self._add()
+            progress(float(self.course.states(max(0, end - together), end)[0][0]))
+        own = self.own.of(0, 1)
+        q, v, a, lam = (
+            part if slope is None else part + slope[0] for part, slope in zip((*bars, zero, rows), (own.q, own.v, own.a, own.lam))
+        )
+        q = q + self._lift()
+        if self.moving.speeds:
+            self.moving.add_to(self.totals.sums, self.course)
+        return Sent(q, v, a, zero), lam
+
+    def _steps(self, first, end, bars):
+        """Bars of q and v of state `first`, from those of state `end` without the objective's own."""
+        states = [self.state(k) for k in range(first, end + 1)]
+        ready = [begun(self.model, state) for state in states[:-1]]
+        steps = [self.again.of(*ends) for ends in zip(ready, states[1:])]
+        own = self.own.of(first + 1, end + 1)
+        if self.moving.speeds and (by_time := own.by_time()) is not None:
+            self.moving.at(np.array([state.t for state in states[1:]]), by_time)
+        for k in reversed(range(end - first)):
+            bars = self._at_end(states[k + 1], steps[k].h, [None if x is None else x[k] for x in (own.q, own.v, own.a, own.lam)], bars)
+            bars = self._step(self.course.pieces[first + k], ready[k], steps[k], self._projected(steps[k], states[k + 1].t, bars))
+            bars = self._behind_kink(states[k], bars)
+        return bars
+
+    def _step(self, piece, state, stages, bars):
+        """Bars of what a step began with, from those of its end."""
+        W, c, h = self.again.tableau.W, self.again.tableau.c, stages.h
+        self.equations.at(stages)
+        found = self.equations.back(*bars)
+        works = [Work(stages.t, stages.q, stages.v, stages.a, stages.lam, found.w, found.mu, found.kappa)]
+        if self.again.tied:
+            still, none, pushed = np.zeros_like(stages.q), np.zeros_like(stages.lam), self.again.lift * found.v
+            works += [Work(stages.t, stages.q, v, still, none, still, none, mu) for v, mu in ((pushed, stages.mu), (still, -stages.mu))]
+            self.lifted += self.equations.pushed(stages.mu, found.v)
+        self.works += works
+        if self.moving.speeds:
+            slope = (c @ found.q) @ state.v - np.sum((W @ stages.e) * found.v) / h**2 - np.sum(stages.a * found.a) / h
+            self.moving.stretch(piece, slope)
+        return found.q.sum(axis=0), (c * h) @ found.q + found.v.sum(axis=0) - W.sum(axis=1) @ found.a / h
+
+    def _at_end(self, state, before, own, bars):
+        """Bars of q and v of a state, with the objective's own there; a and lam of a frame follow from its q and v."""
+        b_q, b_v = (bar if slope is None else bar + slope for bar, slope in zip(bars, own))
+        if own[2] is None and own[3] is None:
+            return b_q, b_v
+        at = inner_side(self.model, state.t, before)
+        made = lambda model, q, v: consistent_acceleration(model, at, q, v)  # noqa: E731
+        return self._taped(state, made, own[2:], (b_q, b_v))
+
+    def _projected(self, stages, t, bars):
+        """Bars of q and v of the last stage, from those of the step's end: in form "index3" its v is moved onto its constraint."""
+        if not self.again.moves_v:
+            return bars
+        last = State(t, stages.q[-1], stages.v[-1], stages.a[-1], stages.lam[-1])
+        moved = lambda model, q, v: (on_velocity(model, stages.t[-1], q, v),)  # noqa: E731
+        return self._taped(last, moved, bars[1:], (bars[0], np.zeros(self.model.n)))
+
+    def _behind_kink(self, state, bars):
+        """Bars of q and v of a state, from those of what the step behind it began with."""
+        if not at_kink(self.model, state.t):
+            return bars
+        moved = lambda model, q, v: (on_velocity(model, beside(state.t, 1), q, v),)  # noqa: E731
+        return self._taped(state, moved, bars[1:], (bars[0], np.zeros(self.model.n)))
+
+    def _taped(self, state, made, bars, more):
+        """(b_q, b_v) at a state: more, and what the bars of `made(model, q, v)` send there."""
+        tape = Tape()
+        taped, q, v = TapedModel(self.model, tape), tape.var(state.q), tape.var(state.v)
+        for found, bar in zip(made(taped, q, v), bars):
+            if bar is not None:
+                add_to(found, bar)
+        tape.back()
+        self.entries += [(state.t, entry) for entry in taped.entries]
+        return q.bar + more[0], v.bar + more[1]
+
+    def _lift(self):
+        """The bar of the first q by D, which is made there, and its entries."""
+        if not self.again.lifts or not self.lifted.any():
+            return 0.0
+        bar, entries = lift_bars(self.model, self.state(0), self.again.lift, self.lifted)
+        self.entries += [(entry.t, entry) for entry in entries]
+        self._add()
+        return bar
+
+    def _add(self):
+        """Add up what was left for parameters."""
+        t = np.array([t for t, _ in self.entries])
+        for times, work in ((None, _joined(self.works)), (t, stacked([entry for _, entry in self.entries]))):
+            if work is not None:
+                self.totals.work(work)
+                if self.moving.speeds:
+                    self.moving.works(work.t if times is None else times, work)
+        self.works, self.entries = [], []
+
+
+def _joined(works):
+    """One Work of several, without nu."""
+    return Work(*(np.concatenate(parts) for parts in list(zip(*works))[:8])) if works else None

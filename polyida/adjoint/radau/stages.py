@@ -1,0 +1,90 @@
+"""The stages of a run's steps, which its frames do not hold: solved again from each step's beginning by the method's own code, to round-off."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.integrate.kinks import at_kink, beside, inner_side
+from polyida.integrate.radau.newton import Newton
+from polyida.integrate.radau.plain import PlainSystem, lift
+from polyida.integrate.radau.radau_iia import EXACT, restarted
+from polyida.integrate.radau.steps import Steps
+from polyida.integrate.sizes import typical_sizes
+from polyida.integrate.start import far_side
+from polyida.linear.matrix import dense
+
+MOST = 30  # Newton iterations
+
+
+class Stages(NamedTuple):
+    """A step of h, s, and its stages: t (s,), e = q_i - q_0 - c_i h v_0, q, v, v' (s, n), lam (s, m), mu (s, m) or (s, 0) without."""
+
+    h: float
+    t: np.ndarray
+    e: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    mu: np.ndarray
+
+
+class StagesAgain:
+    """Of a model and the settings of its run, which began with a state.
+
+    lift (n,): the diagonal of D^-1, lifts: whether that is made of M; tied: whether there is mu; moves_v: whether the end's v is
+    moved onto its constraint.
+    """
+
+    def __init__(self, model, settings, first, t_end, counts):
+        sizes, self.model = typical_sizes(model, first, t_end - first.t), model
+        exact = replace(settings, tolerance=EXACT * float(sizes[0]), max_iterations=max(MOST, settings.max_iterations))
+        self.engine = Steps(exact, model, counts, sizes)
+        self.engine.begin(first)
+        self.engine.looks = False
+        system, self.tableau = self.engine.system, self.engine.tableau
+        self.engine.newton = self.newton = Between(system, self.tableau, exact.max_iterations)
+        self.tied, self.moves_v = system.tied, system.moves_v and not system.tied
+        self.lifts = isinstance(system, PlainSystem) and system.tied and not model.alike
+        self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
+
+    def of(self, state, end):
+        """The Stages of the step from a state to another. Raises StepFailure."""
+        h = end.t - state.t
+        self.engine.limits = within(self.model, state.t, end.t)
+        self.newton.end = end
+        self.engine.step(state, h, end.t)
+        return self._stages(state, h)
+
+    def _stages(self, state, h):
+        x, W, model = self.engine.system.trial, self.tableau.W, self.model
+        e, lam, mu = x.e.copy(), x.lam.copy(), x.mu.copy()
+        t = np.array([self.engine.clamp(state.t + c * h) for c in self.tableau.c])
+        q = state.q + self.tableau.c[:, None] * h * state.v + e
+        dv = W @ e / h
+        if self.tied:
+            dv += [self.lift * (dense(model.phi_q(*at)).T @ more) for *at, more in zip(t, q, mu)]
+        return Stages(h, t, e, q, state.v + dv, W @ dv / h, lam, mu)
+
+
+class Between(Newton):
+    """A Newton that begins between the two ends of a step, both of which are known: `end`, a State, is the second."""
+
+    def _guess(self, state, h):
+        """On the cubic through q and v of both, and on straight lines of lam."""
+        x, end, c = self.system.trial, self.end, self.tableau.c[:, None]
+        way, turn = end.q - state.q - h * state.v, h * (end.v - state.v)
+        x.e[:] = c**2 * (3 * way - turn) + c**3 * (turn - 2 * way)
+        x.lam[:] = (1 - c) * state.lam + c * end.lam
+        x.mu[:] = 0.0
+
+
+def within(model, begin, end):
+    """The limits of times in a step: beside its ends where they are kinks."""
+    return inner_side(model, begin, begin - end) if at_kink(model, begin) else -np.inf, inner_side(model, end, end - begin)
+
+
+def begun(model, state):
+    """The State that the step behind a state began from: behind a kink that of the far side."""
+    return restarted(far_side(model, state, beside(state.t, 1))) if at_kink(model, state.t) else state
