@@ -3,6 +3,7 @@
 import numpy as np
 
 from designed_in_motion import designs, pictures
+from designed_in_motion.solids import LEVELS
 from polyida.cli.study import main
 from polyida.show.html import Movie
 from polyida.study.drawing import curves, drawn, legend, look, panels, picture
@@ -11,13 +12,13 @@ from polyida.study.sweeps.harness import Study
 
 MOTION, STATIC, PLAIN = "in motion", tuple(designs.LOADS), ("uniform", "bar")
 DESIGNS = (MOTION, *STATIC, *PLAIN)
-CELLS = {"arm": 1000, "two arms": 900}  # of a plate
-QUICK = {"arm": 300}
+CELLS = {"arm": 1000, "two arms": 600}  # of a plate
+QUICK = {"arm": 400}
 
 
 def tasks(quick):
     return [
-        {"machine": machine, "design": design, "cells": cells, "stages": "short" if quick else "full"}
+        {"machine": machine, "design": design, "cells": cells, "effort": "short" if quick else "full"}
         for machine, cells in (QUICK if quick else CELLS).items()
         for design in DESIGNS
     ]
@@ -72,9 +73,11 @@ def told(rows):
 
 
 def what_is_compared(rows):
+    levels = ", ".join(f"{at:g}" for at in LEVELS)
     return [
-        "all designs of a machine have the same mass: the densest cells of a design are solid, as many as the volume asks for, and what rounding and "
-        "kept sections change is made up for by the thickness; the static design that is compared with is the one that moves best"
+        "all designs of a machine have the same mass: the thickness of a solid design makes up for cells that are more or fewer than the volume asks for. "
+        f"Of the densities {levels} from which a cell is solid each design has the one with which it moves best, and the static design that is "
+        "compared with is the one of both that moves best. The design in motion begins with the better of these two, some stages earlier"
     ]
 
 

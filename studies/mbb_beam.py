@@ -61,8 +61,9 @@ def notes(rows):
         lines.append(f"{row['mesh']}, optimised with {row['element']}: {ended} after {row['used']} iterations; compliance by {values}")
     return [
         *lines,
-        f"published: {PUBLISHED}, with bilinear squares of full quadrature. A Wachspress square has the same functions with one point a "
-        "triangle of its fan, (0, 2/3) and so on from -1 to 1: two thirds of their stiffness in the two bending modes, the same in all others",
+        f"published: {PUBLISHED}, with bilinear squares of two by two Gauss points. A Wachspress square has the same functions, taken in the "
+        "centroids of the four triangles from its middle to its sides: two thirds of the stiffness in the two bending modes, the same in all others. "
+        "That is the whole of the element's share",
     ]
 
 

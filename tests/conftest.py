@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.cli.garbage import collect_rarely
 
 RUBBER = dict(E=50e6, nu=0.3, rho=1100.0)
 LENGTH, HEIGHT, THICKNESS, GRAVITY = 1.0, 0.1, 0.01, (0.0, -9.81)
@@ -31,6 +32,7 @@ def pytest_sessionstart(session):
     The process that compiles a kernel and those that load it may differ in the last bit (what is inlined decides how sums are
     reassociated), and some tests compare runs of two processes to the bit.
     """
+    collect_rarely()
     if not hasattr(session.config, "workerinput"):
         started = [subprocess.Popen([sys.executable, "-c", WARM_UP.format(integrators)]) for integrators in AT_ONCE]
         assert [process.wait() for process in started] == [0] * len(started)

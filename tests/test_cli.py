@@ -4,6 +4,8 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -89,9 +91,24 @@ def refused(capsys, *args):
     return err.strip()
 
 
-def test_compare_prints_a_table_and_writes_the_folder(folder, capsys):
-    assert main(["compare", "double-plate", *SMALL]) == 0
-    out = capsys.readouterr().out
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """(folder, what is printed, [(what is called, name of a figure)]) of one comparison."""
+    from polyida.show.press import Press
+    from polyida.study.comparison import compare
+
+    made, told = tmp_path_factory.mktemp("compared"), []
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(StringIO()) as out:
+        patch.chdir(made)
+        patch.setenv("COLUMNS", "200")
+        for place, name in ((Press, "ready"), (Press, "give"), (compare, "timed"), (compare, "refine")):
+            patch.setattr(place, name, heard(told, name, getattr(place, name)))
+        assert main(["compare", "double-plate", *SMALL]) == 0
+    return made, out.getvalue(), told
+
+
+def test_compare_prints_a_table_and_writes_the_folder(compared):
+    folder, out, _ = compared
     for text in ("generalized-alpha", "IDA", "refined run", "tip error, largest, m", "CPU s", "apart"):
         assert text in out
     made = folder / "double-plate-compare"
@@ -114,14 +131,8 @@ def test_report_stands_alone_and_figures_are_numbers(folder):
     assert data["command"] == "polyida compare double-plate-motors --cells 8 --time 0.02 --out r"
 
 
-def test_nothing_is_drawn_while_runs_are_timed_and_every_picture_once(folder, monkeypatch):
-    from polyida.show.press import Press
-    from polyida.study.comparison import compare
-
-    told = []
-    for place, name in ((Press, "ready"), (Press, "give"), (compare, "timed"), (compare, "refine")):
-        monkeypatch.setattr(place, name, heard(told, name, getattr(place, name)))
-    assert main(["compare", "double-plate", *SMALL, "--out", "r"]) == 0
+def test_nothing_is_drawn_while_runs_are_timed_and_every_picture_once(compared):
+    *_, told = compared
     given = [name for what, name in told if what == "give"]
     assert [what for what, _ in told] == ["ready", "timed", *["give"] * 6, "refine", "give"]
     assert given == ["mesh", "deformed", "tip", "reactions", "energy", "drift", "error"]

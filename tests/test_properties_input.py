@@ -506,7 +506,10 @@ CALLS = {  # name: (function of keywords, {keyword: wrong values})
     "sum of objectives": (lambda other: pi.objective.StrainEnergy() + other, {"other": PART}),
     "objective times a number": (lambda number: pi.objective.StrainEnergy() * number, {"number": NUMBER}),
     "problems.get": (pi.problems.get, {"name": CHOICE}),
-    "double_plate": (plates.double_plate, {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE}),
+    "double_plate": (
+        made(plates.double_plate, cells=4),
+        {"cells": COUNT, "seed": [-1, "a", 0.5], "material": PART[:-4], "tip_mass": POSITIVE},
+    ),
     "plate_chain": (plates.plate_chain, {"links": COUNT}),
     "von_mises": (
         made(pi.von_mises, stress=[1.0, 0.0, 0.0]),

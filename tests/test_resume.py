@@ -57,7 +57,7 @@ SETTINGS = ({}, {"every": 7}, {"output": np.linspace(0.01, 0.79, 40)}, {"flush_e
 
 
 @pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: next(iter(settings), "plain"))
-@pytest.mark.parametrize("integrator", [ALPHA, pi.GeneralizedAlpha(h=2e-3, linear="kkt", rho_inf=0.5)], ids=["compiled", "kkt"])
+@pytest.mark.parametrize("integrator", [ALPHA, pi.GeneralizedAlpha(h=4e-3, linear="kkt", rho_inf=0.5)], ids=["compiled", "kkt"])
 def test_a_scene_goes_on_bit_by_bit(model, tmp_path, integrator, settings):
     path, until = tmp_path / "run.h5", settings.get("until")
     interrupted(path, 0.42, model, 0.8, integrator, **settings)
@@ -93,9 +93,10 @@ def test_across_kinks_bit_by_bit(tmp_path):
 
 
 def test_ida_goes_on_to_its_tolerance(model, tmp_path):
+    """Against a method of another family."""
     path, ida = tmp_path / "run.h5", pi.IDA(rtol=1e-6)
     interrupted(path, 0.3, model, 0.6, ida)
-    run, expected, exact = pi.resume(path), pi.solve(model, 0.6, ida), pi.solve(model, 0.6, pi.IDA(rtol=1e-8))
+    run, expected, exact = pi.resume(path), pi.solve(model, 0.6, ida), pi.solve(model, 0.6, pi.RadauIIA(rtol=1e-9))
     assert run.success and run.t[-1] == 0.6 and equal(run, expected, int((run.t <= 0.3).sum()))
     assert max(np.abs(other.q[-1] - exact.q[-1]).max() for other in (run, expected)) < 100 * ida.rtol
 
@@ -170,7 +171,7 @@ LONG = """
     import polyida as pi
     from polyida.problems import plates
     model = plates.double_plate_motors(cells=10).build()
-    pi.solve(model, 1.0, pi.GeneralizedAlpha(h=1e-4), every=4, out=sys.argv[1], flush_every=50)
+    pi.solve(model, 0.5, pi.GeneralizedAlpha(h=1e-4), every=4, out=sys.argv[1], flush_every=50)
 """
 
 
@@ -189,10 +190,10 @@ def killed(path, delay):
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL here")
 def test_killed_at_random_moments(model, tmp_path):
-    expected, hits, draw = pi.solve(model, 1.0, pi.GeneralizedAlpha(h=1e-4), every=4), 0, random.Random(5)
+    expected, hits, draw = pi.solve(model, 0.5, pi.GeneralizedAlpha(h=1e-4), every=4), 0, random.Random(5)
     for number in range(5):
         path = tmp_path / f"{number}.h5"
-        hits += killed(path, draw.uniform(0.0, 0.3))
+        hits += killed(path, draw.uniform(0.0, 0.15))
         part = pi.load(path)
         assert part.status in ("interrupted", "done") and equal(part, expected, len(part))
         if part.status == "interrupted":

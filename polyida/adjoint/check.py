@@ -1,4 +1,4 @@
-"""Gradients held against differences of the run."""
+"""Gradients held against differences of what they are of."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,9 +9,11 @@ from polyida.adjoint.alpha.again import Again
 from polyida.adjoint.gradient import gradient
 from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.steps.course import course_of
+from polyida.adjoint.still.again import StillAgain
 from polyida.keywords import named_keywords
 from polyida.model.differences import central
 from polyida.model.guarded import guard
+from polyida.trajectory import Trajectory
 
 TIGHT = 1e-11  # Newton's tolerance in the runs that differences are made of
 LITTLE = 1e-3  # of J: what J changes by with a whole parameter, below which that is no measure of errors
@@ -20,17 +22,16 @@ STEP = 1e-3 / 7e-4  # of a parameter: about a thousandth between the runs, in un
 
 @named_keywords
 def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = None, seed: int = 0) -> dict[str, float]:
-    """{name: relative error} of `pi.gradient(run, objective)` against differences of fourth order of the run.
+    """{name: relative error} of `pi.gradient(run, objective)` against differences of fourth order of the run, the equilibrium or the modes.
 
-    The run is taken again by the same steps, with each parameter changed by a thousandth and two, up and down, Newton's tolerance 1e-11; of
-    an array along one direction drawn at random (seed). Its pieces between kinks are stretched as these move. So what is seen is the error of
-    the gradient, that of the run's own tolerance with it. Relative to the difference, or to J over a thousand times the parameter where
-    that is larger. Left out are parameters
-    that move a kink at the run's very beginning, or what its constraints ask of the start. A run of GeneralizedAlpha only. Raises InputError
-    as `pi.gradient`.
+    That is found again with each parameter changed by a thousandth and two, up and down; of an array along one direction drawn at random
+    (seed). A run takes the same steps again, at a Newton's tolerance of 1e-11, its pieces between kinks stretched as these move. So what is
+    seen is the error of the gradient, that of the run's own tolerance with it. Relative to the difference, or to J over a thousand times
+    the parameter where that is larger. Left out are parameters that move a kink at the very beginning, or what constraints ask of the
+    start. Raises InputError as `pi.gradient`.
     """
     found, known = gradient(run, objective, parameters=parameters), parameters_of(run.model)
-    again = Again(run, course_of(run, guard(run.model)), min(TIGHT, run.integrator.tolerance or TIGHT))
+    objective, again = objective.named(run.model), _again(run)
     random, errors = np.random.default_rng(seed), {}
     for name in found:
         if name == "v0":
@@ -38,10 +39,17 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
         else:
             parameter, way = known[name], _way(known[name].value, random)
             made = lambda change, p=parameter: again.frames(p.replaced(p.value + change))  # noqa: E731
-            if parameter.kinks(*_about(run.t[0])) or not again.begins(parameter.replaced(parameter.value + 1e-3 * way)):
+            if parameter.kinks(*_about(again.state.t)) or not again.begins(parameter.replaced(parameter.value + 1e-3 * way)):
                 continue
         errors[name] = _error(found, name, way, lambda s, way=way, made=made: objective(made(s * way)))
     return errors
+
+
+def _again(run):
+    """What finds it again."""
+    if not isinstance(run, Trajectory):
+        return StillAgain(run)
+    return Again(run, course_of(run, guard(run.model)), min(TIGHT, run.integrator.tolerance or TIGHT))
 
 
 def _about(t):

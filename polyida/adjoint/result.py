@@ -1,6 +1,6 @@
 """What `pi.gradient` gives: the value of an objective and its slopes, by the names of the parameters."""
 
-from collections.abc import Iterator
+from collections.abc import ItemsView, Iterator, KeysView
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from polyida.brief import counted, short, table
 from polyida.errors import InputError
 from polyida.integrate.state import Counts
+from polyida.keywords import named_keywords
 
 
+@named_keywords
 @dataclass(frozen=True, eq=False)
 class Gradient:
     """An objective's value and dJ/dp by the name of each parameter: `found["arm.stiffness"]`, (cells,).
@@ -37,11 +39,11 @@ class Gradient:
     def __contains__(self, name):
         return name in self.slopes
 
-    def keys(self):
+    def keys(self) -> KeysView[str]:
         """The parameters' names."""
         return self.slopes.keys()
 
-    def items(self):
+    def items(self) -> ItemsView[str, float | NDArray]:
         """(name, slope) of each parameter."""
         return self.slopes.items()
 

@@ -86,4 +86,4 @@ class NamedPoints(Model):
         for side, part, w in (term for piece in vector.pieces for term in piece.terms):
             pairs, weights = self.held(side, part)
             np.add.at(found, (slice(None), pairs), complex_of_pairs(forces)[:, None] * np.conj(w * weights))
-        return pairs_of(found).reshape(len(found), -1)
+        return found.view(float)

@@ -26,8 +26,9 @@ class Frequency(Objective):
 
         d omega^2/dp = x^T (dK/dp - omega^2 dM/dp) x + 2 mu^T dB/dp x,   omega^2 M x = K x + B^T mu,   B x = 0,   x^T M x = 1
 
-    At rest is q = 0 at t = 0 without loads, as `pi.modes(model)`. number: 0 is the slowest. Raises InputError for what is no such number,
-    for modes with damping, and, of slopes, for a mode at 0 Hz and for one of several of one frequency.
+    At rest is q = 0 at t = 0 without loads, as `pi.modes(model)`. The gradient of modes about an equilibrium of `pi.static` holds by how
+    much that moves with each parameter; any other state is held as it is. number: 0 is the slowest. Raises InputError for what is no such
+    number, for modes with damping, and, of slopes, for a mode at 0 Hz and for one of several of one frequency.
     """
 
     number: int = 0

@@ -23,6 +23,10 @@ class Objective:
         """A function of a slice of the run's frames that gives the Slopes there."""
         raise NotImplementedError(f"{type(self).__name__} gives no slopes")
 
+    def named(self, model: Any) -> "Objective":
+        """The same with names in place of parts of a model: it may then be asked of one that has another number in a part."""
+        return self
+
     def __add__(self, other: "Objective") -> "Sum":
         return Sum((*_terms(self), *_terms(other)))
 
@@ -51,6 +55,10 @@ class Sum(Objective):
 
     def __call__(self, run: Any) -> float:
         return float(sum(weight * part(run) for weight, part in self.terms))
+
+    def named(self, model: Any) -> "Sum":
+        """All terms alike."""
+        return Sum(tuple((weight, part.named(model)) for weight, part in self.terms))
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """The sum of the terms' slopes."""

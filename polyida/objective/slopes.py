@@ -13,8 +13,8 @@ from polyida.keywords import named_keywords
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """dJ by the frames of a slice of a run: q, v, a (count, n), lam (count, m), t (count,), the times at which the frames are, or a function
-    without arguments that gives this, called where times move with a parameter; None where zero.
+    """dJ by the frames of a slice of a run: q, v, a (count, n), lam (count, m), t (count,), the times at which the frames are, or a
+    function without arguments that gives this, called where times move with a parameter; None where zero.
 
     direct: {name of a parameter: dJ/dp at fixed frames}, this slice's share, such as "arm.stiffness" (cells,). work: more of the same
     for every parameter, entries (t (k,), q, v, a (k, n), lam (k, m), w (k, n), mu (k, m)): dJ/dp holds the sum over them of

@@ -10,55 +10,65 @@ from designed_in_motion import optimiser, solids
 from designed_in_motion.densities import Densities
 from designed_in_motion.machines import MACHINES, THICKNESS
 
-TIP = {"gravity": (0.0, 0.0), "load": (0.0, -1.0)}  # of the motors held, 1 N
-LOADS = {"static, tip load": TIP, "static, tip load and weight": TIP | {"gravity": (0.0, -1.0)}}
+LOADS = {  # the motors held; N, m/s2
+    "static, tip load": {"load": (0.0, -1.0), "gravity": (0.0, 0.0)},
+    "static, tip load and weight": {"load": (0.0, -1.0), "gravity": (0.0, -1.0)},
+}
 
 
-def design(machine, design, cells, stages):
+def design(machine, design, cells, effort):
     """The row of a design: how it was found, its densities, and how it moves as solid plates.
 
     design: "in motion", one of LOADS, "uniform" (plates of full size that are thinner) or "bar" (of full thickness that are narrower). cells: of
-    a plate; stages: a name of optimiser.STAGES.
+    a plate; effort: a name of optimiser.MOTION.
     """
     which, volume = MACHINES[machine], optimiser.VOLUME
     meshes = [which.mesh(cells, which.height * (volume if design == "bar" else 1.0))] * len(which.names)
-    found = {}
-    if design not in ("uniform", "bar"):
-        found = optimised(which, design, meshes, optimiser.STAGES[stages])
-        meshes, found["at"] = solids.solid_meshes(meshes, found["rho"], volume)
-    thickness = solids.thickness_for(which, meshes, volume)
-    run = solids.moved(which, meshes, thickness)
-    return found | {"thickness": thickness} | solids.judged(which, run)
+    if design in ("uniform", "bar"):
+        thickness = solids.thickness_for(which, meshes, volume)
+        return {"thickness": thickness} | solids.judged(which, solids.moved(which, meshes, thickness))
+    found = optimised(which, design, meshes, optimiser.MOTION[effort])
+    meshes, at, judged = solids.solid(which, meshes, found["rho"], volume)
+    return found | {"at": at, "thickness": solids.thickness_for(which, meshes, volume)} | judged
 
 
 def optimised(which, design, meshes, stages):
-    """Densities of a design and how they came about.
+    """Densities of a design and how they came about; stages: of the one in motion.
 
-    One in motion takes the place of the last stage at rest, under a load on the tip: from grey alone it gets stuck in grey.
+    What is designed in motion takes the place of the last stage at rest, of the load that gives the better start: from grey it gets stuck in grey.
     """
-    densities = Densities(which.names, meshes, which.radius)
-    x, spent = np.full(len(densities.share), optimiser.VOLUME), Spent()
-    kept, history = [densities.of(x, None)[0]], []
-    ways = [(stages["rest"], at_rest(which, meshes, LOADS.get(design, TIP)))]
+    densities, spent = Densities(which.names, meshes, which.radius), Spent()
+    x = np.full(len(densities.share), optimiser.VOLUME)
     if design == "in motion":
-        ways = [(stages["rest"][:-1], ways[0][1]), (stages["motion"], in_motion(which, meshes))]
-    for steps, (model, judge) in ways:
-        value = partial(densities.evaluated, model, judge)
-        value(kept[0], stages["rest"][0][0])  # kernels are compiled before the clock starts
+        moving, still = in_motion(which, meshes), [at_rest(which, meshes, load) for load in LOADS.values()]
+        values = [compiled(densities, x, *pair) for pair in (moving, *still)]
         with spent:
-            x, rhos, history = optimiser.minimised(densities, value, steps, x)
-        kept += rhos
+            starts = [optimiser.minimised(densities, value, optimiser.REST[:-1], x) for value in values[1:]]
+            best = min(starts, key=lambda start: values[0](densities.of(start[0], stages[0][1])[0], stages[0][0])[0])
+            _, kept, history, reached = optimiser.minimised(densities, values[0], stages, best[0])
+        kept = best[1] + kept
+    else:
+        value = compiled(densities, x, *at_rest(which, meshes, LOADS[design]))
+        with spent:
+            _, kept, history, reached = optimiser.minimised(densities, value, optimiser.REST, x)
     rho = kept[-1]
     return spent.told() | {
         "evaluations": len(history),
         "first": history[0],
-        "grey_J": history[-1],
+        "grey_J": reached,
         "volume": float(densities.share @ rho),
         "grey": float(4.0 * densities.share @ (rho * (1.0 - rho))),
         "history": history,
         "stages": [each.tolist() for each in kept[:-1]],
         "rho": rho.tolist(),
     }
+
+
+def compiled(densities, x, model, judge):
+    """Function of rho and q: what is minimised, with its slopes; its kernels are compiled before a clock starts."""
+    value = partial(densities.evaluated, model, judge)
+    value(densities.of(x, None)[0], optimiser.REST[0][0])
+    return value
 
 
 class Spent:
@@ -86,7 +96,7 @@ def in_motion(which, meshes):
         run = pi.solve(model, which.t_end, integrator)
         if run.status != "done":
             raise ArithmeticError(f"a run of the design stopped: {run.message}")
-        return pi.gradient(run, deviation)
+        return pi.gradient(run, deviation, factors(which))
 
     return which.scene(meshes, THICKNESS).build(), judge
 
@@ -94,4 +104,11 @@ def in_motion(which, meshes):
 def at_rest(which, meshes, load):
     """(model, function of a model: the gradient of the compliance under a load, the motors held)."""
     compliance = pi.objective.Compliance()
-    return which.scene(meshes, THICKNESS, **load).build(), lambda model: pi.gradient(pi.static(model, linear=True), compliance)
+    return which.scene(meshes, THICKNESS, **load).build(), lambda model: pi.gradient(
+        pi.static(model, linear=True), compliance, factors(which)
+    )
+
+
+def factors(which):
+    """Names of the parameters that a design has."""
+    return [f"{name}.{what}" for name in which.names for what in ("stiffness", "mass")]

@@ -12,7 +12,7 @@ import numpy as np
 import polyida as pi
 from polyida.problems import plates
 
-THICKNESS, NYLON = plates.THICKNESS, pi.Material(E=300e6, nu=0.3, rho=1100.0)
+THICKNESS = plates.THICKNESS
 KEPT = ("left", "end")  # sections of joints and masses
 
 
@@ -24,6 +24,7 @@ class Machine:
     """
 
     names: tuple
+    material: pi.Material
     height: float
     end: float
     tip_mass: float
@@ -58,7 +59,7 @@ class Machine:
         """Add the machine to a Scene with its first hinge at (x, 0) and `prefix` before all names; returns where its tip is."""
         end = pi.ground
         for k, (name, mesh) in enumerate(zip(self.names, meshes)):
-            plate = pi.Plate(mesh, NYLON, thickness=thickness, origin=(x + k * plates.LENGTH, 0.0), name=prefix + name)
+            plate = pi.Plate(mesh, self.material, thickness=thickness, origin=(x + k * plates.LENGTH, 0.0), name=prefix + name)
             begin = scene.add(plate).section("left")
             scene.add(pi.Revolute(end, begin, name=f"{prefix}{name} hinge"))
             scene.add(pi.AngleMotor(end, begin, angle=self.turn, name=f"{prefix}{name} motor"))
@@ -76,9 +77,12 @@ def _mesh(cells, height, end):
 
 
 MACHINES = {
-    "arm": Machine(("arm",), 0.25, 0.06, 0.05, pi.profile.ramp(0.0, np.pi / 2, duration=0.3), 0.5),
+    "arm": Machine(
+        ("arm",), pi.Material(E=300e6, nu=0.3, rho=1100.0), 0.25, 0.06, 0.05, pi.profile.ramp(0.0, np.pi / 2, duration=0.3), 0.5
+    ),
     "two arms": Machine(
         ("upper", "lower"),
+        pi.Material(E=3e9, nu=0.3, rho=1100.0),
         plates.HEIGHT,
         plates.HEIGHT,
         plates.TIP_MASS,

@@ -4,19 +4,20 @@ import math
 
 from polyida.errors import InputError
 
-STAGES = {  # q of RAMP, beta of the projection, evaluations; what is found at rest begins with grey, what is found in motion with that
-    "full": {
-        "rest": ((5.0, None, 20), (10.0, 4.0, 16), (20.0, 8.0, 16), (20.0, 16.0, 16), (20.0, 32.0, 16)),
-        "motion": ((20.0, 16.0, 42), (20.0, 32.0, 42)),
-    },
-    "short": {"rest": ((5.0, None, 16), (20.0, 8.0, 16), (20.0, 16.0, 16)), "motion": ((20.0, 16.0, 24),)},
-}
+REST = (
+    (5.0, None, 20),
+    (10.0, 4.0, 16),
+    (20.0, 8.0, 16),
+    (20.0, 16.0, 16),
+    (20.0, 32.0, 16),
+)  # q of RAMP, beta of the projection, evaluations
+MOTION = {"full": ((20.0, 16.0, 42), (20.0, 32.0, 42)), "short": ((20.0, 16.0, 16), (20.0, 32.0, 12))}
 VOLUME = 0.45
 STOPPED = 1e3  # times the first value: what a design counts as whose run stops, so that the optimiser turns back
 
 
 def minimised(densities, value, stages, x, volume=VOLUME):
-    """(variables, densities at the end of each stage, values of all evaluations), beginning with the variables x.
+    """(variables, densities at the end of each stage, values of all evaluations, value in the end), beginning with the variables x.
 
     value(rho, q): (a positive value, its slopes in rho); ArithmeticError where a run stops. What is minimised is its logarithm, so that steps are the same in any unit; volume:
     the most of the mean of rho over the area.
@@ -31,7 +32,7 @@ def minimised(densities, value, stages, x, volume=VOLUME):
         mma.add_inequality_constraint(_constraint(densities, beta, volume), 1e-6)
         x = mma.optimize(x)
         kept.append(densities.of(x, beta)[0])
-    return x, kept, history
+    return x, kept, history, math.exp(mma.last_optimum_value())
 
 
 def _objective(densities, q, beta, value, history):

@@ -8,7 +8,7 @@ import polyida as pi
 from designed_in_motion import optimiser, solids
 from designed_in_motion.machines import MACHINES
 
-APART = 1.3  # m, between the hinges of machines that are shown moving
+APART, STEPS = 1.3, 100  # m, between the hinges of machines that are shown moving, and steps of their run
 
 
 def draw_densities(axes, meshes, rho, apart=1.0):
@@ -48,13 +48,12 @@ def meshes_of(row):
 
 def solids_of(row):
     """The meshes of a row's solid design."""
-    return list(_solids(row["machine"], row["cells"], tuple(row["rho"]))) if "rho" in row else meshes_of(row)
+    return list(_solids(row["machine"], row["cells"], tuple(row["rho"]), row["at"])) if "rho" in row else meshes_of(row)
 
 
 @lru_cache(maxsize=16)
-def _solids(machine, cells, rho):
-    meshes = [MACHINES[machine].mesh(cells)] * len(MACHINES[machine].names)
-    return solids.solid_meshes(meshes, rho, optimiser.VOLUME)[0]
+def _solids(machine, cells, rho, at):
+    return solids.solid_meshes([MACHINES[machine].mesh(cells)] * len(MACHINES[machine].names), rho, at)
 
 
 def beside_each_other(rows):
@@ -62,4 +61,4 @@ def beside_each_other(rows):
     machine, scene = MACHINES[rows[0]["machine"]], pi.Scene(MACHINES[rows[0]["machine"]].gravity)
     for k, row in enumerate(rows):
         machine.add_to(scene, solids_of(row), row["thickness"], f"{row['design']}: ", k * APART * len(machine.names))
-    return pi.solve(scene.build(), machine.t_end, pi.GeneralizedAlpha(h=machine.h))
+    return pi.solve(scene.build(), machine.t_end, pi.GeneralizedAlpha(h=machine.t_end / STEPS))

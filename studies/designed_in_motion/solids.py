@@ -1,4 +1,4 @@
-"""Designs as solid plates of equal mass, and how they move."""
+"""Designs as solid plates of equal mass, and how they move: members thinner than a cell stay grey, so that several levels are tried."""
 
 import warnings
 
@@ -8,31 +8,31 @@ import polyida as pi
 from designed_in_motion.machines import KEPT, THICKNESS
 
 FINER = 2.5  # times smaller steps than in the design
-LOWER, LEAST = 0.95, 0.05  # of a density that makes solid
+LEVELS = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # densities from which a cell is solid
 
 
-def solid_meshes(meshes, rho, volume):
-    """(mesh of what is solid of each plate, the least density that is solid).
-
-    That density gives the volume, or is as much lower, in parts of LOWER, as it takes to hold each plate's end to its hinge.
-    """
-    rho, areas = np.asarray(rho), np.concatenate([mesh.cell_areas for mesh in meshes])
-    order = np.argsort(-rho, kind="stable")
-    at = rho[order][np.searchsorted(np.cumsum(areas[order]), volume * areas.sum())]
-    ends = np.cumsum([mesh.n_cells for mesh in meshes])[:-1]
-    while True:
-        try:
-            return [_solid(mesh, part, at) for mesh, part in zip(meshes, np.split(rho, ends))], float(at)
-        except pi.InputError:
-            if at < LEAST:
-                raise
-            at *= LOWER
+def solid(machine, meshes, rho, volume):
+    """(meshes of what is solid of each plate, the least density that is, what is judged of its run): of LEVELS the one that moves best."""
+    found = [_solid(machine, meshes, rho, volume, at) for at in LEVELS]
+    return min((one for one in found if one), key=lambda one: one[-1]["J"])
 
 
-def _solid(mesh, rho, at):
-    """The mesh of the largest piece; InputError where it has not both of the kept sections."""
+def _solid(machine, meshes, rho, volume, at):
+    """The same with this least density; None where a plate's end is not held to its hinge."""
+    made = solid_meshes(meshes, rho, at)
+    if made is None:
+        return None
+    return made, at, judged(machine, moved(machine, made, thickness_for(machine, made, volume)))
+
+
+def solid_meshes(meshes, rho, at):
+    """The mesh of the largest piece of each plate; None where one has not both of the kept sections."""
+    parts = np.split(np.asarray(rho), np.cumsum([mesh.n_cells for mesh in meshes])[:-1])
     with warnings.catch_warnings(action="ignore", category=pi.mesh.MeshWarning):
-        return pi.design.threshold(mesh, rho, at=at, keep=KEPT, hanging="leave out")
+        try:
+            return [pi.design.threshold(mesh, part, at=at, keep=KEPT, hanging="leave out") for mesh, part in zip(meshes, parts)]
+        except pi.InputError:
+            return None
 
 
 def thickness_for(machine, meshes, volume):

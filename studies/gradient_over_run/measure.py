@@ -94,18 +94,19 @@ def sweep_us(model, settings, run, objective, repeats):
 
 
 def error_row(scene, dof, objective, tolerance, t_end):
-    """Relative distances of the slopes in each polygon's stiffness and mass from those of a run at Newton's tolerance `TIGHT`.
-
-    tolerance: None for the default one.
-    """
-    model, own = model_of(scene, dof), OBJECTIVES[objective]()
-    loose, tight = (_slopes(model, own, each, t_end) for each in (tolerance, TIGHT))
-    errors = {kind: float(np.linalg.norm(loose[kind] - tight[kind]) / np.linalg.norm(tight[kind])) for kind in ("stiffness", "mass")}
-    return {"n": model.n, "stiffness_error": errors["stiffness"], "mass_error": errors["mass"], "solves": loose["solves"]}
+    """Relative distances of the slopes in each polygon's stiffness and mass from those of a run at Newton's tolerance `TIGHT`."""
+    loose, tight = (slopes_of(scene, dof, objective, each, t_end) for each in (tolerance, TIGHT))
+    far = {
+        f"{kind}_error": float(np.linalg.norm(loose[kind] - tight[kind]) / np.linalg.norm(tight[kind])) for kind in ("stiffness", "mass")
+    }
+    return {"n": model_of(scene, dof).n, "solves": loose["solves"]} | far
 
 
-def _slopes(model, objective, tolerance, t_end):
+@lru_cache(maxsize=2)
+def slopes_of(scene, dof, objective, tolerance, t_end):
+    """Slopes in stiffness and mass of all polygons, (cells,) each, and solves a step."""
+    model = model_of(scene, dof)
     run = pi.solve(model, t_end, pi.GeneralizedAlpha(h=H, tolerance=tolerance))
-    found = pi.gradient(run, objective)
+    found = pi.gradient(run, OBJECTIVES[objective]())
     slopes = {kind: np.concatenate([found[f"{body.name}.{kind}"] for body in model.bodies]) for kind in ("stiffness", "mass")}
     return slopes | {"solves": found.counts.solves / run.counts.steps}

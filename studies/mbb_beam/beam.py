@@ -12,6 +12,8 @@ import polyida as pi
 
 LENGTH, HEIGHT, COLUMNS, ROWS = 60.0, 20.0, 60, 20
 MATERIAL = pi.Material(E=1.0, nu=0.3, rho=1.0)
+GAUSS = 0.5 + 0.5 / np.sqrt(3.0) * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])  # points in the square from 0 to 1
+FAN = 0.5 + np.array([(0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)]) / 3.0  # centroids of the triangles from the middle to the sides
 
 
 @lru_cache(maxsize=2)
@@ -40,18 +42,20 @@ def compliance_of(mesh, element):
     model = scene(mesh, element).build()
 
     def compliance(stiffness):
-        found = pi.gradient(pi.static(model.with_factors(beam=(stiffness, 1.0)), linear=True), pi.objective.Compliance())
+        found = pi.gradient(
+            pi.static(model.with_factors(beam=(stiffness, 1.0)), linear=True), pi.objective.Compliance(), ["beam.stiffness"]
+        )
         return found.value, found["beam.stiffness"]
 
     return compliance
 
 
-def bilinear(mesh):
-    """The same of bilinear squares with all of their quadrature, assembled and solved on their own: what the published codes have."""
+def bilinear(mesh, places=GAUSS):
+    """The same of bilinear squares, assembled and solved on their own: with GAUSS what the published codes have, with FAN Wachspress squares."""
     from scipy.sparse import coo_array
     from scipy.sparse.linalg import spsolve
 
-    matrix, corners = square_stiffness(), np.array([_from_lower_left(mesh, cell) for cell in range(mesh.n_cells)])
+    matrix, corners = square_stiffness(places), np.array([_from_lower_left(mesh, cell) for cell in range(mesh.n_cells)])
     dof = np.stack([2 * corners, 2 * corners + 1], axis=2).reshape(-1, 8)
     x, y = mesh.points.T
     held = np.r_[2 * np.flatnonzero(x == 0.0), 2 * np.flatnonzero((x == LENGTH) & (y == 0.0)) + 1]
@@ -61,7 +65,7 @@ def bilinear(mesh):
     rows, columns = np.repeat(dof, 8, axis=1).ravel(), np.tile(dof, (1, 8)).ravel()
 
     def compliance(stiffness):
-        whole = coo_array(((stiffness[:, None, None] * matrix).ravel(), (rows, columns))).tocsc()
+        whole = coo_array(((np.asarray(stiffness)[:, None, None] * matrix).ravel(), (rows, columns))).tocsc()
         u = np.zeros(len(load))
         u[free] = spsolve(whole[free][:, free], load[free])
         return float(load @ u), -np.einsum("ei,ij,ej->e", u[dof], matrix, u[dof])
@@ -74,15 +78,13 @@ def _from_lower_left(mesh, cell):
     return np.roll(nodes, -np.argmin(mesh.points[nodes].sum(axis=1)))
 
 
-def square_stiffness():
-    """Stiffness (8, 8) of a bilinear square of side 1, corners counter-clockwise from the lower left, by two times two Gauss points."""
+def square_stiffness(places=GAUSS):
+    """Stiffness (8, 8) of a bilinear square of side 1, corners counter-clockwise from the lower left, by points (points, 2) of equal weight."""
     nu, total = MATERIAL.nu, np.zeros((8, 8))
     elastic = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, (1.0 - nu) / 2.0]]) * MATERIAL.E / (1.0 - nu**2)
-    places = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
-    for x in places:
-        for y in places:
-            slopes = np.array([[y - 1.0, 1.0 - y, y, -y], [x - 1.0, -x, x, 1.0 - x]])
-            strain = np.zeros((3, 8))
-            strain[0, 0::2], strain[1, 1::2], strain[2, 0::2], strain[2, 1::2] = slopes[0], slopes[1], slopes[1], slopes[0]
-            total += 0.25 * strain.T @ elastic @ strain
+    for x, y in places:
+        along_x, along_y = [y - 1.0, 1.0 - y, y, -y], [x - 1.0, -x, x, 1.0 - x]
+        strain = np.zeros((3, 8))
+        strain[0, 0::2], strain[1, 1::2], strain[2, 0::2], strain[2, 1::2] = along_x, along_y, along_y, along_x
+        total += strain.T @ elastic @ strain / len(places)
     return total

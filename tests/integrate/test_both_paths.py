@@ -33,7 +33,7 @@ def test_the_same_iterations_in_every_step(monkeypatch, make, form):
 )
 def test_the_same_states(scenes, kind, settings):
     """To 1e-12 where Newton goes on to below that: the factor is in single precision, and a looser one leaves its round-off."""
-    integrator = pi.GeneralizedAlpha(h=1e-3, tolerance=1e-8, **settings)
+    integrator = pi.GeneralizedAlpha(h=2e-3, tolerance=1e-8, **settings)
     compiled, plain = (pi.solve(model, 0.05, integrator) for model in models(scenes.jointed(kind)))
     assert compiled.counts.steps == plain.counts.steps and np.array_equal(compiled.t, plain.t)
     assert np.abs(compiled.q - plain.q).max() < 1e-12
@@ -44,9 +44,9 @@ def test_the_same_states(scenes, kind, settings):
 @pytest.mark.parametrize("settings", [{}, {"stages": 2}, {"form": "index3"}, {"form": "index3", "project": False}], ids=str)
 def test_the_same_stages(scenes, kind, settings, damping):
     """Radau IIA: the plain path has no frame for each stage, so that Newton takes another way to the same end."""
-    integrator = pi.RadauIIA(h=2.5e-3, tolerance=1e-16, **settings)
+    integrator = pi.RadauIIA(h=5e-3, tolerance=1e-16, **settings)
     compiled, plain = (pi.solve(model, 0.05, integrator) for model in models(scenes.jointed(kind, cells=12, **damping)))
-    assert compiled.success and compiled.counts.steps == plain.counts.steps == 20
+    assert compiled.success and compiled.counts.steps == plain.counts.steps == 10
     assert np.abs(compiled.q - plain.q).max() < 1e-12
     assert np.abs(compiled.v - plain.v).max() < 1e-9
     assert np.abs(compiled.lam - plain.lam).max() < 1e-9 * np.abs(compiled.lam).max()

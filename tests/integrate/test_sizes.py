@@ -42,7 +42,7 @@ def test_a_scene_of_millimetres_takes_the_same_steps():
     assert max(apart) < 1e-8  # the factor is in single precision, and steps follow what it leaves
 
 
-@pytest.mark.parametrize("name, share, order, least", [("pendulum", 0.2, 5, 0.8), ("andrews", 1.0, 5, 0.8), ("car-axis", 0.3, 2, 0.6)])
+@pytest.mark.parametrize("name, share, order, least", [("pendulum", 0.2, 5, 0.8), ("andrews", 1.0, 5, 0.8), ("car-axis", 0.15, 2, 0.6)])
 def test_the_error_of_rigid_systems_follows_rtol(name, share, order, least):
     p = pi.problems.get(name)
     at = np.linspace(0.0, share * p.t_end, 21)[1:]

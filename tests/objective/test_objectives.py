@@ -1,11 +1,12 @@
 """Objectives against what runs tell, and their slopes against differences of their own values."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.adjoint.parameters import parameters_of
 
 of = pi.objective
 FRAMES = ("t", "q", "v", "a", "lam")
@@ -116,6 +117,13 @@ def test_parts_are_given_by_themselves_too(motion):
     assert of.StrainEnergy(parts["upper"])(motion) == of.StrainEnergy("upper")(motion)
     assert of.PeakReaction(parts["motor"])(motion) == of.PeakReaction("motor")(motion)
     assert of.Deviation(end, (1.0, 0.0))(motion) == of.Deviation(parts["tip"], (1.0, 0.0))(motion)
+    objective = of.StrainEnergy(parts["upper"]) + of.PeakReaction(parts["motor"]) + of.Deviation(end, CIRCLE)
+    other = replace(motion, model=parameters_of(motion.model)["upper.E"].replaced(6e7))
+    with pytest.raises(pi.InputError, match="no body that deforms is called Plate"):
+        objective(other)
+    assert objective.named(motion.model)(other) == (of.StrainEnergy("upper") + of.PeakReaction("motor") + of.Deviation("tip", CIRCLE))(
+        other
+    )
     one, two = of.StrainEnergy(), of.PeakReaction("motor")
     assert sum([one, -two, two * 2])(motion) == pytest.approx(one(motion) + two(motion), rel=1e-13)
 
@@ -142,6 +150,51 @@ def test_long_runs_are_read_in_pieces(motion, monkeypatch):
     far = replace(motion, q=motion.q.view(Frames))
     assert of.StrainEnergy()(far) == of.StrainEnergy()(motion)
     assert [key.stop - key.start for key in asked] == [2, 2, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Sprung(pi.Body):
+    """Two points on a spring of rest length 1 m, its energy a user's Python."""
+
+    k: float = 30.0
+    name: str | None = None
+
+    def coordinates(self):
+        return [0.0, 1.0]
+
+    def mass_matrix(self):
+        return np.eye(2)
+
+    def attachments(self):
+        return {"a": [1.0, 0.0], "b": [0.0, 1.0]}
+
+    def translation(self):
+        return [1.0, 1.0]
+
+    def elastic(self, z):
+        w = z[1] - z[0]
+        pull = self.k * (abs(w) - 1.0) * w / abs(w)
+        return np.array([-pull, pull])
+
+    def energy(self, z):
+        return 0.5 * self.k * (abs(z[1] - z[0]) - 1.0) ** 2
+
+
+def test_energy_of_own_bodies():
+    made, mesh = pi.Scene(), pi.mesh.quads(1.0, 0.2, 2, 1)
+    made.add(pi.Plate(mesh, pi.Material(5e4, 0.3, 1100.0), 0.01, name="plate"))
+    made.add(Sprung(name="spring"))
+    run = moving(made.build())
+    energies = [of.StrainEnergy(name) for name in ("plate", "spring", None)]
+    lengths = np.hypot(*(np.array([[1.0], [0.0]]) + (run.q[:, -2:] - run.q[:, -4:-2]).T))
+    assert energies[1](run) == pytest.approx(np.trapezoid(15.0 * (lengths - 1.0) ** 2, run.t) / np.ptp(run.t), rel=1e-10)
+    assert energies[0](run) + energies[1](run) == pytest.approx(energies[2](run), rel=1e-12)
+    way = 1e-3 * np.random.default_rng(4).standard_normal(run.q.shape)
+    for energy in energies:
+        expected = difference(lambda s: energy(replace(run, q=run.q + s * way)))  # noqa: B023
+        assert np.sum(energy.slopes(run)(slice(None)).q * way) == pytest.approx(expected, rel=1e-7)
+    stiffer = parameters_of(run.model)["spring.k"].of_model(energies[1].slopes(run)(slice(None)).of_model)
+    assert 30.0 * stiffer == pytest.approx(energies[1](run), rel=1e-9)
 
 
 class Rods(pi.problems.get("pendulum").model.__class__):

@@ -15,9 +15,14 @@ SHAPES = {"four-bar": four_bar, "two-link-arm": two_link_arm, "peaucellier": pea
 
 
 @lru_cache
+def problem(name, level):
+    return problems.get(name, level=level)
+
+
+@lru_cache
 def solved(name, level):
     """(problem, its run)."""
-    p = problems.get(name, level=level)
+    p = problem(name, level)
     run = pi.solve(p.model, p.t_end, pi.RadauIIA(rtol=1e-8))
     assert run.success, run.message
     return p, run
@@ -88,7 +93,7 @@ def test_a_run_of_moderate_accuracy_meets_the_digits(name, level):
 @pytest.mark.parametrize("name", NAMES)
 def test_levels_have_digits_and_other_options_none(name):
     for level in ("full", "reduced", "rigid"):
-        p = problems.get(name, level=level)
+        p = problem(name, level)
         assert set(p.reference) == set(p.known_to) == set(p.measures) == {"point", "velocity"}
         assert p.known_to["point"] < 1e-9 and p.known_to["velocity"] < 1e-6
     p = problems.get(name, level="reduced", modes=2)

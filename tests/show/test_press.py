@@ -89,5 +89,5 @@ def test_what_else_the_other_process_says_is_no_figure(two, here, runs, monkeypa
             given.give(name, plots.energy(runs))
             given.sheets[name][1].result()
         files = given.files()
-    for name in "abcd":
-        assert files[name]["png"] == style.rendered(plots.energy(runs), "png")
+    own = style.rendered(plots.energy(runs), "png")
+    assert [files[name]["png"] == own for name in "abcd"] == [True] * 4

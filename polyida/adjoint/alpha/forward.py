@@ -1,5 +1,6 @@
 """What frames do not hold of a run's steps: what each piece began with, and the algorithmic acceleration, made again from the frames."""
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -25,8 +26,7 @@ class Forward:
         self.model, self.settings, self.course, self.ready, ahead = model, settings, course, {}, None
         for piece in course.pieces:
             self.ready[piece.first] = self._ready(piece, ahead)
-            for _, ahead in self._steps(piece):
-                pass
+            ahead = deque(self._steps(piece), maxlen=1).pop()[1]
 
     def _ready(self, piece, ahead):
         state = beginning(self.course, piece, ahead)

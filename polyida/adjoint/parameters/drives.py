@@ -15,19 +15,13 @@ from polyida.model.differences import along
 
 def drive_works(model, work):
     """(k, profiles, 3): the slopes of each entry of the sum in value, rate and second derivative of every profile of a scene."""
-    found = on_rows_and_loads(model, work)
-    for name, part in model.parts.items():
-        if isinstance(part, ForceElement):
-            _add_element(model, name, part, work, found)
-    return found
-
-
-def on_rows_and_loads(model, work):
-    """The same without force elements."""
     found = np.zeros((len(work.t), len(model.profiles), 3))
     _add_loads(model, work, found)
     _add_shifts(model, work, found)
     _add_products(model, work, found)
+    for name, part in model.parts.items():
+        if isinstance(part, ForceElement):
+            _add_element(model, name, part, work, found)
     return found
 
 

@@ -1,34 +1,38 @@
 """Slopes of the entries of a Work in their own times, for times that move with a parameter."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from polyida.adjoint.parameters.drives import on_rows_and_loads
+from polyida.adjoint.parameters.drives import drive_works
 from polyida.adjoint.parameters.elements import element_work
 from polyida.adjoint.parameters.parameter import total
-from polyida.adjoint.parameters.rebuilt import profiles_of
+from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
 from polyida.adjoint.parameters.times import ORDERS, over
 from polyida.assembly.own.forces import OwnForce
 from polyida.force.force_element import ForceElement
 from polyida.model.differences import FIRST_ORDER_STEP, along
+from polyida.profile import REACH
+
+SCALE = REACH[1] / FIRST_ORDER_STEP  # s, over which functions of time of one's own vary
 
 
 def in_time(model, work):
     """The slope of `w . r + mu . phi + kappa . rate + nu . bias` of each entry in its time, its state as it is, (k,).
 
-    Of a scene by its profiles' derivatives; of models and force elements of one's own by differences on one side of all kinks.
+    Of a scene by its profiles' derivatives; of models and force elements of one's own by differences.
     """
     if not model.is_scene:
-        return _by_differences(model, work, lambda some: np.array([total(model, entry) for entry in _each(some)]))
-    result = _by_profiles(model, work)
-    for name, part in model.parts.items():
-        if isinstance(part, ForceElement) and _in_time(part):
-            own = OwnForce(name, part, model)
-            result += _by_differences(model, work, lambda some, own=own, part=part: element_work(own, part, some))
-    return result
+        return np.array([_by_differences(model, entry) for entry in _each(work)])
+    return _by_profiles(model, work) + sum(
+        _of_element(OwnForce(name, part, model), part, work)
+        for name, part in model.parts.items()
+        if isinstance(part, ForceElement) and not _by_our_law(part)
+    )
 
 
 def _by_profiles(model, work):
-    each, result = on_rows_and_loads(model, work), np.zeros(len(work.t))
+    each, result = drive_works(model, work), np.zeros(len(work.t))
     for drive, profile in enumerate(model.profiles):
         for order in range(len(ORDERS)):
             used = np.flatnonzero(each[:, drive, order])
@@ -36,26 +40,32 @@ def _by_profiles(model, work):
     return result
 
 
-def _in_time(element):
-    """Whether an element's forces may depend on time: not where a law of ours has no profile."""
-    law = element.compiled_law
-    return not law or not law.py_func.__module__.startswith("polyida.") or bool(profiles_of(element))
+def _by_our_law(element):
+    """Whether time is in its forces by profiles alone."""
+    return bool(element.compiled_law) and element.compiled_law.py_func.__module__.startswith("polyida.")
 
 
-def _by_differences(model, work, each):
-    """The derivative in time of `each(work)` (k,): of entries near a kink one by one."""
-    result, rooms = np.zeros(len(work.t)), np.array([model._smooth(t) for t in work.t.tolist()])
-    near = (np.abs(rooms) < 2 * FIRST_ORDER_STEP).any(axis=1)
-    for k, room in ((np.flatnonzero(~near), ()), *((np.array([k]), (1.0, rooms[k])) for k in np.flatnonzero(near))):
-        if len(k):
-            some = _taken(work, k)
-            result[k] = along(lambda s, some=some: each(some._replace(t=some.t + s)), *room)
-    return result
+def _of_element(own, element, work):
+    """Of the time that forces of one's own are given, their profiles late by as much."""
+
+    def later(s):
+        held = element
+        for profile in profiles_of(element):
+            held = holding_profile(held, profile, _late(profile, s))
+        return element_work(own, held, work._replace(t=work.t + s))
+
+    return along(later, SCALE)
+
+
+def _late(profile, s):
+    functions = {order: getattr(profile, order) for order in ORDERS}
+    return replace(profile, formula=(), **{order: lambda t, f=function: f(t - s) for order, function in functions.items()})
+
+
+def _by_differences(model, entry):
+    room = model._smooth(float(entry.t[0]))
+    return float(along(lambda s: total(model, entry._replace(t=entry.t + s)), SCALE, room))
 
 
 def _each(work):
-    return (_taken(work, [k]) for k in range(len(work.t)))
-
-
-def _taken(work, k):
-    return type(work)(*(x if x is None else x[k] for x in work))
+    return (type(work)(*(x if x is None else x[k : k + 1] for x in work)) for k in range(len(work.t)))

@@ -111,9 +111,9 @@ def _stiffness(model, work):
 
 def _mass(model, work):
     """What M is multiplied by: accelerations, less gravity, and of a damped plate velocities times its drag."""
-    b = np.array(work.a, float).reshape(len(work.t), -1, 2)
-    v = work.v.reshape(b.shape)
-    pull = np.array([gravity_at(model.gravity, t) for t in work.t.tolist()])
+    b = work.a
     for body in model.bodies:
-        b[:, body.pairs] += body.plate.material.mass_damping * v[:, body.pairs] - pull[:, None]
-    return mass_work(model, b.reshape(work.a.shape), work.w)
+        if drag := body.plate.material.mass_damping:
+            of_body, b = slice(2 * body.pairs.start, 2 * body.pairs.stop), np.array(b) if b is work.a else b
+            b[:, of_body] += drag * work.v[:, of_body]
+    return mass_work(model, b, work.w, np.array([gravity_at(model.gravity, t) for t in work.t.tolist()]).reshape(-1, 2))

@@ -20,7 +20,7 @@ class Piece(NamedTuple):
     before: float
     h: float
     first: int
-    count: int
+    count: int  # type: ignore[assignment]  # a tuple has a method of this name, of no use here
 
 
 class Room(NamedTuple):

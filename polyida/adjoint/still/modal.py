@@ -1,7 +1,7 @@
 """The gradient of modes about a state.
 
-What J says of parameters by itself is the modes' at that state; where this is an equilibrium of `pi.static`, which moves with parameters, the
-adjoint of that adds what J says of q and lam. Any other state is held as it is.
+What J says of parameters by itself is the modes' at that state; where this is an equilibrium of `pi.static`, which moves with parameters,
+the adjoint of that adds what J says of q and lam. Any other state is held as it is.
 """
 
 from polyida.adjoint.result import Gradient

@@ -26,8 +26,9 @@ class Tape:
         return found
 
     def back(self):
-        """Send all bars to where they come from."""
-        for found, pulls in reversed(self.done):
+        """Send all bars to where they come from; nothing is left on the tape, so that it keeps no model alive."""
+        while self.done:
+            found, pulls = self.done.pop()
             if isinstance(found, list):
                 if any(var.bar.any() for var in found):
                     pulls(*(var.bar for var in found))

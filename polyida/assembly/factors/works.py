@@ -23,11 +23,15 @@ def stiffness_work(model, q, v, w):
     return shares.by_plate(np.bincount(shares.lane_cells, lanes, shares.first[-1]) + stabilising)
 
 
-def mass_work(model, b, w):
-    """{plate: (cells,)}: sums over frames of `w . M_e b`, M_e the mass matrix of cell e at factor 1; b, w (frames, n)."""
+def mass_work(model, b, w, pull=None):
+    """{plate: (cells,)}: sums over frames of `w . M_e (b - pull)`, M_e the mass matrix of cell e at factor 1; b, w (frames, n), pull
+    (frames, 2): the same everywhere.
+    """
     shares = model.once(Shares, of_shape=True)
     pairs = np.zeros(len(shares.plates.mass))
     _mass_works(shares.plates, *(_nodal(model, x) for x in (b, w)), pairs)
+    if pull is not None:
+        _mass_works(shares.plates, _nodal(model, np.tile(np.eye(2), model.n_nodes)), _nodal(model, -(pull.T @ w)), pairs)
     return shares.by_plate(shares.of_cells(shares.plates.body_density) * shares.mass.slopes(pairs, shares.first[-1]))
 
 

@@ -1,16 +1,18 @@
 """How far a point is from where it is to be."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import floats
+from polyida.joint.attachment import Attachment
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
+from polyida.objective.means.bodies import named
 from polyida.objective.means.time_mean import TimeMean, rates
 from polyida.objective.slopes import Slopes
 
@@ -31,12 +33,18 @@ class Deviation(TimeMean):
         if not callable(self.path):
             self._place(self.path)
 
+    def named(self, model: Any) -> "Deviation":
+        """By the name of its part, or of the body that an attachment is of."""
+        body = named(model, self.point.body) if isinstance(self.point, Attachment) else None
+        return replace(self, point=OnBody(body, self.point) if isinstance(body, str) else named(model, self.point))
+
     def _seen(self, model, span):
         """The squared distance."""
-        pull = _pull(model, self.point)
+        point = self.point.on(model) if isinstance(self.point, OnBody) else self.point
+        pull = _pull(model, point)
 
         def look(frames):
-            gap = model.position(self.point, frames.q) - [self._at(t) for t in frames.t.tolist()]
+            gap = model.position(point, frames.q) - [self._at(t) for t in frames.t.tolist()]
 
             def back(factor):
                 toward = 2.0 * factor[:, None] * gap
@@ -56,6 +64,17 @@ class Deviation(TimeMean):
                 f"Deviation: path = {given!r:.100} must be two finite numbers (x, y), m, or a function of time that gives them"
             )
         return pair
+
+
+class OnBody(NamedTuple):
+    """An attachment, and the name of its body."""
+
+    body: str
+    side: Attachment
+
+    def on(self, model):
+        """The attachment on the body of that name."""
+        return replace(self.side, body=model.parts[self.body])
 
 
 def _pull(model, point):

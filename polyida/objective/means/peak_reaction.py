@@ -69,7 +69,7 @@ class PeakReaction(TimeMean):
             raise InputError(f"PeakReaction: the reaction of {name!r} is not unique, constraints are redundant; it has no slopes")
         return name
 
-    def _named(self, model):
+    def named(self, model: Any) -> "PeakReaction":
         """By the joint's name."""
         return replace(self, joint=self._name(model))
 

@@ -32,7 +32,7 @@ class PeakStress(TimeMean):
     def __post_init__(self):
         settle(self, p=power("PeakStress", self.p))
 
-    def _named(self, model):
+    def named(self, model: Any) -> "PeakStress":
         """By the name of its body."""
         return replace(self, plate=named(model, self.plate))
 

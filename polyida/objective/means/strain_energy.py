@@ -28,7 +28,7 @@ class StrainEnergy(TimeMean):
     plate: Any = None
     _of_material = True
 
-    def _named(self, model):
+    def named(self, model: Any) -> "StrainEnergy":
         """By the name of its body."""
         return replace(self, plate=named(model, self.plate))
 

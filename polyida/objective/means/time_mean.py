@@ -77,13 +77,9 @@ class TimeMean(Objective):
 
         def elsewhere(model, part):
             """What is seen of the frames with another model."""
-            return self._named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]
+            return self.named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]
 
         return of
-
-    def _named(self, model: Any) -> "TimeMean":
-        """The same with names in place of parts, which a model of other parts knows."""
-        return self
 
     def _of(self, run):
         return self._seen(guard(run.model, type(self).__name__), _span(run))
@@ -116,9 +112,9 @@ class _Mean:
         length = float(t[-1] - t[0]) or 1.0
         weights = np.convolve(steps, [0.5, 0.5]) if len(steps) else np.ones(1)
         self.value = power_mean(weights / length, s, p)
-        rates = relative(s, self.value) ** (p - 1.0)
-        self.shares = weights / length * rates
-        by_weights = s * rates
+        steep = relative(s, self.value) ** (p - 1.0)
+        self.shares = weights / length * steep
+        by_weights = s * steep
         turned = np.convolve(by_weights[:-1] + by_weights[1:], [-0.5, 0.5]) if len(steps) else np.zeros(1)
         if len(steps):
             turned[[0, -1]] += self.value, -self.value

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.adjoint.still.modal import gradient_of_modes
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.still.static import gradient_of_static
 from polyida.integrate.state import StepFailure
 from polyida.problems.pendulum import Pendulum
 
@@ -53,13 +51,23 @@ OBJECTIVES = (
 @pytest.mark.parametrize("linear", [False, True])
 def test_equilibria(linear):
     answer = lambda model: pi.static(model, t=0.3, tolerance=1e-13, linear=linear)  # noqa: E731
-    compare(scene(), answer, OBJECTIVES, gradient_of_static, ("beam.nu", "beam.tau", "low.E", "spring.length"))
+    compare(scene(), answer, OBJECTIVES, pi.gradient, ("beam.nu", "beam.tau", "low.E", "spring.length"))
+
+
+def test_they_are_checked_as_runs_are():
+    """The spring's slopes are differences, which third derivatives of its energy tell."""
+    model, names = scene(), ["beam.E", "beam.mass", "tip.mass"]
+    still, place = pi.static(model, t=0.3), of.Deviation(model.parts["low"].section("right"), (2.0, 0.5))
+    subjects = (still, place, 1e-8), (pi.modes(model, still, count=1), of.Frequency(), 1e-5), (pi.modes(scene(0.0)), of.Frequency(), 1e-7)
+    for subject, objective, least in subjects:
+        errors = pi.check_gradient(subject, objective, names)
+        assert list(errors) == names and max(errors.values()) < least
 
 
 def test_one_solve():
     found = pi.static(scene(), t=0.3)
     assert found.model.n == len(found.q)
-    counts = gradient_of_static(found, sum(OBJECTIVES[:2])).counts
+    counts = pi.gradient(found, sum(OBJECTIVES[:2])).counts
     assert (counts.factorizations, counts.solves) == (1, 1)
 
 
@@ -72,7 +80,7 @@ def test_small_displacements_are_linear_in_the_load(scenes):
     exact = pi.static(model, t=1e-5, tolerance=1e-15)
     assert np.abs(part.q - exact.q).max() < 1e-3 * np.abs(exact.q).max()
     assert "small displacements" in whole.summary() and whole.stable is None
-    compliance = gradient_of_static(whole, of.Compliance())
+    compliance = pi.gradient(whole, of.Compliance())
     assert compliance["upper.E"] * 50e6 == pytest.approx(-compliance.value, rel=1e-9)
     assert compliance["load.force"] @ (1.0, -2.0) == pytest.approx(2.0 * compliance.value, rel=1e-9)
 
@@ -87,14 +95,14 @@ def test_modes(bent):
     """At rest, and about an equilibrium that moves with the parameters."""
     answer = (lambda model: pi.modes(model, state=pi.static(model, t=0.3, tolerance=1e-13), count=3)) if bent else pi.modes
     objectives = [of.Frequency(0), of.Frequency(1) - 0.2 * of.Frequency(2) + of.Compliance()]
-    compare(scene(bent), answer, objectives, gradient_of_modes)
+    compare(scene(bent), answer, objectives, pi.gradient)
 
 
 def test_modes_of_a_state_that_is_held(scenes):
     model = scenes.cantilever((0.0, -9.81))[0].build()
     still = pi.static(model)
     held = pi.State(0.0, still.q, still.v, still.a, still.lam)
-    moving, fixed = (gradient_of_modes(pi.modes(model, state, count=1), of.Frequency()) for state in (still, held))
+    moving, fixed = (pi.gradient(pi.modes(model, state, count=1), of.Frequency()) for state in (still, held))
     assert fixed.value == moving.value and fixed["upper.rho"] != pytest.approx(moving["upper.rho"], rel=1e-4)
     assert fixed["upper.rho"] * 1100.0 == pytest.approx(-fixed.value / 2, rel=1e-7)
 
@@ -109,7 +117,7 @@ def test_modes_of_own_models():
     model = Hanging()
     still = pi.static(model, q0=[0.0, -1.0])
     modes = pi.modes(model, still, count=1)
-    found = gradient_of_modes(modes, of.Frequency())
+    found = pi.gradient(modes, of.Frequency())
     assert found.value == pytest.approx(np.sqrt(9.81) / (2 * np.pi), rel=1e-9)
     assert found["length"] == pytest.approx(-found.value / 2, rel=1e-6)
     assert found["gravity"] == pytest.approx(found.value / (2 * 9.81), rel=1e-6)

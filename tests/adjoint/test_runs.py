@@ -1,0 +1,151 @@
+"""Gradients of runs against differences of the very same steps, by every way that a run can go."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.adjoint.steps.course import course_of
+from polyida.problems.pendulum import Pendulum
+
+CLOSE = 1e-6  # asked of every parameter; at a tolerance of 1e-10 errors are about 1e-9
+
+
+def arm(element="wachspress", **material):
+    """A soft plate that a motor turns, with a kink in the run, and a mass at its tip."""
+    mesh = pi.mesh.rectangle(1.0, 0.25, cells=8, seed=1)
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    plate = scene.add(pi.Plate(mesh, pi.Material(E=3e7, nu=0.3, rho=1100.0, **material), thickness=0.01, element=element, name="arm"))
+    scene.add(pi.Revolute(pi.ground, plate.section("left"), name="hub"))
+    scene.add(pi.AngleMotor(pi.ground, plate.section("left"), angle=pi.profile.quintic(0.0, 1.0, 0.04), name="motor"))
+    scene.add(pi.PointMass(plate.section("right"), 0.05, name="tip"))
+    return scene.build()
+
+
+MODEL = arm()
+DEVIATION = pi.objective.Deviation("tip", (1.0, 0.3))
+ALL = DEVIATION + 1e-6 * pi.objective.PeakReaction("motor", p=4) + 1e-3 * pi.objective.StrainEnergy("arm")
+WAYS = {
+    "fixed": ({"h": 2.3e-3}, {}),
+    "a kink at a whole number of steps": ({"h": 2e-3}, {}),
+    "few frames": ({"h": 2e-3}, {"every": 3}),
+    "single precision": ({"h": 2e-3}, {"precision": "single"}),
+    "cut steps": ({"h": 2e-2, "max_iterations": 2}, {}),
+    "changes of h": ({"h": 4e-3, "rtol": 1e-3}, {}),
+    "another member": ({"h": 2e-3, "member": (0.0, 0.1, 0.3025, 0.6)}, {}),
+    "stabilised": ({"h": 2e-3, "form": "stabilised"}, {}),
+    "a plain start": ({"h": 2e-3, "start": "plain"}, {}),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_gradient_is_that_of_the_steps_that_were_taken(way):
+    settings, asked = WAYS[way]
+    run = pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(tolerance=1e-10, **settings), **asked)
+    assert run.success and (run.counts.rejected > 0) == (way in ("cut steps", "changes of h"))
+    names = ["arm.stiffness", "arm.mass", "tip.mass", "motor.end", "motor.duration", "v0"]
+    errors = pi.check_gradient(run, ALL, parameters=names)
+    assert set(errors) == set(names)
+    assert max(errors.values()) < CLOSE, errors
+
+
+@pytest.mark.parametrize("material", [{"viscosity": 1e-3, "mass_damping": 2.0}])
+@pytest.mark.parametrize("form", ["index3", "stabilised"])
+def test_a_damped_virtual_plate(material, form):
+    run = pi.solve(arm("virtual", **material), 0.06, pi.GeneralizedAlpha(2e-3, tolerance=1e-10, form=form))
+    errors = pi.check_gradient(run, ALL, parameters=["arm.stiffness", "arm.mass", "arm.E", "arm.thickness", "arm.rho", "motor.duration"])
+    assert max(errors.values()) < CLOSE, errors
+
+
+def test_value_and_sums():
+    run = pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(2e-3))
+    found = pi.gradient(run, DEVIATION)
+    assert found.value == DEVIATION(run)
+    assert found["arm.E"] * 3e7 == pytest.approx(found["arm.stiffness"].sum(), rel=1e-9)
+    assert found["arm.rho"] * 1100.0 == pytest.approx(found["arm.mass"].sum(), rel=1e-9)
+    assert found["arm.thickness"] * 0.01 == pytest.approx(found["arm.stiffness"].sum() + found["arm.mass"].sum(), rel=1e-9)
+    assert found.counts.factorizations <= run.counts.factorizations + 1
+    assert found.counts.solves < 4 * run.counts.solves
+    assert set(pi.gradient(run, DEVIATION, parameters=["tip.mass"])) == {"tip.mass"}
+    assert "arm.stiffness" in repr(found) and "arm.stiffness" in found._repr_html_() and len(found) == len(dict(found.items()))
+
+
+@pytest.mark.parametrize("form", ["index3", "stabilised"])
+def test_segments_between_checkpoints_are_the_same_bit_by_bit(form):
+    run = pi.solve(MODEL, 0.6, pi.GeneralizedAlpha(5e-4, form=form), every=20)
+    whole = course_of(run, MODEL)
+    bytes_of_all = 8 * (3 * MODEL.n + MODEL.m) * len(whole.frames)
+    parts = course_of(run, MODEL, bytes_of_all / 2)
+    assert parts.pieces == whole.pieces and np.array_equal(parts.frames, whole.frames)
+    for first in range(len(whole.frames) - 100, -1, -100):
+        for one, other in zip(whole.states(first, first + 100), parts.states(first, first + 100)):
+            assert np.array_equal(one, other)
+    found, again = pi.gradient(run, DEVIATION), pi.gradient(run, DEVIATION, memory_limit=bytes_of_all / 2)
+    assert all(np.array_equal(found[name], again[name]) for name in found)
+    with pytest.raises(pi.InputError, match="memory_limit = .* has no room for checkpoints"):
+        pi.gradient(run, DEVIATION, memory_limit=1e3)
+
+
+def test_adaptive_runs_beyond_memory_are_read_from_their_frames():
+    settings = pi.GeneralizedAlpha(4e-3, rtol=1e-4)
+    run, few = pi.solve(MODEL, 0.06, settings), pi.solve(MODEL, 0.06, settings, every=5)
+    found, again = pi.gradient(run, DEVIATION), pi.gradient(run, DEVIATION, memory_limit=1e4)
+    assert all(np.array_equal(found[name], again[name]) for name in found)
+    with pytest.raises(pi.InputError, match="keep every step as a frame"):
+        pi.gradient(few, DEVIATION, memory_limit=1e4)
+
+
+def test_a_run_in_a_file(tmp_path):
+    run = pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(2e-3), out=tmp_path / "run.h5", memory_limit=0)
+    found, again = pi.gradient(run, DEVIATION), pi.gradient(pi.load(tmp_path / "run.h5"), DEVIATION)
+    assert found.value == again.value
+    assert all(np.allclose(found[name], again[name], rtol=1e-12, atol=0.0) for name in found if not name.startswith(("motor", "v0")))
+
+
+def test_progress_goes_back_in_time():
+    seen = []
+    pi.gradient(pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(2e-3)), DEVIATION, progress=seen.append)
+    assert seen and seen == sorted(seen, reverse=True) and 0.0 <= seen[-1] < 0.06
+
+
+def test_a_model_of_ones_own():
+    model = Pendulum()
+    run = pi.solve(model, 0.5, pi.GeneralizedAlpha(5e-3, tolerance=1e-10))
+    height = pi.objective.Own(lambda run: float(run.q[-1, 1]), lambda run: {"q": np.eye(len(run))[-1][:, None] * (0.0, 1.0)})
+    errors = pi.check_gradient(run, height)
+    assert errors and max(errors.values()) < CLOSE, errors
+
+
+@pytest.mark.parametrize(
+    ("integrator", "asked", "word"),
+    [
+        (pi.IDA(1e-4), {}, "IDAS"),
+        (pi.EnergyMomentum(2e-3), {}, "no adjoint"),
+        (pi.GeneralizedAlpha(2e-3, extrapolate=True), {}, "extrapolate"),
+        (pi.GeneralizedAlpha(2e-3), {"output": [0.0, 0.0151, 0.03]}, "between two steps"),
+        (pi.GeneralizedAlpha(2e-3), {"until": lambda t, q, v: t - 0.0151}, "between two steps"),
+    ],
+)
+def test_what_has_no_adjoint_is_refused(integrator, asked, word):
+    with pytest.raises(pi.InputError, match=word):
+        pi.gradient(pi.solve(MODEL, 0.03, integrator, **asked), DEVIATION)
+
+
+def test_wrong_input():
+    run = pi.solve(MODEL, 0.02, pi.GeneralizedAlpha(2e-3))
+    for given, word in (
+        ({"parameters": ["arm.colour"]}, "arm.colour"),
+        ({"parameters": "arm.E"}, "list of names"),
+        ({"memory_limit": -1}, "bytes"),
+    ):
+        with pytest.raises(pi.InputError, match=word):
+            pi.gradient(run, DEVIATION, **given)
+    with pytest.raises(pi.InputError, match="no objective"):
+        pi.gradient(run, lambda run: 0.0)
+    with pytest.raises(pi.InputError, match="no run"):
+        pi.gradient(MODEL, DEVIATION)
+    with pytest.raises(pi.InputError, match="not steps"):
+        pi.gradient(dataclasses.replace(run, integrator=pi.GeneralizedAlpha(3e-3)), DEVIATION)
+    with pytest.raises(pi.InputError, match="known"):
+        pi.gradient(run, DEVIATION)["arm.colour"]
