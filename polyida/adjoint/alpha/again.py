@@ -31,7 +31,8 @@ class Again:
         """The run of another model, its frames at the same steps; moved: what is added to the velocities that it was given."""
         guarded = guard(model)
         given = guarded.initial_velocity(self.state.t, self.state.q) if self.own else self.given
-        states = [restarted(guarded, replace(self.state, v=given + moved))]
+        held = self.run.plan.get("began") == "state"
+        states = [self.state if held else restarted(guarded, replace(self.state, v=given + moved))]
         engine, times = Steps(self.settings, guarded, Counts()), self._times(guarded)
         for piece in self.course.pieces:
             grid, state = Grid(times(piece.first), times(piece.first + piece.count), piece.count), states[-1]
