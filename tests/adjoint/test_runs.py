@@ -111,7 +111,7 @@ def test_progress_goes_back_in_time():
 
 def test_a_model_of_ones_own():
     model = Pendulum()
-    run = pi.solve(model, 0.5, pi.GeneralizedAlpha(5e-3, tolerance=1e-10))
+    run = pi.solve(model, 0.5, pi.GeneralizedAlpha(5e-3, tolerance=1e-10), q0=(1.0, 0.0))
     height = pi.objective.Own(lambda run: float(run.q[-1, 1]), lambda run: {"q": np.eye(len(run))[-1][:, None] * (0.0, 1.0)})
     errors = pi.check_gradient(run, height)
     assert errors and max(errors.values()) < CLOSE, errors

@@ -6,13 +6,12 @@ from polyida.given import on_pairs
 
 
 class MassSystem:
-    """The system at (t, q); `solve` any number of right-hand sides."""
+    """The system with a `border`; `solve` any number of right-hand sides."""
 
-    def __init__(self, model, t, q):
+    def __init__(self, model, border):
         self.model, self.n = model, model.n
-        self._reach, self._across, g = model.once(point_columns)
-        self._border = model.phi_z(t, q)
-        self._schur = self._border @ g @ self._border.T
+        self._reach, self._across, _ = model.once(point_columns)
+        self._border, self._schur = border
 
     def solve(self, r, phi):
         """(dq, dlam) for the residuals r (n,) and phi (m,): `M dq + B^T dlam = -r`, `B dq = -phi`."""
@@ -27,9 +26,15 @@ class MassSystem:
         return y - moved.ravel(), dlam
 
 
-def at_rest(model):
-    """The MassSystem of a scene without motors, always the same."""
-    return MassSystem(model, 0.0, np.zeros(model.n))
+def border(model, t, q):
+    """(phi_q in the coordinates of the points, its product with M^-1 on both sides) at (t, q)."""
+    across = model.phi_z(t, q)
+    return across, across @ model.once(point_columns)[2] @ across.T
+
+
+def border_at_rest(model):
+    """The border of a scene without motors, always the same."""
+    return border(model, 0.0, np.zeros(model.n))
 
 
 def point_columns(model):

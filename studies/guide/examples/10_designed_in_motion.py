@@ -6,8 +6,10 @@ An arm slews by 90 degrees in 0.3 s with a mass at its tip, which is to follow t
 compliance at rest, then for the least deviation in motion. {doc}`../designed_in_motion` tells what happens here.
 """
 
+import matplotlib.pyplot as plt
 import nlopt
 import numpy as np
+from matplotlib.collections import PolyCollection
 
 import polyida as pi
 
@@ -96,9 +98,6 @@ print(f"mean square deviation on densities: {deviation[0]:.3g} -> {min(deviation
 
 # %%
 # What is solid, moved again; both of the same mass.
-
-import matplotlib.pyplot as plt
-from matplotlib.collections import PolyCollection
 
 fig, panels = plt.subplots(3, 1, figsize=(6.4, 6.2), layout="constrained")
 for axes, name, x in zip(panels, ("at rest", "in motion"), (still, moving)):
