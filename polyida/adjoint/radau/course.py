@@ -8,12 +8,13 @@ from polyida.adjoint.steps.recorded import Piece
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.state import Counts
 from polyida.integrate.stepping.grid import Grid
+from polyida.io.frames import MEMORY_LIMIT
 
 PARTED = 0.75  # of a step: one that ended with a shorter one was taken in parts
 LARGER = 4  # times as much as another's holds a State of this method, with its stages
 
 
-def course_of(run, model, memory_limit):
+def course_of(run, model, memory_limit=MEMORY_LIMIT):
     """The Course of a run, each step a Piece of its own. Raises InputError where frames are no states, or memory is short."""
     if every_step(run) and (run.integrator.adaptive or not run.counts.rejected):
         pieces = [Piece("on" if k else "begin", 0.0, h, k, 1) for k, h in enumerate(np.diff(run.t).tolist())]
