@@ -84,10 +84,10 @@ def test_models_of_ones_own():
 
 
 def test_segments_between_checkpoints_are_the_same_bit_by_bit():
-    run = pi.solve(Pendulum(), 12.0, pi.RadauIIA(rtol=1e-6), q0=[1.0, 0.0], every=7)
+    run = pi.solve(Pendulum(), 6.0, pi.RadauIIA(rtol=1e-6), q0=[1.0, 0.0], every=7)
     whole, parts = course_of(run, run.model), course_of(run, run.model, 3e4)
     assert len(whole.frames) > 200 and np.array_equal(parts.frames, whole.frames)
-    for first in range(0, len(whole.frames), 100):
+    for first in range(0, len(whole.frames) - 100, 100):
         for one, other in zip(whole.states(first, first + 100), parts.states(first, first + 100)):
             assert np.array_equal(one, other)
 
