@@ -40,7 +40,9 @@ class Again:
         """The run of another model, its frames at the same steps; moved: what is added to the velocities that it was given."""
         guarded = guard(model)
         given = guarded.initial_velocity(self.state.t, self.state.q) if self.own else self.given
-        states = self._taken(guarded, restarted(guarded, replace(self.state, v=given + moved)), self._times(guarded))
+        held = self.run.plan.get("began") == "state"
+        state = self.state if held else restarted(guarded, replace(self.state, v=given + moved))
+        states = self._taken(guarded, state, self._times(guarded))
         kept = [states[k] for k in np.flatnonzero(self.course.frames >= 0)]
         vectors = {name: np.array([getattr(state, name) for state in kept]) for name in ("t", "q", "v", "a", "lam")}
         return replace(self.run, model=model, **vectors)
