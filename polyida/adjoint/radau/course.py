@@ -6,7 +6,7 @@ from polyida.adjoint.radau.stages import begun, within
 from polyida.adjoint.steps.course import Course, every_step, reader, taken_again
 from polyida.adjoint.steps.recorded import Piece
 from polyida.integrate.radau.steps import Steps
-from polyida.integrate.state import Counts
+from polyida.integrate.state import Counts, State
 from polyida.integrate.stepping.grid import Grid
 from polyida.io.frames import MEMORY_LIMIT
 
@@ -24,10 +24,12 @@ def course_of(run, model, memory_limit=MEMORY_LIMIT):
 
 
 def _accepted(run, model, seen):
+    """The accepted states of the run behind the first that `seen` has; told are the parts of cut steps too, from which no run goes on."""
     before = seen.states[seen.first]
     for state in run.integrator.steps(model, before, run.plan["t_end"], Counts()):
-        for part in (*_parts(run.integrator, model, before, state), state):
-            seen.accepted(part)
+        for part in _parts(run.integrator, model, before, state):
+            seen.accepted(State(part.t, part.q, part.v, part.a, part.lam, restart=False))
+        seen.accepted(state)
         before = state
         yield state
 

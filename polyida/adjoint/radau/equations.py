@@ -57,10 +57,10 @@ class Linearised:
             self.T = [model.reaction_q(*state) for state in zip(x.t, x.q, x.mu)]
 
     def _take_forces(self):
-        model, states = self.model, list(zip(*self.stages[1:2], *self.stages[3:7]))
-        self.K = [model.tangent(*state, 0.0, 0.0, 1.0) for state in states]
-        self.M = [model.mass(state[1]) for state in states]
-        self.C = [model.force_v(*state[:3]) for state in states] if model.needs.velocity_forces else None
+        model, x = self.model, self.stages
+        self.K = [model.tangent(*state, 0.0, 0.0, 1.0) for state in zip(x.t, x.q, x.v, x.a, x.lam)]
+        self.M = [model.mass(q) for q in x.q]
+        self.C = [model.force_v(*state) for state in zip(x.t, x.q, x.v)] if model.needs.velocity_forces else None
 
     def back(self, b_q, b_v):
         """The Multipliers of the step whose end has bars b_q and b_v, (n,) each. Raises SingularSystem."""

@@ -44,7 +44,8 @@ class StagesAgain:
         self.model, self.engine = model, exact_steps(model, settings, first, t_end, counts)
         system, self.tableau = self.engine.system, self.engine.tableau
         self.engine.newton = self.newton = Between(system, self.tableau, MOST)
-        self.tied, self.moves_v = system.tied, system.moves_v and not system.tied
+        bent = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
+        self.tied, self.moves_v = system.tied, bent and settings.form == "index3" and settings.project
         self.lifts = isinstance(system, PlainSystem) and system.tied and not model.alike
         self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
 
