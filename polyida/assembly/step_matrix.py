@@ -17,7 +17,7 @@ class SceneStepMatrix(StepMatrix):
     corotated, room: the factor and its scratch, for compiled loops. solves: those that its border took.
     """
 
-    caution = 1.0
+    near_any_state, caution = True, 1.0
 
     def __init__(self, model, linear="auto"):
         super().__init__(model)

@@ -38,8 +38,8 @@ class ExactSaddle:
 
     def solve(self, right, below, transposed=False):
         """(x, mu). Raises SingularSystem."""
-        S = self.S.T if transposed else self.S
-        return self._refined(S, right, below) if self.model.compiled else self._direct(S, right, below)
+        S, self.system = self.S.T if transposed else self.S, self.system or self.model.step_matrix()
+        return self._refined(S, right, below) if self.system.near_any_state else self._direct(S, right, below)
 
     def _direct(self, S, right, below):
         self.counts.factorizations += 1
@@ -47,7 +47,7 @@ class ExactSaddle:
         return KKT(S, self.B, scaling_factors("physical", 1 / abs(self.c_m), self.S)).solve(-right, -below)
 
     def _refined(self, S, right, below):
-        found = None if self.system is None else self._refine(S, right, below)
+        found = self._refine(S, right, below) if len(self.system.made_at) else None
         if found is None:
             self._factor()
             found = self._refine(S, right, below)

@@ -19,6 +19,7 @@ class StepMatrix:
     """
 
     backend = ""
+    near_any_state = False  # True of one that turns with its bodies, and so is of use at states far from where it was made
     caution = 0.5  # share of Newton's tolerance: a matrix that does not turn with its bodies contracts ever slower in a step
 
     def __init__(self, model):

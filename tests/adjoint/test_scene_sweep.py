@@ -55,7 +55,7 @@ def test_products_are_derivatives_of_the_residual(case):
     random, t = np.random.default_rng(0), 0.05
     (q, v), lam = bent(case, random), random.standard_normal(case.m)
     (w, d), mu, zero = random.standard_normal((2, case.n)), random.standard_normal(case.m), np.zeros(case.n)
-    x = products_at(case, t, q, v, lam, w, mu)
+    x = products_at(case, case.drives(t), q, v, lam, w, mu)
 
     def check(product, function, reach=1.0):
         wanted = along(function, reach)

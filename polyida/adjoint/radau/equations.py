@@ -95,7 +95,7 @@ class Linearised:
         on_mu = np.zeros((len(w), 0))
         if self.tied:
             v = v + _each(self.B, kappa)
-            q = q + _each(self.H, kappa) + _each(self.T, self.lift * v)
+            q = q + _each(self.H, kappa) + np.array([T @ row for T, row in zip(self.T, self.lift * v)])  # T is symmetric
             on_mu = np.array([B @ row for B, row in zip(self.B, self.lift * v)])
         return (q, v, a), (q + rates @ v, on_lam, on_mu)
 

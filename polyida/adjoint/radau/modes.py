@@ -13,7 +13,6 @@ What is left of the exact equations goes round again.
 import numpy as np
 
 from polyida.linear.border import Border
-from polyida.linear.matrix import dense
 
 
 class Modes:
@@ -34,8 +33,7 @@ class Modes:
         H, and slopes, c M + C of every mode, are None where there is no mu.
         """
         self.q, self.turns, self.tied = q, turns, H is not None
-        B = dense(B)
-        rows = np.vstack([B, dense(H)]) if self.tied else B
+        rows = np.vstack([B, H]) if self.tied else B
         self.borders, self.rows, self.corner = [], [], np.zeros((len(rows), len(rows)))
         if self.tied:
             self.corner[len(B) :, len(B) :] = B @ B.T

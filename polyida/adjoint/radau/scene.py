@@ -7,6 +7,7 @@ from polyida.adjoint.radau.modes import Modes
 from polyida.adjoint.scene.products import products_at
 from polyida.integrate.stepping.kept import Kept
 from polyida.linear.lu import SingularSystem
+from polyida.linear.matrix import dense
 from polyida.linear.refined import ENOUGH, LEFT, SLOW
 
 MOST = 25  # corrections with one pair of factors
@@ -23,6 +24,10 @@ class SceneLinearised(Linearised):
         """Take a step's stages, their constraints' rows and nodal rotations."""
         self.stages, self.h = stages, stages.h
         self._take_rows()
+        self.B = [dense(B) for B in self.B]
+        if self.tied:
+            self.H = [dense(H) for H in self.H]
+        self.drives = [self.model.drives(t) for t in stages.t.tolist()]
         raw = np.array([self.model.rotation(q) for q in stages.q]).view(complex)[..., 0]
         frames = raw / np.abs(raw)
         self.turns = frames[self.tableau.middle] * frames.conj()
@@ -78,7 +83,7 @@ class SceneLinearised(Linearised):
 
     def _pulled(self, w, mu):
         found = [np.zeros_like(w), np.zeros_like(w), np.zeros_like(w), np.zeros_like(mu)]
-        for k, state in enumerate(zip(self.stages.t, self.stages.q, self.stages.v, self.stages.lam, w, mu)):
+        for k, state in enumerate(zip(self.drives, self.stages.q, self.stages.v, self.stages.lam, w, mu)):
             x = products_at(self.model, *state)
             for part, made in zip(found, (x.stiff, x.slowing, x.heavy, x.rows)):
                 part[k] = made.ravel() if made.size else 0.0

@@ -169,10 +169,10 @@ def products(s, viscosity, laws, drives, slopes, u, v, lam, w, mu, x):
     point_products(s.links, laws, slopes, w, mu, x)
 
 
-def products_at(model, t, q, v, lam, w, mu):
-    """The Scratch that holds them at a state of a compiled scene."""
+def products_at(model, drives, q, v, lam, w, mu):
+    """The Scratch that holds them at a state of a compiled scene; drives: the model's of its time."""
     x, arrays, slopes = model.once(scratch), model.once(arrays_of), np.empty(len(model.arrays.links.row_columns))
     u, v, w = (np.array(each, float).reshape(-1, 2) for each in (q, v, w))
     viscosity = model.arrays.plates.body_viscosity if model.damped else None
-    products(arrays, viscosity, model.laws, model.drives(t), slopes, u, v, np.array(lam, float), w, np.array(mu, float), x)
+    products(arrays, viscosity, model.laws, drives, slopes, u, v, np.array(lam, float), w, np.array(mu, float), x)
     return x

@@ -20,4 +20,4 @@ def residual_v(model, t, q, v, w):
 def _products(model, t, q, v, lam, w):
     from polyida.adjoint.scene.products import products_at
 
-    return products_at(model, t, q, v, lam, w, np.zeros(model.m))
+    return products_at(model, model.drives(t), q, v, lam, w, np.zeros(model.m))
