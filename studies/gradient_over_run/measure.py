@@ -83,14 +83,13 @@ def sweep_us(model, settings, run, objective, repeats):
     swept = partial(sweep.back, t, *frames, slopes, none)
     u, v, w = (x[-1].reshape(-1, 2).copy() for x in (*frames[:2], swept().w))
     links, system, rows = sweep.arrays.links, sweep.system, np.zeros(model.m)
-    calls = {
-        "sweep": (len(t), swept),
-        "product": (count, partial(_products, count, sweep.arrays, u, v, w, sweep.products)),
-        "solve": (count, partial(_solves, count, links, system.corotated, system.room, w, rows, np.empty_like(w), rows.copy())),
-    }
-    for _, call in calls.values():
-        call()
-    return {name: 1e6 * float(np.median([cpu(call)[0] for _ in range(repeats)])) / times for name, (times, call) in calls.items()}
+    solved = system.corotated, system.room, w, rows, np.empty_like(w), rows.copy()
+    loops = {"product": (_products, (sweep.arrays, u, v, w, sweep.products)), "solve": (_solves, (links, *solved))}
+    found = {"sweep": cpu(swept)[0] / len(t)}
+    for name, (loop, given) in loops.items():
+        loop(1, *given)
+        found[name] = float(np.median([cpu(partial(loop, count, *given))[0] for _ in range(repeats)])) / count
+    return {name: 1e6 * seconds for name, seconds in found.items()}
 
 
 def error_row(scene, dof, objective, tolerance, t_end):

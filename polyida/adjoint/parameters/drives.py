@@ -8,6 +8,7 @@ from polyida.adjoint.parameters.elements import element_work
 from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
 from polyida.adjoint.parameters.times import ORDERS, over
 from polyida.assembly.own.forces import OwnForce
+from polyida.assembly.rows.increments import drive_table
 from polyida.force.force_element import ForceElement
 from polyida.given import complex_of_pairs
 from polyida.model.differences import along
@@ -51,9 +52,9 @@ def _add_products(model, work, found):
     """
     s = model.arrays.links
     turned = np.flatnonzero(s.product_drive >= 0)
-    if not len(turned):
+    if not (len(turned) and len(work.t)):
         return
-    angles = np.array([model.drives(t) for t in work.t.tolist()])[:, s.product_drive[turned]]
+    angles = drive_table(model, work.t, (work.t[0], work.t[-1]))[:, s.product_drive[turned]]
     turn, speed, second = np.exp(1j * angles[..., 0]), angles[..., 1], angles[..., 2]
     vectors = _vectors(s, model.n_points)
     first, other, rows = s.product_first[turned], s.product_second[turned], s.product_row[turned]

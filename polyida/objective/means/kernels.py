@@ -1,14 +1,33 @@
-"""Numba kernels of one body, beside those of element/kernels.py: energies of its cells, and what stresses of its cells pull with.
+"""Numba kernels beside those of element/kernels.py: energies and forces over frames, energies of cells, what stresses of cells pull with.
 
     tau = F S F^T,  sigma = tau / det F,  d(G : sigma) = (2 G F S + F D : (F^T G F) - (G : sigma) det F F^-T) / det F : dF
 
 Arguments as there; the body's nodes begin at 0.
 """
 
+from polyida.assembly import equilibrium
 from polyida.compiled import entry
 from polyida.element.kernels import _differences, _gradient, _room
 from polyida.element.lanes import LANES, lane, load, load2, scatter_add, store, traced, zeros2
 from polyida.element.material import add_energy, add_times, carried, determinant, difference, second_piola, strain
+
+
+@entry
+def energies(scene, q, out):
+    """Fill out (frames,) with the elastic energy, J, of a scene's bodies at q (frames, pairs, 2)."""
+    for k in range(q.shape[0]):
+        out[k] = equilibrium.strain_energy(scene, q[k])
+
+
+@entry
+def forces(scene, drives, q, still, lam, factor, phi, points, out):
+    """Fill out (frames, pairs, 2) with factor (frames,) times the residual at rest; still (pairs, 2), lam (m,) are zero, phi (m,) and
+    points (2, points, 2) scratch.
+    """
+    for k in range(q.shape[0]):
+        equilibrium.equilibrium(scene, drives, q[k], still, lam, out[k], phi, still[:0], points[0], points[1])
+        for i in range(out.shape[1]):
+            out[k, i, 0], out[k, i, 1] = factor[k] * out[k, i, 0], factor[k] * out[k, i, 1]
 
 
 @entry

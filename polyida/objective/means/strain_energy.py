@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from polyida.assembly import equilibrium
 from polyida.assembly.build import compact_of
 from polyida.assembly.factors.shares import Shares
 from polyida.keywords import named_keywords
@@ -38,10 +37,9 @@ class StrainEnergy(TimeMean):
 
         def look(frames):
             def back(factor):
-                forces = np.array([f * elastic.force(q) for f, q in zip(factor, frames.q)]).reshape(-1, model.n)
-                return Slopes(q=forces, direct=elastic.by_parameters(frames.q, factor))
+                return Slopes(q=elastic.forces(frames.q, factor), direct=elastic.by_parameters(frames.q, factor))
 
-            return np.array([elastic.energy(q) for q in frames.q]), back
+            return elastic.energies(frames.q), back
 
         return look
 
@@ -60,19 +58,23 @@ class Elastic:
         )
         self.still, self.none, self.drives = np.zeros((model.n_nodes, 2)), np.zeros(model.m), model.drives(0.0)
 
-    def energy(self, q):
-        """J."""
-        return equilibrium.strain_energy(self.arrays, _pairs(q)) + sum(own.energy(own.places(q)) for own in self.own)
+    def energies(self, q):
+        """Of frames q (count, n), (count,), J."""
+        found = np.empty(len(q))
+        kernels.energies(self.arrays, _pairs(q, self.model), found)
+        return found + sum(np.array([own.energy(own.places(each)) for each in q]) for own in self.own)
 
-    def force(self, q):
-        """Its slope in q, (n,)."""
-        r, phi, (dz, forces) = np.empty_like(self.still), np.empty(self.model.m), np.empty((2, self.model.n_points, 2))
-        equilibrium.equilibrium(self.arrays, self.drives, _pairs(q), self.still, self.none, r, phi, np.empty((0, 2)), dz, forces)
-        r = r.ravel()
+    def forces(self, q, factor):
+        """factor (count,) times their slopes in q, (count, n)."""
+        model, found = self.model, np.empty((len(q), *self.still.shape))
+        room = np.empty(model.m), np.empty((2, model.n_points, 2))
+        kernels.forces(self.arrays, self.drives, _pairs(q, model), self.still, self.none, np.asarray(factor, float), *room, found)
+        found = found.reshape(len(q), -1)
         for own in self.own:
-            x = own.places(q)
-            r -= own.A.T @ own.forces(0.0, x, np.zeros_like(x)).ravel()
-        return r
+            for each, f, r in zip(q, factor, found):
+                x = own.places(each)
+                r -= f * (own.A.T @ own.forces(0.0, x, np.zeros_like(x)).ravel())
+        return found
 
     def by_parameters(self, q, factor):
         """{parameter: slope of the sum of factor times energy} over frames q (count, n)."""
@@ -85,8 +87,8 @@ class Elastic:
         return found
 
 
-def _pairs(q):
-    return np.ascontiguousarray(q, float).reshape(-1, 2)
+def _pairs(q, model):
+    return np.ascontiguousarray(q, float).reshape(-1, model.n_nodes, 2)
 
 
 def _plates(model, names):
