@@ -107,7 +107,7 @@ class Trajectory:
         """Largest |phi_q v + phi_t| of every frame, (frames,)."""
         model = self._known_model("velocity_drift")
         frames = zip(self.t, each(self.q), each(self.v))
-        return np.array([_largest(model.phi_q(t, q) @ v + model.phi_t(t, q)) for t, q, v in frames])
+        return np.array([_largest(model.phi_rate(t, q, v)) for t, q, v in frames])
 
     @cached_property
     def energy(self) -> Energy:

@@ -1,8 +1,11 @@
 """Plates designed in motion: material placed by gradients of a run, against the best static design, a thinner plate and a narrower one."""
 
+from itertools import zip_longest
+
 import numpy as np
 
 from designed_in_motion import designs, pictures
+from designed_in_motion.machines import MACHINES
 from designed_in_motion.solids import LEVELS
 from polyida.cli.study import main
 from polyida.show.html import Movie
@@ -12,7 +15,7 @@ from polyida.study.sweeps.harness import Study
 
 MOTION, STATIC, PLAIN = "in motion", tuple(designs.LOADS), ("uniform", "bar")
 DESIGNS = (MOTION, *STATIC, *PLAIN)
-CELLS = {"arm": 1000, "two arms": 600}  # of a plate
+CELLS = {"arm": 1000, "two arms": 800}  # of a plate
 QUICK = {"arm": 400}
 
 
@@ -47,8 +50,8 @@ def gains(rows):
 
 
 def measures(rows):
-    """J, the largest deviation and the peak torque of every solid design."""
-    names = {"J": "J_m2", "largest": "deviation_m", "torque": "torque_Nm"}
+    """J, the largest deviation, the largest once the motors stand, and the peak torque of every solid design."""
+    names = {"J": "J_m2", "largest": "deviation_m", "after": "deviation_after_m", "torque": "torque_Nm"}
     return {f"{short(row)}_{name}": row[key] for row in pick(rows) for key, name in names.items()}
 
 
@@ -59,7 +62,7 @@ def short(row):
 def told(rows):
     """Every solid design in a line; how the designs were found."""
     lines = [
-        f"{row['machine']}, {row['design']}: J {row['J']:.3g} m2, at most {1e3 * row['largest']:.3g} mm off, torque {row['torque']:.3g} N m, "
+        f"{row['machine']}, {row['design']}: J {row['J']:.3g} m2, at most {1e3 * row['largest']:.3g} mm off, {1e3 * row['after']:.2g} once the motors stand, torque {row['torque']:.3g} N m, "
         f"{1e3 * row['thickness']:.4g} mm thick"
         for row in pick(rows)
     ]
@@ -89,9 +92,11 @@ def densities_figure(rows):
     made, axes = panels(count * len(found), width=9.0, height=0.75, columns=count)
     for line, row in zip(axes.reshape(len(found), count), found):
         meshes = pictures.meshes_of(row)
-        for k, (axis, rho) in enumerate(zip(line, [*row["stages"], row["rho"]])):
-            pictures.draw_densities(axis, meshes, rho)
-            axis.set_title(f"{row['machine']}, {row['design']}" if k == 0 else "", loc="left", fontsize=7)
+        for axis, rho in zip_longest(line, [*row["stages"], row["rho"]]):
+            axis.set_visible(rho is not None)
+            if rho is not None:
+                pictures.draw_densities(axis, meshes, rho)
+        line[0].set_title(f"{row['machine']}, {row['design']}", loc="left", fontsize=7)
     return picture(made, "densities")
 
 
@@ -101,7 +106,7 @@ def solids_figure(rows):
     found = pick(rows)
     made, axes = panels(len(found), width=9.0, height=1.25)
     for axis, row in zip(axes, found):
-        pictures.draw_meshes(axis, pictures.solids_of(row))
+        pictures.draw_meshes(axis, pictures.solids_of(row), MACHINES[row["machine"]].height)
         axis.set_title(f"{row['machine']}, {row['design']}: J = {row['J']:.3g} m2", loc="left")
     return picture(made, "solids")
 
@@ -159,9 +164,10 @@ STUDY = Study(
         "cells",
         "J",
         "largest",
+        "after",
         "torque",
         "thickness",
-        "left_out",
+        "at",
         "evaluations",
         "wall_s",
         "cpu_s",

@@ -421,16 +421,26 @@ def test_wrong_input_is_told_before_the_run(model, tmp_path, monkeypatch, settin
     assert os.listdir(tmp_path) == []
 
 
+READER = """
+    import sys
+    import polyida as pi
+    for _ in sys.stdin:
+        run = pi.load(sys.argv[1])
+        print(run.status, len(run), run.q[-1].sum().hex(), flush=True)
+        del run
+"""
+
+
 def test_a_run_is_read_while_it_is_written(model, whole, tmp_path):
-    seen = []
+    seen, command = [], [sys.executable, "-c", textwrap.dedent(READER), tmp_path / "run.h5"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as reader:
 
-    def progress(t):
-        if len(seen) < 3 and t > 0.1 * (len(seen) + 1):
-            child = "import polyida as pi, sys; x = pi.load(sys.argv[1]); print(x.status, len(x), x.q[-1].sum().hex())"
-            done = subprocess.run([sys.executable, "-c", child, tmp_path / "run.h5"], capture_output=True, text=True, check=True)
-            seen.append(done.stdout.split())
+        def progress(t):
+            if len(seen) < 3 and t > 0.1 * (len(seen) + 1):
+                reader.stdin.write("now\n")
+                seen.append(reader.stdout.readline().split())
 
-    pi.solve(model, 0.4, pi.GeneralizedAlpha(h=1e-3, linear="kkt"), out=tmp_path / "run.h5", flush_every=10, progress=progress)
+        pi.solve(model, 0.4, pi.GeneralizedAlpha(h=1e-3, linear="kkt"), out=tmp_path / "run.h5", flush_every=10, progress=progress)
     lengths = [int(count) for _, count, _ in seen]
     final = pi.load(tmp_path / "run.h5")
     assert [status for status, *_ in seen] == ["running"] * 3 and 85 < lengths[0] < lengths[1] < lengths[2] < 401

@@ -33,6 +33,8 @@ def gradient(
     about one run, whatever the number of parameters. A run whose frames are not all of its steps is taken again from its beginning; its
     steps are held in memory up to `memory_limit` bytes, beyond that as checkpoints between which it is taken a third time.
 
+    A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is.
+
     parameters: names, or None for all that cost next to nothing: of plates `stiffness` and `mass` (a factor of each cell), `E`, `thickness`,
     `rho`; `mass` of point masses; of motors and loads the numbers of their profiles (`motor.end`, `motor.duration`, `load.amplitude` ...);
     velocities of bodies and `v0`; of models of one's own what their `parameters` names. By name also any number of a part, `spring.stiffness`.

@@ -19,11 +19,12 @@ def gradient_of_run(run, objective, names, progress, memory_limit):
     """The Gradient of an objective of a run. Raises InputError for a run that has no adjoint here."""
     back = _adjoint_of(run)(run, objective, names, memory_limit)
     sent, lam = back.through(progress)
-    state = beginning(back.course, back.course.pieces[0], None)
-    start = first(back.model, state, sent, lam)
-    if work := stacked(start.entries):
-        back.totals.work(work)
-    back.totals.start(state, start.v0)
+    if run.plan.get("began") != "state":
+        state = beginning(back.course, back.course.pieces[0], None)
+        start = first(back.model, state, sent, lam)
+        if work := stacked(start.entries):
+            back.totals.work(work)
+        back.totals.start(state, start.v0)
     return Gradient(float(objective(run)), back.totals.slopes(), back.counts)
 
 
@@ -36,6 +37,8 @@ def _adjoint_of(run):
         raise InputError(f"gradient: {name} {WHY.get(name, 'has no adjoint here')}; {INSTEAD}")
     if getattr(settings, "extrapolate", False):
         raise InputError("gradient: extrapolate = True makes frames of two runs; take the gradient of one without")
+    if run.plan.get("began") == "run":
+        raise InputError("gradient: the run goes on from a state of another one, which depends on parameters too; solve from the start of that")
     if len(run) < 2:
         raise InputError("gradient: the run has no step")
     return found

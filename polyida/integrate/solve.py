@@ -89,7 +89,7 @@ def solve(
     require_sensors("solve", sensors)
     begin = t0 if state is None else state.t
     require_run(model, t_end, begin, integrator)
-    plan = _plan(begin, t_end, every, output, until, flush_every, fsync, precision)
+    plan = _plan(begin, t_end, every, output, until, flush_every, fsync, precision) | {"began": _began(state)}
     require_bytes("solve", memory_limit)
     path = None if out is None else free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
@@ -174,6 +174,11 @@ def _plan(begin, t_end, every, output, until, flush_every, fsync, precision):
         "fsync": fsync,
         "precision": precision,
     }
+
+
+def _began(state):
+    """How a run begins: at a "start" from q0 and v0, in a "state" that is taken as it is, or within a "run" whose memory the state has."""
+    return "start" if state is None or not state.restart else "run" if "h" in state.memory else "state"
 
 
 def _expected(plan, begin, integrator):

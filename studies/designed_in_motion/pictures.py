@@ -21,13 +21,13 @@ def draw_densities(axes, meshes, rho, apart=1.0):
     _frame(axes, np.concatenate(cells))
 
 
-def draw_meshes(axes, meshes, apart=1.0):
-    """The polygons of meshes in a row."""
+def draw_meshes(axes, meshes, height, apart=1.0):
+    """The polygons of meshes in a row, in a frame of a height, m."""
     from matplotlib.collections import PolyCollection
 
     cells = [mesh.points[mesh.cell(i)] + [k * apart, 0.0] for k, mesh in enumerate(meshes) for i in range(mesh.n_cells)]
     axes.add_collection(PolyCollection(cells, facecolors="#9fc3dd", edgecolors="#0072B2", linewidths=0.25))
-    _frame(axes, np.concatenate(cells))
+    _frame(axes, np.concatenate([*cells, [[0.0, -0.5 * height], [0.0, 0.5 * height]]]))
 
 
 def _frame(axes, points):

@@ -57,6 +57,7 @@ def judged(machine, run):
     return {
         "J": pi.objective.Deviation("tip", machine.path)(run),
         "largest": float(off.max()),
+        "after": float(off[run.t >= machine.move].max()),
         "torque": float(np.abs(torque).max()),
         "t": run.t.tolist(),
         "off": off.tolist(),

@@ -23,6 +23,15 @@ def arm(element="wachspress", **material):
     return scene.build()
 
 
+def arm_without_motor():
+    """A plate clamped on its left edge."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    plate = scene.add(pi.Plate(pi.mesh.quads(1.0, 0.25, 4, 2), pi.Material(E=3e7, nu=0.3, rho=1100.0), thickness=0.01, name="arm"))
+    scene.add(pi.Clamp(pi.ground, plate.section("left"), name="wall"))
+    scene.add(pi.PointMass(plate.section("right"), 0.05, name="tip"))
+    return scene.build()
+
+
 MODEL = arm()
 DEVIATION = pi.objective.Deviation("tip", (1.0, 0.3))
 ALL = DEVIATION + 1e-6 * pi.objective.PeakReaction("motor", p=4) + 1e-3 * pi.objective.StrainEnergy("arm")
@@ -149,3 +158,13 @@ def test_wrong_input():
         pi.gradient(dataclasses.replace(run, integrator=pi.GeneralizedAlpha(3e-3)), DEVIATION)
     with pytest.raises(pi.InputError, match="known"):
         pi.gradient(run, DEVIATION)["arm.colour"]
+
+
+def test_a_state_to_begin_from_is_held():
+    hanging = arm_without_motor()
+    run = pi.solve(hanging.with_factors(arm=(0.9, 1.1)), 0.06, pi.GeneralizedAlpha(2e-3, tolerance=1e-10), state=pi.static(hanging))
+    errors = pi.check_gradient(run, DEVIATION, parameters=["arm.stiffness", "arm.mass", "tip.mass"])
+    assert max(errors.values()) < CLOSE and "v0" not in pi.gradient(run, DEVIATION)
+    onward = pi.solve(run.model, 0.1, pi.GeneralizedAlpha(2e-3), state=run.state)
+    with pytest.raises(pi.InputError, match="goes on from a state of another one"):
+        pi.gradient(onward, DEVIATION)

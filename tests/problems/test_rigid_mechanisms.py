@@ -83,5 +83,6 @@ def test_joints_that_can_branch_are_named():
 
 def test_the_command_line_compares_integrators_on_bodies_without_a_mesh(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("polyida.show.press.cores", lambda: 1)  # starting a second process to draw takes longer
     assert main(["compare", "n-four-bar", "--time", "0.05", "--out", "r"]) == 0
     assert (tmp_path / "r" / "deformed.png").is_file() and not (tmp_path / "r" / "mesh.png").exists()

@@ -114,6 +114,7 @@ def designed(task):
     moved = {
         "J": 1e-5,
         "largest": 7e-3,
+        "after": 1e-4,
         "torque": 50.0,
         "thickness": 0.01,
         "t": T,

@@ -31,16 +31,22 @@ class Again:
         """The run of another model, its frames at the same steps; moved: what is added to the velocities that it was given."""
         guarded = guard(model)
         given = guarded.initial_velocity(self.state.t, self.state.q) if self.own else self.given
-        states = [restarted(guarded, replace(self.state, v=given + moved))]
-        engine, times = Steps(self.settings, guarded, Counts()), self._times(guarded)
-        for piece in self.course.pieces:
-            grid, state = Grid(times(piece.first), times(piece.first + piece.count), piece.count), states[-1]
-            state = replace(state, memory={"begin": {}, "cut": {"cut": 1.0, "h": 0.0}}.get(piece.kind, state.memory))
-            engine.begin(started(self.settings, guarded, state, grid.h), grid.h)
-            states += engine.run(grid)
+        held = self.run.plan.get("began") == "state"
+        state = self.state if held else restarted(guarded, replace(self.state, v=given + moved))
+        states = self._taken(guarded, state, self._times(guarded))
         kept = [states[k] for k in np.flatnonzero(self.course.frames >= 0)]
         vectors = {name: np.array([getattr(state, name) for state in kept]) for name in ("t", "q", "v", "a", "lam")}
         return replace(self.run, model=model, **vectors)
+
+    def _taken(self, model, state, times):
+        """The states of the course, of another model that begins with a state; times: a function of their numbers."""
+        states, engine = [state], Steps(self.settings, model, Counts())
+        for piece in self.course.pieces:
+            grid, state = Grid(times(piece.first), times(piece.first + piece.count), piece.count), states[-1]
+            state = replace(state, memory={"begin": {}, "cut": {"cut": 1.0, "h": 0.0}}.get(piece.kind, state.memory))
+            engine.begin(started(self.settings, model, state, grid.h), grid.h)
+            states += engine.run(grid)
+        return states
 
     def begins(self, model):
         """Whether a run of another model can begin where this one did."""

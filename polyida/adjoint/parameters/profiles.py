@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cached_property
 from inspect import signature
 from typing import Any
 
@@ -44,11 +45,11 @@ class OfProfile(Parameter):
 
     def work(self, work):
         """`sum (w . dr/dp + mu . dphi/dp + ...)` by the profile's slopes in value, rate and second derivative."""
-        each, result = self.works(work)[:, self.drive], 0.0
-        for order in range(each.shape[1]):
-            used = np.flatnonzero(each[:, order])
-            result = result + each[used, order] @ self._slopes(order, work.t[used])
-        return result
+        each = self.works(work)[:, self.drive]
+        used, orders = np.flatnonzero(each.any(axis=1)), np.flatnonzero(each.any(axis=0))
+        if not len(used):
+            return 0.0 * self.value
+        return np.tensordot(each[np.ix_(used, orders)], self._slopes(orders, work.t[used]), 2)
 
     def start(self, t, q, bar):
         """Where driven joints change the motions that bodies were given."""
@@ -60,8 +61,13 @@ class OfProfile(Parameter):
         v, lam, w, mu, kappa = map(np.stack, zip(*entries))
         return self.work(Work(np.full(2, t), np.stack((q, q)), v, np.zeros_like(v), lam, w, mu, kappa))
 
-    def _slopes(self, order, t):
-        return slope_over(self.profile, self._near, self.scale(t), order, t)
+    def _slopes(self, orders, t):
+        return slope_over(self.profile, self._near, self.scale(t), self._speeds, orders, t)
+
+    @cached_property
+    def _speeds(self):
+        """By how much the profile's kinks move, (kinks,)."""
+        return kink_speeds(self._near, self.scale(np.zeros(0)))
 
     def _near(self, s):
         return self.made(self.value + s)
@@ -74,15 +80,16 @@ class OfProfile(Parameter):
 
     def kinks(self, t0, t1):
         """Those of the profile that move with its begin and duration."""
-        moving = zip(self.profile.kinks, kink_speeds(self._near, self.scale(np.zeros(0))).tolist())
+        moving = zip(self.profile.kinks, self._speeds.tolist())
         return {kink: speed for kink, speed in moving if speed and t0 < kink < t1}
 
 
 class Coefficients(OfProfile):
     """The coefficients of a polynomial, (k,)."""
 
-    def _slopes(self, order, t):
-        return np.stack([over(polynomial(unit), t, order) for unit in np.eye(len(self.value))], axis=1)
+    def _slopes(self, orders, t):
+        units = [polynomial(unit) for unit in np.eye(len(self.value))]
+        return np.stack([np.stack([over(unit, t, order) for order in orders], axis=1) for unit in units], axis=2)
 
     def replaced(self, value: ArrayLike):
         """The scene with other coefficients, as many."""

@@ -16,17 +16,20 @@ def over(profile, t, order=0):
     return np.broadcast_to(function(t), t.shape) if profile.formula else np.array([function(at) for at in t.tolist()])
 
 
-def slope_over(profile, made, scale, order, t):
-    """What `made(s)`, which is the profile at s = 0, changes by with s at times t (k,), (k,).
+def slope_over(profile, made, scale, speeds, orders, t):
+    """What `made(s)`, which is the profile at s = 0, changes by with s, in value and derivatives of these orders at times t, (k, orders).
 
-    Differences are taken along times that move as the kinks do, so that none of them crosses one; what that is too much is taken back by
-    the derivatives in time.
+    speeds: of its kinks. Differences are taken along times that move as the kinks do, so that none of them crosses one; what that is too
+    much is taken back by the derivatives in time.
     """
-    speeds = kink_speeds(made, scale)
-    if not speeds.any():
-        return along(lambda s: over(made(s), t, order), scale)
-    moved = np.interp(t, profile.kinks, speeds)
-    return along(lambda s: over(made(s), t + s * moved, order), scale) - moved * over(profile, t, order + 1)
+    moved = np.interp(t, profile.kinks, speeds) if speeds.any() else np.zeros(len(t))
+
+    def table(s):
+        near = made(s)
+        return np.stack([over(near, t + s * moved, order) for order in orders], axis=1)
+
+    result = along(table, scale)
+    return result - np.stack([moved * over(profile, t, order + 1) for order in orders], axis=1) if moved.any() else result
 
 
 def kink_speeds(made, scale):

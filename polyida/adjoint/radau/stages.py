@@ -38,13 +38,9 @@ class StagesAgain:
     """
 
     def __init__(self, model, settings, first, t_end, counts):
-        sizes, self.model = typical_sizes(model, first, t_end - first.t), model
-        exact = replace(settings, tolerance=EXACT * float(sizes[0]), max_iterations=max(MOST, settings.max_iterations))
-        self.engine = Steps(exact, model, counts, sizes)
-        self.engine.begin(first)
-        self.engine.looks = False
+        self.model, self.engine = model, exact_steps(model, settings, first, t_end, counts)
         system, self.tableau = self.engine.system, self.engine.tableau
-        self.engine.newton = self.newton = Between(system, self.tableau, exact.max_iterations)
+        self.engine.newton = self.newton = Between(system, self.tableau, MOST)
         self.tied, self.moves_v = system.tied, system.moves_v and not system.tied
         self.lifts = isinstance(system, PlainSystem) and system.tied and not model.alike
         self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
@@ -66,6 +62,15 @@ class StagesAgain:
         if self.tied:
             dv += [self.lift * (dense(model.phi_q(*at)).T @ more) for *at, more in zip(t, q, mu)]
         return Stages(h, t, e, q, state.v + dv, W @ dv / h, lam, mu)
+
+
+def exact_steps(model, settings, first, t_end, counts):
+    """Steps of a run from its first state, of any size, solved to round-off."""
+    sizes = typical_sizes(model, first, t_end - first.t)
+    engine = Steps(replace(settings, tolerance=EXACT * float(sizes[0]), max_iterations=MOST), model, counts, sizes)
+    engine.begin(first)
+    engine.looks = False
+    return engine
 
 
 class Between(Newton):

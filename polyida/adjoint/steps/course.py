@@ -42,23 +42,28 @@ def _double(run):
 
 
 def _of_frames(run, model):
-    pieces, done, h = [], 0, 0.0
+    pieces, done, moving = [], 0, False
     for begin, end, most in stretches(model, float(run.t[0]), run.plan.get("t_end", float(run.t[-1])), run.integrator.h):
         state = State(begin, *(np.asarray(x[done], float) for x in (run.q, run.v, run.a, run.lam)))
         count = enough_steps(model, state, begin, end, min(run.integrator.h, most))
-        size = (end - begin) / count
-        pieces.append(Piece("on" if pieces else "begin", h, size, done, min(count, len(run) - 1 - done)))
-        done, h = done + count, size
+        h, count = (end - begin) / count, min(count, len(run) - 1 - done)
+        resting = _resting(run, done, count)
+        for still, number in ((True, resting), (False, count - resting)):
+            if number:
+                pieces.append(Piece("on" if moving else "begin", pieces[-1].h if pieces else 0.0, h, done, number))
+                done, moving = done + number, not still
         if done >= len(run) - 1:
             break
     _require_steps(run, pieces)
-    return Course(pieces, reader(run), np.arange(len(run)))
+    return Course(pieces, _reader(run), np.arange(len(run)))
 
 
-def reader(run):
-    """A function (first, end) that gives the run's own frames."""
-    arrays = run.t, run.q, run.v, run.a, run.lam
-    return lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays)
+def _resting(run, first, count):
+    """How many steps from a frame on left it as it is, at rest: behind these a run begins anew."""
+    for k in range(first, first + count):
+        if run.v[k].any() or not all(np.array_equal(x[k], x[k + 1]) for x in (run.q, run.v, run.a, run.lam)):
+            return k - first
+    return count
 
 
 def _require_steps(run, pieces):
