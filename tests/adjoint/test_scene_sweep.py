@@ -131,6 +131,17 @@ def test_a_step_that_no_factor_contracts_is_solved_directly(scenes, monkeypatch)
     assert agree([*swept(SceneSweep(model, settings, H, pi.Counts()), steps, kept), *kept], [*wanted, *other])
 
 
+def test_frames_that_an_objective_does_not_see_cost_next_to_nothing(scenes):
+    model, counts = scenes.jointed("slot", cells=12).build(), pi.Counts()
+    settings, (*frames, own, sent) = steps_of(model)
+    for part in (own.q, own.v, own.a, own.lam):
+        part[3:] = 0.0
+    found = SceneSweep(model, settings, H, counts).back(*frames, own, sent)
+    wanted = PlainSweep(model, settings, H, pi.Counts()).back(*frames, own, sent)
+    assert agree([*found.sent, found.w], [*wanted.sent, wanted.w]) and not found.w[3:].any()
+    assert counts.factorizations == 1 and counts.solves < STEPS - 3 + 6 * 3 + 2 * model.n_points
+
+
 def test_stretches_one_by_one_are_the_whole(scenes):
     model = scenes.jointed("motor to ground", cells=12).build()
     settings, (*frames, own, sent) = steps_of(model)
