@@ -55,7 +55,7 @@ def _of_frames(run, model):
         if done >= len(run) - 1:
             break
     _require_steps(run, pieces)
-    return Course(pieces, _reader(run), np.arange(len(run)))
+    return Course(pieces, reader(run), np.arange(len(run)))
 
 
 def _resting(run, first, count):
@@ -64,6 +64,12 @@ def _resting(run, first, count):
         if run.v[k].any() or not all(np.array_equal(x[k], x[k + 1]) for x in (run.q, run.v, run.a, run.lam)):
             return k - first
     return count
+
+
+def reader(run):
+    """A function (first, end) that gives the run's own frames."""
+    arrays = run.t, run.q, run.v, run.a, run.lam
+    return lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays)
 
 
 def _require_steps(run, pieces):
