@@ -244,7 +244,7 @@ def judge(p, marks, moved, size, last, iteration):
         marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * marks[CONTRACTION]), 0.0
     slow = measured and not rate <= SLOW
     small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= p.enough * size
-    return small or (slow and moved <= ROUND_OFF * size), slow
+    return small or moved == 0.0 or (slow and moved <= ROUND_OFF * size), slow
 
 
 @entry
