@@ -63,15 +63,21 @@ def found_at_rest(which, meshes, densities, load, stages, spent):
 def found_in_motion(which, meshes, densities, stages, spent):
     """The same for the least deviation in motion, in place of the last stage at rest: from grey it gets stuck in grey.
 
-    It begins with what comes of the load that is the better one in motion.
+    The first stage begins with what comes of each load, the others with the better of these.
     """
-    starts = [found_at_rest(which, meshes, densities, load, optimiser.REST[:-1], spent) for load in LOADS.values()]
-    value = compiled(densities, starts[0][0], *in_motion(which, meshes))
-    (q, beta, _), *_ = stages
+    rest = [found_at_rest(which, meshes, densities, load, optimiser.REST[:-1], spent) for load in LOADS.values()]
+    ways = [(x, kept, [], reached) for x, kept, _, reached in rest]
+    value = compiled(densities, ways[0][0], *in_motion(which, meshes))
     with spent:
-        x, before, *_ = min(starts, key=lambda start: value(densities.of(start[0], beta)[0], q)[0])
-        x, kept, history, reached = optimiser.minimised(densities, value, stages, x)
-    return x, before + kept, history, reached
+        for stage in stages:
+            ways = [joined(way, optimiser.minimised(densities, value, [stage], way[0])) for way in ways]
+            ways = [min(ways, key=lambda way: way[-1])]
+    return ways[0]
+
+
+def joined(before, after):
+    """Two searches one after the other as one."""
+    return after[0], before[1] + after[1], before[2] + after[2], after[3]
 
 
 def compiled(densities, x, model, judge):
