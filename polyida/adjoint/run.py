@@ -38,7 +38,9 @@ def _adjoint_of(run):
     if getattr(settings, "extrapolate", False):
         raise InputError("gradient: extrapolate = True makes frames of two runs; take the gradient of one without")
     if run.plan.get("began") == "run":
-        raise InputError("gradient: the run goes on from a state of another one, which depends on parameters too; solve from the start of that")
+        raise InputError(
+            "gradient: the run goes on from a state of another one, which depends on parameters too; solve from the start of that"
+        )
     if len(run) < 2:
         raise InputError("gradient: the run has no step")
     return found
