@@ -8,14 +8,15 @@ import numpy as np
 from polyida.adjoint.alpha.again import Again
 from polyida.adjoint.gradient import gradient
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.steps.course import course_of
+from polyida.adjoint.radau.again import RadauAgain
 from polyida.adjoint.still.again import StillAgain
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.keywords import named_keywords
 from polyida.model.differences import central
-from polyida.model.guarded import guard
 from polyida.trajectory import Trajectory
 
-TIGHT = 1e-11  # Newton's tolerance in the runs that differences are made of
+AGAINS = {GeneralizedAlpha: Again, RadauIIA: RadauAgain}
 LITTLE = 1e-3  # of J: what J changes by with a whole parameter, below which that is no measure of errors
 STEP = 1e-3 / 7e-4  # of a parameter: about a thousandth between the runs, in units of what `central` takes
 
@@ -25,7 +26,7 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     """{name: relative error} of `pi.gradient(run, objective)` against differences of fourth order of the run, the equilibrium or the modes.
 
     That is found again with each parameter changed by a thousandth and two, up and down; of an array along one direction drawn at random
-    (seed). A run takes the same steps again, at a Newton's tolerance of 1e-11, its pieces between kinks stretched as these move. So what is
+    (seed). A run takes the same steps again, solved to a tolerance of 1e-11 or less, its pieces between kinks stretched as these move. So what is
     seen is the error of the gradient, that of the run's own tolerance with it. Relative to the difference, or to J over a thousand times
     the parameter where that is larger. Left out are parameters that move a kink at the very beginning, or what constraints ask of the
     start. Raises InputError as `pi.gradient`.
@@ -49,7 +50,7 @@ def _again(run):
     """What finds it again."""
     if not isinstance(run, Trajectory):
         return StillAgain(run)
-    return Again(run, course_of(run, guard(run.model)), min(TIGHT, run.integrator.tolerance or TIGHT))
+    return next(again for kind, again in AGAINS.items() if isinstance(run.integrator, kind))(run)
 
 
 def _about(t):

@@ -52,6 +52,7 @@ class OwnSlopes:
 
     def __init__(self, objective, run, frames, totals):
         self.slopes, self.frames, self.totals = objective.slopes(run), frames, totals
+        self.value = float(self.slopes.value if hasattr(self.slopes, "value") else objective(run))
 
     def of(self, first, end):
         """Those of states first to end, zero in those that are no frames; what they say of parameters is added to the totals."""

@@ -20,7 +20,7 @@ class Objective:
         raise NotImplementedError(f"{type(self).__name__} gives no value")
 
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
-        """A function of a slice of the run's frames that gives the Slopes there."""
+        """A function of a slice of the run's frames that gives the Slopes there; its attribute `value` is J where that is known by then."""
         raise NotImplementedError(f"{type(self).__name__} gives no slopes")
 
     def named(self, model: Any) -> "Objective":
@@ -70,6 +70,8 @@ class Sum(Objective):
                 total = total.plus(slopes(part).times(weight))
             return total
 
+        if all(hasattr(slopes, "value") for _, slopes in each):
+            of.value = float(sum(weight * slopes.value for weight, slopes in each))  # type: ignore[attr-defined]
         return of
 
 

@@ -33,24 +33,12 @@ def design(machine, design, cells, effort):
 
 
 def optimised(which, design, meshes, stages):
-    """Densities of a design and how they came about; stages: of the one in motion.
-
-    What is designed in motion takes the place of the last stage at rest, of the load that gives the better start: from grey it gets stuck in grey.
-    """
+    """Densities of a design and how they came about; stages: of the one in motion."""
     densities, spent = Densities(which.names, meshes, which.radius), Spent()
-    x = np.full(len(densities.share), optimiser.VOLUME)
     if design == "in motion":
-        moving, still = in_motion(which, meshes), [at_rest(which, meshes, load) for load in LOADS.values()]
-        values = [compiled(densities, x, *pair) for pair in (moving, *still)]
-        with spent:
-            starts = [optimiser.minimised(densities, value, optimiser.REST[:-1], x) for value in values[1:]]
-            best = min(starts, key=lambda start: values[0](densities.of(start[0], stages[0][1])[0], stages[0][0])[0])
-            _, kept, history, reached = optimiser.minimised(densities, values[0], stages, best[0])
-        kept = best[1] + kept
+        _, kept, history, reached = found_in_motion(which, meshes, densities, stages, spent)
     else:
-        value = compiled(densities, x, *at_rest(which, meshes, LOADS[design]))
-        with spent:
-            _, kept, history, reached = optimiser.minimised(densities, value, optimiser.REST, x)
+        _, kept, history, reached = found_at_rest(which, meshes, densities, LOADS[design], optimiser.REST, spent)
     rho = kept[-1]
     return spent.told() | {
         "evaluations": len(history),
@@ -62,6 +50,34 @@ def optimised(which, design, meshes, stages):
         "stages": [each.tolist() for each in kept[:-1]],
         "rho": rho.tolist(),
     }
+
+
+def found_at_rest(which, meshes, densities, load, stages, spent):
+    """What the optimiser gives for the least compliance under a load, from uniform grey."""
+    x = np.full(len(densities.share), optimiser.VOLUME)
+    value = compiled(densities, x, *at_rest(which, meshes, load))
+    with spent:
+        return optimiser.minimised(densities, value, stages, x)
+
+
+def found_in_motion(which, meshes, densities, stages, spent):
+    """The same for the least deviation in motion, in place of the last stage at rest: from grey it gets stuck in grey.
+
+    The first stage begins with what comes of each load, the others with the better of these.
+    """
+    rest = [found_at_rest(which, meshes, densities, load, optimiser.REST[:-1], spent) for load in LOADS.values()]
+    ways = [(x, kept, [], reached) for x, kept, _, reached in rest]
+    value = compiled(densities, ways[0][0], *in_motion(which, meshes))
+    with spent:
+        for stage in stages:
+            ways = [joined(way, optimiser.minimised(densities, value, [stage], way[0])) for way in ways]
+            ways = [min(ways, key=lambda way: way[-1])]
+    return ways[0]
+
+
+def joined(before, after):
+    """Two searches one after the other as one."""
+    return after[0], before[1] + after[1], before[2] + after[2], after[3]
 
 
 def compiled(densities, x, model, judge):
@@ -103,10 +119,11 @@ def in_motion(which, meshes):
 
 def at_rest(which, meshes, load):
     """(model, function of a model: the gradient of the compliance under a load, the motors held)."""
-    compliance = pi.objective.Compliance()
-    return which.scene(meshes, THICKNESS, **load).build(), lambda model: pi.gradient(
-        pi.static(model, linear=True), compliance, factors(which)
-    )
+
+    def judge(model):
+        return pi.gradient(pi.static(model, linear=True), pi.objective.Compliance(), factors(which))
+
+    return which.scene(meshes, THICKNESS, **load).build(), judge
 
 
 def factors(which):

@@ -18,11 +18,12 @@ def solid(machine, meshes, rho, volume):
 
 
 def _solid(machine, meshes, rho, volume, at):
-    """The same with this least density; None where a plate's end is not held to its hinge."""
+    """The same with this least density; None where a plate's end is not held to its hinge, or too weakly for the motion."""
     made = solid_meshes(meshes, rho, at)
-    if made is None:
+    try:
+        return made and (made, at, judged(machine, moved(machine, made, thickness_for(machine, made, volume))))
+    except ArithmeticError:
         return None
-    return made, at, judged(machine, moved(machine, made, thickness_for(machine, made, volume)))
 
 
 def solid_meshes(meshes, rho, at):

@@ -31,7 +31,7 @@ def model_of(scene, dof):
 
 
 def ratio_row(scene, dof, objective, t_end, repeats):
-    """Medians over `repeats` turns of the CPU milliseconds of a run, all frames kept, of its gradient in all parameters, and of their ratio.
+    """Medians over `repeats` turns of the CPU microseconds of a step, all frames kept, in a run and in its gradient, and of their ratio.
 
     A short turn before loads the kernels.
     """

@@ -6,9 +6,11 @@ import pytest
 import polyida as pi
 from polyida import machine
 from polyida.adjoint.alpha.plain import PlainSweep, Sent
+from polyida.adjoint.scene import steps as loop
 from polyida.adjoint.scene.products import products_at
 from polyida.adjoint.scene.sweep import SceneSweep
 from polyida.integrate.alpha import scene as compiled_loop
+from polyida.integrate.stepping.ended import REFACTOR
 from polyida.model.differences import along
 from polyida.objective.slopes import Slopes
 
@@ -117,6 +119,27 @@ def test_a_factor_that_is_too_old_is_made_anew(scenes):
         one._factor(*(x[-1] for x in steps[:5]))
     sweep.system = other.system
     assert agree(swept(sweep, steps), wanted) and counts.factorizations == 3
+
+
+def test_a_step_that_no_factor_contracts_is_solved_directly(scenes, monkeypatch):
+    model = scenes.jointed("slot", cells=12).build()
+    settings, steps = steps_of(model)
+    kept, other = (tuple(np.zeros((2, STEPS, model.n))) for _ in range(2))
+    wanted = swept(PlainSweep(model, settings, H, pi.Counts()), steps, other)
+    compiled, calls = loop.stretch, iter(range(99))
+    monkeypatch.setattr(loop, "stretch", lambda *given: (given[8], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
+    assert agree([*swept(SceneSweep(model, settings, H, pi.Counts()), steps, kept), *kept], [*wanted, *other])
+
+
+def test_frames_that_an_objective_does_not_see_cost_next_to_nothing(scenes):
+    model, counts = scenes.jointed("slot", cells=12).build(), pi.Counts()
+    settings, (*frames, own, sent) = steps_of(model)
+    for part in (own.q, own.v, own.a, own.lam):
+        part[3:] = 0.0
+    found = SceneSweep(model, settings, H, counts).back(*frames, own, sent)
+    wanted = PlainSweep(model, settings, H, pi.Counts()).back(*frames, own, sent)
+    assert agree([*found.sent, found.w], [*wanted.sent, wanted.w]) and not found.w[3:].any()
+    assert counts.factorizations == 1 and counts.solves < STEPS - 3 + 6 * 3 + 2 * model.n_points
 
 
 def test_stretches_one_by_one_are_the_whole(scenes):

@@ -48,6 +48,7 @@ REQUIRED = {
     },
     "start": {"cold_alpha_cpu_s", "cold_main_job_cpu_s"},
     "gradient_over_run": {"gradient_over_run_1e3", "gradient_over_run_1e4"},
+    "gradient_errors": {"gradient_error_default", "gradient_error_1e-10"},
     "designed_in_motion": {"design_gain_over_static", "design_wall_s"},
     "mbb_beam": {"mbb_compliance", "mbb_difference"},
     "mesh_convergence": {"elastica_1_error", "elastica_10_error", "csm1_error", "spin_up_extension_error"},
@@ -156,6 +157,8 @@ def performance(name, task):
         times = {f"{what}_us": 50.0 for what in ("run", "gradient", "sweep", "solve", "product")}
         counts = dict.fromkeys(("run_solves", "solves", "run_factorizations", "factorizations", "ratio"), 1.0)
         return times | counts | {"n": task["dof"], "steps": 10, "stiffness_error": 1e-6, "mass_error": 1e-6}
+    if name == "gradient_errors":
+        return {"n": 40, "steps": 10, "iterations": 2.0, "slope_error": task["tolerance"] or 1e-5, "stiffness": 1e-6}
     if task["part"] in COSTS:
         return {"n": 1000} | dict.fromkeys(COSTS[task["part"]].split(), 1.0)
     parts = {f"{part}_ms": 1.0 for part in ("residual", "tangent", "factor", "solve", "rest")}

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.adjoint.alpha.beginning import given_velocity
+from polyida.adjoint.steps.course import course_of
 from polyida.errors import InputError
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
@@ -14,18 +15,26 @@ from polyida.integrate.state import Counts, State
 from polyida.integrate.stepping.grid import Grid
 from polyida.model.guarded import guard
 
+TIGHT = 1e-11  # Newton's tolerance
 ITERATIONS = 25  # of Newton's method, at least, that so tight a tolerance may take
 
 
 class Again:
-    """A run, to be taken again by the steps of its course. tolerance: Newton's."""
+    """A run, to be taken again by the steps of its course, at a Newton's tolerance of 1e-11."""
 
-    def __init__(self, run, course, tolerance):
-        self.run, self.course, self.model = run, course, guard(run.model)
-        self.settings = replace(run.integrator, tolerance=tolerance, max_iterations=max(ITERATIONS, run.integrator.max_iterations))
-        t, *vectors = (x[0] for x in course.states(0, 1))
+    course_of = staticmethod(course_of)
+
+    def __init__(self, run):
+        self.run, self.model = run, guard(run.model)
+        self.course, self.settings = self.course_of(run, self.model), self._exact(run.integrator)
+        t, *vectors = (x[0] for x in self.course.states(0, 1))
         self.state = State(float(t), *vectors)
         self.given, self.own = given_velocity(self.model, self.state)
+
+    def _exact(self, settings):
+        """Settings that leave as good as nothing of a step."""
+        tolerance = min(TIGHT, settings.tolerance or TIGHT)
+        return replace(settings, tolerance=tolerance, max_iterations=max(ITERATIONS, settings.max_iterations))
 
     def frames(self, model, moved=0.0):
         """The run of another model, its frames at the same steps; moved: what is added to the velocities that it was given."""

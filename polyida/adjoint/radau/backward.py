@@ -30,7 +30,8 @@ class RadauBackward:
         self.totals = Totals(run.model, names)
         self.own = OwnSlopes(objective, run, self.course.frames, self.totals)
         self.moving = Moving(self.model, self.settings, run, self.totals.parameters)
-        self.again = StagesAgain(self.model, self.settings, self.state(0), float(run.plan["t_end"]), self.counts)
+        self.first = self._states(0, 1)[0]
+        self.again = StagesAgain(self.model, self.settings, self.first, float(run.t[-1]), self.counts)
         self.equations = self._equations()
         self.works, self.entries, self.lifted = [], [], np.zeros(self.model.n)
 
@@ -42,19 +43,19 @@ class RadauBackward:
 
         return SceneLinearised(*given, self.settings.linear)
 
-    def state(self, number):
-        """A State of the course."""
-        t, *vectors = (x[0] for x in self.course.states(number, number + 1))
-        return State(float(t), *vectors)
+    def _states(self, first, end):
+        """States of the course, from number `first` to before `end`."""
+        return [State(float(t), *vectors) for t, *vectors in zip(*self.course.states(first, end))]
 
     def through(self, progress):
         """(Sent to the run's first state, the bar of its lam), all slopes of its frame with them."""
         zero, rows, bars = np.zeros(self.model.n), np.zeros(self.model.m), np.zeros((2, self.model.n))
         together = int(max(1, min(TOGETHER, CHUNK // (8 * self.model.n * self.settings.stages))))
         for end in range(len(self.course.pieces), 0, -together):
-            bars = self._steps(max(0, end - together), end, bars)
+            first = max(0, end - together)
+            bars = self._steps(first, self._states(first, end + 1), bars)
             self._add()
-            progress(float(self.course.states(max(0, end - together), end)[0][0]))
+            progress(float(self.course.states(first, first + 1)[0][0]))
         own = self.own.of(0, 1)
         q, v, a, lam = (
             part if slope is None else part + slope[0] for part, slope in zip((*bars, zero, rows), (own.q, own.v, own.a, own.lam))
@@ -64,15 +65,14 @@ class RadauBackward:
             self.moving.add_to(self.totals.sums, self.course)
         return Sent(q, v, a, zero), lam
 
-    def _steps(self, first, end, bars):
-        """Bars of q and v of state `first`, from those of state `end` without the objective's own."""
-        states = [self.state(k) for k in range(first, end + 1)]
+    def _steps(self, first, states, bars):
+        """Bars of q and v of the first of some states, number `first` of the course, from those of the last without the objective's own."""
         ready = [begun(self.model, state) for state in states[:-1]]
         steps = [self.again.of(*ends) for ends in zip(ready, states[1:])]
-        own = self.own.of(first + 1, end + 1)
+        own = self.own.of(first + 1, first + len(states))
         if self.moving.speeds and (by_time := own.by_time()) is not None:
             self.moving.at(np.array([state.t for state in states[1:]]), by_time)
-        for k in reversed(range(end - first)):
+        for k in reversed(range(len(steps))):
             bars = self._at_end(states[k + 1], steps[k].h, [None if x is None else x[k] for x in (own.q, own.v, own.a, own.lam)], bars)
             bars = self._step(self.course.pieces[first + k], ready[k], steps[k], self._projected(steps[k], states[k + 1].t, bars))
             bars = self._behind_kink(states[k], bars)
@@ -83,7 +83,7 @@ class RadauBackward:
         W, c, h = self.again.tableau.W, self.again.tableau.c, stages.h
         self.equations.at(stages)
         found = self.equations.back(*bars)
-        works = [Work(stages.t, stages.q, stages.v, stages.a, stages.lam, found.w, found.mu, found.kappa)]
+        works = [Work(stages.t, stages.q, stages.v, stages.a, stages.lam, found.w, found.mu, found.kappa if self.again.tied else None)]
         if self.again.tied:
             still, none, pushed = np.zeros_like(stages.q), np.zeros_like(stages.lam), self.again.lift * found.v
             works += [Work(stages.t, stages.q, v, still, none, still, none, mu) for v, mu in ((pushed, stages.mu), (still, -stages.mu))]
@@ -133,7 +133,7 @@ class RadauBackward:
         """The bar of the first q by D, which is made there, and its entries."""
         if not self.again.lifts or not self.lifted.any():
             return 0.0
-        bar, entries = lift_bars(self.model, self.state(0), self.again.lift, self.lifted)
+        bar, entries = lift_bars(self.model, self.first, self.again.lift, self.lifted)
         self.entries += [(entry.t, entry) for entry in entries]
         self._add()
         return bar
@@ -150,5 +150,5 @@ class RadauBackward:
 
 
 def _joined(works):
-    """One Work of several, without nu."""
-    return Work(*(np.concatenate(parts) for parts in list(zip(*works))[:8])) if works else None
+    """One Work of several, which have the same vectors."""
+    return Work(*(None if parts[0] is None else np.concatenate(parts) for parts in zip(*works))) if works else None

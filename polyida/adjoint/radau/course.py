@@ -6,14 +6,15 @@ from polyida.adjoint.radau.stages import begun, within
 from polyida.adjoint.steps.course import Course, every_step, reader, taken_again
 from polyida.adjoint.steps.recorded import Piece
 from polyida.integrate.radau.steps import Steps
-from polyida.integrate.state import Counts
+from polyida.integrate.state import Counts, State
 from polyida.integrate.stepping.grid import Grid
+from polyida.io.frames import MEMORY_LIMIT
 
 PARTED = 0.75  # of a step: one that ended with a shorter one was taken in parts
 LARGER = 4  # times as much as another's holds a State of this method, with its stages
 
 
-def course_of(run, model, memory_limit):
+def course_of(run, model, memory_limit=MEMORY_LIMIT):
     """The Course of a run, each step a Piece of its own. Raises InputError where frames are no states, or memory is short."""
     if every_step(run) and (run.integrator.adaptive or not run.counts.rejected):
         pieces = [Piece("on" if k else "begin", 0.0, h, k, 1) for k, h in enumerate(np.diff(run.t).tolist())]
@@ -23,10 +24,12 @@ def course_of(run, model, memory_limit):
 
 
 def _accepted(run, model, seen):
+    """The accepted states of the run behind the first that `seen` has; told are the parts of cut steps too, from which no run goes on."""
     before = seen.states[seen.first]
     for state in run.integrator.steps(model, before, run.plan["t_end"], Counts()):
-        for part in (*_parts(run.integrator, model, before, state), state):
-            seen.accepted(part)
+        for part in _parts(run.integrator, model, before, state):
+            seen.accepted(State(part.t, part.q, part.v, part.a, part.lam, restart=False))
+        seen.accepted(state)
         before = state
         yield state
 

@@ -57,32 +57,47 @@ class Linearised:
             self.T = [model.reaction_q(*state) for state in zip(x.t, x.q, x.mu)]
 
     def _take_forces(self):
-        model, states = self.model, list(zip(*self.stages[1:2], *self.stages[3:7]))
-        self.K = [model.tangent(*state, 0.0, 0.0, 1.0) for state in states]
-        self.M = [model.mass(state[1]) for state in states]
-        self.C = [model.force_v(*state[:3]) for state in states] if model.needs.velocity_forces else None
+        model, x = self.model, self.stages
+        self.K = [model.tangent(*state, 0.0, 0.0, 1.0) for state in zip(x.t, x.q, x.v, x.a, x.lam)]
+        self.M = [model.mass(q) for q in x.q]
+        self.C = [model.force_v(*state) for state in zip(x.t, x.q, x.v)] if model.needs.velocity_forces else None
 
     def back(self, b_q, b_v):
         """The Multipliers of the step whose end has bars b_q and b_v, (n,) each. Raises SingularSystem."""
-        rows, columns = self._sizes()
-        lu = LU(scaled(self._matrix(), rows, columns), pivoting=True)
-        self.counts.factorizations += 1
+        rows, columns, lu = self._lu()
         self.counts.solves += ROUNDS
         found = self._none()
         for _ in range(ROUNDS):
             left = np.concatenate([part.ravel() for part in self._left(found, b_q, b_v)[1]])
-            found = self._less(found, rows * lu.solve(columns * left, transposed=True))
+            change = self._parts(rows * lu.solve(columns * left, transposed=True))
+            found = [part - more for part, more in zip(found, change)]
         return Multipliers(*found, *self._left(found, b_q, b_v)[0])
+
+    def newton(self):
+        """What Newton's method takes from e, lam and mu of the stages, (s, .) each. Raises SingularSystem."""
+        model, x, (rows, columns, lu) = self.model, self.stages, self._lu()
+        self.counts.solves += 1
+        r = [model.residual(*state) for state in zip(x.t, x.q, x.v, x.a, x.lam)]
+        phi = [model.phi(*state) for state in zip(x.t, x.q)]
+        rate = [model.phi_rate(*state) for state in zip(x.t, x.q, x.v)] if self.tied else []
+        return self._parts(columns * lu.solve(rows * np.concatenate([*r, *phi, *rate])))
+
+    def _lu(self):
+        """(factors of rows, of columns, LU) of the matrix of a step."""
+        rows, columns = self._sizes()
+        self.counts.factorizations += 1
+        return rows, columns, LU(scaled(self._matrix(), rows, columns), pivoting=True)
 
     def _none(self):
         """(w, mu, kappa), zero."""
         s, m = self.tableau.stages, self.model.m
         return np.zeros((s, self.model.n)), np.zeros((s, m)), np.zeros((s, m))
 
-    def _less(self, found, x):
+    def _parts(self, x):
+        """(w, mu, kappa), or (e, lam, mu), of all of their numbers in order."""
         s, n, m = self.tableau.stages, self.model.n, self.model.m
-        parts = np.split(x, [s * n, s * (n + m)])
-        return [part - more.reshape(part.shape) if more.size else part for part, more in zip(found, parts)]
+        first, second, third = np.split(x, [s * n, s * (n + m)])
+        return first.reshape(s, n), second.reshape(s, m), third.reshape(s, m) if self.tied else np.zeros((s, m))
 
     def _left(self, found, b_q, b_v):
         """((q*, v*, a*), what is left of the rows of e, lam and mu, (s, .) each) with multipliers (w, mu, kappa)."""

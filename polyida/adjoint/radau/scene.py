@@ -59,8 +59,7 @@ class SceneLinearised(Linearised):
         modes.surround(*self._middle(modes))
         found, last = self._none(), np.inf
         for _ in range(MOST):
-            bars, left = self._left(found, b_q, b_v)
-            change = modes.solve(*left)
+            change = modes.solve(*self._left(found, b_q, b_v)[1])
             found = [part - more for part, more in zip(found, change)]
             moved, size = np.linalg.norm(change[0]), np.linalg.norm(found[0])
             rate = moved / last

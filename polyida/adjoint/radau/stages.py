@@ -5,16 +5,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.adjoint.radau.equations import Linearised
 from polyida.integrate.kinks import at_kink, beside, inner_side
 from polyida.integrate.radau.newton import Newton
 from polyida.integrate.radau.plain import PlainSystem, lift
 from polyida.integrate.radau.radau_iia import EXACT, restarted
 from polyida.integrate.radau.steps import Steps
-from polyida.integrate.sizes import typical_sizes
+from polyida.integrate.sizes import extent, typical_sizes
 from polyida.integrate.start import far_side
+from polyida.integrate.state import StepFailure
 from polyida.linear.matrix import dense
 
 MOST = 30  # Newton iterations
+NEAR = 1e-9  # of the model's size: a full Newton's correction behind which as good as nothing is left
 
 
 class Stages(NamedTuple):
@@ -41,7 +44,8 @@ class StagesAgain:
         self.model, self.engine = model, exact_steps(model, settings, first, t_end, counts)
         system, self.tableau = self.engine.system, self.engine.tableau
         self.engine.newton = self.newton = Between(system, self.tableau, MOST)
-        self.tied, self.moves_v = system.tied, system.moves_v and not system.tied
+        bent = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
+        self.tied, self.moves_v = system.tied, bent and settings.form == "index3" and settings.project
         self.lifts = isinstance(system, PlainSystem) and system.tied and not model.alike
         self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
 
@@ -50,10 +54,27 @@ class StagesAgain:
         h = end.t - state.t
         self.engine.limits = within(self.model, state.t, end.t)
         self.newton.end = end
-        self.engine.step(state, h, end.t)
+        try:
+            self.engine.step(state, h, end.t)
+        except StepFailure as failure:
+            return self._fully(state, h, failure)
         return self._stages(state, h)
 
+    def _fully(self, state, h, failure):
+        """The same by Newton's full method, where the simplified one, from between the step's ends, does not get there as the run did."""
+        self.newton._guess(state, h)
+        x, full = self.engine.system.trial, Linearised(self.model, self.tableau, self.lift, self.tied, self.engine.counts)
+        for _ in range(MOST):
+            full.at(self._stages(state, h))
+            changes = full.newton()
+            for part, change in zip((x.e, x.lam, x.mu), changes):
+                part -= change[:, : part.shape[1]]
+            if np.abs(changes[0]).max() <= NEAR * extent(self.model, state.q):
+                return self._stages(state, h)
+        raise failure
+
     def _stages(self, state, h):
+        """Those of the unknowns that are on trial."""
         x, W, model = self.engine.system.trial, self.tableau.W, self.model
         e, lam, mu = x.e.copy(), x.lam.copy(), x.mu.copy()
         t = np.array([self.engine.clamp(state.t + c * h) for c in self.tableau.c])

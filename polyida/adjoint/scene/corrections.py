@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from polyida.adjoint.scene.products import DZ
 from polyida.assembly.corotated import close, hold_border, solve_in_place, turn_frames
 from polyida.compiled import part
-
 
 LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which b is, ends at 1e-38
 
@@ -13,7 +13,7 @@ LEAST = 1e-280  # a residual below that is taken as that large: single precision
 def hold(s, c, room, drives, to_a, to_v, x):
     """Frames, rows and curvature of the state that x holds, `S^T` on the points among them. The rotations must be there."""
     turn_frames(s, c, room, x.rotation)
-    hold_border(s, c, room, drives, x.points[0])
+    hold_border(s, c, room, drives, x.points[DZ])
     for i in range(room.curvature.shape[0]):
         for j in range(room.curvature.shape[1]):
             room.curvature[i, j] = x.curvature[j, i]

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from polyida.adjoint.alpha.plain import Sent, Swept
+from polyida.adjoint.alpha.plain import PlainSweep, Sent, Swept
 from polyida.adjoint.scene import steps
 from polyida.adjoint.scene.products import arrays_of, scratch
 from polyida.assembly.rows.increments import drive_table
 from polyida.integrate.alpha import scene as loop
-from polyida.integrate.stepping.ended import DONE, REASONS, SINGULAR
+from polyida.integrate.stepping.ended import DONE
 from polyida.linear.cholesky.helpers import Helpers
-from polyida.linear.lu import SingularSystem
 from polyida.machine import threads
+from polyida.objective.slopes import Slopes
 
 SHARE = 1e-2  # of what Newton leaves, over what it is compared with, that refinement leaves of w
 LEAST = 1e-11  # of |w|: no less
@@ -48,10 +48,20 @@ class SceneSweep:
                 fresh = True
             last, (done, ended) = done, self._steps(drives, frames, done, found)
             if ended != DONE:
-                if ended == SINGULAR or (fresh and done == last):
-                    raise SingularSystem(REASONS[ended][1])
+                if fresh and done == last:
+                    done = self._directly(done - 1, (t, q, v, a, lam), slopes, found)
                 self.system, fresh = None, False
         return Swept(Sent(*self.memory.sent.copy()), found.w, found.mu)
+
+    def _directly(self, k, frames, slopes, found):
+        """Step k by the plain sweep, which does not need a factor that contracts. Returns k."""
+        here, sent = slice(k, k + 1), Sent(*self.memory.sent.copy())
+        own = Slopes(**{name: None if (part := getattr(slopes, name)) is None else part[here] for name in ("q", "v", "a", "lam")})
+        keep = (found.y[here], found.z[here]) if len(found.y) else None
+        swept = PlainSweep(self.model, self.settings, self.method.h, self.counts).back(*(x[here] for x in frames), own, sent, keep)
+        self.memory.sent[:], found.w[k], found.mu[k] = swept.sent, swept.w[0], swept.mu[0]
+        steps.forget(self.memory)
+        return k
 
     def _frames(self, q, v, lam, slopes):
         n, m = self.model.n, self.model.m

@@ -58,18 +58,18 @@ def _of_frames(run, model):
     return Course(pieces, reader(run), np.arange(len(run)))
 
 
-def reader(run):
-    """A function (first, end) that gives the run's own frames."""
-    arrays = run.t, run.q, run.v, run.a, run.lam
-    return lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays)
-
-
 def _resting(run, first, count):
     """How many steps from a frame on left it as it is, at rest: behind these a run begins anew."""
     for k in range(first, first + count):
         if run.v[k].any() or not all(np.array_equal(x[k], x[k + 1]) for x in (run.q, run.v, run.a, run.lam)):
             return k - first
     return count
+
+
+def reader(run):
+    """A function (first, end) that gives the run's own frames."""
+    arrays = run.t, run.q, run.v, run.a, run.lam
+    return lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays)
 
 
 def _require_steps(run, pieces):

@@ -13,7 +13,7 @@ from polyida.linear.dense import solve_small
 @pack
 class Tie(NamedTuple):
     """M^-1 A^T, real parts (pairs, points) of complex numbers and imaginary ones, (0, points) where there are none, A M^-1 A^T
-    (2 points, 2 points), and scratch.
+    (2 points, 2 points), and scratch; slip (pairs, 2): what eta has added to q in a step.
     """
 
     reach: np.ndarray
@@ -27,6 +27,7 @@ class Tie(NamedTuple):
     slopes: np.ndarray
     vz: np.ndarray
     pull: np.ndarray
+    slip: np.ndarray
 
 
 def tie(model):
@@ -34,7 +35,8 @@ def tie(model):
     points, m = model.n_points, model.m
     shapes = ((m, m), m, m, m, len(model.arrays.links.row_columns), (points, 2), (points, 2))
     matrix, eta, rate, bias, slopes, vz, pull = map(np.empty, shapes)
-    return Tie(*model.once(point_columns), matrix, eta, np.empty(m, np.int64), rate, bias, slopes, vz, pull)
+    slip = np.zeros((model.n_nodes, 2))
+    return Tie(*model.once(point_columns), matrix, eta, np.empty(m, np.int64), rate, bias, slopes, vz, pull, slip)
 
 
 @part

@@ -42,6 +42,8 @@ class PlainLoop:
     def _newton(self, p, system):
         y, x, model = self.memory, self.trial, self.model
         last = step.begin(p, y, x)
+        if last == 0.0:
+            self.slip = np.zeros(model.n)
         for iteration in range(p.max_iterations):
             q, v, a = x.now[:3].copy()
             lam, phi = x.rows[step.LAM].copy(), self._closed(p)
@@ -76,12 +78,16 @@ class PlainLoop:
         return x.rows[step.PHI]
 
     def _correct(self, p, system, q, v, lam, r, phi):
-        """Fill dq and dlam of one iteration; in the stabilised form the slip of q against v."""
+        """Fill dq and dlam of one iteration; what it adds, in the stabilised form, to the slip of q against v."""
         self.counts.solves += 1
         self.counts.newton_iterations += 1
         rate = self._off(q, v) / p.to_v if self.tied else phi
         self.trial.now[step.DQ], self.trial.rows[step.DLAM] = system.saddle(self.inner, q, lam, r, rate)
-        return self.model.mass_system(self.inner, q).solve(np.zeros_like(r), phi - rate)[0] if self.tied else 0.0
+        if not self.tied:
+            return 0.0
+        before, wanted = self.slip, phi - rate - self.model.phi_q(self.inner, q) @ self.slip
+        self.slip = self.model.mass_system(self.inner, q).solve(np.zeros_like(r), wanted)[0]
+        return self.slip - before
 
     def _off(self, q, v):
         return self.model.phi_q(self.inner, q) @ v + self.model.phi_t(self.inner, q)

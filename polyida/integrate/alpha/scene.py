@@ -17,6 +17,7 @@ from polyida.integrate.alpha import tie as alpha_tie
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR, TOO_FAR
 from polyida.linear.cholesky.helpers import Helpers
+from polyida.linear.dense import clear
 from polyida.machine import threads
 
 SHARED = 20_000  # coordinates from which on the threads that are asked for share the solves
@@ -81,6 +82,8 @@ def newton(s, c, room, p, tie, damp, laws, before, drives, gains, y, x, w, count
     u, dq, r, dz = step.pairs(now[step.Q]), step.pairs(now[step.DQ]), step.pairs(now[step.R]), w.points[DZ]
     lam, phi, dlam = x.rows[step.LAM], x.rows[step.PHI], x.rows[step.DLAM]
     hold_points(s.links, y, w)
+    if tie is not None and last == 0.0:
+        clear(tie.slip)
     for iteration in range(p.max_iterations):
         det, cosine = kernels.equilibrium(s, drives, u, step.pairs(now[step.A]), lam, r, phi, w.rotation, dz, w.points[FORCES])
         counts[0] += 1

@@ -4,9 +4,11 @@
 constraints, so that v, with Newmark's formula in a, need not (Gear, Gupta, Leimkuhler 1985; Arnold, Cardona, Bruels
 2015). In one Newton step, with dq = x + y, x what v and a follow and `y = -M^-1 phi_q^T eta`,
 `S x + phi_q^T dlam = -r`, `phi_q x = -rate/gamma'`, `phi_q y = -(phi - rate/gamma')`: x is the usual solve, y costs
-the points' columns of M^-1.
+the points' columns of M^-1. All that eta has added in a step is turned with phi_q in each iteration, so that at last it is along M^-1 phi_q^T of
+the step's end, whatever the way of Newton's method there.
 """
 
+from polyida.assembly.rows import joints
 from polyida.assembly.rows.tie import project, velocity_rate
 from polyida.compiled import part
 from polyida.integrate.alpha.step import DD, Q, V, pairs
@@ -23,10 +25,30 @@ def part_constraints(s, drives, dz, v, phi, t, to_v):
 
 
 @part
+def _along(s, slopes, k, z):
+    """Row k of phi_z on z (points, 2)."""
+    total = 0.0
+    for e in range(s.row_start[k], s.row_start[k + 1]):
+        i = s.row_columns[e]
+        total += slopes[e] * z[i // 2, i % 2]
+    return total
+
+
+@part
 def slip(s, p, y, x, t):
-    """Add y to the step."""
-    past, now = y.past, x.now
-    good = project(s, t, t.bias, pairs(now[DD]))
+    """Add y to the step, in t.slip with that of the iterations before."""
+    past, now, dd = y.past, x.now, pairs(x.now[DD])
+    joints.point_values(s, t.slip, t.vz)
+    for k in range(t.bias.shape[0]):
+        t.bias[k] -= _along(s, t.slopes, k, t.vz)
+    for i in range(dd.shape[0]):
+        for e in range(2):
+            dd[i, e] -= t.slip[i, e]
+            t.slip[i, e] = 0.0
+    good = project(s, t, t.bias, t.slip)
+    for i in range(dd.shape[0]):
+        for e in range(2):
+            dd[i, e] += t.slip[i, e]
     for i in range(now.shape[1]):
         now[Q, i] = past[Q, i] + (p.h * past[V, i] + now[DD, i])
     return good

@@ -34,6 +34,6 @@ class Compliance(TimeMean):
                 work = frames.t, rest, rest, rest, none, -factor[:, None] * frames.q, none
                 return Slopes(q=factor[:, None] * f, t=by_time, work=work)
 
-            return np.sum(f * frames.q, axis=1), back
+            return lambda: np.sum(f * frames.q, axis=1), back
 
         return look

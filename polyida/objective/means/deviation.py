@@ -50,7 +50,7 @@ class Deviation(TimeMean):
                 toward = 2.0 * factor[:, None] * gap
                 return Slopes(q=pull(frames.q, toward), t=lambda: -np.sum(toward * rates(model, self._at, frames.t, span), axis=1))
 
-            return np.sum(gap**2, axis=1), back
+            return lambda: np.sum(gap**2, axis=1), back
 
         return look
 

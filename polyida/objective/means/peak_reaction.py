@@ -56,7 +56,7 @@ class PeakReaction(TimeMean):
                 lam[:, columns] = told.by_multipliers(toward)
                 return Slopes(q=told.by_coordinates(toward), lam=lam)
 
-            return size, back
+            return lambda: size, back
 
         return look
 

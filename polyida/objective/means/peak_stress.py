@@ -60,7 +60,7 @@ class PeakStress(TimeMean):
                 direct = [slopes for body, work in zip(bodies, works) if body.body in model.bodies for slopes in body.by_parameters(work)]
                 return Slopes(q=np.array(pull).reshape(-1, model.n), direct=dict(direct))
 
-            return means, back
+            return lambda: means, back
 
         return look
 

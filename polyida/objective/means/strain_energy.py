@@ -39,7 +39,7 @@ class StrainEnergy(TimeMean):
             def back(factor):
                 return Slopes(q=elastic.forces(frames.q, factor), direct=elastic.by_parameters(frames.q, factor))
 
-            return elastic.energies(frames.q), back
+            return lambda: elastic.energies(frames.q), back
 
         return look
 

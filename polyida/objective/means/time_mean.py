@@ -53,8 +53,8 @@ class TimeMean(Objective):
     p: float = 1.0
     _of_material = False
 
-    def _seen(self, model: Any, span: float) -> Callable[[Frames], tuple[NDArray, Callable[[NDArray], Slopes]]]:
-        """A function of Frames of a model: (s (count,), a function of dJ/ds (count,) that gives the Slopes).
+    def _seen(self, model: Any, span: float) -> Callable[[Frames], tuple[Callable[[], NDArray], Callable[[NDArray], Slopes]]]:
+        """A function of Frames of a model: (a function that gives s (count,), one of dJ/ds (count,) that gives the Slopes).
 
         span: the time from one frame to the next, s, about. Raises InputError where the model has not what is asked for.
         """
@@ -77,8 +77,9 @@ class TimeMean(Objective):
 
         def elsewhere(model, part):
             """What is seen of the frames with another model."""
-            return self.named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]
+            return self.named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]()
 
+        of.value = mean.value  # type: ignore[attr-defined]
         return of
 
     def _of(self, run):
@@ -86,7 +87,7 @@ class TimeMean(Objective):
 
     def _sizes(self, run, seen):
         step = frames_at_once(run.q.shape[1])
-        return np.concatenate([seen(Frames(run, slice(k, k + step)))[0] for k in range(0, len(run.t), step)])
+        return np.concatenate([seen(Frames(run, slice(k, k + step)))[0]() for k in range(0, len(run.t), step)])
 
 
 def _span(run):
