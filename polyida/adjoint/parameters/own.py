@@ -7,8 +7,7 @@ import numpy as np
 from polyida.adjoint.parameters.parameter import Parameter
 from polyida.errors import InputError
 from polyida.given import floats
-
-STEP = 1e-4  # of a parameter's size: over which kinks move evenly
+from polyida.model import NEARBY
 
 
 class OfOwnModel(Parameter):
@@ -28,10 +27,10 @@ class OfOwnModel(Parameter):
         return self.model.phi_p(self.name, t, q)
 
     def _rate_p(self, t, q, v):
-        return self.model.slope_p(self.name, lambda model: model.phi_rate(t, q, v))
+        return self.model.slope_p(self.name, lambda model: model.phi_rate(t, q, v), t)
 
     def _bias_p(self, t, q, v):
-        return self.model.slope_p(self.name, lambda model: model.phi_bias(t, q, v))
+        return self.model.slope_p(self.name, lambda model: model.phi_bias(t, q, v), t)
 
     def replaced(self, value):
         """The model with the attribute changed."""
@@ -46,7 +45,7 @@ class OfOwnModel(Parameter):
         """By differences of the model's kinks."""
         if np.ndim(self.value):
             return {}
-        step = STEP * (abs(self.value) or 1.0)
+        step = NEARBY * (abs(self.value) or 1.0)
         near = [self.replaced(self.value + s).kinks(t0, t1) for s in (-step, step)]
         known = self.model.kinks(t0, t1)
         if not len(near[0]) == len(near[1]) == len(known):
@@ -61,7 +60,7 @@ def of_own(model: Any) -> list[Parameter]:
 
 
 def _value(model, name):
-    value = floats(getattr(model, name, None))
+    value = floats(model.parameter(name))
     if value is None:
         raise InputError(f"{model!r}: its parameter {name!r} must be an attribute that is a number or an array of numbers")
     return value if value.ndim else float(value)
