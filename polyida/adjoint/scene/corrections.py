@@ -6,6 +6,8 @@ from polyida.adjoint.scene.products import DZ
 from polyida.assembly.corotated import close, hold_border, solve_in_place, turn_frames
 from polyida.compiled import part
 
+LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which b is, ends at 1e-38
+
 
 @part
 def hold(s, c, room, drives, to_a, to_v, x):
@@ -24,26 +26,30 @@ def hold(s, c, room, drives, to_a, to_v, x):
 
 @part
 def correct(s, c, room, r, phi, dq, dlam):
-    """Fill dq (nodes, 2) and dlam of `S dq + B^T dlam = -r`, `B dq = -phi`. False where it is singular."""
-    order, b, turn = c.factor.order, room.x, room.turn
+    """Fill dq (nodes, 2) and dlam of `S dq + B^T dlam = -r`, `B dq = -phi`: |S^-1 r|, or less than zero where that is singular."""
+    order, b, turn, size, free = c.factor.order, room.x, room.turn, LEAST, 0.0
     for i in range(r.shape[0]):
-        b[order[2 * i]] = -(turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1])
-        b[order[2 * i + 1]] = -(turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0])
+        size = max(size, abs(r[i, 0]), abs(r[i, 1]))
+    for i in range(r.shape[0]):
+        p, q = r[i, 0] / size, r[i, 1] / size
+        b[order[2 * i]] = -(turn[i, 0] * p + turn[i, 1] * q)
+        b[order[2 * i + 1]] = -(turn[i, 0] * q - turn[i, 1] * p)
     for k in range(2 * r.shape[0], b.shape[0]):
         b[k] = np.float32(0.0)
     solve_in_place(c.factor, room.team, b)
     for i in range(r.shape[0]):
-        dq[i, 0], dq[i, 1] = b[order[2 * i]], b[order[2 * i + 1]]
+        dq[i, 0], dq[i, 1] = size * b[order[2 * i]], size * b[order[2 * i + 1]]
+        free += dq[i, 0] * dq[i, 0] + dq[i, 1] * dq[i, 1]
     if phi.shape[0] + c.active.shape[0]:
         move_points(s, turn, dq, room.moved)
         if not close(s, c, room, phi, dlam):
-            return False
+            return -1.0
         pull_points(c, room, dq)
     for i in range(r.shape[0]):
         p, q = dq[i, 0], dq[i, 1]
         dq[i, 0] = turn[i, 0] * p - turn[i, 1] * q
         dq[i, 1] = turn[i, 1] * p + turn[i, 0] * q
-    return True
+    return np.sqrt(free)
 
 
 @part

@@ -14,11 +14,12 @@ from polyida.integrate.stepping.ended import DONE, REFACTOR, SINGULAR
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
 Q, V, A, AHEAD = range(4)  # rows of what is sent
-CONTRACTION, AGE, SOLVES, SEEN, SHARE = range(5)
-MARKS = 6
+CONTRACTION, AGE, SOLVES, REACH, SEEN, SHARE = range(6)
+MARKS = 7
 FRESHEN = 30  # steps after which the contraction is measured again
 SAMPLES = 300  # coordinates by which shares are found
 ROUND_OFF = 1e-9  # of |w|: corrections that need no longer fall
+NOTHING = 1e-14  # of what w would be without constraints: corrections of a w that these hold to zero
 
 
 @pack
@@ -54,7 +55,8 @@ class Memory(NamedTuple):
     """What goes from step to step: sent (4, n) and marks.
 
     w (3, n), mu (3, m): those of the last step and their backward differences, of first and second order. SHARE: those of the
-    differences in the prediction; SEEN: steps since there was nothing to predict from.
+    differences in the prediction; SEEN: steps since there was nothing to predict from; REACH: the largest |w| yet that no
+    constraint held.
     """
 
     sent: np.ndarray
@@ -220,8 +222,10 @@ def refine(s, c, room, p, viscosity, laws, drives, f, k, x, y, z):
     for iteration in range(p.most):
         products.point_products(s.links, laws, room.slopes, w, z.rows[MU], x)
         residual(p, f, k, x, z)
-        if not correct(s.links, c, room, pairs(z.now[R]), z.rows[PHI], dw, z.rows[DMU]):
+        free = correct(s.links, c, room, pairs(z.now[R]), z.rows[PHI], dw, z.rows[DMU])
+        if free < 0.0:
             return SINGULAR
+        y.marks[REACH] = max(y.marks[REACH], free)
         y.marks[SOLVES] += 1.0
         moved, size = add_correction(z)
         products.body_products(s, viscosity, u, v, w, x.rotation[:0], x)
@@ -244,7 +248,7 @@ def judge(p, marks, moved, size, last, iteration):
         marks[CONTRACTION], marks[AGE] = max(rate, (0.5 if iteration == 1 else 1.0) * marks[CONTRACTION]), 0.0
     slow = measured and not rate <= SLOW
     small = (measured or marks[AGE] < FRESHEN) and rate < 1.0 and moved * rate / (1.0 - rate) <= p.enough * size
-    return small or moved == 0.0 or (slow and moved <= ROUND_OFF * size), slow
+    return small or (slow and moved <= ROUND_OFF * size) or moved <= NOTHING * marks[REACH], slow
 
 
 @entry
