@@ -62,7 +62,8 @@ def short(row):
 def told(rows):
     """Every solid design in a line; how the designs were found."""
     lines = [
-        f"{row['machine']}, {row['design']}: J {row['J']:.3g} m2, at most {1e3 * row['largest']:.3g} mm off, {1e3 * row['after']:.2g} once the motors stand, torque {row['torque']:.3g} N m, "
+        f"{row['machine']}, {row['design']}: J {row['J']:.3g} m2, at most {1e3 * row['largest']:.3g} mm off, "
+        f"{1e3 * row['after']:.2g} once the motors stand, torque {row['torque']:.3g} N m, "
         f"{1e3 * row['thickness']:.4g} mm thick"
         for row in pick(rows)
     ]
@@ -78,9 +79,11 @@ def told(rows):
 def what_is_compared(rows):
     levels = ", ".join(f"{at:g}" for at in LEVELS)
     return [
-        "all designs of a machine have the same mass: the thickness of a solid design makes up for cells that are more or fewer than the volume asks for. "
-        f"Of the densities {levels} from which a cell is solid each design has the one with which it moves best, and the static design that is "
-        "compared with is the one of both that moves best. The design in motion begins with the better of these two, some stages earlier"
+        "all designs of a machine have the same mass: the thickness of a solid design makes up for cells that are more or fewer than the volume "
+        f"asks for. Of the densities {levels} from which a cell is solid each design has the one with which it moves best, and the static design "
+        "that is compared with is the one of both that moves best",
+        "the design in motion begins with both static ones, a stage earlier, and goes on with the better after its own first stage; its evaluations "
+        "are those of this way, its seconds those of all. The optimiser ends in one of many optima: other starts end elsewhere, up to a third off",
     ]
 
 

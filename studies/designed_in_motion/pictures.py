@@ -16,7 +16,7 @@ def draw_densities(axes, meshes, rho, apart=1.0):
     from matplotlib.collections import PolyCollection
 
     cells = [mesh.points[mesh.cell(i)] + [k * apart, 0.0] for k, mesh in enumerate(meshes) for i in range(mesh.n_cells)]
-    look = {"cmap": "Greys", "clim": (0, 1), "edgecolors": "face", "linewidths": 0.2}
+    look = {"cmap": "Greys", "clim": (0, 1), "edgecolors": "face", "linewidths": 0.2, "rasterized": True}
     axes.add_collection(PolyCollection(cells, array=np.asarray(rho, float), **look))
     _frame(axes, np.concatenate(cells))
 
@@ -26,7 +26,7 @@ def draw_meshes(axes, meshes, height, apart=1.0):
     from matplotlib.collections import PolyCollection
 
     cells = [mesh.points[mesh.cell(i)] + [k * apart, 0.0] for k, mesh in enumerate(meshes) for i in range(mesh.n_cells)]
-    axes.add_collection(PolyCollection(cells, facecolors="#9fc3dd", edgecolors="#0072B2", linewidths=0.25))
+    axes.add_collection(PolyCollection(cells, facecolors="#9fc3dd", edgecolors="#0072B2", linewidths=0.25, rasterized=True))
     _frame(axes, np.concatenate([*cells, [[0.0, -0.5 * height], [0.0, 0.5 * height]]]))
 
 

@@ -11,6 +11,7 @@ from polyida.adjoint.parameters.parameter import total
 from polyida.adjoint.parameters.work import Work
 from polyida.model.differences import along
 from polyida.model.guarded import guard
+from polyida.problems import andrews, car_axis
 from polyida.problems.andrews import Q0, Andrews
 from polyida.problems.car_axis import CarAxis
 from polyida.problems.pendulum import Pendulum
@@ -37,6 +38,20 @@ def test_slopes_are_those_of_the_models(model, guarded):
         for unit in np.eye(value.size).reshape(value.size, *value.shape):
             changed = lambda s, unit=unit, value=value, p=parameter: total(p.replaced(value * (1 + s * unit)), work)  # noqa: E731
             assert np.isclose(along(changed), (slope * unit * value).sum(), rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("problem, t_end, h", [(andrews, 1e-3, 1e-4), (car_axis, 0.1, 1e-2)])
+@pytest.mark.parametrize("form", ["index3", "stabilised"])
+def test_gradients_of_runs_of_the_test_set(problem, t_end, h, form):
+    given = problem.problem()
+    run = pi.solve(given.model, t_end, pi.GeneralizedAlpha(h=h, tolerance=1e-12, form=form), q0=given.q0, v0=given.v0)
+    later = (np.arange(len(run)) > 0)[:, None]
+    squares = pi.objective.Own(
+        lambda run: float((run.q[1:] ** 2).sum() + 1e-3 * (run.lam[1:] ** 2).sum()),
+        lambda run: {"q": 2.0 * later * run.q, "lam": 2e-3 * later * run.lam},
+    )
+    errors = pi.check_gradient(run, squares)
+    assert {*given.model.parameters} <= {*errors} and max(errors.values()) < 1e-6
 
 
 def test_slopes_by_hand_are_checked():

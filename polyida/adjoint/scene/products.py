@@ -8,7 +8,8 @@ from polyida.assembly.bodies import compact, tangents
 from polyida.assembly.own.laws import add_own_curvature
 from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack, part
-from polyida.element import kernels, product, stabilisation
+from polyida.element import kernels, stabilisation
+from polyida.element.paired import product
 from polyida.linear.dense import clear
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from polyida.assembly.bodies import compact, tangents
 from polyida.assembly.equilibrium import tangent_blocks
 from polyida.compiled import entry
-from polyida.element import kernels, two_states
+from polyida.element import kernels
+from polyida.element.paired import two_states
 
 
 def symmetric_blocks(model, u, c_m, c_v):

@@ -6,8 +6,8 @@ import numpy as np
 
 from polyida.assembly.arrays import concatenated, starts
 from polyida.assembly.build import operator_arrays
-from polyida.element import cells as kernels
 from polyida.element.lanes import LANES
+from polyida.element.paired import cells as kernels
 
 
 class Shares:

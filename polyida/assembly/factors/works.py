@@ -8,8 +8,8 @@ import numpy as np
 
 from polyida.assembly.factors.shares import Shares
 from polyida.compiled import entry
-from polyida.element import cells
 from polyida.element.lanes import LANES
+from polyida.element.paired import cells
 
 
 def stiffness_work(model, q, v, w):

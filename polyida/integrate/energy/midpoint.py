@@ -15,7 +15,8 @@ from polyida.assembly.bodies.damping import damped_blocks
 from polyida.assembly.rows import joints
 from polyida.compiled import entry, pack, part
 from polyida.element import kernels as elements
-from polyida.element import stabilisation, two_states
+from polyida.element import stabilisation
+from polyida.element.paired import two_states
 from polyida.integrate.energy.steps import SLOW, Steps
 from polyida.integrate.state import StepFailure
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR

@@ -10,7 +10,7 @@ from polyida.compiled import entry
 from polyida.element.kernels import _differences, _gradient, _room
 from polyida.element.lanes import LANES, load, load_integer, store, traced
 from polyida.element.material import first_piola
-from polyida.element.two_state_material import two_state_piola
+from polyida.element.paired.two_state_material import two_state_piola
 
 
 @traced(1)
