@@ -10,6 +10,8 @@ from polyida.adjoint.gradient import gradient
 from polyida.adjoint.parameters import parameters_of
 from polyida.adjoint.radau.again import RadauAgain
 from polyida.adjoint.still.again import StillAgain
+from polyida.errors import InputError
+from polyida.given import is_whole
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.keywords import named_keywords
@@ -28,9 +30,11 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     That is found again with each parameter changed by a thousandth and two, up and down; of an array along one direction drawn at random
     (seed). A run takes the same steps again, solved to a tolerance of 1e-11 or less, its pieces between kinks stretched as these move. So what is
     seen is the error of the gradient, that of the run's own tolerance with it. Relative to the difference, or to J over a thousand times
-    the parameter where that is larger. Left out are parameters that move a kink at the very beginning, or what constraints ask of the
-    start. Raises InputError as `pi.gradient`.
+    the parameter where that is larger. Left out are parameters that move a kink into the run or out of it (a motor that ends with
+    it), or what constraints ask of the start. Raises InputError as `pi.gradient`, and for a seed that is no whole number.
     """
+    if not is_whole(seed, 0):
+        raise InputError(f"check_gradient: seed = {seed!r:.80} must be a whole number of at least 0")
     found, known = gradient(run, objective, parameters=parameters), parameters_of(run.model)
     objective, again = objective.named(run.model), _again(run)
     random, errors = np.random.default_rng(seed), {}
@@ -40,7 +44,7 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
         else:
             parameter, way = known[name], _way(known[name].value, random)
             made = lambda change, p=parameter: again.frames(p.replaced(p.value + change))  # noqa: E731
-            if parameter.kinks(*_about(again.state.t)) or not again.begins(parameter.replaced(parameter.value + 1e-3 * way)):
+            if not all(again.begins(parameter.replaced(parameter.value + s * way)) for s, _ in central(STEP)):
                 continue
         errors[name] = _error(found, name, way, lambda s, way=way, made=made: objective(made(s * way)))
     return errors
@@ -51,12 +55,6 @@ def _again(run):
     if not isinstance(run, Trajectory):
         return StillAgain(run)
     return next(again for kind, again in AGAINS.items() if isinstance(run.integrator, kind))(run)
-
-
-def _about(t):
-    """An interval of nothing but a time."""
-    near = 1e-12 * max(1.0, abs(t))
-    return float(t - near), float(t + near)
 
 
 def _way(value, random):

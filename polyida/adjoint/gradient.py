@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.run import gradient_of_run
 from polyida.adjoint.still.modal import gradient_of_modes
@@ -71,7 +73,7 @@ def _nobody(t):
 def _names(parameters):
     if parameters is None:
         return None
-    names = list(parameters) if not isinstance(parameters, str) else None
+    names = list(parameters) if np.iterable(parameters) and not isinstance(parameters, str) else None
     if names is None or not all(isinstance(name, str) for name in names):
         raise InputError(f"gradient: parameters = {parameters!r:.80} must be a list of names, or None for all")
     return names

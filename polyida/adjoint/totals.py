@@ -13,7 +13,7 @@ class Totals:
     """Sums by the names of parameters. names: those that are wanted, or None for all that a model offers by itself."""
 
     def __init__(self, model, names=None):
-        known = parameters_of(model)
+        self.known = known = parameters_of(model)
         self.parameters = {name: known[name] for name in _wanted(known, names)}
         self.with_v0 = names is None or "v0" in names
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
@@ -25,8 +25,12 @@ class Totals:
 
     def own(self, slopes):
         """Add what an objective's own Slopes say of parameters."""
-        for name in self.sums.keys() & slopes.direct.keys():
-            self.sums[name] = self.sums[name] + slopes.direct[name]
+        for name, slope in slopes.direct.items():
+            shape = np.shape(_known(name, self.known).value)
+            if np.shape(slope) != shape:
+                raise InputError(f"gradient: the objective's own slope in {name!r} has shape {np.shape(slope)}, the parameter {shape}")
+            if name in self.sums:
+                self.sums[name] = self.sums[name] + slope
         if slopes.of_model is not None:
             for name, parameter in self.parameters.items():
                 self.sums[name] = self.sums[name] + parameter.of_model(slopes.of_model)
@@ -80,7 +84,11 @@ def _wanted(known, names):
     """The names asked for, or all that are offered unasked."""
     if names is None:
         return [name for name, parameter in known.items() if not parameter.asked]
-    for name in names:
-        if name != "v0" and not is_one_of(name, known):
-            raise InputError(f"gradient: {name!r} is no parameter of the model; known: {', '.join(map(repr, [*known, 'v0']))}")
-    return [name for name in names if name != "v0"]
+    return [_known(name, known).name for name in names if name != "v0"]
+
+
+def _known(name, known):
+    """The parameter of a name. Raises InputError where there is none."""
+    if not is_one_of(name, known):
+        raise InputError(f"gradient: {name!r} is no parameter of the model; known: {', '.join(map(repr, [*known, 'v0']))}")
+    return known[name]

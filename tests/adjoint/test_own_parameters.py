@@ -139,3 +139,33 @@ def test_differences_stay_on_one_side_of_a_kink_that_moves(integrator):
     found = pi.gradient(run, end)
     assert found["when"] == pytest.approx(-1.5 * (1.0 - 0.37) ** 2, rel=1e-4)
     assert pi.check_gradient(run, end)["when"] < 1e-6
+
+
+class Jump(Pendulum):
+    """A pendulum that a wind blows at from a time on: its force jumps at a kink that moves with a parameter."""
+
+    parameters = "weight", "begin"
+    begin = 0.1012
+
+    def force(self, t, q, v):
+        return super().force(t, q, v) - (np.array([5.0, 0.0]) if t > self.begin else 0.0)
+
+    def kinks(self, t0, t1):
+        return tuple(t for t in (self.begin, 0.102) if t0 < t < t1)
+
+    residual_p = pi.Model.residual_p
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=5e-3, tolerance=1e-11), pi.RadauIIA(h=2e-2)])
+def test_a_force_may_jump_where_a_parameter_says(integrator):
+    run = pi.solve(Jump(), 0.2, integrator, q0=[0.0, -1.0])
+    path = pi.objective.Own(lambda run: float((run.q**3).sum()), lambda run: {"q": 3 * run.q**2})
+    assert max(pi.check_gradient(run, path).values()) < 1e-7
+
+
+def test_a_wrong_slope_is_named_by_a_gradient():
+    run = pi.solve(
+        type("Wrong", (Pendulum,), {"residual_p": lambda self, *_: np.ones(3)})(), 0.01, pi.GeneralizedAlpha(h=5e-3), q0=[0.0, -1.0]
+    )
+    with pytest.raises(pi.InputError, match="residual_p.* must return finite numbers of shape"):
+        pi.gradient(run, pi.objective.Own(lambda run: 0.0, lambda run: {"q": run.q}))

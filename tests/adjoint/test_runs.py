@@ -35,6 +35,7 @@ def arm_without_motor():
 MODEL = arm()
 DEVIATION = pi.objective.Deviation("tip", (1.0, 0.3))
 ALL = DEVIATION + 1e-6 * pi.objective.PeakReaction("motor", p=4) + 1e-3 * pi.objective.StrainEnergy("arm")
+RUN = pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(h=4e-3, tolerance=1e-10))
 WAYS = {
     "fixed": ({"h": 2.3e-3}, {}),
     "a kink at a whole number of steps": ({"h": 2e-3}, {}),
@@ -146,10 +147,13 @@ def test_wrong_input():
     for given, word in (
         ({"parameters": ["arm.colour"]}, "arm.colour"),
         ({"parameters": "arm.E"}, "list of names"),
+        ({"parameters": 2}, "list of names"),
         ({"memory_limit": -1}, "bytes"),
     ):
         with pytest.raises(pi.InputError, match=word):
             pi.gradient(run, DEVIATION, **given)
+    with pytest.raises(pi.InputError, match="seed = -1 must be"):
+        pi.check_gradient(run, DEVIATION, seed=-1)
     with pytest.raises(pi.InputError, match="no objective"):
         pi.gradient(run, lambda run: 0.0)
     with pytest.raises(pi.InputError, match="no run"):
@@ -168,3 +172,33 @@ def test_a_state_to_begin_from_is_held():
     onward = pi.solve(run.model, 0.1, pi.GeneralizedAlpha(2e-3), state=run.state)
     with pytest.raises(pi.InputError, match="goes on from a state of another one"):
         pi.gradient(onward, DEVIATION)
+
+
+@pytest.mark.parametrize("last", [0.0, 1e-60])
+def test_an_objective_may_see_next_to_nothing_of_the_last_frames(last):
+    factors = np.zeros((len(RUN), 1))
+    factors[[4, -1], 0] = 1.0, last
+    seen = pi.objective.Own(lambda run: float((factors * run.q).sum()), lambda run: {"q": factors * np.ones(run.q.shape)})
+    assert max(pi.check_gradient(RUN, seen, parameters=["tip.mass", "motor.end"]).values()) < CLOSE
+
+
+def test_a_point_that_joints_hold_moves_with_nothing():
+    found = pi.gradient(RUN, pi.objective.Deviation("hub", (1.0, 0.0)), parameters=["tip.mass", "arm.E"])
+    assert found.value > 0.1 and max(abs(found[name]) for name in found) < 1e-12
+
+
+def test_a_motor_that_ends_with_the_run_is_left_out_of_the_check():
+    assert {*pi.gradient(RUN, DEVIATION)} - {*pi.check_gradient(pi.solve(MODEL, 0.04, RUN.integrator), DEVIATION)} == {
+        "motor.begin",
+        "motor.start",
+        "motor.duration",
+    }
+
+
+@pytest.mark.parametrize(
+    ("slopes", "word"),
+    [({"arm.stifness": 1.0}, "'arm.stifness' is no parameter"), ({"arm.mass": 1.0}, r"has shape \(\), the parameter \(8,\)")],
+)
+def test_own_slopes_in_parameters_are_looked_at(slopes, word):
+    with pytest.raises(pi.InputError, match=word):
+        pi.gradient(RUN, pi.objective.Own(lambda run: 1.0, lambda run: slopes))

@@ -6,7 +6,6 @@ import numpy as np
 
 from polyida.adjoint.alpha.beginning import given_velocity
 from polyida.adjoint.steps.course import course_of
-from polyida.errors import InputError
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import segments
@@ -58,14 +57,17 @@ class Again:
         return states
 
     def begins(self, model):
-        """Whether a run of another model can begin where this one did."""
+        """Whether a run of another model can begin where this one did, and take its steps between as many kinks."""
         phi = guard(model).phi(self.state.t, self.state.q)
-        return bool(np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max()))
+        near = np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max())
+        return bool(near) and len(self._edges(model)) == len(self._edges(self.model))
 
     def _times(self, model):
         """A function of the number of a state: its time, which moves evenly with the kinks about it."""
-        begin, end = float(self.run.t[0]), float(self.run.t[-1])
-        edges, others = ([begin, *(last for _, last in segments(which, begin, end))] for which in (self.model, model))
-        if len(edges) != len(others):
-            raise InputError("check_gradient: a kink of a load or motor comes into the run, or leaves it, with the parameter")
+        edges, others = self._edges(self.model), self._edges(model)
         return lambda k: float(np.interp(self.course.states(k, k + 1)[0][0], edges, others))
+
+    def _edges(self, model):
+        """The times at which the segments of a run of a model begin and end."""
+        begin, end = float(self.run.t[0]), float(self.run.t[-1])
+        return [begin, *(last for _, last in segments(model, begin, end))]

@@ -8,6 +8,7 @@ from polyida.adjoint.parameters.parameter import Parameter
 from polyida.errors import InputError
 from polyida.given import floats
 from polyida.model import NEARBY
+from polyida.model.guarded import guard
 
 
 class OfOwnModel(Parameter):
@@ -15,9 +16,9 @@ class OfOwnModel(Parameter):
 
     def work(self, work):
         """By the model's residual_p and phi_p; the slopes of rate and bias by differences."""
-        result = np.zeros(np.shape(self.value))
+        result, model = np.zeros(np.shape(self.value)), guard(self.model)
         for k, state in enumerate(zip(work.t.tolist(), work.q, work.v, work.a, work.lam)):
-            result = result + work.w[k] @ self.model.residual_p(self.name, *state)
+            result = result + work.w[k] @ model.residual_p(self.name, *state)
             for given, slope in ((work.mu, self._phi_p), (work.kappa, self._rate_p), (work.nu, self._bias_p)):
                 if given is not None and given[k].any():
                     result = result + given[k] @ slope(*state[:3])

@@ -26,7 +26,7 @@ def hold(s, c, room, drives, to_a, to_v, x):
 
 @part
 def correct(s, c, room, r, phi, dq, dlam):
-    """Fill dq (nodes, 2) and dlam of `S dq + B^T dlam = -r`, `B dq = -phi`: |S^-1 r|, or less than zero where that is singular."""
+    """Fill dq (nodes, 2) and dlam of `S dq + B^T dlam = -r`, `B dq = -phi`: the sum of |S^-1 r|, or less than zero where singular."""
     order, b, turn, size, free = c.factor.order, room.x, room.turn, LEAST, 0.0
     for i in range(r.shape[0]):
         size = max(size, abs(r[i, 0]), abs(r[i, 1]))
@@ -39,7 +39,7 @@ def correct(s, c, room, r, phi, dq, dlam):
     solve_in_place(c.factor, room.team, b)
     for i in range(r.shape[0]):
         dq[i, 0], dq[i, 1] = size * b[order[2 * i]], size * b[order[2 * i + 1]]
-        free += dq[i, 0] * dq[i, 0] + dq[i, 1] * dq[i, 1]
+        free += abs(dq[i, 0]) + abs(dq[i, 1])
     if phi.shape[0] + c.active.shape[0]:
         move_points(s, turn, dq, room.moved)
         if not close(s, c, room, phi, dlam):
@@ -49,7 +49,7 @@ def correct(s, c, room, r, phi, dq, dlam):
         p, q = dq[i, 0], dq[i, 1]
         dq[i, 0] = turn[i, 0] * p - turn[i, 1] * q
         dq[i, 1] = turn[i, 1] * p + turn[i, 0] * q
-    return np.sqrt(free)
+    return free
 
 
 @part

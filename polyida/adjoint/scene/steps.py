@@ -17,6 +17,7 @@ Q, V, A, AHEAD = range(4)  # rows of what is sent
 CONTRACTION, AGE, SOLVES, REACH, SEEN, SHARE = range(6)
 MARKS = 7
 FRESHEN = 30  # steps after which the contraction is measured again
+WILD = 16.0  # shares of differences, from which on they tell nothing: w has grown out of what was nothing
 SAMPLES = 300  # coordinates by which shares are found
 ROUND_OFF = 1e-9  # of |w|: corrections that need no longer fall
 NOTHING = 1e-14  # of what w would be without constraints: corrections of a w that these hold to zero
@@ -144,16 +145,16 @@ def residual(p, f, k, x, z):
 
 @fast
 def add_correction(z):
-    """w += dw, mu += dmu; the sums of dw^2 and w^2."""
+    """w += dw, mu += dmu; the sums of |dw| and |w|, whose squares may be too small for a number."""
     w, dw = z.now[W], z.now[DW]
     moved = size = 0.0
     for i in range(w.shape[0]):
         w[i] += dw[i]
-        moved += dw[i] * dw[i]
-        size += w[i] * w[i]
+        moved += abs(dw[i])
+        size += abs(w[i])
     for i in range(z.rows.shape[1]):
         z.rows[MU, i] += z.rows[DMU, i]
-    return np.sqrt(moved), np.sqrt(size)
+    return moved, size
 
 
 @fast
@@ -205,6 +206,8 @@ def fit(y, w):
         ad += first * d
         bd += second * d
     first, second = nearest(aa, ab, bb, ad, bd)
+    if not abs(first) + abs(second) < WILD:
+        first = second = 0.0
     seen = y.marks[SEEN]
     y.marks[SHARE] = first if seen > 3.0 else 1.0 if seen == 3.0 else 0.0
     y.marks[SHARE + 1] = second if seen > 3.0 else 0.0

@@ -50,7 +50,7 @@ class PeakReaction(TimeMean):
             size = np.linalg.norm(told.reaction, axis=1)
 
             def back(factor):
-                with np.errstate(invalid="ignore"):
+                with np.errstate(divide="ignore", invalid="ignore"):
                     toward = np.where(size[:, None] > 0, (factor / size)[:, None] * told.reaction, 0.0)
                 lam = np.zeros_like(frames.lam)
                 lam[:, columns] = told.by_multipliers(toward)

@@ -94,6 +94,7 @@ def _span(run):
     return float(np.ptp(run.t)) / max(1, len(run.t) - 1)
 
 
+NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
 FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
 
 
@@ -114,6 +115,7 @@ class _Mean:
         weights = np.convolve(steps, [0.5, 0.5]) if len(steps) else np.ones(1)
         self.value = power_mean(weights / length, s, p)
         steep = relative(s, self.value) ** (p - 1.0)
+        steep[np.abs(steep) < NOTHING * np.abs(steep).max()] = 0.0
         self.shares = weights / length * steep
         by_weights = s * steep
         turned = np.convolve(by_weights[:-1] + by_weights[1:], [-0.5, 0.5]) if len(steps) else np.zeros(1)
