@@ -243,7 +243,7 @@ class Model:
         t: the time that the function is of, which no kink that moves with a number passes then.
         """
         value = np.asarray(self.parameter(name), float)
-        room = differences.EVERYWHERE if t is None or value.ndim else self._room(name, float(value), t)
+        room: tuple[float, float] = differences.EVERYWHERE if t is None or value.ndim else self._room(name, float(value), t)
         columns = []
         for unit in np.eye(value.size).reshape(value.size, *value.shape):
             size = float(np.abs(value[unit == 1.0]).item()) or 1.0
