@@ -20,6 +20,7 @@ from polyida.model import differences
 
 Matrix = Any  # an array, or one of scipy.sparse
 NONE: MappingProxyType[str, Any] = MappingProxyType({})
+NEARBY = 1e-4  # of a parameter's size: over which kinks move evenly
 
 
 @named_keywords
@@ -226,20 +227,39 @@ class Model:
 
     def residual_p(self, name: str, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
         """dr/dp of one of `parameters`, (n,), of an array (n, ...); by differences of copies unless it is written."""
-        return self.slope_p(name, lambda model: model.residual(t, q, v, a, lam))
+        return self.slope_p(name, lambda model: model.residual(t, q, v, a, lam), t)
 
     def phi_p(self, name: str, t: float, q: NDArray) -> NDArray:
         """dphi/dp of one of `parameters`, (m,), of an array (m, ...); by differences of copies unless it is written."""
-        return self.slope_p(name, lambda model: model.phi(t, q))
+        return self.slope_p(name, lambda model: model.phi(t, q), t)
 
-    def slope_p(self, name: str, function: Callable[["Model"], NDArray]) -> NDArray:
-        """The derivative of `function(model)`, (k,), in one of `parameters`, by differences of copies, (k,), of an array (k, ...)."""
-        value = np.asarray(getattr(self, name), float)
+    def parameter(self, name: str) -> Any:
+        """The value of one of `parameters`; None where there is none of this name."""
+        return getattr(self, name, None)
+
+    def slope_p(self, name: str, function: Callable[["Model"], NDArray], t: float | None = None) -> NDArray:
+        """The derivative of `function(model)`, (k,), in one of `parameters`, by differences of copies, (k,), of an array (k, ...).
+
+        t: the time that the function is of, which no kink that moves with a number passes then.
+        """
+        value = np.asarray(self.parameter(name), float)
+        room: tuple[float, float] = differences.EVERYWHERE if t is None or value.ndim else self._room(name, float(value), t)
         columns = []
         for unit in np.eye(value.size).reshape(value.size, *value.shape):
             size = float(np.abs(value[unit == 1.0]).item()) or 1.0
-            columns.append(differences.along(lambda s, unit=unit: function(self.replaced(name, _like(value + s * unit))), size))
+            columns.append(differences.along(lambda s, unit=unit: function(self.replaced(name, _like(value + s * unit))), size, room))
         return np.stack(columns, axis=-1).reshape(len(columns[0]), *value.shape)
+
+    def _room(self, name, value, t):
+        """By how much a number may change before a kink that moves with it passes time t."""
+        about, step = (t - 1.0, t + 1.0), NEARBY * (abs(value) or 1.0)
+        kinks = self.kinks(*about)
+        low, high = (self.replaced(name, value + s).kinks(*about) for s in (-step, step)) if kinks else ((), ())
+        if not kinks or not len(low) == len(high) == len(kinks):
+            return differences.EVERYWHERE
+        speeds = np.subtract(high, low) / (2 * step)
+        reached = [(t - kink) / speed for kink, speed in zip(kinks, speeds) if speed and t != kink]
+        return max((s for s in reached if s < 0), default=-np.inf), min((s for s in reached if s > 0), default=np.inf)
 
     def step_matrix(self, linear: str = "auto") -> Any:
         """A StepMatrix of this model (linear/step_matrix.py), not factored yet; linear: which back-end, where there are several."""

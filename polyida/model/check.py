@@ -61,11 +61,12 @@ def check_derivatives(
             "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
         }
     for name in model.parameters:
-        least = np.abs(getattr(model, name)).min() or 1.0
+        least = np.abs(model.parameter(name)).min() or 1.0
         blur[f"residual_p {name}"] = force / least
-        given = (("residual_p", (t, q, v, a, lam)), ("phi_p", (t, q)))
-        written = [(function, state) for function, state in given if writes(model.user, function)]
-        pairs |= {f"{f} {name}": (getattr(model, f)(name, *state), getattr(Model, f)(model, name, *state)) for f, state in written}
+        state = t, q, v, a, lam
+        slopes = {"residual_p": (model.residual_p, Model.residual_p, state), "phi_p": (model.phi_p, Model.phi_p, state[:2])}
+        written = {key: entry for key, entry in slopes.items() if writes(model.user, key)}
+        pairs |= {f"{key} {name}": (own(name, *at), plain(model, name, *at)) for key, (own, plain, at) in written.items()}
     return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
 
 

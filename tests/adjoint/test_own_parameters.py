@@ -114,6 +114,33 @@ def test_a_parameter_that_is_no_number_is_named():
         parameters_of(type("Red", (Pendulum,), {"parameters": ("colour",), "colour": "red"})())
 
 
+class Pushed(pi.Model):
+    """A free mass that a force pushes from the time `when` on: `a = 3 (t - when)`, and so `q(1) = (1 - when)^3 / 2`."""
+
+    n, m = 1, 0
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+    parameters = ("when",)
+    when = 0.37
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        return np.array([-3.0 * max(0.0, t - self.when)])
+
+    def kinks(self, t0, t1):
+        return (self.when,) if t0 < self.when < t1 else ()
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(5e-3, tolerance=1e-10), pi.RadauIIA(h=0.05)])
+def test_differences_stay_on_one_side_of_a_kink_that_moves(integrator):
+    run = pi.solve(Pushed(), 1.0, integrator)
+    end = pi.objective.Own(lambda run: float(run.q[-1, 0]), lambda run: {"q": np.eye(len(run))[-1][:, None]})
+    found = pi.gradient(run, end)
+    assert found["when"] == pytest.approx(-1.5 * (1.0 - 0.37) ** 2, rel=1e-4)
+    assert pi.check_gradient(run, end)["when"] < 1e-6
+
+
 class Jump(Pendulum):
     """A pendulum that a wind blows at from a time on: its force jumps at a kink that moves with a parameter."""
 

@@ -6,6 +6,8 @@ import pytest
 import polyida as pi
 from polyida.adjoint.radau import scene as of_scenes
 from polyida.adjoint.radau.course import course_of
+from polyida.integrate.radau.steps import Steps
+from polyida.integrate.state import StepFailure
 from polyida.problems import andrews
 from polyida.problems.pendulum import Pendulum
 
@@ -66,6 +68,17 @@ def test_refined_and_factored_equations_agree(monkeypatch):
     monkeypatch.setattr(of_scenes, "MOST", 1)
     factored = pi.gradient(run, ALL, parameters=NAMES)
     assert all(np.allclose(refined[name], factored[name], rtol=1e-7, atol=1e-9 * np.abs(factored[name]).max()) for name in NAMES)
+
+
+def test_stages_that_the_simplified_newton_does_not_find(monkeypatch):
+    def fail(engine, state, h, t, allowed=np.inf):
+        raise StepFailure("newton", "it does not converge", t)
+
+    run = pi.solve(MODEL, 0.02, pi.RadauIIA(h=4e-3, tolerance=TIGHT))
+    found = pi.gradient(run, ALL, parameters=NAMES)
+    monkeypatch.setattr(Steps, "step", fail)
+    again = pi.gradient(run, ALL, parameters=NAMES)
+    assert all(np.allclose(found[name], again[name], rtol=1e-7, atol=1e-9 * np.abs(found[name]).max()) for name in NAMES)
 
 
 def test_models_of_ones_own():

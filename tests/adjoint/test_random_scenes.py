@@ -12,7 +12,7 @@ PLACED = {"motor.start", "motor.phase", "path.start"}  # with another one the sc
 JOINTS = [pi.Revolute, pi.Weld, pi.Slot, pi.Prismatic, pi.Clamp, pi.Revolute]
 
 ALPHA = {"tolerance": 1e-13, "rho_inf": 0.8}
-STABILISED = pi.GeneralizedAlpha(h=H / 2, form="stabilised", **ALPHA)  # which slips along the rows of Newton's iterates: exact as h falls
+STABILISED = pi.GeneralizedAlpha(h=H, form="stabilised", **ALPHA)
 INDEX3 = pi.GeneralizedAlpha(h=H, **ALPHA)
 RADAU = [pi.RadauIIA(h=2 * H, form=form, tolerance=1e-15) for form in ("ggl", "index3")]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.adjoint.parameters.times import over
+from polyida.adjoint.parameters.driven.times import over
 from polyida.force.force_element import numbers_of
 from polyida.profile import Profile
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from polyida.adjoint.parameters.driven.times import over
 from polyida.adjoint.parameters.parameter import Parameter
 from polyida.adjoint.parameters.rebuilt import changed, with_part
-from polyida.adjoint.parameters.times import over
 from polyida.assembly.loads import gravity_at
 from polyida.body.point_mass import PointMass
 from polyida.force.loads import EdgeTraction, PointLoad

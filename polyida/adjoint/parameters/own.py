@@ -4,31 +4,19 @@ from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.parameters.in_time import in_time
-from polyida.adjoint.parameters.parameter import Parameter, total
+from polyida.adjoint.parameters.parameter import Parameter
 from polyida.errors import InputError
 from polyida.given import floats
-from polyida.model.differences import along
-from polyida.model.guarded import guard, unguarded, writes
-
-STEP = 1e-4  # of a parameter's size: over which kinks move evenly
-ROOM = 1e-2  # of that size: the time on both sides of states in which kinks may come near them
+from polyida.model import NEARBY
+from polyida.model.guarded import guard
 
 
 class OfOwnModel(Parameter):
     """An attribute of a model, a number or an array."""
 
     def work(self, work):
-        """By the model's residual_p and phi_p; the slopes of rate and bias by differences.
-
-        Where it moves kinks and the model has no residual_p of its own, by differences along times that move as the kinks do: at those
-        times themselves, just beside a kink, no difference meets it.
-        """
-        by_hand = writes(unguarded(self.model), "residual_p")
-        if not by_hand and (moved := self._moved(work.t)).any():
-            at = lambda s: total(self.replaced(self.value + s), work._replace(t=work.t + s * moved))  # noqa: E731
-            return float(along(at, abs(self.value) or 1.0) - moved @ in_time(self.model, work))
-        result, model = np.zeros(np.shape(self.value)), guard(self.model) if by_hand else self.model
+        """By the model's residual_p and phi_p; the slopes of rate and bias by differences."""
+        result, model = np.zeros(np.shape(self.value)), guard(self.model)
         for k, state in enumerate(zip(work.t.tolist(), work.q, work.v, work.a, work.lam)):
             result = result + work.w[k] @ model.residual_p(self.name, *state)
             for given, slope in ((work.mu, self._phi_p), (work.kappa, self._rate_p), (work.nu, self._bias_p)):
@@ -40,10 +28,10 @@ class OfOwnModel(Parameter):
         return self.model.phi_p(self.name, t, q)
 
     def _rate_p(self, t, q, v):
-        return self.model.slope_p(self.name, lambda model: model.phi_rate(t, q, v))
+        return self.model.slope_p(self.name, lambda model: model.phi_rate(t, q, v), t)
 
     def _bias_p(self, t, q, v):
-        return self.model.slope_p(self.name, lambda model: model.phi_bias(t, q, v))
+        return self.model.slope_p(self.name, lambda model: model.phi_bias(t, q, v), t)
 
     def replaced(self, value):
         """The model with the attribute changed."""
@@ -56,25 +44,15 @@ class OfOwnModel(Parameter):
 
     def kinks(self, t0, t1):
         """By differences of the model's kinks."""
-        return {kink: speed for kink, speed in self._speeds(t0, t1).items() if speed}
-
-    def _moved(self, t):
-        """By how much times t (k,) move with it where they move evenly between kinks, (k,)."""
-        room = ROOM * np.abs(self.value).max()
-        speeds = self._speeds(t.min() - room, t.max() + room)
-        return np.interp(t, list(speeds), list(speeds.values())) if speeds else np.zeros_like(t)
-
-    def _speeds(self, t0, t1):
-        """The same, of all kinks in (t0, t1)."""
         if np.ndim(self.value):
             return {}
-        step = STEP * (abs(self.value) or 1.0)
+        step = NEARBY * (abs(self.value) or 1.0)
         near = [self.replaced(self.value + s).kinks(t0, t1) for s in (-step, step)]
         known = self.model.kinks(t0, t1)
         if not len(near[0]) == len(near[1]) == len(known):
             raise InputError(f"{self.name}: the model's kinks between {t0:g} and {t1:g} s come and go where it changes a little")
         moved = np.subtract(near[1], near[0]) / (2 * step)
-        return dict(zip(known, moved.tolist()))
+        return {kink: speed for kink, speed in zip(known, moved.tolist()) if speed}
 
 
 def of_own(model: Any) -> list[Parameter]:
@@ -83,7 +61,7 @@ def of_own(model: Any) -> list[Parameter]:
 
 
 def _value(model, name):
-    value = floats(getattr(model, name, None))
+    value = floats(model.parameter(name))
     if value is None:
         raise InputError(f"{model!r}: its parameter {name!r} must be an attribute that is a number or an array of numbers")
     return value if value.ndim else float(value)

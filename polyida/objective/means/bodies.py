@@ -2,12 +2,13 @@
 
 from polyida.errors import InputError
 from polyida.given import is_one_of
+from polyida.model.guarded import unguarded
 
 
 def chosen(part, model, given, known):
     """The bodies meant among `known`, {name: one placed}: by name or itself, or all for None. Raises InputError in the name of `part`."""
     if not model.is_scene:
-        raise InputError(f"{part}: {getattr(model, 'name', type(model).__name__)} is no scene's model; write it as a pi.objective.Own")
+        raise InputError(f"{part}: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.Own")
     if given is None and known:
         return list(known.values())
     name = named(model, given)

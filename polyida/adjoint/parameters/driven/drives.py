@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from polyida.adjoint.parameters.driven.times import ORDERS, over
 from polyida.adjoint.parameters.elements import element_work
 from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
-from polyida.adjoint.parameters.times import ORDERS, over
 from polyida.assembly.own.forces import OwnForce
 from polyida.assembly.rows.increments import drive_table
 from polyida.force.force_element import ForceElement

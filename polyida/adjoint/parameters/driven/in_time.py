@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.adjoint.parameters.drives import drive_works
+from polyida.adjoint.parameters.driven.drives import drive_works
+from polyida.adjoint.parameters.driven.times import ORDERS, over
 from polyida.adjoint.parameters.elements import element_work
 from polyida.adjoint.parameters.parameter import total
 from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
-from polyida.adjoint.parameters.times import ORDERS, over
 from polyida.assembly.own.forces import OwnForce
 from polyida.force.force_element import ForceElement
 from polyida.model.differences import FIRST_ORDER_STEP, along
