@@ -13,6 +13,7 @@ from polyida.adjoint.steps.course import course_of
 from polyida.adjoint.totals import OwnSlopes, Totals
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import Counts
+from polyida.integrate.stepping.kept import Kept
 from polyida.model.guarded import guard
 
 CHUNK = 4_000_000  # bytes of multipliers that are held at once
@@ -27,7 +28,7 @@ class Backward:
         self.course = course_of(run, self.model, memory_limit)
         self.totals = Totals(run.model, names)
         self.own = OwnSlopes(objective, run, self.course.frames, self.totals)
-        self.counts, self.sweeps = Counts(), {}
+        self.counts, self.sweeps = Counts(), Kept()
         self.moving = Moving(self.model, self.settings, run, self.totals.parameters)
         self.tied = self.settings.form == "stabilised" and self.model.m > 0
         again = self.tied or self.moving.speeds
@@ -91,11 +92,11 @@ class Backward:
                 self.moving.works(np.repeat(t, len(work.t)), work)
 
     def _sweep(self, h):
-        """The sweep of steps of this size, with the factor that it has."""
+        """The sweep of steps of this size, with the factor that it has where it is one of the last."""
         key = f"{h:.9e}"
-        if key not in self.sweeps:
-            self.sweeps[key] = _sweep_of(self.model, self.settings)(self.model, self.settings, h, self.counts)
-        return self.sweeps[key]
+        found = self.sweeps.take(key) or _sweep_of(self.model, self.settings)(self.model, self.settings, h, self.counts)
+        self.sweeps.keep(key, found)
+        return found
 
 
 def _works(t, q, v, a, lam, swept):

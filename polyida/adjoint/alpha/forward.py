@@ -8,6 +8,8 @@ import numpy as np
 from polyida.integrate.alpha.start import started
 from polyida.integrate.state import State
 
+AT_ONCE = 64  # steps that are read at once
+
 
 class Ready(NamedTuple):
     """A piece's beginning: the state, with what it had of the method's memory, and q, v, a and A that the first step began with."""
@@ -36,11 +38,17 @@ class Forward:
     def _steps(self, piece):
         """(slip, A) at the end of each step of a piece: `slip = q_1 - (q_0 + h v_0 + h^2 ((1/2 - beta) A_0 + beta A_1))`."""
         (_, q, v, a, ahead), c, h = self.ready[piece.first], self.settings.coefficients, piece.h
-        _, qs, vs, accelerations, _ = self.course.states(piece.first + 1, piece.first + piece.count + 1)
-        for q1, v1, a1 in zip(qs, vs, accelerations):
+        for q1, v1, a1 in self._ends(piece):
             ahead_1 = ((1 - c.alpha_f) * a1 + c.alpha_f * a - c.alpha_m * ahead) / (1 - c.alpha_m)
             yield q1 - (q + h * v + h * h * ((0.5 - c.beta) * ahead + c.beta * ahead_1)), ahead_1
             q, v, a, ahead = q1, v1, a1, ahead_1
+
+    def _ends(self, piece):
+        """(q, v, a) at the end of each step of a piece, of which few are read at once."""
+        end = piece.first + piece.count + 1
+        for first in range(piece.first + 1, end, AT_ONCE):
+            _, *vectors, _ = self.course.states(first, min(first + AT_ONCE, end))
+            yield from zip(*vectors)
 
     def slips(self, piece):
         """(count, n)."""
