@@ -36,7 +36,10 @@ def gradient(
     run, of RadauIIA five of large scenes and eight of small ones. A run whose frames are not all of its steps is taken again from its
     beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as checkpoints between which it is taken a third time.
 
-    A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is.
+    A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is, and so is the beginning where a motor begins
+    with the run: the slope in its begin is that with the start where it was. The model is taken as it is now: one that was changed since
+    its run gives another gradient. Laws that are not smooth (a contact that closes within a step) have differences as rough as they are:
+    1e-3 to 1e-5. A run that failed comes with a warning: J is of the frames that it has.
 
     parameters: names, or None for all that cost next to nothing: of plates `stiffness` and `mass` (a factor of each cell), `E`, `thickness`,
     `rho`; `mass` of point masses; of motors and loads the numbers of their profiles (`motor.end`, `motor.duration`, `load.amplitude` ...);

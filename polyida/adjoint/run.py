@@ -1,5 +1,7 @@
 """The gradient of a run: back through its steps by the adjoint of its integrator, then through its consistent start."""
 
+import warnings
+
 from polyida.adjoint.alpha.backward import Backward
 from polyida.adjoint.alpha.beginning import first
 from polyida.adjoint.alpha.forward import beginning
@@ -17,7 +19,10 @@ WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which s
 
 def gradient_of_run(run, objective, names, progress, memory_limit):
     """The Gradient of an objective of a run. Raises InputError for a run that has no adjoint here."""
-    back = _adjoint_of(run)(run, objective, names, memory_limit)
+    adjoint = _adjoint_of(run)
+    if not run.success:
+        warnings.warn(f"gradient: the run ended early ({run.status}, t = {run.t[-1]:.6g} s): J is of its frames alone", stacklevel=5)
+    back = adjoint(run, objective, names, memory_limit)
     sent, lam = back.through(progress)
     if run.plan.get("began") != "state":
         state = beginning(back.course, back.course.pieces[0], None)

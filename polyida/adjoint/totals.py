@@ -10,12 +10,14 @@ from polyida.objective.slopes import Slopes
 
 
 class Totals:
-    """Sums by the names of parameters. names: those that are wanted, or None for all that a model offers by itself."""
+    """Sums by the names of parameters. names: those that are wanted, or None for all that a model offers by itself; given: whether v0, the
+    velocities that a run was given, is one too.
+    """
 
-    def __init__(self, model, names=None):
+    def __init__(self, model, names=None, given=False):
         self.known = known = parameters_of(model)
-        self.parameters = {name: known[name] for name in _wanted(known, names)}
-        self.with_v0 = names is None or "v0" in names
+        self.parameters = {name: known[name] for name in _wanted(known, names, given)}
+        self.with_v0 = given and (names is None or "v0" in names)
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
 
     def work(self, work):
@@ -80,15 +82,16 @@ def _spread(own, frames):
     return Slopes(**found)
 
 
-def _wanted(known, names):
+def _wanted(known, names, given):
     """The names asked for, or all that are offered unasked."""
     if names is None:
         return [name for name, parameter in known.items() if not parameter.asked]
-    return [_known(name, known).name for name in names if name != "v0"]
+    return [_known(name, known, given).name for name in names if not (given and name == "v0")]
 
 
-def _known(name, known):
+def _known(name, known, given=False):
     """The parameter of a name. Raises InputError where there is none."""
     if not is_one_of(name, known):
-        raise InputError(f"gradient: {name!r} is no parameter of the model; known: {', '.join(map(repr, [*known, 'v0']))}")
+        names = [*known, "v0"] if given else known
+        raise InputError(f"gradient: {name!r} is no parameter of what it is taken for; known: {', '.join(map(repr, names)) or 'none'}")
     return known[name]

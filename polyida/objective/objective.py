@@ -43,6 +43,11 @@ class Objective:
 
     __rmul__ = __mul__
 
+    def __truediv__(self, number: float) -> "Sum":
+        if not (is_number(number) and number != 0):
+            raise InputError(f"an objective is divided by {number!r:.100}; use a finite number that is not zero")
+        return self * (1.0 / number)
+
     def __neg__(self) -> "Sum":
         return self * -1.0
 

@@ -113,6 +113,13 @@ def test_a_run_in_a_file(tmp_path):
     assert all(np.allclose(found[name], again[name], rtol=1e-12, atol=0.0) for name in found if not name.startswith(("motor", "v0")))
 
 
+def test_a_run_that_failed_has_the_gradient_of_its_frames_and_a_word():
+    run = pi.solve(MODEL, 1.0, pi.GeneralizedAlpha(2e-3, rtol=1e-6, max_num_steps=12))
+    assert not run.success
+    with pytest.warns(UserWarning, match="ended early .too many steps"):
+        assert pi.gradient(run, DEVIATION, parameters=["tip.mass"]).value == DEVIATION(run)
+
+
 def test_progress_goes_back_in_time():
     seen = []
     pi.gradient(pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(2e-3)), DEVIATION, progress=seen.append)
@@ -169,6 +176,8 @@ def test_a_state_to_begin_from_is_held():
     run = pi.solve(hanging.with_factors(arm=(0.9, 1.1)), 0.06, pi.GeneralizedAlpha(2e-3, tolerance=1e-10), state=pi.static(hanging))
     errors = pi.check_gradient(run, DEVIATION, parameters=["arm.stiffness", "arm.mass", "tip.mass"])
     assert max(errors.values()) < CLOSE and "v0" not in pi.gradient(run, DEVIATION)
+    with pytest.raises(pi.InputError, match="'v0' is no parameter"):
+        pi.gradient(run, DEVIATION, parameters=["v0"])
     onward = pi.solve(run.model, 0.1, pi.GeneralizedAlpha(2e-3), state=run.state)
     with pytest.raises(pi.InputError, match="goes on from a state of another one"):
         pi.gradient(onward, DEVIATION)

@@ -26,7 +26,7 @@ class Backward:
     def __init__(self, run, objective, names, memory_limit):
         self.model, self.settings = guard(run.model), run.integrator
         self.course = course_of(run, self.model, memory_limit)
-        self.totals = Totals(run.model, names)
+        self.totals = Totals(run.model, names, run.plan.get("began") != "state")
         self.own = OwnSlopes(objective, run, self.course.frames, self.totals)
         self.counts, self.sweeps = Counts(), Kept()
         self.moving = Moving(self.model, self.settings, run, self.totals.parameters)

@@ -27,7 +27,7 @@ class RadauBackward:
     def __init__(self, run, objective, names, memory_limit):
         self.model, self.settings = guard(run.model), run.integrator
         self.course, self.counts = course_of(run, self.model, memory_limit), Counts()
-        self.totals = Totals(run.model, names)
+        self.totals = Totals(run.model, names, run.plan.get("began") != "state")
         self.own = OwnSlopes(objective, run, self.course.frames, self.totals)
         self.moving = Moving(self.model, self.settings, run, self.totals.parameters)
         self.first = self._states(0, 1)[0]
