@@ -57,6 +57,8 @@ class OfOwnModel(Parameter):
 
 def of_own(model: Any) -> list[Parameter]:
     """A Parameter for each name that a model lists. Raises InputError for one that is no number or array of numbers."""
+    if isinstance(model.parameters, str):
+        raise InputError(f"{model!r}: parameters = {model.parameters!r} must be a tuple of names, ({model.parameters!r},)")
     return [OfOwnModel(name, _value(model, name), model) for name in model.parameters]
 
 
