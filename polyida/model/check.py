@@ -64,7 +64,10 @@ def check_derivatives(
         least = np.abs(model.parameter(name)).min() or 1.0
         blur[f"residual_p {name}"] = force / least
         state = t, q, v, a, lam
-        slopes = {"residual_p": (model.residual_p, Model.residual_p, state), "phi_p": (model.phi_p, Model.phi_p, state[:2])}
+        slopes: dict[str, tuple] = {
+            "residual_p": (model.residual_p, Model.residual_p, state),
+            "phi_p": (model.phi_p, Model.phi_p, state[:2]),
+        }
         written = {key: entry for key, entry in slopes.items() if writes(model.user, key)}
         pairs |= {f"{key} {name}": (own(name, *at), plain(model, name, *at)) for key, (own, plain, at) in written.items()}
     return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
