@@ -15,22 +15,23 @@ from polyida.given import is_whole
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.keywords import named_keywords
-from polyida.model.differences import central
+from polyida.model.differences import EVERYWHERE, along, central
 from polyida.trajectory import Trajectory
 
 AGAINS = {GeneralizedAlpha: Again, RadauIIA: RadauAgain}
 LITTLE = 1e-3  # of J: what J changes by with a whole parameter, below which that is no measure of errors
-STEP = 1e-3 / 7e-4  # of a parameter: about a thousandth between the runs, in units of what `central` takes
+STEP = 1e-3 / 7e-4  # of a parameter: about a thousandth between the runs, in units of what `along` takes
 
 
 @named_keywords
 def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = None, seed: int = 0) -> dict[str, float]:
     """{name: relative error} of `pi.gradient(run, objective)` against differences of fourth order of the run, the equilibrium or the modes.
 
-    That is found again with each parameter changed by a thousandth and two, up and down; of an array along one direction drawn at random
-    (seed). A run takes the same steps again, solved to a tolerance of 1e-11 or less, its pieces between kinks stretched as these move. So what is
-    seen is the error of the gradient, that of the run's own tolerance with it. Relative to the difference, or to J over a thousand times
-    the parameter where that is larger. Left out are parameters that move a kink into the run or out of it (a motor that ends with
+    That is found again with each parameter changed by a thousandth and two, up and down (what is zero and must not be negative up only);
+    of an array along one direction drawn at random (seed). A run takes the same steps again, solved to a tolerance of 1e-11 or less, its
+    pieces between kinks stretched as these move. So what is seen is the error of the gradient, that of the run's own tolerance with it,
+    and that of the differences where a motion bends over so small a change (1e-4 in a soft plate that is flung about). Relative to the difference, or to J over a thousand
+    times the parameter where that is larger. Left out are parameters that move a kink into the run or out of it (a motor that ends with
     it), or what constraints ask of the start. Raises InputError as `pi.gradient`, and for a seed that is no whole number.
     """
     if not is_whole(seed, 0):
@@ -40,13 +41,14 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     random, errors = np.random.default_rng(seed), {}
     for name in found:
         if name == "v0":
-            way, made = _way(run.v[0], random), lambda change: again.frames(run.model, change)
+            way, made, room = _way(run.v[0], random), lambda change: again.frames(run.model, change), EVERYWHERE
         else:
             parameter, way = known[name], _way(known[name].value, random)
             made = lambda change, p=parameter: again.frames(p.replaced(p.value + change))  # noqa: E731
-            if not all(again.begins(parameter.replaced(parameter.value + s * way)) for s, _ in central(STEP)):
+            room = parameter.room
+            if not all(again.begins(parameter.replaced(parameter.value + s * way)) for s, _ in central(STEP) if s > room[0]):
                 continue
-        errors[name] = _error(found, name, way, lambda s, way=way, made=made: objective(made(s * way)))
+        errors[name] = _error(found, name, way, lambda s, way=way, made=made: objective(made(s * way)), room)
     return errors
 
 
@@ -63,7 +65,7 @@ def _way(value, random):
     return size * random.uniform(-1.0, 1.0, np.shape(value)) if np.ndim(value) else size
 
 
-def _error(found, name, way, objective):
+def _error(found, name, way, objective, room):
     slope = float(np.sum(found[name] * way))
-    difference = sum(weight * objective(s) for s, weight in central(STEP))
+    difference = float(along(objective, STEP, room))
     return abs(slope - difference) / max(abs(difference), LITTLE * abs(found.value), 1e-300)

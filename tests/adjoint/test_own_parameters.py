@@ -169,3 +169,8 @@ def test_a_wrong_slope_is_named_by_a_gradient():
     )
     with pytest.raises(pi.InputError, match="residual_p.* must return finite numbers of shape"):
         pi.gradient(run, pi.objective.Own(lambda run: 0.0, lambda run: {"q": run.q}))
+
+
+def test_names_of_parameters_are_no_string():
+    with pytest.raises(pi.InputError, match=r"must be a tuple of names, \('weight',\)"):
+        parameters_of(type("One", (Pendulum,), {"parameters": "weight"})())

@@ -211,3 +211,7 @@ def test_a_motor_that_ends_with_the_run_is_left_out_of_the_check():
 def test_own_slopes_in_parameters_are_looked_at(slopes, word):
     with pytest.raises(pi.InputError, match=word):
         pi.gradient(RUN, pi.objective.Own(lambda run: 1.0, lambda run: slopes))
+
+
+def test_what_is_zero_is_checked_from_above():
+    assert max(pi.check_gradient(RUN, DEVIATION, parameters=["arm.mass_damping"]).values()) < CLOSE

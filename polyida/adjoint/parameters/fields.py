@@ -32,6 +32,11 @@ class OfField(Parameter):
     path: tuple
     asked = True
 
+    @property
+    def room(self):
+        """Of what is not negative."""
+        return POSITIVE if self.value == 0.0 else EVERYWHERE
+
     def work(self, work):
         """By differences of fourth order, which for the zero of what is not negative look ahead only."""
         return self._slope(lambda value: self._total(value, work))
@@ -49,8 +54,7 @@ class OfField(Parameter):
         return self._slope(lambda value: function(self.replaced(value)))
 
     def _slope(self, function):
-        room = POSITIVE if self.value == 0.0 else EVERYWHERE
-        return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, room))
+        return float(along(lambda s: function(self.value + s), abs(self.value) or 1.0, self.room))
 
     def _total(self, value, work):
         part = self.model.parts[self.part]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.adjoint.parameters.work import Work
+from polyida.model.differences import EVERYWHERE
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +23,7 @@ class Parameter:
     value: Any
     model: Any
     asked = False
+    room = EVERYWHERE  # in which it may be changed
 
     def work(self, work: Work) -> Any:
         """The slope, of the shape of the value, of the sum over the entries of `w . r + mu . phi + kappa . rate + nu . bias`.
