@@ -172,5 +172,5 @@ def test_a_wrong_slope_is_named_by_a_gradient():
 
 
 def test_names_of_parameters_are_no_string():
-    with pytest.raises(pi.InputError, match=r"must be a tuple of names, \('weight',\)"):
+    with pytest.raises(pi.InputError, match=r"must be a tuple of names, such as \(.weight.,\)"):
         parameters_of(type("One", (Pendulum,), {"parameters": "weight"})())
