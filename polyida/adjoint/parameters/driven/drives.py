@@ -56,11 +56,12 @@ def _add_products(model, work, found):
         return
     angles = drive_table(model, work.t, (work.t[0], work.t[-1]))[:, s.product_drive[turned]]
     turn, speed, second = np.exp(1j * angles[..., 0]), angles[..., 1], angles[..., 2]
-    vectors = _vectors(s, model.n_points)
+    vectors, used = _vectors(s, model.n_points), np.unique(s.point_nodes)
+    weights = model.point_weights[:, used].toarray().T
     first, other, rows = s.product_first[turned], s.product_second[turned], s.product_row[turned]
 
     def moved(x):
-        z = (model.point_weights @ complex_of_pairs(x.reshape(len(x), -1, 2)).T).T
+        z = complex_of_pairs(x.reshape(len(x), -1, 2)[:, used]) @ weights
         return turn * (vectors[first] @ z.T).T, (vectors[other] @ z.T).T
 
     rest = complex_of_pairs(s.vector_rest)
