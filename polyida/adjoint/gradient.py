@@ -32,8 +32,8 @@ def gradient(
 
     Of a run by the discrete adjoint of GeneralizedAlpha or RadauIIA: exact for the steps that were taken (sizes, cuts, kinks, beginnings), up
     to what Newton's tolerance left in them: 1e-9 at a tolerance of 1e-10, about the tolerance itself for what q says, more for lam and a; of
-    RadauIIA's own choice 1e-8 to 1e-6 with fixed steps, about rtol with adaptive ones. Cost, whatever the number of parameters: about one
-    run, of RadauIIA five of large scenes and eight of small ones. A run whose frames are not all of its steps is taken again from its
+    RadauIIA's own choice 1e-8 to 1e-6 with fixed steps, about rtol with adaptive ones. Cost, whatever the number of parameters: 0.9 to 1.7
+    runs, of RadauIIA five of large scenes and eight of small ones. A run whose frames are not all of its steps is taken again from its
     beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as checkpoints between which it is taken a third time.
 
     A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is, and so is the beginning where a motor begins
