@@ -31,10 +31,11 @@ def gradient(
     """The Gradient of an objective of a run, of an equilibrium of `pi.static`, or of `pi.modes`: its value and dJ/dp by name.
 
     Of a run by the discrete adjoint of GeneralizedAlpha or RadauIIA: exact for the steps that were taken (sizes, cuts, kinks, beginnings), up
-    to what Newton's tolerance left in them: 1e-9 at a tolerance of 1e-10, about the tolerance itself for what q says, more for lam and a; of
-    RadauIIA's own choice 1e-8 to 1e-6 with fixed steps, about rtol with adaptive ones. Cost, whatever the number of parameters: 0.9 to 1.7
-    runs, of RadauIIA five of large scenes and eight of small ones. A run whose frames are not all of its steps is taken again from its
-    beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as checkpoints between which it is taken a third time.
+    to what Newton's tolerance left in them: at a tolerance of 1e-10 below 1e-9 for what q says and up to 2e-7 for lam and a, by default about
+    1e-4 and 2e-2 (studies/gradient_errors.py); of RadauIIA's own choice 1e-8 to 1e-6 with fixed steps, about rtol with adaptive ones.
+    Cost, whatever the number of parameters: 0.9 to 1.7 runs, of RadauIIA five of large scenes and eight of small ones. A run whose frames
+    are not all of its steps is taken again from its beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as
+    checkpoints between which it is taken a third time.
 
     A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is, and so is the beginning where a motor begins
     with the run: the slope in its begin is that with the start where it was. The model is taken as it is now: one that was changed since

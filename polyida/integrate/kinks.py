@@ -13,12 +13,16 @@ STANDS = 1e-3  # rad, or of the scene's size: a motor or path that moves by less
 STRAIGHT = 1e-6  # distance from a straight line, over the forces' size, that is none
 
 
-def segments(model, t0, t_end):
-    """[(begin, end)] from t0 to t_end, parted at the model's kinks; kinks within round-off of an end are left out."""
+def edges(model, t0, t_end):
+    """[t0, the model's kinks, t_end]; kinks within round-off of an end are left out."""
     near = 1e-12 * max(abs(t0), abs(t_end), t_end - t0)
-    inner = [t for t in model.kinks(t0, t_end) if t0 + near < t < t_end - near]
-    edges = [t0, *inner, t_end]
-    return list(zip(edges[:-1], edges[1:]))
+    return [t0, *(t for t in model.kinks(t0, t_end) if t0 + near < t < t_end - near), t_end]
+
+
+def segments(model, t0, t_end):
+    """[(begin, end)] from t0 to t_end, parted at its `edges`."""
+    parts = edges(model, t0, t_end)
+    return list(zip(parts[:-1], parts[1:]))
 
 
 def stretches(model, t0, t_end, h, fine=moves.PARTS):

@@ -9,7 +9,7 @@ from polyida.adjoint.alpha.beginning import given_velocity
 from polyida.adjoint.steps.course import course_of
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
-from polyida.integrate.kinks import segments
+from polyida.integrate.kinks import edges
 from polyida.integrate.start import VIOLATION, restarted
 from polyida.integrate.state import Counts, State
 from polyida.integrate.stepping.grid import Grid
@@ -52,7 +52,7 @@ class Again:
         states, engine = [state], Steps(self.settings, model, Counts())
         for piece in self.course.pieces:
             grid, state = Grid(times(piece.first), times(piece.first + piece.count), piece.count), states[-1]
-            state = replace(state, memory={"begin": {}, "cut": {"cut": 1.0, "h": 0.0}}.get(piece.kind, state.memory))
+            state = state if piece.kind == "on" else replace(state, memory=piece.memory(None))
             engine.begin(started(self.settings, model, state, grid.h), grid.h)
             states += engine.run(grid)
         return states
@@ -70,10 +70,9 @@ class Again:
 
     def _times(self, model):
         """A function of the number of a state: its time, which moves evenly with the kinks about it."""
-        edges, others = self._edges(self.model), self._edges(model)
-        return lambda k: float(np.interp(self.course.states(k, k + 1)[0][0], edges, others))
+        own, others = self._edges(self.model), self._edges(model)
+        return lambda k: float(np.interp(self.course.states(k, k + 1)[0][0], own, others))
 
     def _edges(self, model):
         """The times at which the segments of a run of a model begin and end."""
-        begin, end = float(self.run.t[0]), float(self.run.t[-1])
-        return [begin, *(last for _, last in segments(model, begin, end))]
+        return edges(model, float(self.run.t[0]), float(self.run.t[-1]))

@@ -31,8 +31,7 @@ def begun(settings, model, state, piece, sent):
     taped = TapedModel(model, tape)
     vectors = [tape.var(x) for x in (state.q, state.v, state.a, state.lam, state.a)]
     q, v, a, lam, ahead = vectors
-    memory = {"begin": {}, "cut": {"cut": 1.0, "h": 0.0}, "on": {"a_alg": ahead, "h": piece.before}}[piece.kind]
-    ready = started(settings, taped, State(state.t, q, v, a, lam, memory), piece.h)
+    ready = started(settings, taped, State(state.t, q, v, a, lam, piece.memory(ahead)), piece.h)
     for var, bar in zip((ready.q, ready.v, ready.a, ready.memory["a_alg"]), sent):
         add_to(var, bar)
     tape.back()

@@ -58,5 +58,4 @@ class Forward:
 def beginning(course, piece, ahead):
     """The State that a piece's steps begin from, with the memory that its kind has; ahead: A that the steps before left."""
     t, *vectors = (x[0] for x in course.states(piece.first, piece.first + 1))
-    memory = {"begin": {}, "cut": {"cut": 1.0, "h": 0.0}, "on": {"a_alg": ahead, "h": piece.before}}[piece.kind]
-    return State(float(t), *vectors, memory)
+    return State(float(t), *vectors, piece.memory(ahead))

@@ -9,7 +9,7 @@ import numpy as np
 
 from polyida.adjoint.parameters import in_time
 from polyida.integrate.alpha.start import started
-from polyida.integrate.kinks import segments
+from polyida.integrate.kinks import edges
 
 SMALL = 1e-4  # of h, by which it is changed in differences
 
@@ -21,7 +21,7 @@ class Moving:
         begin, end = float(run.t[0]), float(run.t[-1])
         self.model, self.settings = model, settings
         moving = {name: parameter.kinks(begin, end) for name, parameter in parameters.items()}
-        self.edges = np.array([begin, *(last for _, last in segments(model, begin, end))])
+        self.edges = np.array(edges(model, begin, end))
         self.speeds = {name: self._speeds(kinks) for name, kinks in moving.items() if kinks}
         self.times, self.slopes, self.stretched = [], [], []
 

@@ -22,6 +22,10 @@ class Piece(NamedTuple):
     first: int
     count: int  # type: ignore[assignment]  # a tuple has a method of this name, of no use here
 
+    def memory(self, ahead):
+        """What generalized-alpha's memory holds of the steps before; ahead: the algorithmic acceleration that they left."""
+        return {"begin": {}, "cut": {"cut": 1.0, "h": 0.0}, "on": {"a_alg": ahead, "h": self.before}}[self.kind]
+
 
 class Room(NamedTuple):
     """What may be held: `steps`, where it is all of a run's; else `between` two checkpoints, and `checkpoints` of these. limit: in bytes."""
