@@ -68,6 +68,7 @@ class SceneModel(Masses):
             [*(OwnForce(name, element, self) for name, element in elements.items()), *(Elastic(own, self.n_nodes) for own in elastic)],
             self.n,
         )
+        self._switching = any(own.switches for own in self.own_forces.each)
         self.uneven_mass = uneven_mass(self.few, self.n)
         python = [placed.name for placed in self.few if placed.python] + [
             name for name, element in elements.items() if not element.compiled_law
@@ -152,6 +153,19 @@ class SceneModel(Masses):
     def call_all(self, t, q, v):
         """Each of a user's functions once."""
         self.force(t, q, v), self.potential(q)
+
+    @property
+    def switching(self):
+        """Whether one of its force elements declares switches, by `gap`."""
+        return self._switching
+
+    def gaps(self, t, q):
+        """Gaps of its force elements, (k,)."""
+        return self.own_forces.gaps(q) if self._switching else np.zeros(0)
+
+    def gap_names(self):
+        """The force element of each of `gaps`."""
+        return self.own_forces.gap_names(np.zeros(self.n)) if self._switching else []
 
     @property
     def not_finite(self):

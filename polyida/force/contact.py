@@ -111,6 +111,10 @@ class Contact(ForceElement):
             return float(self.radius - np.linalg.norm(w))
         return float(w[0] * x[2, 1] - w[1] * x[2, 0]) / float(np.linalg.norm(x[2]))
 
+    def gap(self, x: NDArray) -> float:
+        """`-delta`, m: the distance of the point, negative in contact."""
+        return -self.depth(x)
+
     def energy(self, x: NDArray) -> float:
         """`k delta^(n + 1) / (n + 1)`, J."""
         return self.stiffness * max(0.0, self.depth(x)) ** (self.exponent + 1.0) / (self.exponent + 1.0)

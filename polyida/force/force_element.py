@@ -65,6 +65,13 @@ class ForceElement(OwnPart):
         """Potential energy at the places x, J, of which `forces` are the falling slope, as far as they have one; None: they have none."""
         return None
 
+    def gap(self, x: NDArray) -> ArrayLike | None:
+        """Where the forces switch at the places x: a number or several, each negative where a force acts and positive where it does not.
+
+        Steps of all integrators end where one of them changes sign, and are short enough behind it; None: the forces have no switch.
+        """
+        return None
+
     def undefined(self, x: NDArray) -> str:
         """Why the forces are not finite at the places x, in words; empty where it cannot say."""
         return ""

@@ -196,6 +196,22 @@ class Model:
         """Times in (t0, t1) at which a load or motor profile is not smooth, sorted."""
         return ()
 
+    @property
+    def switching(self) -> bool:
+        """Whether it declares switches, by `gaps`."""
+        return type(self).gaps is not Model.gaps
+
+    def gaps(self, t: float, q: NDArray) -> NDArray:
+        """Where forces switch, (k,): each of its values changes sign there, and is negative where its force acts, like a distance.
+
+        Steps of all integrators end where one of them changes sign; a contact that is not declared so may be stepped over.
+        """
+        return np.zeros(0)
+
+    def gap_names(self) -> list[str]:
+        """What each of `gaps` is called in a message."""
+        return [f"gaps[{k}]" for k in range(self.gaps(0.0, np.zeros(self.n)).size)]
+
     def residual(self, t: float, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
         """`r = M a + g + phi_q^T lam`, (n,)."""
         r = self.mass(q) @ a + self.force(t, q, v)

@@ -143,6 +143,7 @@ class Guarded(Model):
             self.kinks = self._kinks
         if writes(model, "objection"):
             self.objection = self._objection
+        self.gaps = self._gaps
         for name in PASSED + tuple(name for name in OWN if writes(model, name)):
             setattr(self, name, getattr(self.user, name))
 
@@ -211,6 +212,17 @@ class Guarded(Model):
         if times is None or times.ndim != 1:
             raise InputError(f"{self.name}.kinks must return finite times in s")
         return tuple(np.unique(times).tolist())
+
+    @property
+    def switching(self):
+        """As the model says."""
+        return self.user.switching
+
+    def _gaps(self, t, q):
+        found = floats(self.user.gaps(t, read_only(q)))
+        if found is None or found.ndim != 1:
+            raise InputError(f"{self.name}.gaps must return an array (k,) of finite numbers at t = {t:.9g} s")
+        return found
 
     def _objection(self, t, q):
         return self.user.objection(t, read_only(q))

@@ -22,6 +22,7 @@ class Elastic(OwnForce):
     """The elastic force of a body of one's own, as a force on its pairs."""
 
     strain = True
+    switches = False
 
     def __init__(self, placed, n_pairs):
         from scipy.sparse import eye_array

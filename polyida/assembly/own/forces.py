@@ -5,9 +5,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from polyida.body.own_part import writes
 from polyida.errors import InputError
-from polyida.force.force_element import sides_of
-from polyida.given import complexes, is_number, on_pairs, read_only, reals
+from polyida.force.force_element import ForceElement, sides_of
+from polyida.given import complexes, floats, is_number, on_pairs, read_only, reals
 from polyida.model import differences
 from polyida.profile import constant, difference
 
@@ -64,6 +65,19 @@ class OwnForce:
         if not is_number(value):
             raise InputError(f"{self.name}: energy(x) must return a finite number or None, not {value!r}")
         return float(value)
+
+    @property
+    def switches(self):
+        """Whether it declares switches."""
+        return writes(self.element, ForceElement, "gap")
+
+    def gaps(self, q):
+        """Its gaps at q, (k,). Raises InputError for what are no finite numbers."""
+        given = self.element.gap(read_only(self.places(q)))
+        found = None if given is None else floats(given)
+        if found is None or found.ndim > 1:
+            raise InputError(f"{self.name}: gap(x) must return a finite number or an array (k,) of them, not {given!r:.100}")
+        return found.reshape(-1)
 
     def slopes(self, t, x, v, c_v, c_q):
         """`c_v df/dv + c_q df/dx`, (2 sides, 2 sides)."""
@@ -137,6 +151,14 @@ class OwnForces:
     def energy(self, q, strain):
         """Energy of those that have one, J: of bodies' strain, or all other."""
         return sum((own.energy(own.places(q)) for own in self.each if own.strain == strain), 0.0)
+
+    def gaps(self, q):
+        """Gaps of those that declare switches, (k,)."""
+        return np.concatenate([own.gaps(q) for own in self.each if own.switches])
+
+    def gap_names(self, q):
+        """What each of `gaps` belongs to."""
+        return [repr(own.name) for own in self.each if own.switches for _ in own.gaps(q)]
 
     @property
     def not_finite(self):

@@ -33,6 +33,7 @@ class Steps:
         self.loop = _loop(settings, model)(settings, model, counts, self.memory, self.trial)
         self.caution = settings.step_matrix(model).caution
         self.system = self.verdict = None
+        self.longest = 1 if model.switching else self.loop.longest  # a step that crosses a switch is taken again from the one before
         self.kept, self.pause, self.rows, self.watch = Kept(), 0, _no_rows, None
 
     def begin(self, state, h):
@@ -100,7 +101,7 @@ class Steps:
     def run(self, grid):
         """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
         done, self.verdict = grid.done, None
-        most = min(self.loop.longest, ADAPTIVE if self.control else np.inf)
+        most = min(self.longest, ADAPTIVE if self.control else np.inf)
         longest = int(max(1, min(most, self.chunk_bytes // (48 * max(1, self.model.n)))))
         while done < grid.count and self.verdict is None:
             left = self.pause - self.counts.steps

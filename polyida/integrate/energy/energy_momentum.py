@@ -7,6 +7,7 @@ from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.energy.general import General, WithForces, require_general
 from polyida.integrate.energy.midpoint import Midpoint
+from polyida.integrate.energy.steps import HALVINGS
 from polyida.integrate.kinks import at_kink, beside, enough_steps, stretches
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import Counts, State
@@ -67,7 +68,7 @@ class EnergyMomentum:
                 grid = grid._replace(done=grid.done + 1)
                 counts.steps += 1
                 yield state
-            stepper = kind(self, model, grid.h, counts, beside(end, -1) if at_kink(model, end) else end)
+            stepper = kind(self, model, grid.h, counts, beside(end, -1) if at_kink(model, end) else end, 0 if model.switching else HALVINGS)
             for k in range(grid.done + 1, count + 1):
                 state = stepper.step(state, grid.time(k))
                 counts.steps += 1

@@ -17,6 +17,7 @@ from polyida.integrate.stepping.ended import DONE, HALF_TURN, REASONS
 # constants of compiled code, some of them
 FAR_SHORTER = 10.0  # a step as many times shorter than the next tells nothing of its accelerations
 SLOW = 0.3  # contraction above which the matrix is made anew
+HALVINGS = 6  # of a step that fails
 
 
 class Steps:
@@ -26,7 +27,7 @@ class Steps:
     u0, v0, u1, lam and phi of the room, and `fresh`, whether the matrix was made in it.
     """
 
-    def __init__(self, settings, model, h, counts, until=np.inf, halvings=6):
+    def __init__(self, settings, model, h, counts, until=np.inf, halvings=HALVINGS):
         self.until, self.halvings = until, halvings
         self.settings, self.model, self.h, self.counts = settings, model, h, counts
         self.room, self.system = self._room(), None

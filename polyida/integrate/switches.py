@@ -1,0 +1,312 @@
+"""Switches of a model: where one of its `gaps` changes sign, a force comes or goes. Steps end there, and none hides one between its ends.
+
+Each step is looked at between its ends, on the motion that its integrator gives or on the cubic through q and v: for changes of sign of every
+gap, and for its least value, which its rate brackets. A step that crosses is discarded. Shorter ones are tried until one ends on the near
+side of the switch, and the run goes on from there. A step behind the closing of a gap may change the rate of that gap only by a share of
+the rate at which it closed. Steps of fixed size are parted for that while the gap is closed; error control needs it only in the first step,
+since it has not seen the force yet.
+"""
+
+import math
+from dataclasses import is_dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.integrate.running.hermite import cubic
+from polyida.integrate.sizes import extent, sizes_of_run
+from polyida.integrate.start import consistent_acceleration
+from polyida.integrate.state import State, StepFailure
+
+NEAR = 1e-9  # of a gap's size in a step: so near to zero a step ends
+LEAST = 1e-13  # of the model's size: the same where the gap is as good as zero in all of the step
+TOGETHER = 1e-4  # of a step: gaps that switch within it switch together, and one so near to its beginning there
+FIXED, VARIABLE = 0.1, 0.5  # of the rate at which a gap closed: by how much a step may change it
+SMALL = 1e-2  # of the largest rate seen: a gap that closed with less is taken as if it had closed with that
+FINEST = 256  # parts of a fixed step, at most
+DIPS, SPLITS = 24, 6  # how often a piece of a step is halved to find the least of a gap: where its rate changes sign, and elsewhere
+STEEP = 1.5  # rates within a piece over those at its ends, at most
+TRIALS = 60  # steps tried to end at one switch
+AGAIN, STANDING = 20, 1e-9  # a gap that switches so often in a row, each time within that share of the run, does so without end
+JUMP = 2.0  # forces that change by less than that when the distance to the switch is taken four times jump there
+KEPT = ("sizes", "rtol", "tolerances", "mu", "ladder")  # of the memory of a state, behind a jump of forces
+FAILURES = 6  # fixed steps in a row that fail, each a quarter of the one before
+COARSE = "coarse"  # the key in a State's memory of the gaps for which the finest part of a fixed step is too long
+
+
+class Crossing(NamedTuple):
+    """Gaps `which` (gaps,) of a step cross first at about `guess`, s; at `beyond` one of them has crossed."""
+
+    guess: float
+    beyond: float
+    which: np.ndarray
+
+
+class Switches:
+    """The states of a run of a model with gaps, from `state` to t_end: `run` yields them.
+
+    taken: a function (integrator, state, t_end) that gives the states of the integrator's own steps. State.memory "switches" is what a run
+    goes on from: bound: no step is longer, 0 where any may be; goal: a time at which a step ends, 0 where none is known; and for each gap
+    sides: 1 open, -1 closed, 0 not known yet; speeds: the rate at which it closed, 0 where it was closed from the start or is open; peaks: its
+    largest rate so far; offsets: how far from zero it was when it switched last; flips: 1 where it switches at the goal.
+    """
+
+    def __init__(self, taken, integrator, model, state, t_end, counts):
+        self.model, self.counts, self.t_end, self.span = model, counts, t_end, t_end - state.t
+        h, adapts = getattr(integrator, "h", None), getattr(integrator, "adaptive", False)
+        self.h = float(h) if isinstance(h, (int, float)) and not adapts else 0.0
+        parts = is_dataclass(integrator) and self.h and hasattr(integrator, "max_halvings")
+        self.taken, self.integrator = taken, replace(integrator, max_halvings=0) if parts else integrator
+        speed = float(np.abs(state.v).max(initial=0.0))
+        self.reach = 1e-6 * min(extent(model, state.q) / speed if speed else np.inf, self.span)
+        self.switched, self.changed = {}, 0.0
+        self.state = State(state.t, state.q, state.v, state.a, state.lam, {"sizes": sizes_of_run(model, state, t_end)} | state.memory)
+        self._recall(state)
+
+    def _recall(self, state):
+        self.here = g, rate = self._gaps(state.t, state.q, state.v)
+        kept, count = state.memory.get("switches"), len(g)
+        if np.shape(kept) == (2 + 5 * count,):
+            self.bound, self.goal = float(kept[0]), float(kept[1])
+            self.sides, self.speeds, self.peaks, self.offsets, self.flips = np.array(kept[2:]).reshape(5, count)
+            return
+        self.bound = self.goal = 0.0
+        near = np.abs(g) <= self._least(state.q)
+        self.sides, self.peaks, self.flips = np.where(near, np.sign(rate), np.sign(g)), np.abs(rate), np.zeros(count)
+        self.speeds, self.offsets = np.where(self.sides < 0, self.peaks, 0.0), np.where(near, np.abs(g), 0.0)
+
+    def _least(self, q):
+        return LEAST * extent(self.model, q)
+
+    def _gaps(self, t, q, v):
+        """(gaps, their rates by central differences along the motion)."""
+        s = self.reach
+        ahead, behind = (self.model.gaps(t + e, q + e * v) for e in (s, -s))
+        return self.model.gaps(t, q), (ahead - behind) / (2 * s)
+
+    def run(self):
+        """Yield the states. Raises StepFailure."""
+        failed = 0
+        while self.state.t < self.t_end:
+            before, t = self.counts.steps, self.state.t
+            try:
+                yield from self._piece()
+            except StepFailure:
+                failed = failed + 1 if self.state.t == t else 1
+                if not self.h or failed > FAILURES:
+                    raise
+                self.counts.steps, self.counts.rejected = max(before, self.counts.steps), self.counts.rejected + 1
+                self._shorter((self.bound or self.h) / 4)
+
+    def _piece(self):
+        """Yield states up to the goal, the end or the first step that is discarded."""
+        if self.bound and not self.goal:
+            self.goal = self.state.t + self.bound if self.state.t + 1.5 * self.bound < self.t_end else self.t_end
+        end, steps = self.goal or self.t_end, self.counts.steps
+        for after in self.taken(self.integrator, self.state, end):
+            crossing, shorter = self._look(self.state, after)
+            if crossing is None and not shorter:
+                yield self._accept(after)
+                steps = self.counts.steps
+                if end != (self.goal or self.t_end):
+                    return
+                continue
+            self.counts.steps, self.counts.rejected = steps, self.counts.rejected + 1
+            if shorter:
+                self._shorter(shorter)
+            else:
+                yield from self._to_switch(after, crossing)
+            return
+
+    def _shorter(self, bound):
+        self.bound, self.goal, self.flips = bound, 0.0, np.zeros(len(self.flips))
+
+    def _accept(self, after):
+        """The state, accepted, with all that the run goes on from."""
+        self.here = g, rate = self._gaps(after.t, after.q, after.v)
+        self.peaks = np.maximum(self.peaks, np.abs(rate))
+        self.sides = np.where((self.sides == 0) & (np.abs(g) > self._least(after.q)), np.sign(g), self.sides)
+        if self.goal and after.t >= self.goal:
+            self.goal, hit = 0.0, self.flips > 0
+            if hit.any():
+                after = self._flipped(after, hit)
+            elif self.bound:
+                grown = 2 * self.bound if self.changed < 0.25 else self.bound
+                self.bound = grown if self.h > grown and (self.sides < 0).any() else 0.0
+        lasting = [[self.bound, self.goal], self.sides, self.speeds, self.peaks, self.offsets, self.flips]
+        after.memory["switches"] = np.concatenate(lasting)
+        self.state = after
+        return after
+
+    def _flipped(self, state, hit):
+        """The state at which gaps switch."""
+        g, rate = self.here
+        for k in np.flatnonzero(hit):
+            t, times = self.switched.get(k, (-np.inf, 0))
+            times = times + 1 if state.t - t < STANDING * self.span else 0
+            self.switched[k] = state.t, times
+            if times > AGAIN:
+                raise StepFailure("switching", f"the gap of {self.model.gap_names()[k]} opens and closes without end", state.t)
+        self.sides = np.where(hit, -self.sides, self.sides)
+        self.speeds = np.where(hit, np.where(self.sides < 0, np.abs(rate), 0.0), self.speeds)
+        self.offsets, self.flips, self.bound = np.where(hit, np.abs(g), self.offsets), np.zeros(len(g)), 0.0
+        return self._behind_jump(state, hit)
+
+    def _behind_jump(self, state, hit):
+        """The state with the forces of the far side, where they jump."""
+        g, rate = self.here
+        fast = hit & (np.abs(rate) > 0)
+        if not fast.any():
+            return state
+        s = float(np.max((4 * np.abs(g) + 10 * self._least(state.q))[fast] / np.abs(rate)[fast]))
+        force = lambda s: self.model.force(state.t, state.q + s * state.v, state.v)  # noqa: E731
+        ahead = force(s)
+        change, more = (float(np.abs(x).max()) for x in (ahead - force(-s), force(4 * s) - force(-4 * s)))
+        if not (change > 1e-6 * np.abs(ahead).max() and more < JUMP * change):
+            return state
+        a, lam = consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v)
+        memory = {name: value for name, value in state.memory.items() if name in KEPT}
+        return State(state.t, state.q, state.v, a, lam, memory | {"cut": 0.0, "h": 0.0, "jumped": 1.0})
+
+    def _look(self, state, after):
+        """(the first Crossing in a step or None, the bound of a shorter one or 0)."""
+        place, length = _between(state, after), after.t - state.t
+        middle = state.t + 0.5 * length
+        seen = [(state.t, *self.here), (middle, *self._gaps(middle, *place(middle))), (after.t, *self._gaps(after.t, after.q, after.v))]
+        if shorter := self._too_long(seen, length):
+            return None, shorter
+        g = np.abs([found for _, found, _ in seen]).max(axis=0)
+        self.near = NEAR * g + self._least(state.q)
+        allowed = 4 * np.maximum(self.near, self.offsets)
+        first = None
+        for k in np.flatnonzero(self._may_cross(seen, allowed)):
+            bracket = self._bracket(k, seen, place, -allowed[k])
+            if bracket and (first is None or bracket[1] < first.beyond):
+                which = np.arange(len(g)) == k
+                first = Crossing(self._root(k, *bracket, place), bracket[1], which)
+        return first, 0.0
+
+    def _too_long(self, seen, length):
+        """A shorter bound of the step, where it changes the rate of a closed gap by too much; 0 where it does not."""
+        g, self.changed = self.here[0], 0.0
+        closed = (self.sides < 0) & (self.speeds > 0) & (bool(self.h) | (np.abs(g) == self.offsets))
+        if not closed.any():
+            return 0.0
+        rates = np.array([rate for _, _, rate in seen])
+        allowed = (FIXED if self.h else VARIABLE) * np.maximum(self.speeds, SMALL * self.peaks)
+        self.changed = float((np.ptp(rates, axis=0) / np.maximum(allowed, 1e-300))[closed].max())
+        finest = self.h / FINEST if self.h else STANDING * self.span
+        return max(finest, 0.5 * length) if self.changed > 1.0 and length > 1.01 * finest else 0.0
+
+    def _may_cross(self, seen, allowed):
+        """Which gaps (gaps,) may be beyond zero by more than is allowed anywhere in a step."""
+        may = np.zeros(len(allowed), bool)
+        for (a, ga, ra), (b, gb, rb) in zip(seen[:-1], seen[1:]):
+            least = self.sides * (ga + gb) - STEEP * np.maximum(np.abs(ra), np.abs(rb)) * (b - a)
+            may |= least < -2 * allowed
+        return may & (self.sides != 0)
+
+    def _bracket(self, k, seen, place, least):
+        """Times before and behind the first crossing of a gap, or None."""
+        side = self.sides[k]
+        points = [(t, side * float(g[k]), side * float(rate[k])) for t, g, rate in seen]
+
+        def search(first, last, depth):
+            (a, fa, da), (b, fb, db) = first, last
+            dip = da < 0 < db
+            if dip and fb >= least:
+                lowest = fa + da * (fb - fa - db * (b - a)) / (da - db)
+                if lowest >= least:
+                    return None
+            elif fb >= least and fa + fb - STEEP * max(abs(da), abs(db)) * (b - a) >= 2 * least:
+                return None
+            if depth <= 0:
+                return (a, b) if fb < least else None
+            c = 0.5 * (a + b)
+            g, rate = self._gaps(c, *place(c))
+            middle = c, side * float(g[k]), side * float(rate[k])
+            less = depth - (1 if dip else DIPS / SPLITS)
+            return search(first, middle, less) or search(middle, last, less) or ((a, b) if fb < least else None)
+
+        for first, last in zip(points[:-1], points[1:]):
+            found = search(first, last, DIPS)
+            if found:
+                return found
+        return None
+
+    def _root(self, k, a, b, place):
+        """About where a gap is zero between two times."""
+        for _ in range(40):
+            c = 0.5 * (a + b)
+            beyond = self.sides[k] * self.model.gaps(c, place(c)[0])[k] < 0.5 * self.near[k]
+            a, b = (a, c) if beyond else (c, b)
+        return a
+
+    def _to_switch(self, after, crossing):
+        """Yield the states of a step, or a few, to the first switch; none where that is at its beginning."""
+        state, whole = self.state, after.t - self.state.t
+        near, beyond, t, hit, states = state.t, crossing.beyond, crossing.guess, crossing.which, []
+        if t - state.t < TOGETHER * whole:
+            g, rate = self.here
+            self.state = self._flipped(state, hit)
+            return
+        for _ in range(TRIALS):
+            steps = self.counts.steps
+            tried, found = self._tried(t)
+            self.counts.steps = steps
+            if found is None and tried:
+                states, near = tried, t
+                g, rate = self._gaps(tried[-1].t, tried[-1].q, tried[-1].v)
+                left, falls = self.sides * g, -self.sides * rate
+                there = (left <= self.near) & (left > -4 * np.maximum(self.near, self.offsets)) & (falls > 0) & (self.sides != 0)
+                fresh = np.abs(left) <= 4 * self.offsets
+                if (there & (hit | ~fresh)).any():
+                    hit = there & (hit | ~fresh) | ((left <= TOGETHER * falls * whole) & (falls > 0) & ~fresh)
+                    break
+                ways = np.where(hit & (falls > 0), (left - 0.5 * self.near) / np.where(falls > 0, falls, 1.0), np.inf)
+                t = near + float(ways.min())
+            else:
+                beyond = min(t, beyond) if found is None else min(t, beyond, found.beyond)
+                hit, t = (hit, near) if found is None else (found.which, found.guess)
+            self.counts.rejected += 1
+            if beyond - near <= 8 * math.ulp(beyond):
+                break
+            if not near < t < beyond:
+                t = 0.5 * (near + beyond)
+        if not states:
+            self.state = self._flipped(state, hit)
+            return
+        self.counts.steps += len(states)
+        self.goal, self.flips = near, hit.astype(float)
+        for state in states:
+            yield self._accept(state)
+
+    def _tried(self, t):
+        """(states of a step, or a few, to t; their first Crossing or None); no states where they fail."""
+        here, state, states = self.here, self.state, []
+        try:
+            for after in self.taken(self.integrator, state, t):
+                crossing, _ = self._look(state, after)
+                if crossing is not None:
+                    return states, crossing
+                state = after
+                states.append(after)
+                self.here = self._gaps(after.t, after.q, after.v)
+            return states, None
+        except StepFailure:
+            return [], None
+        finally:
+            self.here = here
+
+
+def _between(before, after):
+    """A function t -> (q, v) within a step."""
+    if after.within is not None:
+
+        def inside(t):
+            state = after.within(t)
+            return state.q, state.v
+
+        return inside
+    h = after.t - before.t
+    return lambda t: cubic(before.q, before.v, after.q, after.v, h, (t - before.t) / h)
