@@ -21,7 +21,7 @@ from polyida.integrate.state import State, StepFailure
 NEAR = 1e-9  # of a gap's size in a step: so near to zero a step ends
 LEAST = 1e-13  # of the model's size: the same where the gap is as good as zero in all of the step
 TOGETHER = 1e-4  # of a step: gaps that switch within it switch together, and one so near to its beginning there
-FIXED, VARIABLE = 0.1, 0.5  # of the rate at which a gap closed: by how much a step may change it
+FIXED, VARIABLE = 0.05, 0.5  # of the rate at which a gap closed: by how much a step may change it
 SMALL = 1e-2  # of the largest rate seen: a gap that closed with less is taken as if it had closed with that
 FINEST = 256  # parts of a fixed step, at most
 DIPS, SPLITS = 24, 6  # how often a piece of a step is halved to find the least of a gap: where its rate changes sign, and elsewhere
@@ -177,7 +177,7 @@ class Switches:
             return None, shorter
         g = np.abs([found for _, found, _ in seen]).max(axis=0)
         self.near = NEAR * g + self._least(state.q)
-        allowed = 4 * np.maximum(self.near, self.offsets)
+        allowed = np.where(self._fresh(self.here[0]), 4 * np.maximum(self.near, self.offsets), 0.0)
         first = None
         for k in np.flatnonzero(self._may_cross(seen, allowed)):
             bracket = self._bracket(k, seen, place, -allowed[k])
@@ -185,6 +185,10 @@ class Switches:
                 which = np.arange(len(g)) == k
                 first = Crossing(self._root(k, *bracket, place), bracket[1], which)
         return first, 0.0
+
+    def _fresh(self, g):
+        """Which gaps have just switched, and may be on either side of zero by the round-off of that."""
+        return np.abs(g) <= self.offsets
 
     def _too_long(self, seen, length):
         """A shorter bound of the step, where it changes the rate of a closed gap by too much; 0 where it does not."""
@@ -258,10 +262,9 @@ class Switches:
                 states, near = tried, t
                 g, rate = self._gaps(tried[-1].t, tried[-1].q, tried[-1].v)
                 left, falls = self.sides * g, -self.sides * rate
-                there = (left <= self.near) & (left > -4 * np.maximum(self.near, self.offsets)) & (falls > 0) & (self.sides != 0)
-                fresh = np.abs(left) <= 4 * self.offsets
-                if (there & (hit | ~fresh)).any():
-                    hit = there & (hit | ~fresh) | ((left <= TOGETHER * falls * whole) & (falls > 0) & ~fresh)
+                there = (left > 0) & (falls > 0) & ~self._fresh(self.here[0])
+                if (there & (left <= self.near)).any():
+                    hit = there & (left <= np.maximum(self.near, TOGETHER * falls * whole))
                     break
                 ways = np.where(hit & (falls > 0), (left - 0.5 * self.near) / np.where(falls > 0, falls, 1.0), np.inf)
                 t = near + float(ways.min())
