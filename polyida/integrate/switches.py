@@ -21,7 +21,8 @@ from polyida.integrate.state import State, StepFailure
 NEAR = 1e-9  # of a gap's size in a step: so near to zero a step ends
 LEAST = 1e-13  # of the model's size: the same where the gap is as good as zero in all of the step
 TOGETHER = 1e-4  # of a step: gaps that switch within it switch together, and one so near to its beginning there
-FIXED, VARIABLE = 0.05, 0.5  # of the rate at which a gap closed: by how much a step may change it
+FIXED, VARIABLE = 0.1, 0.5  # of the rate at which a gap closed: by how much a step may change it
+BENT = 1e-3  # of the same: by how much a fixed step may be wrong in it, `h / 12` times the change of what forces make of it
 SMALL = 1e-2  # of the largest rate seen: a gap that closed with less is taken as if it had closed with that
 FINEST = 256  # parts of a fixed step, at most
 DIPS, SPLITS = 24, 6  # how often a piece of a step is halved to find the least of a gap: where its rate changes sign, and elsewhere
@@ -84,6 +85,12 @@ class Switches:
         ahead, behind = (self.model.gaps(t + e, q + e * v) for e in (s, -s))
         return self.model.gaps(t, q), (ahead - behind) / (2 * s)
 
+    def _pull(self, state):
+        """What the accelerations of a state add to the second derivatives of the gaps."""
+        s = 1e-6 * extent(self.model, state.q) / max(float(np.abs(state.a).max()), 1e-300)
+        ahead, behind = (self.model.gaps(state.t, state.q + e * state.a) for e in (s, -s))
+        return (ahead - behind) / (2 * s)
+
     def run(self):
         """Yield the states. Raises StepFailure."""
         failed = 0
@@ -131,7 +138,7 @@ class Switches:
             if hit.any():
                 after = self._flipped(after, hit)
             elif self.bound:
-                grown = 2 * self.bound if self.changed < 0.25 else self.bound
+                grown = 2 * self.bound if self.changed < 0.4 else self.bound
                 self.bound = grown if self.h > grown and (self.sides < 0).any() else 0.0
         lasting = [[self.bound, self.goal], self.sides, self.speeds, self.peaks, self.offsets, self.flips]
         after.memory["switches"] = np.concatenate(lasting)
@@ -173,7 +180,7 @@ class Switches:
         place, length = _between(state, after), after.t - state.t
         middle = state.t + 0.5 * length
         seen = [(state.t, *self.here), (middle, *self._gaps(middle, *place(middle))), (after.t, *self._gaps(after.t, after.q, after.v))]
-        if shorter := self._too_long(seen, length):
+        if shorter := self._too_long(seen, state, after):
             return None, shorter
         g = np.abs([found for _, found, _ in seen]).max(axis=0)
         self.near = NEAR * g + self._least(state.q)
@@ -190,15 +197,19 @@ class Switches:
         """Which gaps have just switched, and may be on either side of zero by the round-off of that."""
         return np.abs(g) <= self.offsets
 
-    def _too_long(self, seen, length):
+    def _too_long(self, seen, state, after):
         """A shorter bound of the step, where it changes the rate of a closed gap by too much; 0 where it does not."""
-        g, self.changed = self.here[0], 0.0
+        g, length, self.changed = self.here[0], after.t - state.t, 0.0
         closed = (self.sides < 0) & (self.speeds > 0) & (bool(self.h) | (np.abs(g) == self.offsets))
         if not closed.any():
             return 0.0
         rates = np.array([rate for _, _, rate in seen])
-        allowed = (FIXED if self.h else VARIABLE) * np.maximum(self.speeds, SMALL * self.peaks)
-        self.changed = float((np.ptp(rates, axis=0) / np.maximum(allowed, 1e-300))[closed].max())
+        size = np.maximum(np.maximum(self.speeds, SMALL * self.peaks), 1e-300)[closed]
+        self.changed = float((np.ptp(rates, axis=0)[closed] / size).max()) / (FIXED if self.h else VARIABLE)
+        if self.h:
+            turned = np.abs(self._pull(after) - self._pull(state))[closed]
+            bent = float((length / 12 * turned / size).max())
+            self.changed = max(self.changed, math.sqrt(bent / BENT))
         finest = self.h / FINEST if self.h else STANDING * self.span
         return max(finest, 0.5 * length) if self.changed > 1.0 and length > 1.01 * finest else 0.0
 
