@@ -120,9 +120,11 @@ class OwnForces:
         """These with a profile, wherever it is one of their fields, greater by `by`."""
         return OwnForces([own.pushed(profile, by) for own in self.each], self.n)
 
-    def take_from(self, r, t, q, v):
-        """Take the forces from r (n,), in place."""
+    def take_from(self, r, t, q, v, only_strain=False):
+        """Take the forces from r (n,), in place; only_strain: those of bodies' strain alone."""
         for own in self.each:
+            if only_strain and not own.strain:
+                continue
             r -= own.A.T @ own.forces(t, own.places(q), own.velocities(v)).ravel()
 
     def slopes(self, t, q, v, c_v, c_q):
