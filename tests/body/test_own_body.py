@@ -452,3 +452,14 @@ def test_every_integrator_feels_elastic_python_beside_laws(kind):
         balance = energy.total - energy.total[0] - sum(energy.work.values()) + sum(energy.dissipated.values(), np.zeros(len(run)))
         runs.append(run.q[-1])
         assert run.success and np.abs(balance).max() < 1e-3 and np.abs(runs[-1] - runs[0]).max() < 2e-5 and energy.strain[-1] > 1e-4
+
+
+def test_an_energy_that_is_not_that_of_the_elastic_force_is_told():
+    wrong = dataclass(frozen=True, eq=False)(type("Wrong", (Spring,), {"energy": lambda self, z: 1.01 * Spring.energy(self, z)}))
+    scene = pi.Scene()
+    scene.add(wrong(name="spring"))
+    model = scene.build()
+    assert pi.check_derivatives(model)["energy of spring"] == pytest.approx(0.01, rel=0.02)
+    for method in (pi.GeneralizedAlpha(h=1e-2), pi.EnergyMomentum(h=1e-2)):
+        with pytest.raises(pi.InputError, match=r"spring: its energy must have elastic\(z\) as its slope"):
+            pi.solve(model, 0.1, method)

@@ -45,6 +45,10 @@ class Elastic(OwnForce):
         """Forces on the pairs, (pairs, 2)."""
         return -pairs_of(self._call("elastic", (len(x),), x @ (1, 1j), numbers=complexes))
 
+    def conservative(self, t, x):
+        """Its forces: energy(z) is always theirs."""
+        return self.forces(t, x, x)
+
     def energy(self, x):
         """Elastic energy, J."""
         return self._energy(x @ (1, 1j))

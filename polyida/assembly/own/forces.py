@@ -5,8 +5,9 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from polyida.body.own_part import writes
 from polyida.errors import InputError
-from polyida.force.force_element import sides_of
+from polyida.force.force_element import ForceElement, sides_of
 from polyida.given import complexes, is_number, on_pairs, read_only, reals
 from polyida.model import differences
 from polyida.profile import constant, difference
@@ -56,6 +57,13 @@ class OwnForce:
     def energy(self, x):
         """Its energy, J; zero where it has none. Raises InputError for what is no finite number."""
         return self._energy(x)
+
+    def conservative(self, t, x):
+        """Its forces where nothing moves, (sides, 2), if its energy must have them as falling slope; None where it need not."""
+        if self.element.works or not writes(self.element, ForceElement, "energy"):
+            return None
+        here, later = (self.forces(at, x, np.zeros_like(x)) for at in (t, t + differences.LATER))
+        return here if np.array_equal(here, later) else None
 
     def _energy(self, x):
         value = self.element.energy(read_only(x))
