@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.model.check import require_declared
+from polyida.model.guarded import guard
 
 
 class Slider(pi.Model):
@@ -118,3 +120,123 @@ def test_a_function_of_the_wrong_shape_is_named(attribute, value):
     model = type("Misshaped", (Slider,), {attribute: value})()
     with pytest.raises(pi.InputError, match=attribute):
         pi.solve(model, 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.0])
+
+
+STEP = pi.GeneralizedAlpha(h=1e-2)
+RUN = dict(q0=[1.0, 0.0])
+PROMISES = {"mass_varies": "mass", "velocity_forces": "force", "driven": "phi", "phi_q_varies": "phi_q"}
+
+
+@pytest.mark.parametrize("integrator", [STEP, pi.IDA(), pi.RadauIIA()], ids=["alpha", "IDA", "radau"])
+@pytest.mark.parametrize("promise", PROMISES)
+def test_a_broken_promise_is_named_before_the_run(promise, integrator):
+    function = PROMISES[promise]
+    with pytest.raises(pi.InputError, match=rf"Denied\.{function} changes with .*{promise}=False: .*{promise}=True"):
+        pi.solve(denied(promise), 0.1, integrator, **RUN)
+
+
+def test_a_drive_that_begins_late_is_seen():
+    class Late(Slider):
+        needs = pi.Needs(driven=False)
+
+        def phi(self, t, q):
+            return np.array([q[0] - np.cos(q[1]) - max(0.0, t - 0.9)])
+
+        def phi_q(self, t, q):
+            return np.array([[1.0, np.sin(q[1])]])
+
+    with pytest.raises(pi.InputError, match=r"Late\.phi changes with t.*driven=True"):
+        pi.solve(Late(), 1.0, STEP, **RUN)
+
+
+@pytest.mark.parametrize("name", ["phi_q", "phi_t", "phi_rate", "phi_bias"])
+def test_a_wrong_derivative_of_phi_is_named_before_the_run(name):
+    right = getattr(Exact, name)
+    wrong = type("Wrong", (Exact,), {name: lambda self, *given: 1.001 * right(self, *given)})()
+    with pytest.raises(pi.InputError, match=rf"Wrong\.{name} is not .* by differences"):
+        pi.solve(wrong, 0.1, STEP, **RUN)
+    if name == "phi_q":
+        with pytest.raises(pi.InputError, match=r"Wrong\.phi_q is not"):
+            pi.static(wrong, q0=[1.0, 0.0])
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e6])
+def test_right_derivatives_raise_no_alarm(size):
+    """Whatever the unit of length, with a fast drive, a kink in q, and functions that are not finite, or raise, off the constraint."""
+
+    class Odd(Exact):
+        def phi(self, t, q):
+            u = q / size
+            if not 0.0 < u[0] < 1.5:
+                raise ArithmeticError("out of its range")
+            far = np.sqrt(1.2 - u[0]) + abs(u[1] - 0.05)
+            return np.array([u @ u - 1.0 - 1e-3 * np.sin(3e4 * t) + 0.0 * far]) * size
+
+        def phi_q(self, t, q):
+            return 2.0 * q[None] / size
+
+        def phi_t(self, t, q):
+            return np.array([-30.0 * np.cos(3e4 * t)]) * size
+
+        def phi_rate(self, t, q, v):
+            return self.phi_q(t, q) @ v + self.phi_t(t, q)
+
+        def phi_bias(self, t, q, v):
+            return np.array([2.0 * v @ v / size + 9e5 * np.sin(3e4 * t) * size])
+
+    start = size * np.array([1.0, 0.0])
+    for t_end in (1e-5, 1.0, 100.0):
+        require_declared(guard(Odd()), 0.0, start, 0.0 * start, t_end)
+
+
+class Skate(pi.Model):
+    """A skate (x, y, angle) on a slope along x: it moves along its blade alone, which no phi says."""
+
+    n, m = 3, 1
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
+
+    def mass(self, q):
+        return np.eye(3)
+
+    def force(self, t, q, v):
+        return np.array([-2.0, 0.0, 0.0])
+
+    def phi(self, t, q):
+        return np.zeros(1)
+
+    def phi_q(self, t, q):
+        return np.array([[-np.sin(q[2]), np.cos(q[2]), 0.0]])
+
+    def phi_rate(self, t, q, v):
+        return self.phi_q(t, q) @ v
+
+
+@pytest.mark.parametrize("integrator", [STEP, pi.RadauIIA(), pi.IDA(), pi.IDA(form="index2")], ids=["alpha", "radau", "ggl2", "index2"])
+def test_a_rate_that_is_no_derivative_of_phi_is_named(integrator):
+    with pytest.raises(pi.InputError, match=r"Skate\.phi_rate is not d phi/dt .*nonholonomic=True"):
+        pi.solve(Skate(), 0.1, integrator, v0=[0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("form", ["index2", "index1"])
+def test_a_nonholonomic_model_runs_where_it_is_allowed(form):
+    """The cycloid of Neimark and Fufaev (1972): x = g / (2 w^2) sin^2(w t), y = g / (2 w^2) (w t - sin(2 w t) / 2)."""
+    w, t = 1.5, 2.0
+    run = pi.solve(Skate(), t, pi.IDA(form=form, rtol=1e-9, nonholonomic=True), v0=[0.0, 0.0, w])
+    assert run.success and np.allclose(run.q[-1], [np.sin(w * t) ** 2 / w**2, (w * t - np.sin(2 * w * t) / 2) / w**2, w * t], atol=1e-6)
+    wrong = type("Wrong", (Skate,), {"phi_bias": lambda self, t, q, v: np.ones(1)})()
+    with pytest.raises(pi.InputError, match=r"Wrong\.phi_bias is not"):
+        pi.solve(wrong, t, pi.IDA(form=form, nonholonomic=True), v0=[0.0, 0.0, w])
+
+
+def test_nonholonomic_is_of_two_forms_alone():
+    for given in (dict(nonholonomic=True), dict(form="index2", nonholonomic=1)):
+        with pytest.raises(pi.InputError, match="nonholonomic"):
+            pi.IDA(**given)
+
+
+@pytest.mark.parametrize("name", ["phi", "phi_q"])
+def test_a_model_without_a_function_of_its_constraints_is_named(name):
+    model = type("Bare", (Slider,), {name: getattr(pi.Model, name)})()
+    for ask in (lambda: pi.solve(model, 0.1, STEP, **RUN), lambda: pi.static(model), lambda: pi.linearise(model), lambda: pi.modes(model)):
+        with pytest.raises(pi.InputError, match=rf"Bare: m = 1 constraints, but its class gives no {name}\(t, q\)"):
+            ask()

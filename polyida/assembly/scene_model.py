@@ -9,7 +9,7 @@ from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import bilinear, concatenated, shifting_drives, turning_drives
 from polyida.assembly.bodies.damping import add_damping, damped_blocks
 from polyida.assembly.bodies.motion import velocity_at
-from polyida.assembly.bodies.own import Elastic, uneven_mass
+from polyida.assembly.bodies.own import Elastic, uneven_drag, uneven_mass
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
 from polyida.assembly.drawn import deepest
 from polyida.assembly.factors.scaled import factors_of, scaled, told
@@ -69,7 +69,7 @@ class SceneModel(Masses):
             self.n,
         )
         self._switching = any(own.switches for own in self.own_forces.each)
-        self.uneven_mass = uneven_mass(self.few, self.n)
+        self.uneven_mass, self.uneven_drag = uneven_mass(self.few, self.n), uneven_drag(self.few, self.n)
         python = [placed.name for placed in self.few if placed.python] + [
             name for name, element in elements.items() if not element.compiled_law
         ]
@@ -142,17 +142,17 @@ class SceneModel(Masses):
         """r with what `evaluate` leaves out: damping and force elements."""
         if self.damped:
             add_damping(self.arrays, self._nodal(q), self._nodal(v), np.empty((self.n_nodes, 2)), r.reshape(-1, 2))
-        if self.laws is None:
-            self.own_forces.take_from(r, t, q, v)
-            return r
-        add_own_forces(self.laws, self.arrays.links, self.drives(t), self._nodal(q), self._nodal(v), r.reshape(-1, 2))
-        if not np.isfinite(r).all():
-            self.own_forces.take_from(r, t, q, v)  # which knows by whose doing
+        if self.uneven_drag is not None:
+            r += self.uneven_drag @ v
+        if self.laws is not None:
+            add_own_forces(self.laws, self.arrays.links, self.drives(t), self._nodal(q), self._nodal(v), r.reshape(-1, 2))
+        # in Python: what the laws do not hold, and all where r is not finite, which tells whose fault that is
+        self.own_forces.take_from(r, t, q, v, only_strain=self.laws is not None and bool(np.isfinite(r).all()))
         return r
 
     def call_all(self, t, q, v):
         """Each of a user's functions once."""
-        self.force(t, q, v), self.potential(q)
+        self.own_forces.take_from(np.zeros(self.n), t, q, v), self.potential(q)
 
     @property
     def switching(self):
@@ -284,6 +284,8 @@ class SceneModel(Masses):
     def _forces_q(self, t, q, v, c_v, c_q):
         """`c_v dg/dv + c_q dg/dq`, (n, n) sparse."""
         bodies = self._bodies_q(q, v, c_v, c_q)
+        if self.uneven_drag is not None:
+            bodies = bodies + c_v * self.uneven_drag
         return bodies if not self.own_forces else (bodies + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
 
     def _bodies_q(self, q, v, c_v, c_q):

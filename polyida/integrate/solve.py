@@ -16,7 +16,7 @@ from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole
 from polyida.integrate.running.recorder import Recorder, require_sensors
 from polyida.integrate.running.run import Run, constant_step
-from polyida.integrate.start import consistent_state, require_state, restarted
+from polyida.integrate.start import consistent_state, given, require_state, restarted
 from polyida.integrate.state import Counts, Integrator, State
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
@@ -24,6 +24,7 @@ from polyida.io.store import FrameStore
 from polyida.keywords import named_keywords
 from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
+from polyida.model.check import require_declared
 from polyida.model.guarded import guard, require_functions
 from polyida.sensor import Sensor
 
@@ -94,7 +95,7 @@ def solve(
     path = None if out is None else free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
-        state = _first(model, t0, state, q0, v0)
+        state = _first(model, t0, state, q0, v0, t_end, getattr(integrator, "nonholonomic", False))
         getattr(integrator, "require_reach", lambda *run: None)(guard(model), state, t_end)
         recorder, file = Recorder(guard(model), sensors or {}), None
         recorder.step(state)
@@ -109,13 +110,19 @@ def solve(
     return found
 
 
-def _first(model, t0, state, q0, v0):
-    """The state to begin with; one that is not known to be accepted is put on the constraints."""
+def _first(model, t0, state, q0, v0, t_end, nonholonomic):
+    """The state to begin with; one that is not known to be accepted is put on the constraints. What the model says of itself is looked at."""
+    known = guard(model)
+    if state is not None:
+        state = require_state("solve", known, state)
+        t0, q, v = state.t, state.q, state.v
+    else:
+        q, v = given(known, "q0", q0), given(known, "v0", v0)
+    require_functions(known, float(t0), q, v)
+    require_declared(known, float(t0), q, v, float(t_end), nonholonomic)
     if state is None:
         return consistent_state(model, t0, q0, v0)
-    model, state = guard(model), require_state("solve", model, state)
-    require_functions(model, state.t, state.q, state.v)
-    return state if state.restart else restarted(model, state)
+    return state if state.restart else restarted(known, state)
 
 
 def require_run(model, t_end, begin, integrator):

@@ -1,4 +1,6 @@
-"""The derivatives that a model writes, compared with differences of what they are derivatives of."""
+"""What a model says of itself, looked at: the derivatives that it writes, compared with differences, and what its `needs` promise."""
+
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,11 +10,18 @@ from polyida.given import floats, is_number, is_whole
 from polyida.keywords import named_keywords
 from polyida.linear.matrix import dense
 from polyida.model import Model, differences
-from polyida.model.guarded import guard, writes
+from polyida.model.guarded import SAME, guard, writes
 
 ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of what it is taken of
 TRIES = 8  # states that are drawn until forces are finite
 ONE_SIDED = 8  # by how much more of it a difference beside a kink has
+REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: how far from the start a state is drawn, the first where phi is finite
+SCALES = (1.0, 1e-2, 1e-4)  # of a difference's step: where two of them agree, the difference is known
+AGREES = 1e-5  # of its size, by which a derivative may be off
+DOUBT = 10.0  # times by how much differences disagree
+ROUND = 64 * np.finfo(float).eps  # of a function, over a step: round-off of its difference
+MOMENTS = 8  # times at which phi is looked at
+VELOCITY_ROWS = '; a velocity constraint that has no phi needs IDA(form="index2", nonholonomic=True), or "index1"'
 
 
 @named_keywords
@@ -70,7 +79,77 @@ def check_derivatives(
         }
         written = {key: entry for key, entry in slopes.items() if writes(model.user, key)}
         pairs |= {f"{key} {name}": (own(name, *at), plain(model, name, *at)) for key, (own, plain, at) in written.items()}
+    for name, energy, slope, force in _energies(model, t, q):
+        blur[name] = ROUND_OFF * max(abs(energy), np.abs(force).max())
+        pairs[name] = slope, -force
     return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
+
+
+def _energies(model, t, q):
+    """(name, energy, J, its slope by differences, force) of all that has an energy of which its force at v = 0 must be the falling slope."""
+    if not model.is_scene:
+        force, energy = _said(lambda: _conservative(model, t, q)), model.potential
+        if force is not None:
+            yield "potential", energy(q), differences.jacobian(lambda x: np.array([energy(x)]), q, 1)[0], force
+        return
+    for own in model.own_forces.each:
+        x = own.places(q)
+        force, reach = _said(lambda own=own, x=x: own.conservative(t, x)), np.broadcast_to(own.sizes, x.shape)
+        if force is not None:
+            moved = lambda s, own=own, x=x, reach=reach: np.array([own.energy(x + reach * s.reshape(x.shape))])  # noqa: E731
+            yield f"energy of {own.name}", own.energy(x), differences.jacobian(moved, np.zeros(x.size), 1)[0], (reach * force).ravel()
+
+
+def _said(call):
+    """What a call gives; None where it raises, as at times at which forces are not known."""
+    with suppress(Exception):
+        return call()
+    return None
+
+
+def _conservative(model, t, q):
+    """Minus the force g at rest, (n,), of a model of one's own whose potential must have it as slope; None where it has powers, or time is in g."""
+    if writes(model.user, "powers") or model.potential(q) is None:
+        return None
+    here, later = (model.force(time, q, np.zeros(model.n)) for time in (t, t + differences.LATER))
+    return -here if np.array_equal(here, later) else None
+
+
+def require_energies(model, t, q, strain_only=False):
+    """Raise InputError for an energy that forces at v = 0 are not the falling slope of, at two places drawn at random near q (n,).
+
+    It is looked at of bodies of one's own (strain_only), and of force elements and models of one's own that say that they are conservative.
+    """
+    random = np.random.default_rng(0)
+    if not model.is_scene:
+        wrong = _wrong_slope(model.potential, lambda x: _conservative(model, t, x), q, _size(q), random)
+        if wrong:
+            advice = "correct it, or, if forces do more than that, give powers(t, q, v, lam)"
+            raise InputError(f"{model.name}.potential(q) must have force(t, q, 0) as its slope: {wrong}; {advice}")
+        return
+    for own in model.own_forces.each:
+        if (strain_only and not own.strain) or type(own.element).__module__.startswith("polyida."):
+            continue
+        if wrong := _wrong_slope(own.energy, lambda x, own=own: own.conservative(t, x), own.places(q), own.sizes, random):
+            advice = "correct one of them" + ("" if own.strain else "; an element that works on what does not move says `works = True`")
+            what = "elastic(z) as its slope" if own.strain else "the forces at v = 0 as its falling slope"
+            raise InputError(f"{own.name}: its energy must have {what}: {wrong}; {advice}")
+
+
+def _wrong_slope(energy, forces, x, sizes, random):
+    """What forces say of the slope of an energy near x, along a direction, and what differences do; empty where they agree or say nothing."""
+    for reach in (0.3, 0.03):
+        place, d = x + reach * sizes * random.standard_normal(x.shape), sizes * random.standard_normal(x.shape)
+        with suppress(Exception), np.errstate(all="ignore"):
+            force = forces(place)
+            if force is None:
+                continue
+            written, size = np.array([-np.vdot(force, d)]), np.abs(force * d).sum()
+            moved = lambda s, at=place, d=d: np.array([energy(at + s * d)])  # noqa: E731
+            wrong = _wrong(lambda w=written: w, moved, 1.0, differences.EVERYWHERE, 1, lambda size=size: size)
+            if wrong:
+                return wrong.replace("row 0", "along a direction it")
+    return ""
 
 
 def _drawn(model, t, random, given):
@@ -93,3 +172,136 @@ def _vector(name, value, size):
     if array is None or array.shape != (size,):
         raise InputError(f"check_derivatives: {name} = {value!r} must be {size} finite numbers")
     return array
+
+
+def require_declared(model, t, q, v, t_end=None, nonholonomic=False):
+    """Raise InputError where a model of one's own breaks a promise of its `needs`, or writes a wrong derivative of phi.
+
+    It is looked at at two states drawn at random near q and v (n,), at times between t and t_end. What is not finite there, or raises, is
+    passed over, and so is a derivative where differences of unlike steps disagree, as beside a kink. nonholonomic: phi_rate is a
+    constraint of its own, linear in v with the slope phi_q; only that, and phi_bias, are compared then.
+    """
+    if model.is_scene:
+        require_energies(model, t, q, strain_only=True)
+        return
+    random = np.random.default_rng(0)
+    with np.errstate(all="ignore"):
+        for first in range(2):
+            state = _near(model, t, t if t_end is None else t_end, q, v, random, REACHES[first:])
+            if state is not None:
+                _require_needs(model, *state, random)
+                _require_derivatives(model, *state, random, nonholonomic)
+
+
+def _near(model, t, t_end, q, v, random, reaches):
+    """(times, q, v) beside a state where the model's functions are finite, or None."""
+    times = t + (t_end - t) * np.array([*(0.2 + 0.6 * random.random(MOMENTS)), 0.0, 1.0])
+    drawn = [random.standard_normal(model.n) for _ in range(2)]
+    for reach in reaches:
+        with suppress(Exception):
+            sizes = _size(q), _size(v, _size(q))
+            at, speed = (x + reach * size * d for x, size, d in zip((q, v), sizes, drawn))
+            found = [model.mass(at).sum(), model.force(times[0], at, speed)]
+            found += [model.phi(times[0], at), model.phi_q(times[0], at).sum()] if model.m else []
+            if all(np.isfinite(x).all() for x in found):
+                return times, at, speed
+    return None
+
+
+def _size(x, otherwise=1.0):
+    return float(np.abs(x).max(initial=0.0)) or otherwise
+
+
+def _require_needs(model, times, q, v, random):
+    """Raise InputError for a promise that does not hold."""
+    needs, d = model.needs, 1e-3 * _size(q) * random.standard_normal(model.n)
+    t, other = times[0], _size(v) * random.standard_normal(model.n)
+    promises = [
+        ("mass_varies", "mass", "changes with q", [lambda: model.written_mass(q), lambda: model.written_mass(q + d)]),
+        ("velocity_forces", "force", "changes with v", [lambda: model.force(t, q, v), lambda: model.force(t, q, other)]),
+    ]
+    if model.m:
+        promises += [
+            ("driven", "phi", "changes with t", [lambda at=at: model.phi(at, q) for at in times]),
+            ("phi_q_varies", "phi_q", "changes with q", [lambda: model.phi_q(t, q), lambda: model.phi_q(t, q + d)]),
+        ]
+    for name, function, how, calls in promises:
+        if not getattr(needs, name) and (change := _change(calls)) is not None:
+            raise InputError(
+                f"{model.name}.{function} {how}, an entry by {change:.3g}, though its needs promise {name}=False: "
+                f"its needs must say {name}=True, or {function} must not change"
+            )
+
+
+def _change(calls):
+    """The largest change of an entry from the first call's on, None where it is none but round-off."""
+    values = []
+    for call in calls:
+        with suppress(Exception):
+            values.append(dense(call()))
+    finite = [value for value in values if np.isfinite(value).all()]
+    change = max((np.abs(value - finite[0]).max(initial=0.0) for value in finite[1:]), default=0.0)
+    return change if change > SAME * max((np.abs(value).max(initial=0.0) for value in finite), default=0.0) else None
+
+
+def _require_derivatives(model, times, q, v, random, nonholonomic):
+    """Raise InputError for a derivative of phi that is written and wrong."""
+    if not model.m:
+        return
+    t, ends = times[0], (times.min() - times[0], times.max() - times[0])
+    d, length = _size(q) * random.standard_normal(model.n), ends[1] - ends[0] or 1.0
+    smooth = model._smooth(t)
+    room = smooth if ends[0] == ends[1] else (max(smooth[0], ends[0]), min(smooth[1], ends[1]))
+    pace = min(length, _size(q) / _size(v))
+    everywhere = differences.EVERYWHERE
+
+    def size():  # of what phi is the sum of, whose round-off it has
+        return np.abs(dense(model.phi_q(t, q))) @ (np.abs(q) + np.abs(v)) + np.abs(model.phi_t(t, q) * t)
+
+    moving, rate = (lambda s: model.phi(t + s, q + s * v)), (lambda s: model.phi_rate(t + s, q + s * v, v))
+    if nonholonomic:
+        compared = [
+            (
+                "phi_q",
+                "the slope of phi_rate in v",
+                lambda: model.phi_q(t, q) @ d,
+                lambda s: model.phi_rate(t, q, v + s * d),
+                1.0,
+                everywhere,
+                1,
+            ),
+            ("phi_bias", "d/dt of phi_rate at constant v", lambda: model.phi_bias(t, q, v), rate, pace, room, 1),
+        ]
+    else:
+        compared = [
+            ("phi_rate", "d phi/dt = phi_q v + phi_t", lambda: model.phi_rate(t, q, v), moving, pace, room, 1),
+            ("phi_bias", "d2 phi/dt2 at constant v", lambda: model.phi_bias(t, q, v), moving, pace, room, 2),
+            ("phi_q", "the derivative of phi in q", lambda: model.phi_q(t, q) @ d, lambda s: model.phi(t, q + s * d), 1.0, everywhere, 1),
+            ("phi_t", "the derivative of phi in t", lambda: model.phi_t(t, q), lambda s: model.phi(t + s, q), length, room, 1),
+        ]
+    for name, meaning, call, function, scale, within, order in compared:
+        if writes(model.user, name) and (wrong := _wrong(call, function, scale, within, order, size)):
+            advice = VELOCITY_ROWS if name in ("phi_rate", "phi_bias") and not nonholonomic else ""
+            raise InputError(f"{model.name}.{name} is not {meaning}: {wrong}, at t = {t:.6g} s; correct it{advice}")
+
+
+def _wrong(call, function, scale, room, order, size):
+    """What a derivative that is written gives, and what differences of the function do, in words; empty where they agree, or none is known."""
+    with suppress(Exception):
+        written, (found, doubt) = np.asarray(call()), _known(function, scale, room, order, size)
+        off = np.abs(written - found) - DOUBT * doubt - AGREES * np.maximum(np.abs(written), np.abs(found))
+        worst = int(np.argmax(off))
+        if np.isfinite(off).all() and off[worst] > 0.0:
+            return f"row {worst} is {written[worst]:.6g} and by differences {found[worst]:.6g}"
+    return ""
+
+
+def _known(function, scale, room, order, size):
+    """(derivative, doubt), (m,) each: by the longest differences, of SCALES, from which shorter ones differ by round-off alone, or by least."""
+    steps = [differences.FIRST_ORDER_STEP * scale * part for part in SCALES]
+    found = [differences.within(function, room, step, order) for step in steps]
+    noise = [ROUND * (np.abs(np.asarray(function(0.0))) + size()) / step**order for step in steps]
+    apart = [np.maximum(np.abs(one - other) - blur, 0.0) for one, other, blur in zip(found, found[1:], noise[1:])]
+    doubts = [np.max(apart[k:], axis=0) + noise[k] for k in range(len(apart))]
+    best = int(np.argmin([doubt.sum() if np.isfinite(doubt).all() else np.inf for doubt in doubts]))
+    return found[best], doubts[best]

@@ -4,6 +4,7 @@ import numpy as np
 
 FIRST_ORDER_STEP = np.finfo(float).eps ** (1 / 5)  # balances the h^4 truncation against round-off / h
 EVERYWHERE = (-np.inf, np.inf)
+LATER = 0.37  # s: when forces are looked at again, whether time is in them
 SPACES = 6  # between the values of a difference that is not central
 
 

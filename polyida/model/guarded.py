@@ -133,12 +133,15 @@ class Guarded(Model):
         self.n, self.m, self.needs, self._calls, self._constant = int(n), int(m), model.needs, 0, None
         self.flexible, self.alike, self.carries = model.flexible, model.alike, model.carries
         self.dissipating, self.parameters = model.dissipating, model.parameters
+        for name in ("phi", "phi_q") if self.m else ():
+            if not writes(model, name):
+                raise InputError(f"{self.name}: m = {self.m} constraints, but its class gives no {name}(t, q)")
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         for name, shape in _shapes(self.n, self.m).items():
             if writes(model, name) and (self.m or name not in OF_CONSTRAINTS):
                 setattr(self, name, self._checked(name, getattr(model, name), shape))
         if "mass" in vars(self):
-            self._mass_at, self.mass = self.mass, self._mass
+            self.written_mass, self.mass = self.mass, self._mass
         if writes(model, "kinks"):
             self.kinks = self._kinks
         if writes(model, "objection"):
@@ -188,7 +191,7 @@ class Guarded(Model):
         self._calls += 1
         due = not self._calls & (self._calls - 1)
         if due or self.needs.mass_varies:
-            M, before = self._mass_at(q), self._constant
+            M, before = self.written_mass(q), self._constant
             if due:
                 self._look_at_mass(M, M if before is None else before)
             if self.needs.mass_varies:

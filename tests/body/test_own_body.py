@@ -1,12 +1,15 @@
 """Bodies of one's own: against ordinary differential equations, joined to plates and each other, in files; and what is wrong with one."""
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import pytest
+from numba import njit
 from scipy.integrate import solve_ivp
 
 import polyida as pi
+from polyida.model.differences import jacobian
 
 G, LENGTH, MASS = 9.81, 1.0, 2.0
 
@@ -316,3 +319,147 @@ def test_parts_are_looked_at():
 
     with pytest.raises(pi.InputError, match="field `name"):
         pi.Scene().add(Bare())
+
+
+@dataclass(frozen=True, eq=False)
+class Uneven(Spring):
+    """Masses that differ along x and y, and a drag."""
+
+    def mass_matrix(self):
+        return np.diag([0.5, 0.9, 0.5, 0.8])
+
+    def damping(self):
+        return 0.7, 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Formed(Spring):
+    """One vector whose energy is given in Python and as a form: kernels take the form."""
+
+    def mass_matrix(self):
+        return 0.5 * np.eye(2)
+
+    def attachments(self):
+        return {"a": [1.0, 0.0], "b": [1.0, 1.0]}
+
+    def translation(self):
+        return [1.0, 0.0]
+
+    def elastic(self, z):
+        return np.array([0.0, 2.0 * self.k * (abs(z[1]) ** 2 - 1.0) * z[1]])
+
+    def energy(self, z):
+        return 0.5 * self.k * (abs(z[1]) ** 2 - 1.0) ** 2
+
+    def form(self):
+        return [[self.k]], [0.0]
+
+
+def drawn_together(x, v, data):
+    pull = data[0] * (x[1] - x[0]) + data[1] * (v[1] - v[0])
+    return np.stack((pull, -pull))
+
+
+class Drawn(pi.ForceElement, part=False):
+    """A spring and a damper of rest length zero between two points."""
+
+    def sides(self):
+        return (self.a, self.b)
+
+    def energy(self, x):
+        return 0.5 * self.k * float((x[1] - x[0]) @ (x[1] - x[0]))
+
+
+@dataclass(frozen=True, eq=False)
+class InPython(Drawn):
+    a: object
+    b: object
+    k: float = 20.0
+    c: float = 3.0
+    name: str | None = None
+
+    def forces(self, t, x, v):
+        return drawn_together(x, v, (self.k, self.c))
+
+
+@njit
+def drawn_law(t, x, v, data, f):
+    f[0] = data[0] * (x[1] - x[0]) + data[1] * (v[1] - v[0])
+    f[1] = -f[0]
+
+
+@dataclass(frozen=True, eq=False)
+class ByLaw(Drawn):
+    a: object
+    b: object
+    k: float = 20.0
+    c: float = 3.0
+    name: str | None = None
+
+    law = drawn_law
+
+
+PARTS = {
+    "spring": lambda b, wheel: pi.SpringDamper(b.at("b"), wheel.at("tip"), stiffness=50.0, damping=2.0, length=0.4),
+    "torsion": lambda b, wheel: pi.TorsionSpring(pi.ground, wheel.at("tip"), stiffness=4.0, damping=0.3),
+    "contact": lambda b, wheel: pi.Contact(b.at("a"), wheel.at("tip"), stiffness=1e3, radius=2.0),
+    "python": lambda b, wheel: InPython(b.at("a"), wheel.at("tip")),
+    "law": lambda b, wheel: ByLaw(b.at("a"), wheel.at("tip"), k=10.0),
+    "torque": lambda b, wheel: pi.Torque(wheel.at("tip"), 3.0),
+    "load": lambda b, wheel: pi.PointLoad(b.at("b"), (1.0, 2.0)),
+    "joint": lambda b, wheel: pi.Revolute(b.at("a"), pi.ground),
+}
+
+
+def beside(kind, *parts, **options):
+    """The model of a body of one's own and a wheel, with some of PARTS."""
+    scene = pi.Scene(gravity=(0.3, -G))
+    body = scene.add(kind(name="own", **options))
+    wheel = scene.add(pi.RigidBody(mass=2.0, inertia=0.1, points={"tip": (0.3, 0.1)}, origin=(1.0, 0.5), name="wheel"))
+    scene.add(pi.PointMass(body.at("b"), 0.3))
+    for part in parts:
+        scene.add(PARTS[part](body, wheel))
+    return scene.build()
+
+
+@pytest.mark.parametrize("kind", [Spring, Uneven, Formed])
+def test_the_residual_holds_each_part_once(kind):
+    """By any two parts together, and by all, it changes as by each alone; without loads and speeds it is the slope of the potential."""
+    random, plain = np.random.default_rng(1), beside(kind)
+    q, v, a = 0.3 * random.standard_normal((3, plain.n))
+    lam = random.standard_normal(plain.m + 2)
+
+    def gained(*parts):
+        model = beside(kind, *parts)
+        at_joint = [*lam[1:], lam[0]] if "joint" in parts else lam[:1]
+        if not {"torque", "load"} & {*parts}:
+            slope = jacobian(lambda x: np.array([model.potential(x)]), q, 1)[0]
+            assert np.abs(model.force(0.1, q, 0.0 * v) - slope).max() < 1e-7 * np.abs(slope).max()
+        return model.residual(0.1, q, v, a, np.array(at_joint)) - plain.residual(0.1, q, v, a, lam[:1])
+
+    alone = {part: gained(part) for part in PARTS}
+    for parts in (*combinations(PARTS, 2), tuple(PARTS)):
+        assert np.abs(gained(*parts) - sum(alone[part] for part in parts)).max() < 1e-9
+
+
+@pytest.mark.parametrize("kind", [Spring, Uneven])
+def test_every_integrator_feels_elastic_python_beside_laws(kind):
+    """All end in one place, and the energies are in balance."""
+    runs, model = [], beside(kind, "spring", "law")
+    for method in (pi.RadauIIA(h=5e-3), pi.IDA(rtol=1e-6), pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3)):
+        run = pi.solve(model, 0.03, method, output=[0.0, 0.01, 0.02, 0.03])
+        energy = run.energy
+        balance = energy.total - energy.total[0] - sum(energy.work.values()) + sum(energy.dissipated.values(), np.zeros(len(run)))
+        runs.append(run.q[-1])
+        assert run.success and np.abs(balance).max() < 1e-3 and np.abs(runs[-1] - runs[0]).max() < 2e-5 and energy.strain[-1] > 1e-4
+
+
+def test_an_energy_that_is_not_that_of_the_elastic_force_is_told():
+    wrong = dataclass(frozen=True, eq=False)(type("Wrong", (Spring,), {"energy": lambda self, z: 1.01 * Spring.energy(self, z)}))
+    scene = pi.Scene()
+    scene.add(wrong(name="spring"))
+    model = scene.build()
+    assert pi.check_derivatives(model)["energy of spring"] == pytest.approx(0.01, rel=0.02)
+    for method in (pi.GeneralizedAlpha(h=1e-2), pi.EnergyMomentum(h=1e-2)):
+        with pytest.raises(pi.InputError, match=r"spring: its energy must have elastic\(z\) as its slope"):
+            pi.solve(model, 0.1, method)

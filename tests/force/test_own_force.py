@@ -393,3 +393,41 @@ def test_a_law_writes_into_copies(scenes):
     scene.add(by_law(writing)(upper.section("right"), c=0.25))
     model = scene.build()
     assert pi.solve(model, 0.01, pi.GeneralizedAlpha(h=1e-3)).success and model.laws.numbers[0] == 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class TwiceAsMuch(Pull):
+    """Its energy is not that of its force."""
+
+    def energy(self, x):
+        return 2.0 * super().energy(x)
+
+
+@dataclass(frozen=True, eq=False)
+class Actuator(Pull):
+    """A spring with a force beside its energy."""
+
+    works = True
+
+    def forces(self, t, x, v):
+        return super().forces(t, x, v) + [[1.0, 0.0], [-1.0, 0.0]]
+
+
+@dataclass(frozen=True, eq=False)
+class Shaken(Pull):
+    """A spring with a force that follows time."""
+
+    def forces(self, t, x, v):
+        return super().forces(t, x, v) * (1.0 + 0.1 * np.sin(t))
+
+
+def test_an_energy_that_is_not_that_of_the_force_is_seen(scenes):
+    keeping = pi.EnergyMomentum(h=1e-3)
+    model = pulled(scenes, TwiceAsMuch, d=2.0, name="spring")
+    assert pi.check_derivatives(model, q=np.zeros(model.n))["energy of spring"] == pytest.approx(0.5, rel=1e-6)
+    with pytest.raises(pi.InputError, match="spring: its energy must have the forces at v = 0 as its falling slope.*works = True"):
+        pi.solve(model, 5e-3, keeping)
+    for kind in (Pull, Actuator, Shaken):
+        model = pulled(scenes, kind, d=2.0, name="spring")
+        assert pi.check_derivatives(model, q=np.zeros(model.n)).get("energy of spring", 0.0) < 1e-8
+        assert pi.solve(model, 2e-3, keeping).success

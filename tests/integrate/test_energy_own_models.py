@@ -146,3 +146,12 @@ def test_a_constant_mass_need_not_be_declared():
 
     run = pi.solve(Plain(), 0.1, pi.EnergyMomentum(h=1e-2), q0=[1.0, 0.0])
     assert run.success and np.abs(run.q[-1] - swing(1e-2, 0.1).q[-1]).max() < 1e-9
+
+
+def test_a_potential_that_is_not_that_of_the_force_is_named():
+    wrong = type("Wrong", (Pendulum,), {"potential": lambda self, q: 1.01 * Pendulum.potential(self, q)})
+    assert pi.check_derivatives(wrong())["potential"] > 5e-3 and pi.check_derivatives(Pendulum())["potential"] < 1e-8
+    with pytest.raises(pi.InputError, match=r"Wrong\.potential\(q\) must have force\(t, q, 0\) as its slope"):
+        pi.solve(wrong(), 0.1, pi.EnergyMomentum(h=1e-2), q0=[1.0, 0.0])
+    told = type("Told", (wrong,), {"powers": lambda self, t, q, v, lam: {}})
+    assert pi.solve(told(), 0.1, pi.EnergyMomentum(h=1e-2), q0=[1.0, 0.0]).success

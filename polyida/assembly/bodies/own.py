@@ -8,9 +8,19 @@ from polyida.given import complexes, pairs_of
 
 def uneven_mass(placed, n):
     """Mass (n, n) sparse of the bodies whose x and y carry different ones; None where there are none."""
+    return _placed([(2 * body.pairs.start, body.uneven) for body in placed if body.uneven is not None], n)
+
+
+def uneven_drag(placed, n):
+    """`drag M` (n, n) sparse of the same bodies, which kernels leave out with their M; None where none of them has a drag."""
+    drags = [(body, body.body.damping()[0]) for body in placed if body.uneven is not None]
+    return _placed([(2 * body.pairs.start, drag * body.uneven) for body, drag in drags if drag], n)
+
+
+def _placed(blocks, n):
+    """(n, n) sparse of blocks, (first row, matrix) each; None where there are none."""
     from scipy.sparse import coo_array
 
-    blocks = [(2 * body.pairs.start, body.uneven) for body in placed if body.uneven is not None]
     if not blocks:
         return None
     entries = [(first + i, first + k, block[i, k]) for first, block in blocks for i in range(len(block)) for k in range(len(block))]
@@ -35,6 +45,10 @@ class Elastic(OwnForce):
     def forces(self, t, x, v):
         """Forces on the pairs, (pairs, 2)."""
         return -pairs_of(self._call("elastic", (len(x),), x @ (1, 1j), numbers=complexes))
+
+    def conservative(self, t, x):
+        """Its forces: energy(z) is always theirs."""
+        return self.forces(t, x, x)
 
     def energy(self, x):
         """Elastic energy, J."""

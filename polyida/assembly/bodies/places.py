@@ -126,8 +126,8 @@ class PlacedBody:
 
     @property
     def elastic(self):
-        """Whether its elastic force is Python."""
-        return writes(self.body, Body, "elastic")
+        """Whether its elastic force is Python: kernels take a form in place of it."""
+        return self.form is None and writes(self.body, Body, "elastic")
 
     @property
     def damped(self):

@@ -58,6 +58,13 @@ class OwnForce:
         """Its energy, J; zero where it has none. Raises InputError for what is no finite number."""
         return self._energy(x)
 
+    def conservative(self, t, x):
+        """Its forces where nothing moves, (sides, 2), if its energy must have them as falling slope; None where it need not."""
+        if self.element.works or not writes(self.element, ForceElement, "energy"):
+            return None
+        here, later = (self.forces(at, x, np.zeros_like(x)) for at in (t, t + differences.LATER))
+        return here if np.array_equal(here, later) else None
+
     def _energy(self, x):
         value = self.element.energy(read_only(x))
         if value is None:
@@ -134,9 +141,11 @@ class OwnForces:
         """These with a profile, wherever it is one of their fields, greater by `by`."""
         return OwnForces([own.pushed(profile, by) for own in self.each], self.n)
 
-    def take_from(self, r, t, q, v):
-        """Take the forces from r (n,), in place."""
+    def take_from(self, r, t, q, v, only_strain=False):
+        """Take the forces from r (n,), in place; only_strain: those of bodies' strain alone."""
         for own in self.each:
+            if only_strain and not own.strain:
+                continue
             r -= own.A.T @ own.forces(t, own.places(q), own.velocities(v)).ravel()
 
     def slopes(self, t, q, v, c_v, c_q):

@@ -39,6 +39,8 @@ class Powers:
         u, speeds = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
         force = np.zeros_like(u)
         add_damping(self.model.arrays, u, speeds, np.empty_like(u), force)
+        if self.model.uneven_drag is not None:
+            force += (self.model.uneven_drag @ v).reshape(force.shape)
         return {body.name: -float(np.vdot(force[body.pairs], speeds[body.pairs])) for body in self._damped}
 
 

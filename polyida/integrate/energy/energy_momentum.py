@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.energy.general import General, WithForces, require_general
@@ -15,6 +17,8 @@ from polyida.integrate.stepping.grid import Grid
 from polyida.integrate.stepping.rest import held
 from polyida.keywords import named_keywords
 from polyida.model import Model
+from polyida.model.check import require_energies
+from polyida.model.guarded import guard
 
 
 @named_keywords
@@ -53,9 +57,13 @@ class EnergyMomentum:
                 raise InputError(f"EnergyMomentum: {name} = {getattr(self, name)!r} must be {want}")
 
     def require(self, model: Model) -> None:
-        """Raise InputError unless it takes the model: any scene; one's own with a potential, constant mass, phi at most quadratic."""
+        """Raise InputError unless it takes the model: any scene; one's own with a potential, constant mass, phi at most quadratic.
+
+        Forces must be those of the energies that are given, where elements and models say that they are conservative.
+        """
         if not model.is_scene:
             require_general(model)
+        require_energies(guard(model), 0.0, np.zeros(model.n))
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""

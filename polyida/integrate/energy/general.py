@@ -125,6 +125,8 @@ class WithForces(General):
         w, model = self.room, self.model
         det = middle(model.arrays, model.drives(t), self.h, w)
         r = w.r.ravel().copy() if model.uneven_mass is None else w.r.ravel() + model.uneven_mass @ w.a.ravel()
+        if model.uneven_drag is not None:
+            r += model.uneven_drag @ w.vm.ravel()
         for own in model.own_forces.each:
             r -= own.A.T @ self._own(own, t).ravel()
         return (DONE if det > 0.0 else INVERTED if det <= 0.0 else NOT_FINITE), r

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_one_of, is_whole
+from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.ida.error_lines import error_lines_kept
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.linear import ReducedSolve
@@ -65,6 +65,8 @@ class IDA:
     linear: "auto" takes a scene's compiled callbacks, "kkt" the general ones that any model has, both through S = K + cj C
     + cj^2 M and a border; "whole" factors the whole matrix of (q, v, multipliers). scaling: rows and columns of the whole
     matrix divided by "characteristic" sizes (integrate/ida/whole.py) or "none"; the other two do not depend on it.
+    nonholonomic: the rows `phi_rate(t, q, v) = 0`, linear in v with the slope phi_q, need not be the derivative of phi; only with form
+    "index2" or "index1", which hold these and not phi. A run refuses a phi_rate, or phi_bias, that is not the derivative of phi otherwise.
     max_step, first_step: s, 0 where IDA decides. max_num_steps: the run fails beyond so many.
 
     The error of a run, over the model's size, is commonly 2 to 20 times rtol with flexible bodies (far more on very stiff ones with rtol above
@@ -82,6 +84,7 @@ class IDA:
     rate: float = 10.0
     linear: str = "auto"
     scaling: str = "characteristic"
+    nonholonomic: bool = False
 
     def __post_init__(self):
         if not is_one_of(self.form, FORMS):
@@ -90,6 +93,9 @@ class IDA:
             given = floats(self.atol)
             _check("atol", self.atol, given is not None and given.ndim == 1, "must be a number, a pair or a list of numbers")
             object.__setattr__(self, "atol", tuple(given.tolist()))
+        on_velocity = self.form in ("index1", "index2")
+        allowed = "must be True or False, and True with form index1 or index2 alone"
+        _check("nonholonomic", self.nonholonomic, is_flag(self.nonholonomic) and (on_velocity or not self.nonholonomic), allowed)
         _check("linear", self.linear, is_one_of(self.linear, LINEAR), f"must be one of {', '.join(LINEAR)}")
         _check("scaling", self.scaling, is_one_of(self.scaling, SCALINGS), f"must be one of {', '.join(SCALINGS)}")
         _check("rtol", self.rtol, self.rtol is None or (is_number(self.rtol) and 0 < self.rtol < 1), "must lie between 0 and 1")

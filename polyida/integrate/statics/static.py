@@ -12,6 +12,7 @@ from polyida.integrate.state import StepFailure
 from polyida.integrate.statics.loading import Equilibrium, Loading
 from polyida.keywords import named_keywords
 from polyida.model import Model
+from polyida.model.check import require_declared
 from polyida.model.guarded import guard, require_functions
 
 HALVINGS = 10  # of a part of the load, at most, in a row
@@ -46,6 +47,7 @@ def static(
         raise InputError(f"static: linear = {linear!r} must be True or False")
     q = given(model, "q0", q0)
     require_functions(model, loading.t, q, np.zeros(model.n))
+    require_declared(model, loading.t, q, np.zeros(model.n))
     if linear:
         return loading.small()
     found = _climb(loading, q, steps)
