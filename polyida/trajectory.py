@@ -22,6 +22,7 @@ from polyida.results.angle import angle_of
 from polyida.results.energy import Energy, energy_of
 from polyida.results.momentum import momenta_of
 from polyida.results.motion import Motion
+from polyida.results.reaction import reaction_of
 from polyida.results.section_forces import SectionForces, section_forces
 from polyida.results.sensors import Sensors
 from polyida.results.strain import strains
@@ -148,17 +149,18 @@ class Trajectory:
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name: str) -> NDArray:
-        """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor).
+        """What a joint, one's own too, does to its side b, (frames, k): the force, N, in the axes x and y of the scene, and the moment about the
+        point of b, N m, counter-clockwise, where the joint holds b otherwise than by its point.
 
-        Of redundant constraints it is that with the least sum of squares of all multipliers; see `unique`.
+        It is what the force `-phi_q^T lam` of the joint's rows does on the body of b, or on the ground, by virtual work. Components that
+        the rows never have are left out: a revolute joint has (fx, fy), a weld (fx, fy, m), a motor (m,), a Path those that it leads, the
+        clamp of a plate to ground the force on each node. Of redundant constraints it is that with the least sum of squares of all
+        multipliers; see `unique`. Raises InputError for what is no joint of the model.
         """
-        model = self._of_joint("reaction", name)
-        rows, first, found = (model.redundant or model).rows[name], 0, []
+        model, first, found = self._of_joint("reaction", name), 0, []
         for q in blocks(self.q):
             part = slice(first, first + len(q))
-            lam = np.asarray(self.lam[part], float)
-            lam = model.redundant.multipliers(self.t[part], q, lam) if model.redundant else lam
-            found.append(model.reactions(name, q, lam[:, rows]))
+            found.append(reaction_of(model, name, np.asarray(self.t[part]), q, np.asarray(self.lam[part], float)))
             first += len(q)
         return np.concatenate(found)
 
