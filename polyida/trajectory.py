@@ -99,14 +99,14 @@ class Trajectory:
     @cached_property
     def drift(self) -> NDArray:
         """Largest |phi| of every frame, (frames,), in phi's unit (m for joints), rows that were left out as redundant too."""
-        model = self._known_model("drift")
+        model = self.known_model("drift")
         model = model.redundant.whole if model.redundant else model
         return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, each(self.q))])
 
     @cached_property
     def velocity_drift(self) -> NDArray:
         """Largest |phi_q v + phi_t| of every frame, (frames,)."""
-        model = self._known_model("velocity_drift")
+        model = self.known_model("velocity_drift")
         frames = zip(self.t, each(self.q), each(self.v))
         return np.array([_largest(model.phi_rate(t, q, v)) for t, q, v in frames])
 
@@ -133,9 +133,10 @@ class Trajectory:
 
     def _motion(self, what):
         """The run with its model as it is called."""
-        return Motion(self._known_model(what), self.t, self.q, self.v, self.a, self.lam)
+        return Motion(self.known_model(what), self.t, self.q, self.v, self.a, self.lam)
 
-    def _known_model(self, what):
+    def known_model(self, what: str) -> Any:
+        """The model as it is called. Raises InputError, in the name of `what`, for a loaded run that has none; it says why."""
         if self.model is None:
             raise InputError(f"{what}: {self.missing}; the run that was loaded has frames only")
         return guard(self.model)
@@ -145,7 +146,7 @@ class Trajectory:
 
         Raises InputError for what is not in the scene.
         """
-        model = self._known_model("position")
+        model = self.known_model("position")
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name: str) -> NDArray:
@@ -179,7 +180,7 @@ class Trajectory:
 
     def _of_joint(self, what, name):
         """The model, which has a joint of this name."""
-        model = self._known_model(what)
+        model = self.known_model(what)
         if not is_one_of(name, model.rows):
             raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
         return model
@@ -226,7 +227,7 @@ class Trajectory:
         return np.asarray(self.q[frame], float)
 
     def _scene(self, what):
-        if not self._known_model(what).is_scene:
+        if not self.known_model(what).is_scene:
             raise InputError(f"{what}: {type(self.model).__name__} is no scene's model; read q")
         return self.model
 
@@ -238,7 +239,8 @@ class Trajectory:
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         of_model = (self.model.remark, hint(self.model, self.q, self.integrator), self._left_out()) if self.model is not None else ()
-        told = "".join(f", {what}" for what in (told, *of_model) if what)
+        unknown = self.missing if self.model is None and self.missing != Trajectory.missing else ""
+        told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
             f"; {self.message}" if self.message else ""
