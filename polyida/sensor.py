@@ -4,12 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.given import is_one_of, read_only
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
+from polyida.results.reaction import reaction_of
 
 __all__ = ["position", "reaction", "state"]
 
@@ -29,12 +31,12 @@ def position(of: object) -> Sensor:
 
 @named_keywords
 def reaction(joint: str) -> Sensor:
-    """What a joint, by name, does to its side b, as `run.reaction` tells it: (k,), N or N m."""
+    """What a joint, by name, does to its side b, as `run.reaction` tells it: (k,), N and N m."""
 
     def read(model, state):
         if not is_one_of(joint, model.rows):
             raise InputError(f"sensor.reaction: no joint is called {joint!r:.100}; known: {', '.join(map(repr, model.rows))}")
-        return model.reactions(joint, state.q[None], state.lam[None, model.rows[joint]])[0]
+        return reaction_of(model, joint, np.array([state.t]), state.q[None], state.lam[None])[0]
 
     return Sensor(read)
 

@@ -22,6 +22,7 @@ from polyida.results.angle import angle_of
 from polyida.results.energy import Energy, energy_of
 from polyida.results.momentum import momenta_of
 from polyida.results.motion import Motion
+from polyida.results.reaction import reaction_of
 from polyida.results.section_forces import SectionForces, section_forces
 from polyida.results.sensors import Sensors
 from polyida.results.strain import strains
@@ -98,14 +99,14 @@ class Trajectory:
     @cached_property
     def drift(self) -> NDArray:
         """Largest |phi| of every frame, (frames,), in phi's unit (m for joints), rows that were left out as redundant too."""
-        model = self._known_model("drift")
+        model = self.known_model("drift")
         model = model.redundant.whole if model.redundant else model
         return np.array([_largest(model.phi(t, q)) for t, q in zip(self.t, each(self.q))])
 
     @cached_property
     def velocity_drift(self) -> NDArray:
         """Largest |phi_q v + phi_t| of every frame, (frames,)."""
-        model = self._known_model("velocity_drift")
+        model = self.known_model("velocity_drift")
         frames = zip(self.t, each(self.q), each(self.v))
         return np.array([_largest(model.phi_rate(t, q, v)) for t, q, v in frames])
 
@@ -132,9 +133,10 @@ class Trajectory:
 
     def _motion(self, what):
         """The run with its model as it is called."""
-        return Motion(self._known_model(what), self.t, self.q, self.v, self.a, self.lam)
+        return Motion(self.known_model(what), self.t, self.q, self.v, self.a, self.lam)
 
-    def _known_model(self, what):
+    def known_model(self, what: str) -> Any:
+        """The model as it is called. Raises InputError, in the name of `what`, for a loaded run that has none; it says why."""
         if self.model is None:
             raise InputError(f"{what}: {self.missing}; the run that was loaded has frames only")
         return guard(self.model)
@@ -144,21 +146,22 @@ class Trajectory:
 
         Raises InputError for what is not in the scene.
         """
-        model = self._known_model("position")
+        model = self.known_model("position")
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name: str) -> NDArray:
-        """What a joint does to its side b, (frames, k): force, N (revolute, clamp); torque, N m (angle motor).
+        """What a joint, one's own too, does to its side b, (frames, k): the force, N, in the axes x and y of the scene, and the moment about the
+        point of b, N m, counter-clockwise, where the joint holds b otherwise than by its point.
 
-        Of redundant constraints it is that with the least sum of squares of all multipliers; see `unique`.
+        It is what the force `-phi_q^T lam` of the joint's rows does on the body of b, or on the ground, by virtual work. Components that
+        the rows never have are left out: a revolute joint has (fx, fy), a weld (fx, fy, m), a motor (m,), a Path those that it leads, the
+        clamp of a plate to ground the force on each node. Of redundant constraints it is that with the least sum of squares of all
+        multipliers; see `unique`. Raises InputError for what is no joint of the model.
         """
-        model = self._of_joint("reaction", name)
-        rows, first, found = (model.redundant or model).rows[name], 0, []
+        model, first, found = self._of_joint("reaction", name), 0, []
         for q in blocks(self.q):
             part = slice(first, first + len(q))
-            lam = np.asarray(self.lam[part], float)
-            lam = model.redundant.multipliers(self.t[part], q, lam) if model.redundant else lam
-            found.append(model.reactions(name, q, lam[:, rows]))
+            found.append(reaction_of(model, name, np.asarray(self.t[part]), q, np.asarray(self.lam[part], float)))
             first += len(q)
         return np.concatenate(found)
 
@@ -177,7 +180,7 @@ class Trajectory:
 
     def _of_joint(self, what, name):
         """The model, which has a joint of this name."""
-        model = self._known_model(what)
+        model = self.known_model(what)
         if not is_one_of(name, model.rows):
             raise InputError(f"no joint is called {name!r}; known: {', '.join(map(repr, model.rows))}")
         return model
@@ -224,7 +227,7 @@ class Trajectory:
         return np.asarray(self.q[frame], float)
 
     def _scene(self, what):
-        if not self._known_model(what).is_scene:
+        if not self.known_model(what).is_scene:
             raise InputError(f"{what}: {type(self.model).__name__} is no scene's model; read q")
         return self.model
 
@@ -236,7 +239,8 @@ class Trajectory:
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         of_model = (self.model.remark, hint(self.model, self.q, self.integrator), self._left_out()) if self.model is not None else ()
-        told = "".join(f", {what}" for what in (told, *of_model) if what)
+        unknown = self.missing if self.model is None and self.missing != Trajectory.missing else ""
+        told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
             f"; {self.message}" if self.message else ""

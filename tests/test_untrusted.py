@@ -169,8 +169,21 @@ def test_a_part_of_an_unknown_kind_is_named_and_the_frames_are_there(path, kind)
     about(path, lambda data: data["scene"]["parts"][-1].update(kind=kind))
     run = pi.load(path)
     assert run.model is None and len(run) > 1
-    with pytest.raises(pi.InputError, match="define or import that class"):
-        run.drift
+    assert "define or import that class" in run.summary()
+    uses = [
+        lambda: run.drift,
+        lambda: run.save(path.with_suffix(".again")),
+        lambda: run.plot.reactions(),
+        lambda: pi.gradient(run, pi.objective.StrainEnergy()),
+        lambda: pi.objective.Own(lambda run: run.model.n, lambda run: {})(run),
+        lambda: pi.fields_of(run, "bar"),
+    ]
+    for use in uses:
+        with pytest.raises(pi.InputError, match="define or import that class"):
+            use()
+    for use in (lambda: pi.modes(run.model), lambda: pi.solve(run.model, 1.0, pi.IDA(), state=run.state)):
+        with pytest.raises(pi.InputError, match="a run that was loaded has none where a class of its file is not known"):
+            use()
 
 
 def test_deep_json(path):

@@ -63,6 +63,7 @@ def gradient(
             return gradient_of_modes(run, objective, names)
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
+        run.known_model("gradient")
         begin, end = float(run.t[0]), float(run.t[-1])
         if progress is not True:
             return gradient_of_run(run, objective, names, progress or _nobody, memory_limit)

@@ -5,7 +5,9 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import complex_of_pairs, pairs_of
 from polyida.joint.attachment import Attachment
+from polyida.joint.formula import rest_of
 from polyida.joint.joint import Joint
+from polyida.joint.reaction import Reaction
 from polyida.model import Model
 
 
@@ -45,10 +47,10 @@ class NamedPoints(Model):
         side = self.side(name)
         return side.point + self._moved(side, "point", q)
 
-    def _moved(self, side, part, q, w=1.0):
-        """w times the change of an attachment's "point" or "direction" over frames q (frames, n), (frames, 2); w complex."""
+    def _moved(self, side, part, q):
+        """The change of an attachment's "point" or "direction" over frames q (frames, n), (frames, 2)."""
         pairs, weights = self.held(side, part)
-        return pairs_of(complex_of_pairs(q.reshape(len(q), -1, 2)[:, pairs]) @ (w * weights))
+        return pairs_of(complex_of_pairs(q.reshape(len(q), -1, 2)[:, pairs]) @ weights)
 
     def side(self, name):
         """The attachment that is meant: itself, or of a part, or of the part of a name."""
@@ -59,9 +61,23 @@ class NamedPoints(Model):
             raise InputError(f"position({name!r}): give the name of a mass, load or joint, the part itself, or an attachment")
         return self.attachment(name)
 
-    def reactions(self, name, q, lam):
-        """What a joint does to its side b over frames q (frames, n), lam (frames, k): force, N, or torque, N m (motors)."""
-        return self.joints[name].reaction(lam, lambda vector: self.values(vector, q))
+    def reactions(self, name, q, lam, t=0.0):
+        """What a joint does to its side b over frames q (frames, n), lam (frames, k), and t (frames,), s, or one for all: force, N, and
+        moment, N m. Of a body the multipliers of its own rows.
+        """
+        reaction = self.reaction_of(name)
+        return lam.copy() if reaction is None else reaction(np.broadcast_to(t, len(q)), lam, lambda place: self.place(place, q))
+
+    def reaction_of(self, name):
+        """The Reaction of a joint; None of a body."""
+        if name not in self._reactions:
+            self._reactions[name] = Reaction(self.joints[name]) if isinstance(self.joints[name], Joint) else None
+        return self._reactions[name]
+
+    def place(self, place, q):
+        """Where the "point" of an attachment is, or its "direction", over frames q (frames, n): (frames,), complex."""
+        rest = np.full(len(q), rest_of(*place))
+        return rest if place[0].body is None else rest + complex_of_pairs(self._moved(*place, q))
 
     def turn(self, name, q):
         """How far side b of a joint has turned against side a since rest, over frames q (frames, n): (frames,), rad in [-pi, pi].
@@ -70,20 +86,12 @@ class NamedPoints(Model):
         """
         joint = self.joints[name]
         joint.require_directions()
-        a, b = (self.values(side.d, q) @ [1.0, 1j] / side.d.rest for side in (joint.a, joint.b))
+        a, b = (self.place((side, "direction"), q) / side.d.rest for side in (joint.a, joint.b))
         return np.angle(b * a.conj())
 
-    def values(self, vector, q):
-        """A vector of a joint's formula, its profiles at zero, over frames q (frames, n): (frames, 2)."""
-        values = np.full((len(q), 2), [vector.rest.real, vector.rest.imag])
-        for side, part, w in (term for piece in vector.pieces for term in piece.terms):
-            values += self._moved(side, part, q, w)
-        return values
-
-    def pulled(self, vector, forces):
-        """What forces (frames, 2) on a vector of a joint's formula do to each coordinate, (frames, n): the transpose of its slope in q."""
+    def pulled(self, place, forces):
+        """What forces (frames,), complex, on a place do to each coordinate, (frames, n): the transpose of its slope in q."""
         found = np.zeros((len(forces), self.n_nodes), complex)
-        for side, part, w in (term for piece in vector.pieces for term in piece.terms):
-            pairs, weights = self.held(side, part)
-            np.add.at(found, (slice(None), pairs), complex_of_pairs(forces)[:, None] * np.conj(w * weights))
+        pairs, weights = self.held(*place)
+        np.add.at(found, (slice(None), pairs), forces[:, None] * np.conj(weights))
         return found.view(float)

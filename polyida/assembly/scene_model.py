@@ -91,7 +91,7 @@ class SceneModel(Masses):
         self.arrays, points, table, drives, self.laws = found
         self.profiles, self.named_profiles = drives.profiles, tuple(zip(drives.names, drives.profiles))
         self.labels, self.units, self.rows, self.joints = table.labels, table.units, table.rows, table.joints
-        self.m, self.n_points, self._kept, self._of_shape = len(self.labels), len(points.nodes), {}, {}
+        self.m, self.n_points, self._kept, self._of_shape, self._reactions = len(self.labels), len(points.nodes), {}, {}, {}
         links = self.arrays.links
         self.motor_profiles, self.path_profiles = turning_drives(links), shifting_drives(links)
 

@@ -26,7 +26,6 @@ class Body(OwnPart):
     summaries say, as does one of a body whose x and y carry different masses.
     """
 
-    components = None  # of the reaction of its own rows
     few = True  # its points are made of few coordinates
     turns_only = False  # whether it keeps the directions of its sections of constant length; of its points it may
     plate: Any = None  # whose mesh shows it; `nodal` then tells of its nodes
@@ -72,10 +71,6 @@ class Body(OwnPart):
         its coordinates rigid.
         """
         return []
-
-    def reaction(self, lam: NDArray, values: object) -> NDArray:
-        """The multipliers of its own constraints."""
-        return lam.copy()
 
     def form(self) -> tuple[ArrayLike, ArrayLike] | None:
         """(form, shift) of a body of K vectors z_i, its pairs from the second on, whose elastic energy is `d^T form d / 2 + shift^T d`

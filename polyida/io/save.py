@@ -19,6 +19,7 @@ from polyida.model import NONE
 
 def save(run, path, overwrite=False):
     """Write a trajectory; the file appears whole or not at all. Raises InputError where it must not be overwritten."""
+    run.known_model("save")
     path, n, m = free(path, overwrite), run.q.shape[1], run.lam.shape[1]
     single = run.q.dtype == np.float32
     file = create(path, run.model, run.integrator, n, m, run.plan, run.machine, single, run.sensors.shapes)

@@ -4,14 +4,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.given import is_number, settle
 from polyida.joint.attachment import labelled
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
-from polyida.joint.shared_rows import held, torque
+from polyida.joint.shared_rows import held
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
 
@@ -47,7 +46,3 @@ class AngleMotor(Joint):
         if self.zero is None and as_profile(self.angle, "AngleMotor")(0.0):
             drawn = self.facing()
             settle(self, a=drawn.a, b=drawn.b, zero=float(np.angle(drawn.b.d.rest / drawn.a.d.rest)))
-
-    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
-        """The torque on b, (frames, 1), N m."""
-        return torque(self, lam[:, 0], values)[:, None]

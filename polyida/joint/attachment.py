@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.material import vector2
 from polyida.errors import InputError
-from polyida.joint.formula import Piece, Vector, along
+from polyida.joint.formula import Piece, Vector
 
 ROUND = 1e-6  # second moments that differ by less are equal: which is the larger would be up to round-off
 
@@ -41,12 +41,15 @@ class Ground:
     @property
     def x(self) -> Vector:
         """Its place, a Vector of a joint's formula."""
-        return along(complex(*self.point))
+        return self._vector("point", self.point)
 
     @property
     def d(self) -> Vector:
         """Its direction, a Vector of a joint's formula."""
-        return along(complex(*self.direction))
+        return self._vector("direction", self.direction)
+
+    def _vector(self, part, value):
+        return Vector((Piece(constant=complex(*value), of_ground=((self, part, 1 + 0j),)),))
 
     def __repr__(self):
         return "ground" if self.point is None else f"ground at ({self.point[0]:.6g}, {self.point[1]:.6g})"

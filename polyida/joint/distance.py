@@ -1,11 +1,9 @@
 """Distance: two points a fixed length apart."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from polyida.body.material import positive
 from polyida.errors import InputError
@@ -13,7 +11,6 @@ from polyida.given import settle
 from polyida.joint.attachment import labelled
 from polyida.joint.formula import Row, Vector, dot
 from polyida.joint.joint import Joint
-from polyida.joint.shared_rows import FORCE
 from polyida.keywords import named_keywords
 
 
@@ -28,7 +25,6 @@ class Distance(Joint):
     """
 
     length: float | None = None
-    components = FORCE
     placing = "place the bodies so that their points are the length apart"
 
     def __post_init__(self):
@@ -44,7 +40,3 @@ class Distance(Joint):
         length: Any = self.length
         w = self.b.x - self.a.x
         return [((dot(w, w) - length**2) / (2.0 * length)).named("", "N")]
-
-    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
-        """Force on b, (frames, 2), N."""
-        return -lam / self.length * values(self.b.x - self.a.x)

@@ -18,25 +18,29 @@ from polyida.profile import Profile, difference
 class Piece:
     """`R(theta(t)) (constant + sum_j w_j z_j)`, complex numbers for the plane: z_j the "point" or "direction" of an attachment.
 
-    terms: (attachment, "point" or "direction", w). profile: theta, rad, or None where nothing turns.
+    terms: (attachment, "point" or "direction", w). profile: theta, rad, or None where nothing turns. of_ground: what of the constant places
+    of the ground give, as terms.
     """
 
     terms: tuple = ()
     constant: complex = 0j
     profile: Profile | None = None
+    of_ground: tuple = ()
 
     def times(self, w):
         """The piece turned and stretched by the complex number w."""
-        return replace(self, terms=tuple((side, part, w * u) for side, part, u in self.terms), constant=w * self.constant)
+        terms, of_ground = (tuple((side, part, w * u) for side, part, u in given) for given in (self.terms, self.of_ground))
+        return replace(self, terms=terms, constant=w * self.constant, of_ground=of_ground)
 
     def plus(self, other):
         """The sum with a piece that the same profile turns."""
-        return replace(self, terms=self.terms + other.terms, constant=self.constant + other.constant)
+        terms, of_ground = self.terms + other.terms, self.of_ground + other.of_ground
+        return replace(self, terms=terms, constant=self.constant + other.constant, of_ground=of_ground)
 
     @property
     def rest(self):
         """Its value in the reference configuration, before it is turned."""
-        return self.constant + sum(w * _rest(side, part) for side, part, w in self.terms)
+        return self.constant + sum(w * rest_of(side, part) for side, part, w in self.terms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,7 +206,8 @@ def _product(e, f):
     return Product(replace(e, profile=difference(e.profile, f.profile)), replace(f, profile=None))
 
 
-def _rest(side, part):
+def rest_of(side, part):
+    """The "point" or "direction" of an attachment or of a place of the ground, in the reference configuration."""
     x, y = side.point if part == "point" else side.direction
     return complex(x, y)
 

@@ -1,10 +1,7 @@
 """What every joint is: two sides and the formula of its rows."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
-
-from numpy.typing import NDArray
 
 from polyida import registry
 from polyida.errors import InputError
@@ -26,7 +23,6 @@ class Joint:
     a: Any
     b: Any
     name: str | None = field(default=None, kw_only=True)
-    components: ClassVar[tuple[tuple[str, str], ...] | None] = None  # (axis, unit) of its reaction's; None: as its rows
     kind: ClassVar[str | None] = None  # what a joint without a name is called with a number; the class's name where None
     placing: ClassVar[str] = "place the bodies so that they meet"  # what to do where it is not closed at rest
 
@@ -41,9 +37,15 @@ class Joint:
         """Rows of phi, a list of Row and Vector."""
         raise NotImplementedError(f"{type(self).__name__} gives no rows()")
 
-    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
-        """What it does to its side b, (frames, rows), from its multipliers (frames, rows); `values(vector)` gives (frames, 2)."""
-        return lam.copy()
+    @property
+    def components(self) -> tuple[tuple[str, str], ...] | None:
+        """(axis, unit) of the components of its reaction that are told; None: force and moment, as far as its rows act by them on b."""
+        return None
+
+    @property
+    def by_points(self) -> bool:
+        """Whether its reaction is the force on each point of b in its rows, not the sum of these and their moment."""
+        return False
 
     def require_directions(self, *sides: Any) -> None:
         """Raise InputError unless these sides have a direction, or both where none are given."""

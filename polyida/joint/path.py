@@ -4,8 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from numpy.typing import NDArray
-
 from polyida.errors import InputError
 from polyida.given import settle
 from polyida.joint.attachment import Attachment, ground, labelled, require_attachment
@@ -45,9 +43,10 @@ class Path(Joint):
         axes = ("x", 1.0, self.x), ("y", 1j, self.y)
         return [(dot(along(e), self.at.x) - as_profile(way, "Path")).named(axis, "N") for axis, e, way in axes if way is not None]
 
-    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
-        """Force on the attachment, (frames, rows), N."""
-        return -lam
+    @property
+    def components(self) -> tuple[tuple[str, str], ...]:
+        """Forces in the directions in which it leads."""
+        return tuple((axis, "N") for axis, way in (("x", self.x), ("y", self.y)) if way is not None)
 
     def facing(self) -> Self:
         """Itself: it says where it is."""

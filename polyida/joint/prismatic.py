@@ -1,14 +1,10 @@
 """Prismatic joint."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
-from polyida.joint.shared_rows import FORCE_AND_MOMENT, across, force_across, held, torque
+from polyida.joint.shared_rows import across, held
 from polyida.keywords import named_keywords
 
 
@@ -23,7 +19,6 @@ class Prismatic(Joint):
     Reaction on b, (3,): force, N, across the line, and moment about its point, N m, counter-clockwise.
     """
 
-    components = FORCE_AND_MOMENT
     placing = "place the bodies so that b is on the line through a along its direction"
 
     def __post_init__(self):
@@ -33,7 +28,3 @@ class Prismatic(Joint):
     def rows(self) -> list[Row | Vector]:
         """`e x (x_B - x_A)` and `R1 e x d_B`."""
         return [across(self.a, self.b), held(self.a, self.b)]
-
-    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
-        """Force and moment on b, (frames, 3), N and N m."""
-        return np.column_stack([force_across(self, lam[:, 0], values), torque(self, lam[:, 1], values)])

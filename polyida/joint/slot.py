@@ -1,13 +1,10 @@
 """Slot: a pin in a straight slot."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-
-from numpy.typing import NDArray
 
 from polyida.joint.formula import Row, Vector
 from polyida.joint.joint import Joint
-from polyida.joint.shared_rows import FORCE, across, force_across
+from polyida.joint.shared_rows import across
 from polyida.keywords import named_keywords
 
 
@@ -20,7 +17,6 @@ class Slot(Joint):
     Reaction on b, (2,): force, N, across the line.
     """
 
-    components = FORCE
     placing = "place the bodies so that b is on the line through a along its direction"
 
     def __post_init__(self):
@@ -30,7 +26,3 @@ class Slot(Joint):
     def rows(self) -> list[Row | Vector]:
         """`e x (x_B - x_A)`."""
         return [across(self.a, self.b)]
-
-    def reaction(self, lam: NDArray, values: Callable[[Vector], NDArray]) -> NDArray:
-        """Force on b, (frames, 2), N."""
-        return force_across(self, lam[:, 0], values)

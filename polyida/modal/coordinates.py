@@ -28,8 +28,8 @@ class Coordinates:
         except SingularSystem:
             raise InputError(NO_MASS) from None
         self.T = _basis(part, system, modes)
-        self.forces = np.array([one.force for one in inputs]).reshape(-1, n).T
-        self.rows = np.array([one.row for one in inputs]).reshape(-1, m).T
+        self.forces = np.array([one.force for one in inputs]).reshape(len(inputs), n).T
+        self.rows = np.array([one.row for one in inputs]).reshape(len(inputs), m).T
         self.G = self.mass.solve(np.zeros_like(self.forces), self.rows)[0]
 
     def accelerations(self, x, v, forces, rows):

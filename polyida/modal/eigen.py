@@ -1,4 +1,6 @@
-"""Roots and shapes of a LinearSystem: `(s^2 M + s C + K) x + B^T mu = 0`, `B x = 0`, the slowest ones.
+"""Roots and shapes of a LinearSystem: `(s^2 M + s C + K) x + B^T mu = 0`, `B x = 0`, those of least |s|.
+
+There are 2 (n - m) roots. Both of a complex pair have conjugate shapes, and one of them stands for the two; a real root stands for itself.
 
 Without C: dense on a basis of what B allows, or by Lanczos' method in shift-invert, whose operator `x -> z` of
 `[[K - shift M, B^T], [B, 0]] (z, mu) = (M x, 0)` is symmetric in the metric of M and never leaves `B x = 0` (Lehoucq, Sorensen, Yang 1998).
@@ -34,13 +36,15 @@ def undamped(system, count):
 
 
 def damped(system, count):
-    """(roots s (count,), complex, one of each conjugate pair, and shapes (n, count), complex, `|x^H M x| = 1`), by |s|."""
+    """(roots s, complex, and shapes (n, .), complex, `|x^H M x| = 1`), by |s|: one of each complex pair, and each real root; `count` of them,
+    or all where these are fewer. A rigid motion x, which has s = 0 twice, x and x t, comes once.
+    """
     slow, N = _rigid(system, count)
     left = count - N.shape[1]
     roots, X = np.zeros(N.shape[1], complex), N.astype(complex)
     if left:
         solve = _arnoldi if _large(system, count) else _dense_damped
-        s, Y = _slowest(*solve(system, left, N, slow), left)
+        s, Y = _least(*solve(system, left, N, slow), left)
         roots, X = np.concatenate([roots, _settled(system, s, Y)]), np.concatenate([X, Y], axis=1)
     return roots, X
 
@@ -126,15 +130,16 @@ def _arnoldi(system, count, N, slow):
     inverse = LinearOperator((2 * n, 2 * n), apply, dtype=float)
     start = inverse @ np.random.default_rng(0).standard_normal(2 * n)
     try:
-        values, Y = eigs(inverse, 2 * count, v0=start, ncv=min(2 * n, max(40, 6 * count)), tol=TOLERANCE, maxiter=RESTARTS)
+        values, Y = eigs(inverse, 2 * count + SPARE, v0=start, ncv=min(2 * n, max(40, 6 * count)), tol=TOLERANCE, maxiter=RESTARTS)
     except ArpackNoConvergence as error:
         raise StepFailure("arnoldi", GATHERED, system.state.t, wanted=count, found=len(error.eigenvalues) // 2) from None
     return shift + 1.0 / values, Y[:n]
 
 
-def _slowest(roots, X, count):
-    """One of each conjugate pair, those in the upper half plane, the `count` of least |s|."""
+def _least(roots, X, count):
+    """Of complex pairs those in the upper half plane, and the real ones: the `count` of least |s|, of equal ones those that grow first."""
     upper = np.flatnonzero(roots.imag >= 0.0)
+    upper = upper[np.argsort(-roots[upper].real, kind="stable")]
     upper = upper[np.argsort(np.abs(roots[upper]), kind="stable")][:count]
     return roots[upper], X[:, upper]
 

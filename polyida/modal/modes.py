@@ -25,12 +25,14 @@ FLUTTER = 1e-9  # of |s|: a root to the right of the imaginary axis by no more i
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Modes:
-    """Linear modes `x e^(s t)` of a model about a state, the slowest first; what `pi.modes` gives.
+    """Linear modes `x e^(s t)` of a model about a state; what `pi.modes` gives.
 
-    roots: s, (count,), 1/s, complex, one of each conjugate pair. shapes: x, (count, n), as changes of q (displacements, m, of plates), of
-    modal mass 1 kg: `x^T M x = 1`; complex with damping. The first entry above half of the largest is real and positive.
-    participation: effective modal masses along x and y, (count, 2), kg, `(x^T M r)^2` of the unit translation r, and None of a model
-    without bodies; over all modes they add up to `mass`, kg, less what the supports hold.
+    roots: s, (count,), 1/s, complex. Without damping a mode is a pair +-s, of which the one above the real axis, or the growing one, is given;
+    they come by s^2. With damping a mode is a complex pair, of which the one above the real axis is given, or one real root; they come by
+    |s|. shapes: x, (count, n), as changes of q (displacements, m, of plates), of modal mass 1 kg: `x^T M x = 1`; complex with damping. The
+    first entry above half of the largest is real and positive. participation: effective modal masses along x and y, (count, 2), kg,
+    `|x^H M r|^2` of the unit translation r, and None of a model without bodies; over all modes without damping they add up to `mass`, kg,
+    less what the supports hold.
     """
 
     model: Model
@@ -44,13 +46,22 @@ class Modes:
 
     @property
     def frequencies(self) -> NDArray:
-        """`|s| / 2 pi`, (count,), Hz, of modes that swing or fade; 0 of rigid motions; minus that where a mode grows without swinging."""
-        return np.where((self.roots.imag == 0) & (self.roots.real > 0), -1.0, 1.0) * np.abs(self.roots) / (2 * np.pi)
+        """`|s| / 2 pi`, (count,), Hz, of modes that swing; 0 of rigid motions. Of a real root 0 with damping, see `rates`; without damping
+        minus that of s, the mode being a pair +-s with s^2 > 0.
+        """
+        swings = self.roots.imag != 0
+        size = np.where(swings | (not np.iscomplexobj(self.shapes)), np.abs(self.roots), 0.0)
+        return np.where(swings, 1.0, -1.0) * size / (2 * np.pi) + 0.0
+
+    @property
+    def rates(self) -> NDArray:
+        """`Re s`, (count,), 1/s: a mode changes in size by `e^(rate t)`, so it fades where this is negative and grows where it is positive."""
+        return self.roots.real
 
     @property
     def damping(self) -> NDArray:
-        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, 1 of modes that fade without swinging, negative where they
-        grow.
+        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, negative of modes that grow; of real roots 1 where they fade and -1
+        where they grow.
         """
         return -self.roots.real / np.where(self.roots == 0, 1.0, np.abs(self.roots))
 
@@ -92,19 +103,25 @@ class Modes:
         return axes.figure
 
     def title(self, number: int) -> str:
-        """ "mode 1: 3.42 Hz", with its damping where there is, and a word where it grows."""
-        damping = self.damping[number]
+        """ "mode 1: 3.42 Hz", with its damping where there is, or "mode 1: fades at 9.9 1/s" of a real root, and a word where it grows."""
+        damping, root = self.damping[number], self.roots[number]
+        if root.real and not root.imag:
+            return f"mode {number + 1}: " + (
+                f"grows at {root.real:.3g} 1/s, unstable" if root.real > 0 else f"fades at {-root.real:.3g} 1/s"
+            )
         fades = f", damping {damping:.3g}" if damping and not self.unstable[number] else ""
         return f"mode {number + 1}: {self.frequencies[number]:.4g} Hz{fades}{', unstable' if self.unstable[number] else ''}"
 
 
 @named_keywords
 def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
-    """The `count` slowest Modes about a state, or all n - m where these are fewer: `omega^2 M x = K x + B^T mu`, `B x = 0`, K = d(g + B^T
-    lam)/dq, B = phi_q.
+    """Modes about a state: of `s^2 M x + K x + B^T mu = 0`, `B x = 0`, those of least s^2, K = d(g + B^T lam)/dq, B = phi_q; with damping of
+    `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, those of least |s|.
 
-    state: one of `pi.static`, or any other with its lam; by default q = 0 at t = 0 as it is drawn, without loads (lam = 0). damped: with
-    C = dg/dv, `(s^2 M + s C + K) x + B^T mu = 0`. Rigid motions come as 0 Hz, modes that grow with a warning.
+    state: one of `pi.static`, or any other with its lam; by default q = 0 at t = 0 as it is drawn, without loads (lam = 0). count: how many
+    modes, or all where these are fewer. Without damping there are n - m, each a pair +-s. damped: the 2 (n - m) roots s of the linearised
+    system, the eigenvalues of `pi.linearise(model, state).A` without motors: a mode is a complex pair or one real root, so that there are
+    from n - m to 2 (n - m). Rigid motions have s = 0 twice, x and x t, and come once, as 0 Hz; modes that grow come with a warning.
     Large models by Lanczos' or Arnoldi's method in shift-invert, small ones dense.
     Raises InputError for a wrong count, no model, no state of it, one off its constraints, redundant constraints, coordinates without mass,
     and without `damped` for forces that have no potential; StepFailure where Arnoldi's method does not converge.
@@ -116,15 +133,14 @@ def modes(model: Model, state: State | None = None, count: int = 6, damped: bool
         raise InputError(f"modes: count = {count!r} must be a whole number of at least 1")
     if not system.freedoms:
         raise InputError(f"modes: the model cannot move: it has as many constraints as coordinates, {model.n}")
-    count = min(int(count), system.freedoms)
     if not is_flag(damped):
         raise InputError(f"modes: damped = {damped!r} must be True or False")
     if not (damped or system.conservative):
         raise InputError("modes: K is not symmetric, a force has no potential; use damped=True, which takes any K")
     if damped:
-        roots, X = eigen.damped(system, count)
+        roots, X = eigen.damped(system, int(count))
     else:
-        values, X = eigen.undamped(system, count)
+        values, X = eigen.undamped(system, min(int(count), system.freedoms))
         roots = np.where(values < 0, 1.0, 1j) * np.sqrt(np.abs(values))
     X = normalised(system.M, X)
     about = state if isinstance(state, Equilibrium) else system.state

@@ -10,6 +10,7 @@ from polyida.errors import InputError
 from polyida.given import floats, is_one_of
 from polyida.joint.attachment import Attachment
 from polyida.model import differences
+from polyida.results.reaction import reaction_of
 
 KINDS = ("position", "velocity", "acceleration", "reaction")
 MOTION = {"position": 0, "velocity": 1, "acceleration": 2}
@@ -80,11 +81,9 @@ def _place(model, state, what, kind, label):
 def _reaction(part, model, state, name, label):
     if not is_one_of(name, model.joints):
         raise InputError(f"{part}: no joint is called {name!r}; known: {', '.join(map(repr, model.joints)) or 'none'}")
-    rows = (model.redundant or model).rows[name]
 
     def reactions(q, lam):
-        whole = model.redundant.multipliers(np.full(len(q), state.t), q, lam) if model.redundant else lam
-        return model.reactions(name, q, whole[:, rows]).T
+        return reaction_of(model, name, np.full(len(q), state.t), q, lam).T
 
     def change(moved, mu):
         return _slope(lambda s: reactions(state.q + s * moved[0].T, state.lam + s * mu.T), moved[0])

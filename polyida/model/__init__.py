@@ -308,4 +308,6 @@ def require_model(part, model):
     """Raise InputError unless it is a Model."""
     if not isinstance(model, Model):
         hint = "; call its build()" if hasattr(model, "build") else ""
+        if model is None:
+            hint = "; a run that was loaded has none where a class of its file is not known, which run.summary() names: import that before loading"
         raise InputError(f"{part}: the model is {type(model).__name__}, a polyida.Model is needed{hint}")

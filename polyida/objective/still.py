@@ -31,6 +31,8 @@ def run_of(part: str, subject: Any) -> Any:
         return _still(subject.model, subject.state, subject)
     if not all(hasattr(subject, name) for name in Still._fields[:-1]) or not len(subject.t):
         raise InputError(f"{part}: {subject!r:.100} is no run with frames, no equilibrium of pi.static and no pi.modes")
+    if subject.model is None and hasattr(subject, "known_model"):
+        subject.known_model(part)
     return subject
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 
+WORDS = {"N": "force", "N m": "torque"}
 ENERGIES = ("kinetic", "potential", "strain", "total")
 UNITS = {"q": "m", "v": "m/s", "a": "m/s2"}  # of a scene's
 
@@ -35,23 +36,25 @@ def reactions(run):
 
 def quantity(model, name, k):
     """("force x", "N") of component k of a reaction; where a joint has several of a name, as a clamp at each node, "force x 1" is the first."""
-    joint, rows = model.joints.get(name), model.rows[name]
-    count = len(joint.components) if joint is not None and joint.components else rows.stop - rows.start
-    said = [_said(model, name, i) for i in range(count)]
+    said = components(model, name)
     of_name = [i for i, one in enumerate(said) if one == said[k]]
     return (f"{said[k][0]} {of_name.index(k) + 1}", said[k][1]) if len(of_name) > 1 else said[k]
 
 
-def _said(model, name, k):
-    """What the joint or its row says of component k; a row without a unit has a multiplier."""
-    row, joint = model.rows[name].start + k, model.joints.get(name)
-    if joint is not None and joint.components:
-        axis, unit = joint.components[k]
-    else:
-        unit, label = (model.units[row], model.labels[row]) if model.units else ("", "")
-        axis = label.rsplit(" ", 1)[-1] if label.endswith((" x", " y")) else ""
-    word = {"N": "force", "N m": "torque"}.get(unit)
-    return (f"{word} {axis}".rstrip(), unit) if word else (f"multiplier {k}", "")
+def components(model, name):
+    """("force x", "N") of each component of a reaction; of the rows of a body, and of a model of one's own, multipliers."""
+    reaction = model.reaction_of(name) if model.is_scene else None
+    if reaction is None:
+        rows = model.rows[name]
+        return [_of_row(model, row, k) for k, row in enumerate(range(rows.start, rows.stop))]
+    return [(f"{WORDS[unit]} {axis}".rstrip(), unit) for axis, unit in reaction.components]
+
+
+def _of_row(model, row, k):
+    """What a row says of its multiplier, the k-th of its part."""
+    unit, label = (model.units[row], model.labels[row]) if model.units else ("", "")
+    axis = label.rsplit(" ", 1)[-1] if label.endswith((" x", " y")) else ""
+    return (f"{WORDS[unit]} {axis}".rstrip(), unit) if unit in WORDS else (f"multiplier {k}", "")
 
 
 def dataset(run):

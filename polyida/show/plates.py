@@ -11,7 +11,7 @@ def require_run(part, run, overwrite):
     if not hasattr(run, "model") or not hasattr(run, "node_positions"):
         raise InputError(f"{part}: {type(run).__name__} is no run; give what solve or load returns")
     if run.model is None:
-        raise InputError(f"{part}: no file holds a model of a user's own; the run that was loaded has no plates")
+        raise InputError(f"{part}: {run.missing}; the run that was loaded has no plates")
     if len(run.t) == 0:
         raise InputError(f"{part}: the run has no frames")
     if not is_flag(overwrite):

@@ -52,8 +52,9 @@ class RunPlots:
 
     def reactions(self, *names: str, axes: "Axes | None" = None) -> "Axes":
         """What joints do to their side b, N and N m, against time; of all joints where no name is given."""
+        self._run.known_model("run.plot.reactions")
         model = self._run.model
-        names = names or tuple(model.joints if model else ())
+        names = names or tuple(model.joints)
         if not names:
             raise InputError(f"run.plot.reactions: {type(model).__name__} has no joints")
         lines = {}

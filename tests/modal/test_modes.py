@@ -287,6 +287,87 @@ def test_a_force_without_potential_is_taken_with_damped_alone():
     assert found.unstable.any() and (found.frequencies > 0).all()
 
 
+def states_of(roots):
+    """Eigenvalues of the first-order system: both of a pair, a real root by itself."""
+    return np.sort_complex(np.concatenate([roots, roots[roots.imag != 0].conj()]))
+
+
+def test_both_roots_of_a_mass_that_is_damped_beyond_critical_are_given():
+    """s^2 + 10 s + 1: -0.10 and -9.90."""
+
+    class One(Springs):
+        n, M = 1, np.eye(1)
+
+    found = pi.modes(One(C=[[10.0]], K=[[1.0]]), damped=True)
+    assert found.roots == pytest.approx(np.sort(np.roots([1.0, 10.0, 1.0]))[::-1], rel=1e-12)
+    assert found.rates == pytest.approx(found.roots.real) and (found.frequencies == 0.0).all() and (found.damping == 1.0).all()
+    assert "mode 1: fades at 0.101 1/s" in found.summary() and "mode 2: fades at 9.9 1/s" in found.summary()
+    assert len(pi.modes(One(C=[[10.0]], K=[[1.0]]), count=1, damped=True).roots) == 1
+
+
+def test_the_bicycle_at_rest_falls_in_two_ways():
+    """Roots of the benchmark bicycle at v = 0: Meijaard, Papadopoulos, Ruina, Schwab, Proc. R. Soc. A 463 (2007), table 2."""
+
+    class Bicycle(Springs):
+        M = np.array([[80.81722, 2.31941332208709], [2.31941332208709, 0.29784188199686]])
+
+    K = 9.81 * np.array([[-80.95, -2.59951685249872], [-2.59951685249872, -0.80329488458618]])
+    model, exact = Bicycle(K=K), (3.13164324790656, 5.53094371765393)
+    with pytest.warns(UserWarning, match="2 of the modes grow"):
+        found = pi.modes(model, damped=True)
+    assert np.sort(found.roots.real) == pytest.approx(np.sort([*exact, *np.negative(exact)]), rel=1e-12) and not found.roots.imag.any()
+    assert np.sort(np.linalg.eigvals(pi.linearise(model).A)) == pytest.approx(np.sort(found.roots.real), rel=1e-9)
+    assert found.unstable.sum() == 2 and found.summary().count("unstable") == 2 and "grows at 5.53 1/s, unstable" in found.summary()
+    assert np.sort(found.damping).tolist() == [-1.0, -1.0, 1.0, 1.0]
+    with pytest.warns(UserWarning, match="2 of the modes grow"):
+        still = pi.modes(model)
+    assert still.roots == pytest.approx(exact[::-1], rel=1e-12) or still.roots == pytest.approx(exact, rel=1e-12)
+    assert len(found.plot().axes) == 4
+
+
+@pytest.mark.filterwarnings("ignore:modes")
+@pytest.mark.parametrize("seed", range(4))
+def test_the_roots_are_the_eigenvalues_of_the_linearised_system(seed):
+    """Of a random model on constraints, some of its roots real, some to the right."""
+    random = np.random.default_rng(seed)
+
+    class Random(Springs):
+        m, M = 2, np.diag([2.0, 1.0, 3.0, 0.5, 1.0])
+        n, B = 5, random.standard_normal((2, 5))
+
+        def phi(self, t, q):
+            return self.B @ q
+
+        def phi_q(self, t, q):
+            return self.B
+
+    C, K = random.standard_normal((2, 5, 5))
+    model = Random(C=4.0 * C @ C.T, K=K + K.T + 2.0 * np.eye(5))
+    found, A = pi.modes(model, count=99, damped=True), pi.linearise(model).A
+    assert states_of(found.roots) == pytest.approx(np.sort_complex(np.linalg.eigvals(A).astype(complex)), rel=1e-7, abs=1e-9)
+    assert np.all(np.diff(np.abs(found.roots)) > -1e-9) and (found.roots.imag == 0).any()
+    slowest = pi.modes(model, count=2, damped=True)
+    assert slowest.roots == pytest.approx(found.roots[:2], rel=1e-9)
+
+
+def test_a_large_model_has_its_real_roots_too():
+    """A bar whose tip is dragged far beyond critical damping: Arnoldi's method against all roots, dense."""
+    scene = pi.Scene()
+    bar = scene.add(pi.Plate(pi.mesh.quads(1.0, 0.02, 60, 3), pi.Material(50e6, 0.0, 1100.0), 0.01))
+    scene.add(pi.Clamp(bar.section("left")))
+    tip = bar.section("right")
+    scene.add(pi.SpringDamper(pi.ground.at(tip.point - [0.0, 1.0]), tip, stiffness=1.0, damping=20.0))
+    model = scene.build()
+    found, system = pi.modes(model, count=4, damped=True), linear_system("modes", model)
+    assert eigen._large(system, 4)
+    T = system.basis
+    K, C, one = T.T @ (system.K @ T), T.T @ (system.C @ T), np.eye(T.shape[1])
+    roots = np.linalg.eigvals(np.block([[0.0 * one, one], [-K, -C]]))
+    roots = roots[roots.imag >= 0]
+    least = roots[np.argsort(np.abs(roots))][:4]
+    assert found.roots == pytest.approx(least, rel=1e-6) and (least.imag == 0).any() and (least.imag > 0).any()
+
+
 def test_all_modes_are_given_where_fewer_are_there_than_asked_for():
     """omega^2 of M^-1 K: 50 and 200."""
     assert (2 * np.pi * pi.modes(Springs()).frequencies) ** 2 == pytest.approx([50.0, 200.0], rel=1e-9)

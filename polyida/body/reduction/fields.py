@@ -25,6 +25,8 @@ def fields_of(run: "Trajectory", name: str, count: int = 5) -> NDArray:
     Source: proper orthogonal decomposition by the method of snapshots (Sirovich 1987). Raises InputError where the run has no plate of
     that name, its model is not known, count is no whole number, or the motion has fewer fields.
     """
+    if hasattr(run, "known_model"):
+        run.known_model("fields_of")
     drawn = {} if getattr(run, "model", None) is None else {body.name: body for body in run.model.drawn}
     if not is_one_of(name, drawn):
         raise InputError(f"fields_of: the run has no plate {name!r}; known: {', '.join(map(repr, drawn)) or 'none'}")

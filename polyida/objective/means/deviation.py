@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.given import floats
+from polyida.given import complex_of_pairs, floats
 from polyida.joint.attachment import Attachment
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
@@ -80,7 +80,7 @@ class OnBody(NamedTuple):
 def _pull(model, point):
     """A function (q (frames, n), forces (frames, 2) on the point) that gives what acts on each coordinate, (frames, n)."""
     if model.is_scene:
-        return lambda q, forces: model.pulled(model.side(point).x, forces)
+        return lambda q, forces: model.pulled((model.side(point), "point"), complex_of_pairs(forces))
     return lambda q, forces: np.einsum("fxk,fx->fk", _slopes(model, point, q), forces)
 
 

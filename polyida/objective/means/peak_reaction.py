@@ -1,20 +1,19 @@
 """How much a joint has to bear."""
 
 from dataclasses import dataclass, replace
-from itertools import count
 from typing import Any
 
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_one_of, settle
+from polyida.given import complex_of_pairs, is_one_of, pairs_of, settle
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
 from polyida.objective.means.bodies import named
 from polyida.objective.means.time_mean import TimeMean, power
 from polyida.objective.slopes import Slopes
-from polyida.results.tables import quantity
+from polyida.results.tables import components
 
 UNITS = ("N", "N m")
 
@@ -42,11 +41,10 @@ class PeakReaction(TimeMean):
     def _seen(self, model, span):
         """|R|."""
         name = self._name(model)
-        joint, columns = model.joints[name], model.rows[name]
-        chosen = self._components(model, name)
+        columns, chosen = model.rows[name], self._components(model, name)
 
         def look(frames):
-            told = Told(model, joint, frames.q, frames.lam[:, columns], chosen)
+            told = Told(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
             size = np.linalg.norm(told.reaction, axis=1)
 
             def back(factor):
@@ -54,7 +52,7 @@ class PeakReaction(TimeMean):
                     toward = np.where(size[:, None] > 0, (factor / size)[:, None] * told.reaction, 0.0)
                 lam = np.zeros_like(frames.lam)
                 lam[:, columns] = told.by_multipliers(toward)
-                return Slopes(q=told.by_coordinates(toward), lam=lam)
+                return Slopes(q=told.by_coordinates(toward), lam=lam, t=lambda: told.by_time(toward))
 
             return lambda: size, back
 
@@ -75,8 +73,7 @@ class PeakReaction(TimeMean):
 
     def _components(self, model, name):
         """Numbers of the components that are meant."""
-        rows, joint = model.rows[name], model.joints[name]
-        units = [quantity(model, name, k)[1] for k in range(len(joint.components) if joint.components else rows.stop - rows.start)]
+        units = [unit for _, unit in components(model, name)]
         chosen = [k for k, unit in enumerate(units) if self.unit in (None, unit)]
         if not chosen or len({units[k] for k in chosen}) > 1:
             raise InputError(f"PeakReaction: the reaction of {name!r} is in {' and '.join(sorted(set(units)))}; give one of these as unit")
@@ -86,37 +83,37 @@ class PeakReaction(TimeMean):
 class Told:
     """The reaction of a joint over frames, (frames, chosen components), and the transposes of its slopes, by differences.
 
-    It is a function of the multipliers and of the vectors that the joint asks for, in the order in which it does.
+    It is a function of the multipliers, of the places of the sides in the joint's rows, and of the angles by which profiles turn these.
     """
 
-    def __init__(self, model, joint, q, lam, chosen):
-        self.model, self.joint, self.lam, self.chosen, self.vectors = model, joint, lam, chosen, []
-        self.places = []
-
-        def ask(vector):
-            self.vectors.append(vector)
-            self.places.append(model.values(vector, q))
-            return self.places[-1]
-
-        self.reaction = joint.reaction(lam, ask)[:, chosen]
+    def __init__(self, model, name, t, q, lam, chosen):
+        self.model, self.of, self.t, self.lam, self.chosen = model, model.reaction_of(name), t, lam, chosen
+        self.places = [(place, model.place(place, q)) for place in self.of.needed]
+        self.reaction = self._at()
 
     def by_multipliers(self, toward):
         """`dR/dlam^T toward`, (frames, rows)."""
-        moved = lambda way: self.joint.reaction(self.lam + way, self._again())[:, self.chosen]  # noqa: E731
-        return _against(moved, self.lam, toward)
+        return _against(lambda way: self._at(lam=self.lam + way), self.lam, toward)
 
     def by_coordinates(self, toward):
         """`dR/dq^T toward`, (frames, n)."""
         found = np.zeros((len(toward), self.model.n))
-        for k, (vector, places) in enumerate(zip(self.vectors, self.places)):
-            moved = lambda way, k=k: self.joint.reaction(self.lam, self._again(k, way))[:, self.chosen]  # noqa: E731
-            found += self.model.pulled(vector, _against(moved, places, toward))
+        for place, at in self.places:
+            moved = lambda way, place=place: self._at(moved=(place, complex_of_pairs(way)))  # noqa: E731
+            found += self.model.pulled(place, complex_of_pairs(_against(moved, pairs_of(at), toward)))
         return found
 
-    def _again(self, number=-1, way=0.0):
-        """What the joint asks for as it was, the vector of a number moved by `way`."""
-        calls = count()
-        return lambda vector: self.places[k] + way if (k := next(calls)) == number else self.places[k]
+    def by_time(self, toward):
+        """`dR/dt^T toward` at fixed coordinates and multipliers, (frames,)."""
+        turned = lambda profile: along(lambda s: self._at(ahead=(profile, s)))  # noqa: E731
+        rates = [(turned(profile), [profile.d1(t) for t in self.t.tolist()]) for profile in self.of.profiles]
+        return sum((np.sum(slope * toward, axis=1) * rate for slope, rate in rates), np.zeros(len(toward)))
+
+    def _at(self, lam=None, moved=(None, 0.0), ahead=(None, 0.0)):
+        """The reaction with other multipliers, with a place moved, or with a profile ahead of its value."""
+        places = {(id(side), part): at + moved[1] * ((side, part) == moved[0]) for (side, part), at in self.places}
+        lam = self.lam if lam is None else lam
+        return self.of(self.t, lam, lambda place: places[id(place[0]), place[1]], ahead)[:, self.chosen]
 
 
 def _against(moved, x, toward):
