@@ -1,5 +1,6 @@
 """Small scenes that many tests share: one or two rubber plates on a coarse mesh, held by every kind of joint."""
 
+import signal
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -171,6 +172,14 @@ def scenes():
         THICKNESS=THICKNESS,
         RUBBER=RUBBER,
     )
+
+
+@pytest.fixture
+def heeds_ctrl_c():
+    """Python's own handler in place, also where the shell that started the tests in the background had SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(params=JOINTS)
