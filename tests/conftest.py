@@ -1,14 +1,22 @@
 """Small scenes that many tests share: one or two rubber plates on a coarse mesh, held by every kind of joint."""
 
+import math
+import signal
 import subprocess
 import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 import polyida as pi
 from polyida.cli.garbage import collect_rarely
+from polyida.integrate.running import run as running
+
+settings.register_profile("same every time", derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+settings.load_profile("same every time")
+running.FLUSH_SECONDS = math.inf  # flushes by steps alone, so that the load of the machine adds none
 
 RUBBER = dict(E=50e6, nu=0.3, rho=1100.0)
 LENGTH, HEIGHT, THICKNESS, GRAVITY = 1.0, 0.1, 0.01, (0.0, -9.81)
@@ -171,6 +179,14 @@ def scenes():
         THICKNESS=THICKNESS,
         RUBBER=RUBBER,
     )
+
+
+@pytest.fixture
+def heeds_ctrl_c():
+    """Python's own handler in place, also where the shell that started the tests in the background had SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(params=JOINTS)

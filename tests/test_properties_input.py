@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 import polyida as pi
@@ -559,7 +559,7 @@ NOT_FOR_RUBBISH = [
 ]
 
 
-@settings(derandomize=True, deadline=None, max_examples=500, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
+@settings(max_examples=500, phases=(Phase.generate,))
 @given(place=st.sampled_from(NOT_FOR_RUBBISH), value=RUBBISH)
 def test_five_hundred_random_wrong_values_get_five_hundred_clear_messages(place, value):
     assert complaint(*place, value, None) is None

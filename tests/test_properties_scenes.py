@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 import polyida as pi
@@ -13,7 +13,7 @@ from polyida.assembly.factors.works import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
 from polyida.results.balance import unbalanced
 
-PROFILE = settings(derandomize=True, deadline=None, max_examples=25, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
+PROFILE = settings(max_examples=25, phases=(Phase.generate,))
 THOROUGH = settings(PROFILE, max_examples=60)
 
 

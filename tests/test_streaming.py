@@ -12,7 +12,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.running.sampling import between
-from polyida.integrate.state import State
+from polyida.integrate.state import State, StepFailure
 from polyida.io.frames import StoredFrames
 from polyida.problems import plates
 
@@ -319,14 +319,6 @@ def test_ctrl_c_returns_the_run_so_far(model, whole, tmp_path, out):
     assert not out or (pi.load(path).status == "interrupted" and equal(pi.load(path), run))
 
 
-@pytest.fixture
-def heeds_ctrl_c():
-    """Python's own handler in place, also where the shell that started the tests in the background had SIGINT ignored."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def test_a_real_ctrl_c_is_heeded_between_steps(model, whole, tmp_path, heeds_ctrl_c):
     def progress(t):
         if 0.2 < t < 0.2015:
@@ -336,6 +328,76 @@ def test_a_real_ctrl_c_is_heeded_between_steps(model, whole, tmp_path, heeds_ctr
     run = pi.solve(model, 0.4, ALPHA, progress=progress, out=tmp_path / "run.h5")
     assert run.status == "interrupted" and equal(run, whole, 202) and len(run) == 202
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def press(times=1):
+    for _ in range(times):
+        signal.raise_signal(signal.SIGINT)
+
+
+class PressedAtTheEnd(pi.GeneralizedAlpha):
+    """Ctrl-C comes when the last step is done, before the integrator returns."""
+
+    def steps(self, *arguments, **more):
+        yield from super().steps(*arguments, **more)
+        press()
+
+
+class PressedAndFailing(pi.GeneralizedAlpha):
+    def steps(self, *arguments, **more):
+        yield next(super().steps(*arguments, **more))
+        press()
+        raise StepFailure("failed", "no further", 1e-3)
+
+
+class Crossing:
+    pressed = False
+
+    def __call__(self, t, q, v):
+        if t > 0.0055 and not self.pressed:
+            self.pressed = True
+            press()
+        return t - 0.0055
+
+
+@pytest.mark.parametrize(
+    "kind, until, status, count",
+    [(PressedAtTheEnd, None, "done", 11), (PressedAndFailing, None, "failed", 2), (pi.GeneralizedAlpha, Crossing(), "stopped", 7)],
+)
+def test_ctrl_c_that_ended_no_run_is_raised_when_the_run_is_whole(pendulum, tmp_path, heeds_ctrl_c, kind, until, status, count):
+    with pytest.raises(KeyboardInterrupt) as caught:
+        pi.solve(pendulum, 0.01, kind(h=1e-3), q0=[-1.0, 0.0], until=until, out=tmp_path / "run.h5")
+    run, stored = caught.value.trajectory, pi.load(tmp_path / "run.h5")
+    assert run.status == stored.status == status and len(run) == count and equal(run, stored)
+    assert "attribute `trajectory`" in caught.value.__notes__[0]
+
+
+def test_ctrl_c_beside_an_exception_of_the_users_own_is_raised(pendulum, heeds_ctrl_c):
+    def progress(t):
+        press()
+        raise ZeroDivisionError
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        pi.solve(pendulum, 0.01, ALPHA, q0=[-1.0, 0.0], progress=progress)
+    assert isinstance(caught.value.__context__, ZeroDivisionError) and len(caught.value.__context__.trajectory) == 2
+
+
+@pytest.mark.parametrize("times, inner_steps", [(1, 10), (2, 1)])
+def test_ctrl_c_in_a_run_within_a_run(pendulum, heeds_ctrl_c, times, inner_steps):
+    """The outer run may need the result of the inner one, so the first press waits; a second one ends both, and no wrong result is used."""
+    inner, used = [], []
+
+    def within(t):
+        inner.append(t)
+        if len(inner) == 1:
+            press(times)
+
+    def progress(t):
+        used.append(pi.solve(pendulum, 0.01, ALPHA, q0=[-1.0, 0.0], progress=within).success)
+
+    run = pi.solve(pendulum, 0.01, ALPHA, q0=[-1.0, 0.0], progress=progress)
+    assert run.status == "interrupted" and len(run) == 2 and len(inner) == inner_steps and used == [True] * (2 - times)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.parametrize("out", [None, "run.h5"])

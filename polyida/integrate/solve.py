@@ -83,7 +83,7 @@ def solve(
 
     Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with
     the frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the
-    run so far. Raises InputError for a wrong input, before the run starts.
+    run so far. Ctrl-C after the last step raises KeyboardInterrupt, which has the whole run as `trajectory`. Raises InputError for a wrong input, before the run starts.
     """
     _require_start(model, t0, state, q0, v0)
     require_progress("solve", progress)

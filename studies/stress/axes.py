@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stress import cases, identities, scenes
+from stress import cases, identities, own, scenes
 from stress.kills import killed_runs, killed_sweeps
 from stress.long import many_steps
 from stress.outcome import INTEGRATORS, outcome_of
@@ -99,6 +99,13 @@ AXES = {
         cases.pressing, (0.05, 0.1, 0.15, 0.18, 0.2, 0.25, 0.5, 1.0), (0.1, 0.18, 0.25), foreseen=cases.beyond_the_material
     ),
     "viscosity, s": Axis(_refined(scenes.damped, 0.3), (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1), (1e-6, 1e-3, 1e-1), slow=("ggl1",)),
+    "own body beside": Axis(own.own_body_beside, own.BESIDE, own.BESIDE),
+    "damping of modes": Axis(own.damped_oscillator, (0.1, 1.9, 2.5, 10.0, 1e3), (0.1, 10.0), ("any",)),
+    "speed of a bicycle, m/s": Axis(own.bicycle, (5.0, 0.0), (5.0, 0.0), ("any",)),
+    "reaction of": Axis(own.reaction_of, tuple(own.HOLDS), tuple(own.HOLDS)),
+    "broken promise": Axis(own.promised, own.PROMISES, own.PROMISES, own.WITHOUT_POTENTIAL, foreseen=own.broken_promise),
+    "no derivative": Axis(own.circled, own.DERIVATIVES, own.DERIVATIVES, own.WITHOUT_POTENTIAL, foreseen=own.no_derivative),
+    "energy over potential": Axis(own.own_energy, (1.0, 1.001, 0.5, -1.0), (1.0, 0.5), foreseen=own.no_potential),
     "steps": Axis(many_steps, (20_000, 100_000, 1_000_000), (20_000,), ("alpha", "energy")),
     "steps of those that choose them": Axis(many_steps, (2_000, 100_000), (2_000,), ("ggl2", "radau")),
     "kills of a run": Axis(killed_runs, (50,), (3,), ("alpha", "energy", "ggl2", "radau"), slow=("energy", "radau")),

@@ -25,33 +25,29 @@ ALLOWED = {"alpha": 0.0, "radau": 0.0, "energy": 1e-9, "ggl2": 5e-3, "ggl1": 5e-
 SETTINGS = {"alpha": {"h": 1e-4}, "energy": {"h": 1e-4}, "radau": {"rtol": 1e-11}}  # of those that go on step for step
 
 
-def victim(work):
-    """The number of a new process that does work() and ends; it shares this one's memory up to here."""
+def killed_after(work, seconds):
+    """Do work() in a new process that shares this one's memory and is killed after so much CPU time; whether it ended before.
+
+    CPU time: so the moment does not depend on what else the machine does. The timer's signal ends a process at once, as SIGKILL does.
+    Raises ChildProcessError if the work failed by itself.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads: those of BLAS are idle
         number = os.fork()
     if number == 0:
         code = 1
         try:
+            signal.signal(signal.SIGPROF, signal.SIG_DFL)
+            signal.setitimer(signal.ITIMER_PROF, max(seconds, 1e-6))
             work()
             code = 0
         finally:
             os._exit(code)
-    return number
-
-
-def killed_after(number, delay):
-    """Kill the process after `delay` seconds; whether it had ended well before. Raises ChildProcessError where it failed by itself."""
-    end = time.monotonic() + delay
-    while time.monotonic() < end:
-        if os.waitid(os.P_PID, number, os.WEXITED | os.WNOHANG | os.WNOWAIT):
-            break
-        time.sleep(0.002)
-    os.kill(number, signal.SIGKILL)
     status = os.waitpid(number, 0)[1]
-    if os.WIFEXITED(status) and os.WEXITSTATUS(status):
-        raise ChildProcessError(f"the process failed by itself with code {os.WEXITSTATUS(status)}")
-    return os.WIFEXITED(status)
+    killed = os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGPROF
+    if not killed and status:
+        raise ChildProcessError(f"the process failed by itself with code {os.waitstatus_to_exitcode(status)}")
+    return not killed
 
 
 def killed_runs(kills, name, seed=0, t_end=0.4):
@@ -62,16 +58,15 @@ def killed_runs(kills, name, seed=0, t_end=0.4):
     """
     model, method = plates.double_plate_motors(cells=4).build(), integrator(name, **SETTINGS.get(name, {"rtol": 1e-6}))
     solve(model, t_end / 100, method)  # loads the kernels
-    begin = time.monotonic()
     whole = solve(model, t_end, method)
-    span = 2.0 * (time.monotonic() - begin)
+    span = 2.0 * whole.cpu_seconds
     chance, deviation, lost, count = random.Random(seed), 0.0, 0, 0
     accepted = mmap.mmap(-1, 8)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
         while count < kills:
             work = _going_on(path, model, method, t_end, accepted)
-            ended = killed_after(victim(work), chance.uniform(0.0, span))
+            ended = killed_after(work, chance.uniform(0.0, span))
             count += not ended
             if not path.exists():
                 continue
@@ -137,15 +132,15 @@ def killed_sweeps(kills, name="any", seed=0, tasks=12):
             return place, lambda: [row["end"] for row in results(study, True, place / "tasks")]
 
         sweep("warm")[1]()
-        begin = time.monotonic()
+        begin = time.process_time()
         expected, number = sweep("whole")[1](), 0
-        span = time.monotonic() - begin
+        span = time.process_time() - begin
         while count < kills:
             number += 1
             place, work = sweep(number)
             ended, here = False, 0
             while not ended and count < kills:
-                ended = killed_after(victim(work), chance.uniform(0.0, span))
+                ended = killed_after(work, chance.uniform(0.0, span))
                 count, here = count + (not ended), here + (not ended)
             wrong += work() != expected
             repeated = max(repeated, len((place / "log").read_text().split()) - tasks - here)

@@ -132,7 +132,7 @@ def test_progress_tells_how_many_of_how_many_and_what_comes(tmp_path):
     assert told == [(1, 3, "number 1"), (2, 3, "number 2"), (3, 3, "")]
 
 
-def test_ctrl_c_in_a_run_ends_the_sweep_and_no_row_is_of_the_part(tmp_path):
+def test_ctrl_c_in_a_run_ends_the_sweep_and_no_row_is_of_the_part(tmp_path, heeds_ctrl_c):
     """A run that Ctrl-C ends comes back with what it has; that is no row."""
     model, log = pi.problems.get("pendulum").model, []
 

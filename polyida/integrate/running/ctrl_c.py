@@ -1,4 +1,4 @@
-"""Ctrl-C between steps: the first is noted and heeded when the step is done, a second one breaks in at once."""
+"""Ctrl-C in a run: the first press waits until the step is done, a second one interrupts at once."""
 
 import signal
 import threading
@@ -7,33 +7,44 @@ from contextlib import contextmanager
 _heard = [0]
 
 
-@contextmanager
-def noted():
-    """Context that gives a function which raises KeyboardInterrupt where Ctrl-C was pressed since.
+class Presses:
+    """Handler of SIGINT for one run. count: how often Ctrl-C was pressed. heeded: whether it ended the run."""
 
-    So a flush is not cut in two, nor the exception lost in a place where Python ignores it. Only in the main thread and
-    where Python's own handler is in place; elsewhere Ctrl-C does what it does.
-    """
-    pressed = []
+    def __init__(self):
+        self.count, self.heeded = 0, False
 
-    def note(number, frame):
-        if pressed:
+    def __call__(self, number, frame):
+        self.count += 1
+        if self.count > 1:
             signal.default_int_handler(number, frame)
-        pressed.append(number)
         _heard[0] += 1
 
-    def heed():
-        if pressed:
+    def heed(self):
+        """Raise KeyboardInterrupt if Ctrl-C was pressed."""
+        if self.count:
             raise KeyboardInterrupt
 
-    main = threading.current_thread() is threading.main_thread()
-    ours = main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    before = signal.signal(signal.SIGINT, note) if ours else None
+
+@contextmanager
+def noted():
+    """Context of a run in which Ctrl-C is noted; gives its Presses.
+
+    So a flush is not cut in two, and the exception is not lost in a place where Python ignores it. The context raises
+    KeyboardInterrupt at its end if Ctrl-C was pressed and did not end the run, for example after its last step. A run within a run
+    goes on after the first press, because the outer run may need its result; a second press ends both. Only in the main thread and
+    where Python's own handler is in place; elsewhere Ctrl-C does what it does.
+    """
+    before = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
+    outer, presses = isinstance(before, Presses), Presses()
+    if before is signal.default_int_handler:
+        signal.signal(signal.SIGINT, presses)
     try:
-        yield heed
+        yield presses
     finally:
-        if ours:
+        if before is signal.default_int_handler:
             signal.signal(signal.SIGINT, before)
+        if (presses.count and not presses.heeded) or (outer and before.count > 1):
+            raise KeyboardInterrupt
 
 
 def heard():

@@ -59,19 +59,35 @@ class Run:
         self.last, self.restart = state, Restart(state, self.store.count, vars(self.counts).copy())
 
     def go(self, state):
-        """Run to the end; returns the Trajectory. A user's exception goes on, with the Trajectory as an attribute."""
+        """Run to the end; returns the Trajectory.
+
+        A user's exception goes on, with the Trajectory as an attribute; so does Ctrl-C if it came after the last step.
+        """
+        run = None
         try:
-            with over_time(self.progress, state.t, self.plan["t_end"]) as self.progress, ctrl_c.noted() as heed:
-                status, message = self._steps(state, heed)
+            with ctrl_c.noted() as presses:
+                run = self._run(state, presses)
+        except KeyboardInterrupt as error:
+            if run is not None:
+                self._attach(error, run)
+            raise
+        return run
+
+    def _run(self, state, presses):
+        try:
+            with over_time(self.progress, state.t, self.plan["t_end"]) as self.progress:
+                status, message = self._steps(state, presses.heed)
         except StepFailure as failure:
             beside = "" if isinstance(failure, SingularPosition) else self.watch.suspicion(failure.t)
             status, message = failure.status, f"{failure}{beside}"
         except KeyboardInterrupt:
+            presses.heeded = True
             status, message = "interrupted", f"interrupted after t = {self._reached(state):.9g} s"
         except NotWritten as error:
             return self._result(*self._cut_off(error, f"after t = {self._reached(state):.9g} s"))
         except BaseException as error:
-            self._attach(error)
+            with suppress(Exception):
+                self._attach(error, self._end("error", f"{type(error).__name__}: {error}"))
             raise
         return self._end(status, message)
 
@@ -125,13 +141,11 @@ class Run:
     def _reached(self, state):
         return (self.last or state).t
 
-    def _attach(self, error):
-        """Finish, and hand the Trajectory to an exception that goes on to the caller."""
-        with suppress(Exception):
-            run = self._end("error", f"{type(error).__name__}: {error}")
-            error.trajectory = run
-            where = f" and in {self.store.file.shown}" if self.streams else ""
-            error.add_note(f"The run so far, {len(run)} frames, is in this exception's attribute `trajectory`{where}.")
+    def _attach(self, error, run):
+        """Hand the Trajectory to an exception that goes on to the caller."""
+        error.trajectory = run
+        where = f" and in {self.store.file.shown}" if self.streams else ""
+        error.add_note(f"The run so far, {len(run)} frames, is in this exception's attribute `trajectory`{where}.")
 
     def _end(self, status, message):
         """The Trajectory, and the file closed."""
