@@ -153,7 +153,7 @@ class Switches:
             times = times + 1 if state.t - t < STANDING * self.span else 0
             self.switched[k] = state.t, times
             if times > AGAIN:
-                raise StepFailure("switching", f"the gap of {self.model.gap_names()[k]} opens and closes without end", state.t)
+                raise StepFailure("switching", f"the gap of {self._names(k)} opens and closes without end", state.t)
         self.sides = np.where(hit, -self.sides, self.sides)
         self.speeds = np.where(hit, np.where(self.sides < 0, np.abs(rate), 0.0), self.speeds)
         self.offsets, self.flips, self.bound = np.where(hit, np.abs(g), self.offsets), np.zeros(len(g)), 0.0
@@ -266,7 +266,7 @@ class Switches:
             self.state = self._flipped(state, hit)
             return
         for _ in range(TRIALS):
-            steps = self.counts.steps
+            steps, wide = self.counts.steps, beyond - near
             tried, found = self._tried(t)
             self.counts.steps = steps
             if found is None and tried:
@@ -278,22 +278,29 @@ class Switches:
                     hit = there & (left <= np.maximum(self.near, TOGETHER * falls * whole))
                     break
                 ways = np.where(hit & (falls > 0), (left - 0.5 * self.near) / np.where(falls > 0, falls, 1.0), np.inf)
-                t = near + float(ways.min())
+                t, slow = near + float(ways.min()), False
             else:
                 beyond = min(t, beyond) if found is None else min(t, beyond, found.beyond)
-                hit, t = (hit, near) if found is None else (found.which, found.guess)
+                hit, t, slow = (hit, near, False) if found is None else (found.which, found.guess, True)
             self.counts.rejected += 1
             if beyond - near <= 8 * math.ulp(beyond):
                 break
-            if not near < t < beyond:
+            if not near < t < beyond or (slow and beyond - near > 0.5 * wide):
                 t = 0.5 * (near + beyond)
+        else:
+            if not states:
+                raise StepFailure("switching", f"no step ends where the gap of {self._names(hit)} changes sign", beyond)
+            hit = np.zeros(len(hit), bool)
         if not states:
             self.state = self._flipped(state, hit)
             return
         self.counts.steps += len(states)
-        self.goal, self.flips = near, hit.astype(float)
+        self.goal, self.flips = near if hit.any() else 0.0, hit.astype(float)
         for state in states:
             yield self._accept(state)
+
+    def _names(self, which):
+        return " and ".join(np.atleast_1d(np.array(self.model.gap_names(), object)[which]))
 
     def _tried(self, t):
         """(states of a step, or a few, to t; their first Crossing or None); no states where they fail."""
