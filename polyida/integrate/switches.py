@@ -27,7 +27,7 @@ SMALL = 1e-2  # of the largest rate seen: a gap that closed with less is taken a
 FINEST = 256  # parts of a fixed step, at most
 DIPS, SPLITS = 24, 6  # how often a piece of a step is halved to find the least of a gap: where its rate changes sign, and elsewhere
 STEEP = 1.5  # rates within a piece over those at its ends, at most
-TRIALS = 60  # steps tried to end at one switch
+TRIALS, PATIENCE = 60, 3  # steps tried to end at one switch; of those that bring its bounds nearer by less than half, before bisection
 AGAIN, STANDING = 20, 1e-9  # a gap that switches so often in a row, each time within that share of the run, does so without end
 JUMP = 2.0  # forces that change by less than that when the distance to the switch is taken four times jump there
 KEPT = ("sizes", "rtol", "tolerances", "mu", "ladder")  # of the memory of a state, behind a jump of forces
@@ -41,6 +41,14 @@ class Crossing(NamedTuple):
     guess: float
     beyond: float
     which: np.ndarray
+
+
+def steps_of(taken, integrator, model, state, t_end, counts):
+    """The states of a run: those of the integrator's own steps, `taken(integrator, state, t_end)`, which end at the switches of the model.
+
+    Raises StepFailure.
+    """
+    return Switches(taken, integrator, model, state, t_end, counts).run() if model.switching else taken(integrator, state, t_end)
 
 
 class Switches:
@@ -260,7 +268,7 @@ class Switches:
     def _to_switch(self, after, crossing):
         """Yield the states of a step, or a few, to the first switch; none where that is at its beginning."""
         state, whole = self.state, after.t - self.state.t
-        near, beyond, t, hit, states = state.t, crossing.beyond, crossing.guess, crossing.which, []
+        near, beyond, t, hit, states, slow = state.t, crossing.beyond, crossing.guess, crossing.which, [], 0
         if t - state.t < TOGETHER * whole:
             g, rate = self.here
             self.state = self._flipped(state, hit)
@@ -278,14 +286,15 @@ class Switches:
                     hit = there & (left <= np.maximum(self.near, TOGETHER * falls * whole))
                     break
                 ways = np.where(hit & (falls > 0), (left - 0.5 * self.near) / np.where(falls > 0, falls, 1.0), np.inf)
-                t, slow = near + float(ways.min()), False
+                t = near + float(ways.min())
             else:
                 beyond = min(t, beyond) if found is None else min(t, beyond, found.beyond)
-                hit, t, slow = (hit, near, False) if found is None else (found.which, found.guess, True)
+                hit, t = (hit, near) if found is None else (found.which, found.guess)
             self.counts.rejected += 1
+            slow = slow + 1 if beyond - near > 0.5 * wide else 0
             if beyond - near <= 8 * math.ulp(beyond):
                 break
-            if not near < t < beyond or (slow and beyond - near > 0.5 * wide):
+            if not near < t < beyond or slow > PATIENCE:
                 t = 0.5 * (near + beyond)
         else:
             if not states:
@@ -294,6 +303,9 @@ class Switches:
         if not states:
             self.state = self._flipped(state, hit)
             return
+        if tried is not states:
+            states = self._tried(near)[0]  # so that the steps taken last are those of the run
+            self.counts.steps = steps
         self.counts.steps += len(states)
         self.goal, self.flips = near if hit.any() else 0.0, hit.astype(float)
         for state in states:
