@@ -27,7 +27,7 @@ SMALL = 1e-2  # of the largest rate seen: a gap that closed with less is taken a
 FINEST = 256  # parts of a fixed step, at most
 DIPS, SPLITS = 24, 6  # how often a piece of a step is halved to find the least of a gap: where its rate changes sign, and elsewhere
 STEEP = 1.5  # rates within a piece over those at its ends, at most
-TRIALS = 60  # steps tried to end at one switch
+TRIALS, PATIENCE = 60, 3  # steps tried to end at one switch; of those that bring its bounds nearer by less than half, before bisection
 AGAIN, STANDING = 20, 1e-9  # a gap that switches so often in a row, each time within that share of the run, does so without end
 JUMP = 2.0  # forces that change by less than that when the distance to the switch is taken four times jump there
 KEPT = ("sizes", "rtol", "tolerances", "mu", "ladder")  # of the memory of a state, behind a jump of forces
@@ -41,6 +41,14 @@ class Crossing(NamedTuple):
     guess: float
     beyond: float
     which: np.ndarray
+
+
+def steps_of(taken, integrator, model, state, t_end, counts):
+    """The states of a run: those of the integrator's own steps, `taken(integrator, state, t_end)`, which end at the switches of the model.
+
+    Raises StepFailure.
+    """
+    return Switches(taken, integrator, model, state, t_end, counts).run() if model.switching else taken(integrator, state, t_end)
 
 
 class Switches:
@@ -153,7 +161,7 @@ class Switches:
             times = times + 1 if state.t - t < STANDING * self.span else 0
             self.switched[k] = state.t, times
             if times > AGAIN:
-                raise StepFailure("switching", f"the gap of {self.model.gap_names()[k]} opens and closes without end", state.t)
+                raise StepFailure("switching", f"the gap of {self._names(k)} opens and closes without end", state.t)
         self.sides = np.where(hit, -self.sides, self.sides)
         self.speeds = np.where(hit, np.where(self.sides < 0, np.abs(rate), 0.0), self.speeds)
         self.offsets, self.flips, self.bound = np.where(hit, np.abs(g), self.offsets), np.zeros(len(g)), 0.0
@@ -260,13 +268,13 @@ class Switches:
     def _to_switch(self, after, crossing):
         """Yield the states of a step, or a few, to the first switch; none where that is at its beginning."""
         state, whole = self.state, after.t - self.state.t
-        near, beyond, t, hit, states = state.t, crossing.beyond, crossing.guess, crossing.which, []
+        near, beyond, t, hit, states, slow = state.t, crossing.beyond, crossing.guess, crossing.which, [], 0
         if t - state.t < TOGETHER * whole:
             g, rate = self.here
             self.state = self._flipped(state, hit)
             return
         for _ in range(TRIALS):
-            steps = self.counts.steps
+            steps, wide = self.counts.steps, beyond - near
             tried, found = self._tried(t)
             self.counts.steps = steps
             if found is None and tried:
@@ -283,17 +291,28 @@ class Switches:
                 beyond = min(t, beyond) if found is None else min(t, beyond, found.beyond)
                 hit, t = (hit, near) if found is None else (found.which, found.guess)
             self.counts.rejected += 1
+            slow = slow + 1 if beyond - near > 0.5 * wide else 0
             if beyond - near <= 8 * math.ulp(beyond):
                 break
-            if not near < t < beyond:
+            if not near < t < beyond or slow > PATIENCE:
                 t = 0.5 * (near + beyond)
+        else:
+            if not states:
+                raise StepFailure("switching", f"no step ends where the gap of {self._names(hit)} changes sign", beyond)
+            hit = np.zeros(len(hit), bool)
         if not states:
             self.state = self._flipped(state, hit)
             return
+        if tried is not states:
+            states = self._tried(near)[0]  # so that the steps taken last are those of the run
+            self.counts.steps = steps
         self.counts.steps += len(states)
-        self.goal, self.flips = near, hit.astype(float)
+        self.goal, self.flips = near if hit.any() else 0.0, hit.astype(float)
         for state in states:
             yield self._accept(state)
+
+    def _names(self, which):
+        return " and ".join(np.atleast_1d(np.array(self.model.gap_names(), object)[which]))
 
     def _tried(self, t):
         """(states of a step, or a few, to t; their first Crossing or None); no states where they fail."""

@@ -8,6 +8,7 @@ from polyida.adjoint.steps.recorded import Piece
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.state import Counts, State
 from polyida.integrate.stepping.grid import Grid
+from polyida.integrate.switches import steps_of
 from polyida.io.frames import MEMORY_LIMIT
 
 PARTED = 0.75  # of a step: one that ended with a shorter one was taken in parts
@@ -26,7 +27,9 @@ def course_of(run, model, memory_limit=MEMORY_LIMIT):
 def _accepted(run, model, seen):
     """The accepted states of the run behind the first that `seen` has; told are the parts of cut steps too, from which no run goes on."""
     before = seen.states[seen.first]
-    for state in run.integrator.steps(model, before, run.plan["t_end"], Counts()):
+    counts = Counts()
+    own = lambda settings, state, t_end: settings.steps(model, state, t_end, counts)  # noqa: E731
+    for state in steps_of(own, run.integrator, model, before, run.plan["t_end"], counts):
         for part in _parts(run.integrator, model, before, state):
             seen.accepted(State(part.t, part.q, part.v, part.a, part.lam, restart=False))
         seen.accepted(state)

@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.given import is_number
 from polyida.integrate.state import State, StepFailure
-from polyida.integrate.switches import Switches
+from polyida.integrate.switches import steps_of
 from polyida.model.guarded import blame
 
 SLACK = 1e-9  # of a run's length: as near to its end as that is at its end
@@ -24,16 +24,13 @@ def accepted(integrator, model, state, t_end, counts, rows=None):
     at, in less than a microsecond. A failure says which of a user's functions gave what is not finite. rows: of a
     FrameStore, for an integrator that `writes_rows`.
     """
-    if model.switching:
-        yield from Switches(partial(_accepted, model=model, counts=counts), integrator, model, state, t_end, counts).run()
-    else:
-        yield from _accepted(integrator, state, t_end, model, counts, rows)
+    return steps_of(partial(_accepted, model=model, counts=counts, rows=rows), integrator, model, state, t_end, counts)
 
 
-def _accepted(integrator, state, t_end, model, counts, rows=None):
+def _accepted(integrator, state, t_end, model, counts, rows):
     """The same of the integrator's own steps, whatever switches."""
     own = type(integrator).__module__.startswith("polyida.")
-    places = {"rows": rows} if rows and own and getattr(integrator, "writes_rows", False) else {}
+    places = {"rows": rows} if rows and own and not model.switching and getattr(integrator, "writes_rows", False) else {}
     made = integrator.steps(model, state, t_end, counts, **places)
     watch = _Watch(integrator, state, t_end)
     if not hasattr(made, "__iter__"):
