@@ -99,3 +99,18 @@ def moved_by(kind, where):
 def test_kinks_of_a_straight_move(where, key, integrator, objective):
     numbers = {f"{where}.duration": 0.0237, f"{where}.begin": 0.0312}
     assert error(moved_by("linear", where), numbers, f"{where}.{key}", 0.08, integrator, objective) < 1e-5
+
+
+def reduced(numbers):
+    scene = pi.Scene(gravity=(0.0, -9.0))
+    material = pi.Material(2e7, numbers["arm.nu"], 1000.0)
+    arm = scene.add(pi.Reduced(pi.Plate(pi.mesh.quads(1.0, 0.3, 3, 1), material, 0.01), modes=2, name="arm"))
+    scene.add(pi.Revolute(pi.ground, arm.section("left"), name="hub"))
+    scene.add(pi.PointMass(arm.section("right"), 0.2, name="tip"))
+    return scene.build()
+
+
+@pytest.mark.filterwarnings("ignore::polyida.ReductionWarning")
+@pytest.mark.parametrize("objective", [pi.objective.StrainEnergy(), pi.objective.PeakStress(p=4), pi.objective.PeakReaction("hub", p=4)])
+def test_modes_of_a_reduced_plate_change_with_poissons_ratio(objective):
+    assert error(reduced, {"arm.nu": 0.3}, "arm.nu", 0.03, pi.RadauIIA(h=5e-3, tolerance=1e-15), objective) < 1e-6
