@@ -30,7 +30,7 @@ def gradient_of_run(run, objective, names, progress, memory_limit):
         if work := stacked(start.entries):
             back.totals.work(work)
         back.totals.start(state, start.v0)
-    return Gradient(back.own.value, back.totals.slopes(), back.counts)
+    return Gradient(back.own.value, back.totals.slopes(), back.counts, back.totals.left_out)
 
 
 def _adjoint_of(run):

@@ -11,7 +11,7 @@ from polyida.objective.slopes import Slopes
 
 class Totals:
     """Sums by the names of parameters. names: those that are wanted, or None for all that a model offers by itself; given: whether v0, the
-    velocities that a run was given, is one too.
+    velocities that a run was given, is one too. left_out: {name: reason} of those that the model has and that are not taken without their names.
     """
 
     def __init__(self, model, names=None, given=False):
@@ -19,6 +19,7 @@ class Totals:
         self.parameters = {name: known[name] for name in _wanted(known, names, given)}
         self.with_v0 = given and (names is None or "v0" in names)
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
+        self.left_out = {} if names is not None else {name: parameter.why for name, parameter in known.items() if parameter.asked}
 
     def work(self, work):
         """Add what multiplies the equations of some states."""

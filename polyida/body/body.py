@@ -87,8 +87,11 @@ class Body(OwnPart):
         """The body as a scene takes it, whose parts hold on to these of its attachments: itself, unless its coordinates depend on them."""
         return self
 
-    def made_fields(self, settled: "Body") -> dict[str, Any]:
-        """Fields of its class that a file keeps of the body as it was `settled`, where that may come out otherwise elsewhere."""
+    def made_fields(self, settled: "Body", like: "Body | None" = None) -> dict[str, Any]:
+        """Fields of its class that a file keeps of the body as it was `settled`, where that may come out otherwise elsewhere.
+
+        like: another settled body, to which the fields are to be as near as what they span allows.
+        """
         return {}
 
     def weights_of(self, side: Attachment, part: str) -> NDArray:

@@ -77,9 +77,21 @@ class Reduced(FieldBody):
             raise InputError(f"{self.label}: its fields only move it as rigid; give fields that deform it, modes, or take Rigid(plate)")
         return _InModes(self.plate, self.name, matrices, basis)
 
-    def made_fields(self, settled: Body) -> dict[str, NDArray]:
-        """All fields of its modes: eigenvectors are the same elsewhere but for a sign, or a turn where frequencies meet."""
-        return {"made": pairs_of(settled.shapes()[:, RIGID:].T)}  # type: ignore[attr-defined]
+    def made_fields(self, settled: Body, like: Body | None = None) -> dict[str, NDArray]:
+        """All fields of its modes: eigenvectors are the same elsewhere but for a sign, or a turn where frequencies meet.
+
+        like: a reduced plate of the same mass matrix in a scene; the fields are turned within their span to be the nearest to its fields.
+        """
+        fields = settled.shapes()[:, RIGID:]  # type: ignore[attr-defined]
+        if like is not None:
+            others = like.shapes()[:, RIGID:]  # type: ignore[attr-defined]
+            if others.shape != fields.shape:
+                raise InputError(
+                    f"{self.label}: it has {fields.shape[1]} modes in place of {others.shape[1]} where a number of it changes a little"
+                )
+            left, _, right = np.linalg.svd(fields.conj().T @ (settled.matrices.mass @ others))  # type: ignore[attr-defined]
+            fields = fields @ (left @ right)
+        return {"made": pairs_of(fields.T)}
 
 
 class _InModes(FieldBody, part=False):

@@ -1,6 +1,7 @@
 """An objective of a user's own."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ class Own(Objective):
 
     value(run) -> J. slopes(run) -> {"q": dJ/dq (frames, n), "v", "a": alike, "lam": (frames, m), "t": (frames,)} in all frames; what is not
     there is zero. Where J depends on a parameter by itself, its slope at the same frames stands there too, by the parameter's name:
-    "arm.mass". Frame 0's v is that before the integrator's start and has no slope. Raises InputError where they are no functions, and of a
+    "arm.mass"; without any such name, slopes of that kind in parameters that `pi.gradient` is asked for by name (`body.inertia`) are
+    differences of value(run). Frame 0's v is that before the integrator's start and has no slope. Raises InputError where they are no functions, and of a
     run for other names and shapes, and numbers that are not finite.
     """
 
@@ -46,7 +48,16 @@ class Own(Objective):
 
         def of(part):
             whole = part.indices(len(run.t))[1] == len(run.t)
-            return Slopes(**{name: value[part] for name, value in frames.items()}, direct=direct if whole else {})
+            of_model = elsewhere if whole and not direct else None
+            return Slopes(**{name: value[part] for name, value in frames.items()}, direct=direct if whole else {}, of_model=of_model)
+
+        def elsewhere(model):
+            try:
+                return self(replace(run, model=model) if is_dataclass(run) else run._replace(model=model))
+            except InputError as error:
+                raise InputError(
+                    f"Own: value(run) fails for the same frames of a model with another number: {error}; use names of parts"
+                ) from None
 
         return of
 

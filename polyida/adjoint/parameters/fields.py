@@ -22,6 +22,7 @@ POSITIVE = (0.0, float("inf"))
 PLACING = ("origin", "angle", "velocity", "spin")  # of bodies: where they are and how they start
 MATERIAL = ("nu", "viscosity", "mass_damping")
 OF_REDUCED = ("E", "rho", *MATERIAL)
+SHAPES = "nu"  # of numbers of a material the one that changes the modes of a plate: E and rho change their frequencies only
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +64,15 @@ class OfField(Parameter):
         return total(self.replaced(value), work)
 
     def _part(self, value):
-        """The part of another number; a reduced plate with the fields that it has."""
+        """The part of another number; a reduced plate with the fields that it has, or, where these change with it, with those nearest to them
+        in the new span: in it the motion is the same whatever its fields are.
+        """
         part: Any = self.model.parts[self.part]
-        made = next((placed.user.made_fields(placed.body) for placed in self.model.few if placed.user is part), {})
+        placed = next((placed for placed in self.model.few if placed.user is part), None)
+        made = part.made_fields(placed.body) if placed else {}
+        if made and self.path[-1] == SHAPES:
+            anew = with_part(self.model, self.part, changed(replace(part, **dict.fromkeys(made)), self.path, value))
+            made = part.made_fields(next(other for other in anew.few if other.name == placed.name).body, placed.body)
         return changed(replace(part, **made), self.path, value)
 
     def replaced(self, value):

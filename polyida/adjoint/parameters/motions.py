@@ -23,6 +23,7 @@ class OfMotion(Parameter):
     place: int | slice
     slopes: Callable
     asked: bool = False
+    why = "the body was given no velocity and no spin"
 
     def work(self, work):
         """Nothing: no equation has it."""

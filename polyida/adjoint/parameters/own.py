@@ -33,6 +33,11 @@ class OfOwnModel(Parameter):
     def _bias_p(self, t, q, v):
         return self.model.slope_p(self.name, lambda model: model.phi_bias(t, q, v), t)
 
+    def of_model(self, function):
+        """By differences of copies of the model."""
+        slope = self.model.slope_p(self.name, lambda model: np.array([function(model)]))[0]
+        return slope if np.ndim(slope) else float(slope)
+
     def replaced(self, value):
         """The model with the attribute changed."""
         return self.model.replaced(self.name, value)

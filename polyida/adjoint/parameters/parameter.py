@@ -23,6 +23,7 @@ class Parameter:
     value: Any
     model: Any
     asked = False
+    why = "its slope takes differences of the model"  # where it is `asked`: the reason why it is not taken without its name
     room = EVERYWHERE  # in which it may be changed
 
     def work(self, work: Work) -> Any:

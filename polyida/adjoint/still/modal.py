@@ -19,4 +19,4 @@ def gradient_of_modes(modes, objective, names=None):
     if isinstance(modes.state, Equilibrium):
         for work in adjoint_of_static(modes.state, own, counts):
             totals.work(work)
-    return Gradient(objective(modes), totals.slopes(), counts)
+    return Gradient(objective(modes), totals.slopes(), counts, totals.left_out)

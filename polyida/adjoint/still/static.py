@@ -26,7 +26,7 @@ def gradient_of_static(equilibrium, objective, names=None):
     totals.own(own)
     for work in adjoint_of_static(equilibrium, own, counts):
         totals.work(work)
-    return Gradient(objective(equilibrium), totals.slopes(), counts)
+    return Gradient(objective(equilibrium), totals.slopes(), counts, totals.left_out)
 
 
 def adjoint_of_static(equilibrium, own, counts):

@@ -40,9 +40,10 @@ def started(settings, model, state, h):
         phi, rate = start_values(model, state, right)
         state = _with(state, a_alg=state.a, h=h, phi=phi, rate=rate)
         return state if settings.start == "plain" or "cut" in memory else beginning(settings, model, state, h, right)
-    if at_kink(model, state.t):
+    right = beside(state.t, h) if at_kink(model, state.t) else None
+    if right is not None:
         state = behind_kink(settings, model, state, float(memory["h"]))
-    return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else rescaled(settings, model, state, h)
+    return state if np.isclose(memory["h"], h, rtol=1e-9, atol=0.0) else rescaled(settings, model, state, h, right)
 
 
 def beginning(settings, model, state, h, right=None):
@@ -78,15 +79,17 @@ def behind_kink(settings, model, state, h):
     return _with(behind, v=v + off, a_alg=state.memory["a_alg"] + ahead, h=h, phi=phi, rate=rate + more)
 
 
-def rescaled(settings, model, state, h):
+def rescaled(settings, model, state, h, right=None):
     """The state at another step: a_alg - q'' scales with h, the part of v off the velocity constraint with h^2.
+
+    right: the time behind a kink here.
 
     Behind a step that was far shorter (a pulse between two kinks) both shrink instead: scaled up so far, the noise of mesh modes
     in a_alg would be momentum out of nothing.
     """
     grown, memory, v = h / float(state.memory["h"]), state.memory, state.v
     scale = grown if grown <= FAR_SHORTER else 1.0 / grown
-    phi, rate = start_values(model, state)
+    phi, rate = start_values(model, state, right)
     if model.m and settings.form == "index3":
         v = v + (1 - scale**2) * model.mass_system(state.t, state.q).solve(np.zeros(model.n), rate)[0]
     return _with(state, v=v, a_alg=state.a + scale * (memory["a_alg"] - state.a), h=h, phi=phi, rate=scale**2 * rate)

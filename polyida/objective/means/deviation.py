@@ -28,6 +28,7 @@ class Deviation(TimeMean):
 
     point: Any
     path: Callable[[float], ArrayLike] | ArrayLike
+    _of_material = True
 
     def __post_init__(self):
         if not callable(self.path):

@@ -37,6 +37,7 @@ class OfProfile(Parameter):
     works: Callable
     slopes: Callable
     asked: bool = False
+    why = "the numbers of the profile have slopes of their own"
 
     @property
     def profile(self):

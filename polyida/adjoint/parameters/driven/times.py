@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from polyida.integrate.kinks import beside
 from polyida.model.differences import FIRST_ORDER_STEP, along, around, within
 
 ORDERS = ("value", "d1", "d2")
@@ -23,6 +24,8 @@ def slope_over(profile, made, scale, speeds, orders, t):
     much is taken back by the derivatives in time.
     """
     moved = np.interp(t, profile.kinks, speeds) if speeds.any() else np.zeros(len(t))
+    if moved.any():
+        t = np.array([_beside_kink(profile, at) for at in t.tolist()])
 
     def table(s):
         near = made(s)
@@ -30,6 +33,15 @@ def slope_over(profile, made, scale, speeds, orders, t):
 
     result = along(table, scale)
     return result - np.stack([moved * over(profile, t, order + 1) for order in orders], axis=1) if moved.any() else result
+
+
+def _beside_kink(profile, t):
+    """t, or of a kink the time on the side of which the profile has its values there: both move, and round-off would choose the side."""
+    if not any(abs(kink - t) <= 8 * np.spacing(max(1.0, abs(t))) for kink in profile.kinks):
+        return t
+    at = np.array([beside(t, -1), t, beside(t, 1)])
+    apart = sum(np.abs(values - values[1]) for values in (over(profile, at, order) for order in range(len(ORDERS))))
+    return float(at[0] if apart[0] < apart[2] else at[2])
 
 
 def kink_speeds(made, scale):

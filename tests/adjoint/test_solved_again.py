@@ -1,0 +1,116 @@
+"""Gradients against differences of scenes that are built and solved again with another number."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+
+ALPHA = pi.GeneralizedAlpha(h=5e-3, tolerance=1e-12)
+RADAU = pi.RadauIIA(h=1e-2, tolerance=1e-15)
+FAR = 1e-4  # of a number, between the scenes
+
+
+def error(build, numbers, name, t_end, integrator, objective):
+    """Of the slope in a number, relative to the difference of fourth order of scenes built with others."""
+
+    def value(s):
+        return objective(pi.solve(build({**numbers, name: numbers[name] * (1 + s * FAR)}), t_end, integrator))
+
+    exact = (8 * (value(1) - value(-1)) - (value(2) - value(-2))) / (12 * FAR * numbers[name])
+    found = pi.gradient(pi.solve(build(numbers), t_end, integrator), objective, parameters=[name])
+    return abs(found[name] / exact - 1)
+
+
+def double_pendulum(numbers):
+    scene, end = pi.Scene(gravity=(0.0, -9.81)), np.exp(0.3j)
+    upper = pi.RigidBody(1.0, 0.1, {"left": (0, 0), "right": (1, 0)}, center=(0.5, 0), angle=0.3, name="upper")
+    about = {"center": (0.4, 0.05), "origin": (end.real, end.imag), "angle": -0.5, "name": "lower"}
+    lower = pi.RigidBody(numbers["lower.mass"], numbers["lower.inertia"], {"left": (0, 0), "right": (0.8, 0)}, **about)
+    scene.add(upper)
+    scene.add(lower)
+    scene.add(pi.Revolute(pi.ground, upper.at("left"), name="hub"))
+    scene.add(pi.Revolute(upper.at("right"), lower.at("left"), name="elbow"))
+    scene.add(pi.PointMass(lower.at("right"), 0.2, name="tip"))
+    return scene.build()
+
+
+HEAVY = {"lower.mass": 0.7, "lower.inertia": 0.05}
+
+
+def _square(run):
+    return float((run.position("tip")[1:] ** 2).sum())
+
+
+def _square_slopes(run):
+    return {"q": run.model.pulled(run.model.side("tip").x, 2 * run.position("tip") * (run.t > 0)[:, None])}
+
+
+@pytest.mark.parametrize("name", HEAVY)
+@pytest.mark.parametrize(
+    ("integrator", "objective"), [(ALPHA, pi.objective.Deviation("tip", (1.0, 0.3))), (RADAU, pi.objective.Own(_square, _square_slopes))]
+)
+def test_coordinates_of_a_rigid_body_are_measured_in_what_its_mass_and_inertia_change(name, integrator, objective):
+    assert error(double_pendulum, HEAVY, name, 0.2, integrator, objective) < 1e-7
+
+
+def test_parameters_that_are_left_out_are_told():
+    found = pi.gradient(pi.solve(double_pendulum(HEAVY), 0.05, ALPHA), pi.objective.Deviation("elbow", (1.0, 0.3)))
+    assert {*HEAVY} <= {*found.left_out} and not {*found} & {*found.left_out} and "differences" in found.left_out["lower.mass"]
+    assert "left out" in repr(found) and "lower.inertia" in found._repr_html_()
+    with pytest.raises(pi.InputError, match="'lower.mass' is no parameter it was taken for .*ask for it by `parameters`"):
+        found["lower.mass"]
+
+
+def test_an_objective_that_other_models_cannot_be_asked_for_is_refused():
+    model = double_pendulum(HEAVY)
+    point = model.parts["lower"].at("right")
+    far = pi.objective.Own(lambda run: float(run.position(point)[-1, 0]), lambda run: {})
+    with pytest.raises(pi.InputError, match="value.run. fails for the same frames .* use names of parts"):
+        pi.gradient(pi.solve(model, 0.05, ALPHA), far, parameters=["lower.mass"])
+
+
+def moved_by(kind, where):
+    """A plate that a straight move pushes, or turns; both of its kinks lie within the run."""
+
+    def build(numbers):
+        move = getattr(pi.profile, kind)(0.0, 0.2, numbers[f"{where}.duration"], numbers[f"{where}.begin"])
+        scene = pi.Scene(gravity=(0.0, -3.0))
+        plate = scene.add(pi.Plate(pi.mesh.quads(1.0, 0.3, 3, 1), pi.Material(2e7, 0.3, 1000.0), 0.01, name="arm"))
+        scene.add(pi.Revolute(pi.ground, plate.section("left"), name="hub"))
+        scene.add(pi.PointMass(plate.section("right"), 0.2, name="tip"))
+        if where == "motor":
+            scene.add(pi.AngleMotor(pi.ground, plate.section("left"), move, name="motor"))
+        else:
+            scene.add(pi.PointLoad(plate.section("right"), (5.0, 10.0), move, name="load"))
+        return scene.build()
+
+    return build
+
+
+@pytest.mark.parametrize("key", ["begin", "duration"])
+@pytest.mark.parametrize(
+    ("where", "integrator", "objective"),
+    [
+        ("load", RADAU, pi.objective.Compliance()),
+        ("load", ALPHA, pi.objective.Compliance()),
+        ("motor", ALPHA, pi.objective.PeakReaction("hub", p=4)),
+    ],
+)
+def test_kinks_of_a_straight_move(where, key, integrator, objective):
+    numbers = {f"{where}.duration": 0.0237, f"{where}.begin": 0.0312}
+    assert error(moved_by("linear", where), numbers, f"{where}.{key}", 0.08, integrator, objective) < 1e-5
+
+
+def reduced(numbers):
+    scene = pi.Scene(gravity=(0.0, -9.0))
+    material = pi.Material(2e7, numbers["arm.nu"], 1000.0)
+    arm = scene.add(pi.Reduced(pi.Plate(pi.mesh.quads(1.0, 0.3, 3, 1), material, 0.01), modes=2, name="arm"))
+    scene.add(pi.Revolute(pi.ground, arm.section("left"), name="hub"))
+    scene.add(pi.PointMass(arm.section("right"), 0.2, name="tip"))
+    return scene.build()
+
+
+@pytest.mark.filterwarnings("ignore::polyida.ReductionWarning")
+@pytest.mark.parametrize("objective", [pi.objective.StrainEnergy(), pi.objective.PeakStress(p=4), pi.objective.PeakReaction("hub", p=4)])
+def test_modes_of_a_reduced_plate_change_with_poissons_ratio(objective):
+    assert error(reduced, {"arm.nu": 0.3}, "arm.nu", 0.03, pi.RadauIIA(h=5e-3, tolerance=1e-15), objective) < 1e-6
