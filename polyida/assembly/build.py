@@ -10,7 +10,7 @@ from polyida.assembly.bodies.places import PlacedBody, PlacedPlate
 from polyida.assembly.loads import dead_loads, steady
 from polyida.assembly.own.law_table import laws_of
 from polyida.assembly.rows.points import Points
-from polyida.assembly.rows.row_table import Drives, RowTable
+from polyida.assembly.rows.row_table import Drives, RowTable, given_rows
 from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
@@ -96,7 +96,7 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
     for name, joint in of_kind(parts, Joint).items():
         table.add(name, joint.facing())
     for placed in few:
-        if placed.body.rows():
+        if given_rows(placed.name, placed.body):
             table.add(placed.name, placed.body)
     for mass in of_kind(parts, PointMass).values():
         points.mass[points.add(mass.at)] += mass.mass

@@ -24,7 +24,8 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
 
     1. q0 (zeros where None) is freed of round-off in phi, v0 put on the velocity constraint, both in the metric of M. Where v0 is None
        it is that of the bodies' velocity and spin, which are first changed, as motions of rigid bodies, by as little kinetic energy as
-       their joints ask for (a hinged bar keeps its moment of momentum about the hinge); a warning tells a change of more than a tenth.
+       their joints ask for (a hinged bar keeps its moment of momentum about the hinge); a warning tells a change of more than a tenth. Bodies
+       without a motion follow joints that move at t0 by the same rule.
     2. `[[M, B^T], [B, 0]] (a, lam) = (-g, -bias)`.
     Raises InputError for wrong shapes or values, of q0 and v0 or of what the model's functions return, for a start (or a given v0)
     that violates its constraint by more than 1e-6 of its size, that the model objects to, and for redundant or inconsistent constraints.

@@ -48,6 +48,10 @@ class Vector:
     """A vector of the plane, m: a sum of pieces, linear in the coordinates. As a row of a joint it stands for its two components."""
 
     pieces: tuple
+    __array_ufunc__ = None  # numpy leaves its operators to those below
+
+    def __repr__(self):
+        return f"<vector of {_sides_of(self.pieces)}>"
 
     def __add__(self, other: "Vector") -> "Vector":
         pieces = {id(piece.profile): piece for piece in self.pieces}
@@ -56,18 +60,28 @@ class Vector:
             pieces[id(piece.profile)] = piece if known is None else known.plus(piece)
         return Vector(tuple(pieces.values()))
 
+    def __radd__(self, other: object) -> "Vector":
+        return self + _vector(other)
+
     def __sub__(self, other: "Vector") -> "Vector":
         return self + -_vector(other)
+
+    def __rsub__(self, other: object) -> "Vector":
+        return -self + _vector(other)
 
     def __neg__(self) -> "Vector":
         return self * -1.0
 
     def __mul__(self, number: float) -> "Vector":
         if not is_number(number):
-            raise InputError(f"a vector of a joint is multiplied by {number!r}; use a number, pi.cross or pi.dot")
+            hint = "pi.dot and pi.cross multiply two vectors" if isinstance(number, Vector) else "use a finite number"
+            raise InputError(f"a vector of a joint is multiplied by {in_words(number)}; {hint}{_most(number)}")
         return self._times(complex(number))
 
     __rmul__ = __mul__
+
+    def __truediv__(self, number: float) -> "Vector":
+        return self * _inverse("a vector", number)
 
     def turned(self, angle: float | Profile) -> "Vector":
         """The vector turned by an angle in rad: a number, or a profile of time."""
@@ -122,6 +136,10 @@ class Row:
     drives: tuple = ()
     label: str = ""
     unit: str = ""
+    __array_ufunc__ = None  # numpy leaves its operators to those below
+
+    def __repr__(self):
+        return f"<row of {_sides_of(piece for product in self.products for piece in (product.turning, product.still))}>"
 
     def __add__(self, other: "Row | Profile | float") -> "Row":
         row = _row(other)
@@ -141,9 +159,7 @@ class Row:
 
     def __mul__(self, number: float) -> "Row":
         if not is_number(number):
-            raise InputError(
-                f"a row of a joint is multiplied by {number!r}, which is no number; products of three vectors are not bilinear"
-            )
+            raise InputError(f"a row of a joint is multiplied by {in_words(number)}; use a finite number{_most(number)}")
         scaled = tuple(replace(p, still=p.still.times(complex(number))) for p in self.products)
         drives = tuple((number * factor, profile) for factor, profile in self.drives)
         return replace(self, products=scaled, constant=number * self.constant, drives=drives)
@@ -151,7 +167,7 @@ class Row:
     __rmul__ = __mul__
 
     def __truediv__(self, number: float) -> "Row":
-        return self * (1.0 / number)
+        return self * _inverse("a row", number)
 
     @property
     def driven(self):
@@ -160,6 +176,8 @@ class Row:
 
     def named(self, label: str, unit: str = "") -> "Row":
         """The row with the name and unit of its multiplier."""
+        if not (isinstance(label, str) and isinstance(unit, str)):
+            raise InputError(f"named: label {label!r:.40} and unit {unit!r:.40} of a row must be texts")
         return replace(self, label=label, unit=unit)
 
     def one_way(self) -> "Row":
@@ -180,12 +198,14 @@ def dot(a: Vector, b: Vector) -> Row:
 
 
 def rows_of(formula):
-    """The Rows of what a joint's `rows()` gives: Rows as they are, vectors as two."""
-    for item in formula:
-        if isinstance(item, Row):
-            yield item
+    """The Rows of what a joint's `rows()` gives: Rows as they are, vectors as two. Raises InputError, naming the entry, for anything else."""
+    for number, vector in enumerate(formula, 1):
+        if isinstance(vector, Row):
+            yield vector
+        elif not isinstance(vector, Vector):
+            wanted = "the list needs a vector there, which stands for two rows, or a row made by pi.dot or pi.cross"
+            raise InputError(f"entry {number} of {len(formula)} is {in_words(vector)}; {wanted}")
         else:
-            vector = _vector(item)
             places = any(part == "point" for piece in vector.pieces for _, part, _ in piece.terms)
             for label, axis in (("x", 1 + 0j), ("y", 1j)):
                 yield dot(along(axis), vector).named(label, "N" if places else "N m")
@@ -215,7 +235,8 @@ def rest_of(side, part):
 def _vector(given):
     if isinstance(given, Vector):
         return given
-    raise InputError(f"a joint's formula needs a vector here, the .x or .d of an attachment or a sum of them, not {given!r}")
+    wanted = "a joint's formula needs a vector here, the .x or .d of an attachment or a sum of them"
+    raise InputError(f"{wanted}, not {in_words(given)}{_most(given)}")
 
 
 def _row(given):
@@ -225,4 +246,34 @@ def _row(given):
         return Row((), drives=((1.0, given),))
     if is_number(given):
         return Row((), constant=float(given))
-    raise InputError(f"a row of a joint is added to {given!r}; use pi.cross, pi.dot, numbers and profiles")
+    raise InputError(f"a row of a joint is added to {in_words(given)}; use pi.cross, pi.dot, finite numbers and profiles")
+
+
+def in_words(given):
+    """What stands in a formula, for messages."""
+    if isinstance(given, (Row, Vector)):
+        return f"a {repr(given)[1:-1]}"
+    if isinstance(given, np.ndarray):
+        return f"an array of shape {given.shape}"
+    kinds = {list: "list", tuple: "tuple", dict: "dictionary", str: "text"}
+    kind = kinds.get(type(given))
+    if kind == "text":
+        return f"the text {given!r:.60}"
+    if kind:
+        return f"a {kind} of {len(given)}"
+    return "a profile of time" if isinstance(given, Profile) else f"{given!r:.60}"
+
+
+def _most(given):
+    return "; a row is a sum of products of at most two factors" if isinstance(given, (Row, Vector)) else ""
+
+
+def _inverse(what, number):
+    if not is_number(number) or not number:
+        raise InputError(f"{what} of a joint is divided by {in_words(number)}; divide by a number that is not 0")
+    return 1.0 / number
+
+
+def _sides_of(pieces):
+    """The sides that pieces are made of, in words."""
+    return ", ".join(dict.fromkeys(repr(side) for piece in pieces for side, _, _ in piece.terms)) or "the ground alone"

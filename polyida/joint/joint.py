@@ -15,7 +15,8 @@ class Joint:
 
     A joint of one's own is a class with `rows()`, a list of rows made of `self.a.x`, `self.a.d`, `self.b.x`, `self.b.d` (place, m,
     and direction of a side, without unit) by `pi.cross`, `pi.dot`, `+`, `-`, numbers, `.turned(profile)` and profiles, which move a row
-    in time, as in `pi.dot(self.a.d, self.b.x - self.a.x) - self.stroke`; a vector stands for its two components. Further fields (numbers,
+    in time, as in `pi.dot(self.a.d, self.b.x - self.a.x) - self.stroke`; a product has at most two factors; a vector stands for its two
+    components. Further fields (numbers,
     profiles, attachments) make it a frozen dataclass; they are saved with it. A joint without driven rows must be closed in the reference
     configuration: what is apart by less than 1e-6 of the scene's size counts as that.
     """

@@ -41,6 +41,9 @@ def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
     if model.compiled and not model.own_forces:
         return
+    for name in ("phi", "phi_q") if model.m and not model.is_scene else ():
+        if not writes(model.user, name):
+            raise InputError(f"{model.name}: m = {model.m} constraints, but its class gives no {name}(t, q)")
     try:
         model.call_all(t, q, v)
     except NotImplementedError as error:
@@ -133,9 +136,6 @@ class Guarded(Model):
         self.n, self.m, self.needs, self._calls, self._constant = int(n), int(m), model.needs, 0, None
         self.flexible, self.alike, self.carries = model.flexible, model.alike, model.carries
         self.dissipating, self.parameters = model.dissipating, model.parameters
-        for name in ("phi", "phi_q") if self.m else ():
-            if not writes(model, name):
-                raise InputError(f"{self.name}: m = {self.m} constraints, but its class gives no {name}(t, q)")
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         for name, shape in _shapes(self.n, self.m).items():
             if writes(model, name) and (self.m or name not in OF_CONSTRAINTS):

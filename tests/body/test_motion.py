@@ -212,3 +212,33 @@ def test_a_model_of_ones_own_says_how_it_begins():
 def test_what_is_no_motion_is_told(scenes, call, told):
     with pytest.raises(pi.InputError, match=told):
         call(scenes)
+
+
+@pytest.mark.parametrize("drive", ["motor", "path"])
+@pytest.mark.parametrize("kind", BODIES)
+def test_the_start_is_continuous_in_the_motion_that_is_given(scenes, kind, drive):
+    """Beside a joint that moves at t = 0 a body without a motion begins as one with next to none: as a rigid body that follows it."""
+
+    def begun(**motion):
+        scene = pi.Scene()
+        bar = scene.add(BODIES[kind](scenes, **motion))
+        side = bar.at("left") if kind == "rigid body" else bar.section("left")
+        if drive == "motor":
+            scene.add(pi.Revolute(pi.ground, side, name="hinge"))
+            scene.add(pi.AngleMotor(pi.ground, side, pi.profile.polynomial([0.0, 2.0]), name="drive"))
+        else:
+            scene.add(pi.Path(side, pi.profile.polynomial([side.point[0], 0.5]), pi.profile.polynomial([side.point[1], -0.3])))
+        model = scene.build()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return model, pi.consistent_state(model)
+
+    model, still = begun()
+    for motion in (dict(spin=1e-12), dict(velocity=(1e-12, 0.0))):
+        assert np.abs(begun(**motion)[1].v - still.v).max() < 1e-10
+    mass, arm = (2.0, np.hypot(0.5, 0.1)) if kind == "rigid body" else (1.1, 0.5)
+    about_end = inertia(kind) + mass * arm**2
+    leads = 0.3 + (np.arctan2(0.1, 0.5) if kind == "rigid body" else 0.0)
+    across = 0.5 * -np.sin(leads) - 0.3 * np.cos(leads)
+    moved = 0.5 * about_end * 2.0**2 if drive == "motor" else 0.5 * mass * (0.34 - (across * arm) ** 2 * mass / about_end)
+    assert energy(model, still) == pytest.approx(moved, rel=1e-9)

@@ -152,3 +152,59 @@ def test_a_registered_one_that_is_no_dataclass_comes_back_by_its_name(tmp_path, 
     solved(Mine(end=END), out=tmp_path / "run.h5")
     again = pi.load(tmp_path / "run.h5")
     assert again.integrator == "mine" and len(again) == 11 and again.summary().startswith("done: mine")
+
+
+class Reuses:
+    """Uniform motion in ten steps that changes, in place, what it was given and what it has yielded."""
+
+    def steps(self, model, state, t_end, counts):
+        h, memory = (t_end - state.t) / 10, {"seen": np.zeros(1)}
+        q, first = state.q, state.t
+        for k in range(1, 11):
+            counts.steps += 1
+            q += h * state.v
+            memory["seen"] += 1
+            after = pi.State(first + k * h, q.copy(), state.v, state.a, state.lam, memory=memory)
+            yield after
+            after.q[:], after.lam[:] = 77.0, 77.0
+
+
+def test_what_an_integrator_changes_later_is_not_the_runs():
+    given, seen = [np.array([1.0, 2.0]), np.array([1.0, 0.0])], []
+    run = pi.solve(
+        Free(), END, Reuses(), q0=given[0], v0=given[1], output=[0.0, 0.03, 0.5, 1.0], until=lambda t, q, v: seen.append((t, q)) or t - 0.95
+    )
+    assert np.allclose(run.q, [[1.0 + t, 2.0] for t in run.t], atol=1e-12) and np.array_equal(given, [[1.0, 2.0], [1.0, 0.0]])
+    assert all(np.allclose(q, [1.0 + t, 2.0]) for t, q in seen)
+    part = pi.solve(Free(), END, Reuses(), q0=given[0], v0=given[1], every=5)
+    again = pi.solve(Free(), 2.0 * END, Reuses(), state=part.state)
+    assert part.state.q[0] == pytest.approx(2.0) and again.q[0, 0] == pytest.approx(2.0) and again.q[-1, 0] == pytest.approx(3.0)
+    assert part.state.memory["seen"] == 10.0 and np.allclose(part.q[:, 0], 1.0 + part.t)
+
+
+COUNTS = {"steps": "many", "solves": np.nan, "tangents": None, "rejected": np.arange(3), "residuals": -1, "backend": 3, "mine": 1}
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_counts_that_are_none_stop_the_run(name, tmp_path):
+    class Counting(Mine):
+        def steps(self, model, state, t_end, counts):
+            for k, after in enumerate(super().steps(model, state, t_end, counts)):
+                if k == BAD:
+                    setattr(counts, name, COUNTS[name])
+                yield after
+
+    run = solved(Counting(), out=tmp_path / "run.h5")
+    assert not run.success and f"counts.{name} = " in run.message and run.t[-1] == 0.5
+    assert run.counts.steps == BAD and pi.load(tmp_path / "run.h5").counts.as_dict() == run.counts.as_dict() and run.summary()
+
+
+def test_counts_of_numpy_are_numbers():
+    class Counting(Mine):
+        def steps(self, model, state, t_end, counts):
+            for after in super().steps(model, state, t_end, counts):
+                counts.solves = np.int64(counts.steps)
+                yield after
+
+    run = solved(Counting())
+    assert run.success and type(run.counts.solves) is int and run.counts.solves == 10

@@ -261,3 +261,43 @@ def test_a_formula_of_two_turned_vectors_and_sums(scenes):
     exact = 2.0 * (turn[0] @ d_a) @ (turn[1] @ d_b) - 2.0 * d_a @ d_b + (x_b - x_a) @ (x_b - x_a) / 3.0
     assert model.phi(t, q)[model.rows["odd"]] == pytest.approx([exact], abs=1e-13)
     assert max(pi.check_derivatives(model, t, q=q).values()) < 1e-6
+
+
+MISTAKES = {
+    "a number": (lambda a, b: [a.x - b.x, 1.0], "entry 2 of 2 is 1.0; the list needs a vector there, .* or a row"),
+    "text": (lambda a, b: ["x"], "entry 1 of 1 is the text 'x'"),
+    "None": (lambda a, b: None, "must give a list of rows, not None"),
+    "a row, no list": (lambda a, b: pi.dot(a.d, b.d), "must give a list of rows, not a row of RigidBody 'wheel' rim"),
+    "a list in a list": (lambda a, b: [[a.x - b.x]], "entry 1 of 1 is a list of 1"),
+    "an array": (lambda a, b: [np.zeros(2)], r"entry 1 of 1 is an array of shape \(2,\)"),
+    "no row": (lambda a, b: [], "at least one"),
+    "nan": (lambda a, b: [pi.dot(a.d, b.x) * np.nan], "multiplied by nan"),
+    "too large": (lambda a, b: [pi.dot(a.d, b.d) * 1e300 * 1e300], "row 1 of 1 is not finite at rest"),
+    "three factors": (lambda a, b: [pi.dot(pi.dot(a.d, b.d) * a.x, b.x)], "at most two factors"),
+    "a row in a product": (lambda a, b: [pi.dot(pi.dot(a.d, b.d), b.x)], "not a row of .*at most two factors"),
+    "two rows": (lambda a, b: [pi.dot(a.d, b.d) * pi.dot(a.d, b.d)], "multiplied by a row of .*at most two factors"),
+    "two vectors": (lambda a, b: [a.x * b.x], "pi.dot and pi.cross multiply two vectors"),
+    "a vector in a sum": (lambda a, b: [pi.dot(a.d, b.d) + b.x], "is added to a vector of RigidBody 'wheel' rim"),
+    "a number less a vector": (lambda a, b: [2.0 - b.x], "needs a vector here.*not 2.0"),
+    "an array times a vector": (lambda a, b: [np.ones(2) * b.x], "multiplied by an array"),
+    "a division": (lambda a, b: [pi.dot(a.d, b.d) / 0.0], "divided by 0.0"),
+    "a power": (lambda a, b: [pi.dot(a.d, b.d) ** 2], "raised TypeError.*in `return self.formula"),
+    "no label": (lambda a, b: [pi.dot(a.d, b.d).named(3)], "named: label 3"),
+}
+
+
+@pytest.mark.parametrize("kind", MISTAKES)
+def test_a_mistake_in_rows_is_told_in_words(kind):
+    formula, words = MISTAKES[kind]
+
+    class Mistaken(pi.Joint):
+        def rows(self):
+            return self.formula(self.a, self.b)
+
+    Mistaken.formula = staticmethod(formula)
+    scene = pi.Scene()
+    wheel = scene.add(pi.RigidBody(1.0, 1.0, {"rim": (0.5, 0.0)}, name="wheel"))
+    scene.add(Mistaken(pi.ground.at((0.5, 0.0), direction=(1.0, 0.0)), wheel.at("rim"), name="rail"))
+    with pytest.raises(pi.InputError, match=rf"^rail: rows\(\) of Mistaken.*{words}") as caught:
+        scene.build()
+    assert not any(word in str(caught.value) for word in ("Row(", "Vector(", "Piece(", "Product("))

@@ -12,7 +12,7 @@ from polyida.adjoint.parameters.own import of_own
 from polyida.adjoint.parameters.parameter import Parameter
 from polyida.adjoint.parameters.plates import of_plates
 from polyida.adjoint.parameters.shared import Shared
-from polyida.assembly.bodies.motion import motions_given
+from polyida.assembly.bodies.motion import moves_at
 from polyida.assembly.bodies.motion_slopes import motion_slopes
 
 __all__ = ["Parameter", "in_time", "parameters_of"]
@@ -29,7 +29,7 @@ def _of_scene(model):
         return motion_slopes(model, t, q, bar)
 
     def changes(t, q, bar):
-        return slopes(t, q, bar) if motions_given(model).any() else None
+        return slopes(t, q, bar) if moves_at(model, t, q) else None
 
     yield from of_fields(model)
     yield from of_plates(model, changes)

@@ -8,7 +8,7 @@ from typing import Any
 from polyida.adjoint.parameters.elements import element_work
 from polyida.adjoint.parameters.parameter import Parameter, total
 from polyida.adjoint.parameters.rebuilt import changed, with_part
-from polyida.assembly.bodies.motion import motions_given
+from polyida.assembly.bodies.motion import moves_at
 from polyida.assembly.own.forces import OwnForce
 from polyida.body.body import Body
 from polyida.body.field_body import FieldBody
@@ -43,8 +43,8 @@ class OfField(Parameter):
         return self._slope(lambda value: self._total(value, work))
 
     def start(self, t, q, bar):
-        """The same, where bodies were given motions, which are changed in the metric of M."""
-        if isinstance(self.model.parts[self.part], ForceElement) or not motions_given(self.model).any():
+        """The same, where the scene begins in motion, which is changed in the metric of M."""
+        if isinstance(self.model.parts[self.part], ForceElement) or not moves_at(self.model, t, q):
             return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that they are, which the run has told

@@ -34,15 +34,20 @@ def velocity_at(model, t, q):
     """Velocities (n,) of a scene at (t, q) whose bodies move as they were given, changed by what joints ask of bodies that stay rigid.
 
     The change has the least kinetic energy, `min (w - w_0)^T R^T M R (w - w_0)`, `phi_q R w + phi_t = 0`: R (n, 3 bodies), w velocity and
-    spin of each; where these rows contradict each other they are met in the least-squares sense. A warning says where it is large.
+    spin of each; where these rows contradict each other they are met in the least-squares sense. A warning says where it is large. Bodies
+    that were given no motion follow joints that move at t by the same rule, so that the start is continuous in what they are given.
     """
-    wanted = motions_given(model)
-    if not wanted.any():
+    if not moves_at(model, t, q):
         return np.zeros(model.n)
-    R = rigid_motions(model, q)
+    wanted, R = motions_given(model), rigid_motions(model, q)
     changed = wanted + _change(model, t, q, R, wanted)
     _warn_of_change(model, [placed.name for placed in (*model.bodies, *model.few)], R, wanted, changed)
     return R @ changed
+
+
+def moves_at(model, t, q):
+    """Whether a scene that begins at (t, q) moves: bodies were given motions, or joints move then."""
+    return bool(motions_given(model).any() or (model.m and model.phi_t(t, q).any()))
 
 
 def motions_given(model):

@@ -1,11 +1,13 @@
 """From the formulas of joints to the arrays that the row kernels read."""
 
+from traceback import extract_tb
+
 import numpy as np
 
 from polyida.assembly.arrays import starts
 from polyida.errors import InputError
 from polyida.joint.attachment import Ground
-from polyida.joint.formula import rows_of
+from polyida.joint.formula import in_words, rows_of
 from polyida.joint.joint import Joint
 
 ROUND = 1e-12  # of the scene's size: what the round-off of a formula leaves at rest
@@ -123,11 +125,29 @@ class Drives:
 
 
 def given_rows(name, part):
-    """The Rows of a part, a list. Raises InputError where it gives none."""
-    rows = part.rows()
-    if not isinstance(rows, (list, tuple)) or not rows:
-        raise InputError(f"{name}: rows() of {type(part).__name__} must give a list of rows, not {rows!r}")
-    return list(rows_of(rows))
+    """The Rows of a part, a list, empty of a body alone. Raises InputError, naming part and entry, for anything else."""
+    what = f"{name}: rows() of {type(part).__name__}"
+    try:
+        rows = part.rows()
+        if not isinstance(rows, (list, tuple)):
+            raise InputError(f"it must give a list of rows, not {in_words(rows)}")
+        found = list(rows_of(rows))
+    except InputError as error:
+        raise error if repr(name) in str(error) else InputError(f"{what}{_line(error)}: {error}") from error
+    except Exception as error:
+        raise InputError(f"{what} raised {type(error).__name__}{_line(error)}: {error}") from error
+    if not found and isinstance(part, Joint):
+        raise InputError(f"{what}: it must give a list of rows, at least one")
+    for number, row in enumerate(found, 1):
+        if not np.isfinite(_at_rest(row)):
+            raise InputError(f"{what}: row {number} of {len(found)} is not finite at rest")
+    return found
+
+
+def _line(error):
+    """The line of rows() that raised an error, for messages."""
+    lines = [frame.line for frame in extract_tb(error.__traceback__) if frame.name == "rows" and frame.line]
+    return f", in `{lines[-1]}`" if lines else ""
 
 
 def _apart(part):

@@ -1,12 +1,14 @@
 """The states that an integrator yields, looked at one by one: whatever it does, a run's frames are states on the way to its end."""
 
 import math
+from copy import deepcopy
+from dataclasses import fields
 from functools import partial
 
 import numpy as np
 
-from polyida.given import is_number
-from polyida.integrate.state import State, StepFailure
+from polyida.given import is_number, is_whole
+from polyida.integrate.state import Counts, State, StepFailure
 from polyida.integrate.switches import steps_of
 from polyida.model.guarded import blame
 
@@ -19,9 +21,9 @@ def accepted(integrator, model, state, t_end, counts, rows=None):
     """Yield the integrator's states from `state` to t_end.
 
     Raises StepFailure, which names integrator and time, at one that is no State, has the wrong shape, is not real or not
-    finite, goes back in time, repeats it, overruns t_end or hardly moves, and where the last is short of t_end. States
-    of a user's own integrator are copied, for it may fill one array again and again; polyida's own are only looked
-    at, in less than a microsecond. A failure says which of a user's functions gave what is not finite. rows: of a
+    finite, goes back in time, repeats it, overruns t_end or hardly moves, where the last is short of t_end, and at counts that are no
+    whole numbers. A user's own integrator begins with a copy, and its states are copied with their memory, for it may fill one array
+    again and again; polyida's own are only looked at, in less than a microsecond. A failure says which of a user's functions gave what is not finite. rows: of a
     FrameStore, for an integrator that `writes_rows`.
     """
     return steps_of(partial(_accepted, model=model, counts=counts, rows=rows), integrator, model, state, t_end, counts)
@@ -31,8 +33,9 @@ def _accepted(integrator, state, t_end, model, counts, rows):
     """The same of the integrator's own steps, whatever switches."""
     own = type(integrator).__module__.startswith("polyida.")
     places = {"rows": rows} if rows and own and not model.switching and getattr(integrator, "writes_rows", False) else {}
-    made = integrator.steps(model, state, t_end, counts, **places)
-    watch = _Watch(integrator, state, t_end)
+    watch = _Watch(integrator, state, t_end, counts)
+    begin = state if own else State(state.t, *(getattr(state, name).copy() for name in FIELDS), deepcopy(state.memory), state.restart)
+    made = integrator.steps(model, begin, t_end, counts, **places)
     if not hasattr(made, "__iter__"):
         watch.stop(f"its steps gave {type(made).__name__}, no states")
     try:
@@ -58,14 +61,17 @@ def _foreign(watch, states):
         watch.require_finite(state)
         watch.require_ahead(state.t)
         watch.require_moving(state.t)
+        watch.require_counts()
         watch.before = state
         yield state
+    watch.require_counts()
 
 
 class _Watch:
     """The last good state of a run, and what stops it there."""
 
-    def __init__(self, integrator, state, t_end):
+    def __init__(self, integrator, state, t_end, counts):
+        self.counts, self.known = counts, counts.as_dict()
         self.name, self.before, self.t_end, self.standing = type(integrator).__name__, state, t_end, 0
         self.slack = max(SLACK * (t_end - state.t), 64 * math.ulp(t_end))
 
@@ -81,7 +87,34 @@ class _Watch:
             self.stop(f"its steps yielded a State at t = {given.t!r}")
         arrays = [self._floats(name, getattr(given, name), getattr(self.before, name).shape, given.t) for name in FIELDS]
         t = self.t_end if abs(given.t - self.t_end) <= self.slack else float(given.t)
-        return State(t, *arrays, dict(given.memory or {}), bool(given.restart))
+        return State(t, *arrays, self._memory(given), bool(given.restart))
+
+    def _memory(self, given):
+        """A copy of the memory, which may hold arrays that are filled again."""
+        if not isinstance(given.memory or {}, dict):
+            self.stop(f"memory at t = {given.t:.9g} s must be a dictionary, not {type(given.memory).__name__}")
+        try:
+            return deepcopy(given.memory or {})
+        except Exception as error:  # noqa: BLE001 what a copy of anything may raise
+            self.stop(f"memory at t = {given.t:.9g} s cannot be copied ({error}); keep numbers, texts and arrays in it")
+
+    def require_counts(self):
+        """Stop at counts that are no whole numbers, or that there are not, with the last that were right; those of numpy become int."""
+        found, names = vars(self.counts), [field.name for field in fields(Counts)]
+        wrong = next((name for name in found if name not in names), None)
+        good = {name: isinstance(found.get(name), str) if name == "backend" else is_whole(found.get(name), 0) for name in names}
+        wrong = wrong or next((name for name in names if not good[name]), None)
+        if wrong is None:
+            self.known = {name: value if name == "backend" else int(value) for name, value in self.counts.as_dict().items()}
+            found.update(self.known)
+            return
+        value = found.get(wrong)
+        found.clear()
+        found.update(self.known)
+        wanted = (
+            "must be a text" if wrong == "backend" else "must be a whole number" if wrong in names else f"is none of {', '.join(names)}"
+        )
+        self.stop(f"counts.{wrong} = {value!r:.80} {wanted}")
 
     def _floats(self, name, value, shape, t):
         kind = getattr(getattr(value, "dtype", None), "kind", "O")
