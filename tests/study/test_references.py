@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import digits
+import polyida as pi
 from polyida import problems
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
@@ -16,6 +17,7 @@ from polyida.study.kinds.work_precision import cheapest
 from polyida.study.measured import errors
 from polyida.study.members import FIXED, IDA_FORMS, integrator
 from polyida.study.reference import agreed, families
+from polyida.study.reference.doubts import short
 from polyida.study.reference.families import last_state
 from polyida.study.subject import Subject
 from step_size_sensitivity.errors import smooth
@@ -156,6 +158,49 @@ class RunsAway(Model):
 
     def force(self, t, q, v):
         return -6 * q**2
+
+
+class Bump(Model):
+    """1 kg at 1 m/s that is pushed back over 1 mm: by 600 N it is turned, by 200 N it passes and is the slower."""
+
+    n, m = 1, 0
+
+    def __init__(self, push):
+        self.push = push
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        s = (q - 0.5) / 1e-3
+        return self.push * np.where(np.abs(s) < 1, (1 - s**2) ** 2, 0.0)
+
+
+@pytest.mark.parametrize("push", [200.0, 600.0])
+def test_a_force_that_both_methods_step_over_is_not_known(push):
+    """They agree to round-off; the energy says where it ends."""
+    motion = Subject("bump", Bump(push), 1.0, [0.0], [1.0])
+    found = agreed.agreed(motion)
+    work = push * 1e-3 * 16 / 15
+    gap = abs(found["v"][0] - (np.sqrt(1.0 - 2.0 * work) if work < 0.5 else -1.0))
+    assert gap <= found["known_to"]["v"] and found["looked_at"] == pytest.approx(1.0 / 4000)
+    assert "is not seen" in short(found)[0]
+
+
+def test_a_contact_that_both_methods_step_over_is_not_known():
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, velocity=(1.0, 0.0)))
+    scene.add(pi.Contact(pi.ground.at((0.5, 0.0)), body.at("c"), stiffness=1e6, radius=0.01, exponent=1.5))
+    model = scene.build()
+    found = agreed.agreed(Subject("contact", model, 1.0))
+    assert abs(found["v"][0] + 1.0) <= found["known_to"]["v"]
+
+
+def test_smooth_forces_of_a_model_of_one_s_own_leave_a_reference_known():
+    """Never nearer than round-off."""
+    found = agreed.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 1e-8))
+    assert found["known_to"]["q"] < 1e-9 and not any(agreed._radau(swing(), 0)[2].values())
+    assert all(known >= 1e-14 * np.abs(found[part]).max() for part, known in found["known_to"].items())
 
 
 def test_a_reference_run_that_stops_is_no_reference():

@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.study.measured import errors, measured, smallest_errors
 from polyida.study.reference.agreed import agreed, given
-from polyida.study.reference.doubts import doubts
+from polyida.study.reference.doubts import doubts, short
 from polyida.study.result import Result
 from polyida.study.rows import NAN
 from polyida.study.slopes import fitted
@@ -107,7 +107,7 @@ def against_reference(study, given_subject, members, reference, repeats, tell):
     reference = reference or agreed(given_subject, smallest_errors(runs), lambda what: tell(total, total + 1, what))
     rows = [row | errors(run, reference) for row, run in zip(rows, runs)]
     tell(total + 1, total + 1, "")
-    return rows, [*_stopped(rows), *_unknown(reference), *doubts(rows, runs, reference)], reference
+    return rows, [*_stopped(rows), *_unknown(reference), *short(reference), *doubts(rows, runs, reference)], reference
 
 
 def _step(integrator):

@@ -14,13 +14,16 @@ from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
-from polyida.study.reference.families import PARTS, by_bdf, by_explicit, by_radau, distance, extrapolated
+from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.study.reference.families import PARTS, by_bdf, by_explicit, by_radau, distance, extrapolated, last_state, whole
+from polyida.study.reference.missed import TIMES, announces, missed
 
 RADAU = (1e-9, 1e-11, 1e-13)  # rtol, level by level
 EXPLICIT = (1e-11, 1e-13, 2.3e-14)  # finer: two of one size err in one direction now and then, and would seem to agree
 FINEST = 2
 SHARE = 0.1  # of the smallest error that is measured: what a reference should be off by
 BELOW = 1.0  # the same: more than that, and another family is asked
+ROUND = 1e-14  # of a part's size: round-off of a run, which two that agree may share
 ENOUGH = 1e-12  # of a part's size: nearer than that two methods need not come
 BETTER = 0.5  # of the distance before: what a level must come to for the next to be tried
 STEPS = (500, 2000, 8000)  # of extrapolated methods, level by level
@@ -50,12 +53,18 @@ OTHERS = (BY_EXPLICIT, BY_BDF, BY_ENERGY_MOMENTUM, BY_ALPHA)
 
 
 def _radau(subject, level):
-    return f"Radau IIA, rtol {RADAU[level]:g}", by_radau(subject.model, subject.t_end, RADAU[level], subject.q0, subject.v0)
+    """(what it is, {part: value at the end}, {part: how far that may be off by what its steps did not see})."""
+    made, motion = f"Radau IIA, rtol {RADAU[level]:g}", (subject.model, subject.t_end)
+    if announces(subject.model):
+        return made, by_radau(*motion, RADAU[level], subject.q0, subject.v0), {}
+    run = whole(*motion, RadauIIA(rtol=RADAU[level]), subject.q0, subject.v0)
+    return made, vars(last_state(run)), missed(run)
 
 
 def agreed(subject, errors=lambda values: {}, tell=lambda what: None, others=OTHERS, first=0):
     """A reference {"q", "v", "lam", "made_by": [two methods], "known_to": {part: their distance}, "failed": [what did not come there]}.
 
+    "looked_at", s, of a model with forces that no kink announces: from one time to the next at which these were looked at between the steps.
     errors(values): {part: the smallest error, above zero, that is measured against these values}; the reference is refined until it is
     known to a tenth of that, or to 1e-12 of the part's size, or as long as the two come nearer to each other. others: the families beside
     Radau IIA, in the order in which they are tried; first: the level to begin with. Without two that come there it has "failed" alone.
@@ -64,9 +73,11 @@ def agreed(subject, errors=lambda values: {}, tell=lambda what: None, others=OTH
     for make in others:
         pair = _refined(subject, make, range(first, len(RADAU)), mine, failed, errors, tell)
         best = pair if pair and (not best or _off(pair, best) < 1) else best
-        if best and _enough(best, errors, BELOW):
+        stepped_over = any(any(unseen.values()) for _, _, unseen in mine.values())  # no other family would make these values better known
+        if best and (stepped_over or _enough(best, errors, BELOW)):
             break
-    return best | {"failed": failed}
+    seen = {} if announces(subject.model) else {"looked_at": subject.t_end / TIMES}
+    return best | (seen if best else {}) | {"failed": failed}
 
 
 def _refined(subject, make, levels, mine, failed, errors, tell):
@@ -81,12 +92,18 @@ def _refined(subject, make, levels, mine, failed, errors, tell):
         except Exception as error:  # noqa: BLE001, whatever a user's functions answer where nobody led them: what was measured must come out
             failed.append(str(error) or type(error).__name__)
             return best
-        pair = mine[level][1] | {"made_by": [mine[level][0], other[0]], "known_to": distance(mine[level][1], other[1])}
+        made, values, unseen = mine[level]
+        pair = values | {"made_by": [made, other[0]], "known_to": _known(values, distance(values, other[1]), unseen)}
         nearer = not best or _off(pair, best) < BETTER
         best = pair if not best or _off(pair, best) < 1 else best
         if not nearer or _enough(best, errors):
             break
     return best
+
+
+def _known(values, apart, unseen):
+    """{part: how far values may be off}: as far as another method is, and the steps of both may have missed; not less than round-off."""
+    return {part: max(far, ROUND * np.abs(values[part]).max(initial=0.0)) + unseen.get(part, 0.0) for part, far in apart.items()}
 
 
 def _off(pair, other):

@@ -6,6 +6,16 @@ FINER = 1.5  # times the steps: of two runs that tell how far one moves
 STANDS = 10.0  # times nearer to each other than to the reference, and beyond what is known of it: two runs that do not come to it
 
 
+def short(reference):
+    """The line on what is too short for a reference, of a model with forces that no kink announces; else none."""
+    if "looked_at" not in reference:
+        return []
+    return [
+        f"what acts for less than {reference['looked_at']:.1e} s between the steps of the reference is not seen, as far as no kink of the model "
+        "announces it: known_to does not hold it"
+    ]
+
+
 def doubts(rows, runs, reference):
     """Lines on integrators whose ends stand still with finer steps, away from the reference. rows, runs: of all settings; with errors."""
     found = []

@@ -116,12 +116,17 @@ def extrapolated(model, t_end, method, h, q0=None, v0=None):
 
 def end_by(model, t_end, integrator, q0=None, v0=None, progress=None):
     """{"q", "v", "lam"} at t_end by an integrator. RuntimeError where it does not come there."""
-    run = solve(model, t_end, integrator, q0=q0, v0=v0, every=10**9, progress=progress)
+    return vars(last_state(whole(model, t_end, integrator, q0, v0, progress, every=10**9)))
+
+
+def whole(model, t_end, integrator, q0=None, v0=None, progress=None, every=1):
+    """The run of an integrator to t_end. RuntimeError where it does not come there."""
+    run = solve(model, t_end, integrator, q0=q0, v0=v0, every=every, progress=progress)
     if run.status == "interrupted":
         raise KeyboardInterrupt
     if not run.success:
         raise RuntimeError(f"reference by {integrator}: {run.message}")
-    return vars(last_state(run))
+    return run
 
 
 def distance(one, other):
