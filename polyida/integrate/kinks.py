@@ -25,13 +25,23 @@ def segments(model, t0, t_end):
     return list(zip(parts[:-1], parts[1:]))
 
 
-def stretches(model, t0, t_end, h, fine=moves.PARTS):
+def run_of(state, t_end):
+    """(begin, t_end) of the run that goes to t_end and goes on from the state, (2,), s: that in its memory, or a run that begins here.
+
+    What is chosen once in a run, such as its `stretches`, is the same in a run that was stopped and goes on.
+    """
+    begin, end = state.memory.get("run", (state.t, t_end))
+    return np.array([begin if end == t_end and begin <= state.t else state.t, t_end], float)
+
+
+def stretches(model, t0, t_end, h, fine=moves.PARTS, now=-np.inf):
     """Yield (begin, end, largest step) from t0 to t_end: the segments, parted where loads and motors move too fast for h.
 
-    Raises StepFailure where a motor jumps.
+    now: the time that the run has come to: what is before it is left out. Raises StepFailure where a motor jumps.
     """
     for begin, end in segments(model, t0, t_end):
-        yield from _parts(model, begin, end, h, fine)
+        if end > now:
+            yield from _parts(model, begin, end, h, fine, now)
 
 
 def stops(model, state, begin, end, h, fine):
@@ -46,11 +56,13 @@ def stops(model, state, begin, end, h, fine):
     yield end
 
 
-def _parts(model, begin, end, h, fine):
-    for part in moves.parts(model, begin, end, h, fine):
+def _parts(model, begin, end, h, fine, now=-np.inf):
+    for part in moves.parts(model, begin, end, h, fine, now):
+        if part.end <= now:
+            continue
         if part.jump:
             raise StepFailure("jump", part.jump, part.begin)
-        yield float(part.begin), float(part.end), float(part.most)
+        yield max(float(part.begin), now), float(part.end), float(part.most)
 
 
 def enough_steps(model, state, begin, end, h):

@@ -49,22 +49,25 @@ class Look(NamedTuple):
         return np.array([self.profile.value(t) for t in times.ravel().tolist()], float).reshape(times.shape)
 
 
-def parts(model, begin, end, h, fine=PARTS):
-    """Yield the Parts of the time between two kinks, for steps of h and shorter; `fine` samples in each."""
+def parts(model, begin, end, h, fine=PARTS, now=-np.inf):
+    """Yield the Parts of the time between two kinks, for steps of h and shorter; `fine` samples in each.
+
+    now: what ends before this time need not be looked at.
+    """
     looks = _looks(model, h)
     jump = _jump_at(model, looks, end)
     if jump:
-        yield from _smooth_parts(looks, begin, max(begin, end - h), h, fine)
+        yield from _smooth_parts(looks, begin, max(begin, end - h), h, fine, now)
         yield Part(max(begin, end - h), end, np.inf, jump)
     else:
-        yield from _smooth_parts(looks, begin, end, h, fine)
+        yield from _smooth_parts(looks, begin, end, h, fine, now)
 
 
-def _smooth_parts(looks, begin, end, h, fine):
+def _smooth_parts(looks, begin, end, h, fine, now):
     if end - begin <= h:  # what is left of a load's pulse between two kinks is `enough_steps`' to see
         looks = [look for look in looks if look.motor]
     done = begin
-    for part in _merged(_fast(looks, begin, end, h, fine)) if looks else ():
+    for part in _merged(_fast(looks, begin, end, h, fine, now)) if looks else ():
         if part.begin > done:
             yield Part(done, part.begin, np.inf)
         yield part
@@ -113,10 +116,11 @@ def _looks(model, h):
     return [look for look in looks if look.motor or (not look.profile.formula and (look.profile.shortest or 0.0) < 4 * h)]
 
 
-def _fast(looks, begin, end, h, fine):
-    """Parts of the cells that are too fast for one step, in order; cells end at multiples of h, so that a restart has the same."""
+def _fast(looks, begin, end, h, fine, now):
+    """Parts of the cells that are too fast for one step, in order; cells end at multiples of h. Chunks that end before `now` are left out."""
     first, last = int(np.floor(begin / h + 1e-6)), int(np.ceil(end / h - 1e-6))
-    for k in range(first, last, CHUNK):
+    passed = int(max(0.0, np.floor(now / h) - first - 1)) // CHUNK
+    for k in range(first + passed * CHUNK, last, CHUNK):
         stop = min(k + CHUNK, last)
         edges = h * np.arange(k, min(stop + AHEAD, last) + 1)
         edges[0], edges[-1] = max(edges[0], begin) if k > first else begin, min(edges[-1], end) if stop < last else end

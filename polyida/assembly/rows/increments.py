@@ -70,11 +70,16 @@ def _sharpen(profile, begin, h, rate, gains, rows, size):
     at = begin[:, None] + h[:, None] * (0.5 + NODES)
     second = profile.d2(at) if profile.formula else np.array([[profile.d2(t) for t in row] for row in at])
     second = np.broadcast_to(second, at.shape)
-    change, ahead = h * (second @ WEIGHTS), h * h * (second @ (WEIGHTS * (0.5 - NODES)))
+    change, ahead = h * _sum(second, WEIGHTS), h * h * _sum(second, WEIGHTS * (0.5 - NODES))
     whole = h * rate + ahead
     apart = np.abs(np.stack([whole - gains[rows, 0], change - gains[rows, 2]], axis=1))
     same = (apart <= 16 * EPS * size).all(axis=1)
     gains[rows[same]] = np.stack([whole, ahead, change], axis=1)[same]
+
+
+def _sum(rows, weights):
+    """The weighted sum of each row, the same whatever rows are beside it, which a product of matrices does not promise."""
+    return sum(rows[:, k] * weight for k, weight in enumerate(weights))
 
 
 class Increments:

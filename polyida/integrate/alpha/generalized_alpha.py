@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Self
 
+import numpy as np
+
 from polyida.errors import InputError
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.alpha.control import Control, over_run, tolerances
@@ -11,8 +13,8 @@ from polyida.integrate.alpha.family import Coefficients, require_damping
 from polyida.integrate.alpha.march import march
 from polyida.integrate.alpha.step_control import adapt
 from polyida.integrate.alpha.steps import Steps
-from polyida.integrate.kinks import enough_steps, stretches
-from polyida.integrate.moves import cells_of
+from polyida.integrate.kinks import enough_steps, run_of, stretches
+from polyida.integrate.moves import PARTS, cells_of
 from polyida.integrate.state import Counts, State
 from polyida.keywords import named_keywords
 from polyida.linear.kkt import SCALINGS
@@ -184,14 +186,17 @@ class GeneralizedAlpha:
         engine = self._engine(model, counts, self._control(model, state, t_end))
         engine.rows, engine.watch, control = rows or engine.rows, watch, engine.control
         most_steps = counts.steps + counts.rejected + self.max_num_steps
-        look = cells_of(control.largest, t_end - state.t) if control else (self.h,)
-        for begin, end, most in stretches(model, state.t, t_end, *look):
+        run = run_of(state, t_end)
+        h, fine = cells_of(control.largest, np.ptp(run)) if control else (self.h, PARTS)
+        for begin, end, most in stretches(model, run[0], t_end, h, fine, now=state.t):
             if control:
                 piece = adapt(engine, self, model, state, begin, end, min(control.largest, most), counts, most_steps)
             else:
                 count = split * enough_steps(model, state, begin, end, min(self.h, most))
                 piece = march(engine, self, model, state, begin, end, count, counts)
             for state in piece:
+                if state.restart:
+                    state.memory["run"] = run
                 yield state
 
     def _engine(self, model, counts, control):

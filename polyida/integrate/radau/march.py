@@ -20,6 +20,8 @@ def march(engine, settings, model, state, begin, end, most, counts):
         state.memory.update(radau_grid=grid.after(grid.done), sizes=engine.sizes)
         counts.steps += 1
         yield state
+    if "rest" in state.memory:  # what is known of steps before is not in it
+        engine.begin(state)
     engine.expect(grid)
     while grid.done < grid.count:
         t = grid.time(grid.done + 1)
@@ -92,8 +94,8 @@ def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most
 def _most(model, state, begin, end, most):
     """The largest step of the piece, by which loads are seen behind a kink too; of one that is gone on with as it was."""
     piece = state.memory.get("radau_piece")
-    if piece is not None and piece[0] == end and "stages_e" in state.memory:
-        return min(most, float(piece[1]))
+    if piece is not None and piece[0] == end and "stages_e" in state.memory and piece[1] <= most * (1 + 1e-9):
+        return float(piece[1])
     return (end - begin) / enough_steps(model, state, begin, end, min(most, end - begin))
 
 

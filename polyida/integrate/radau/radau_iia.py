@@ -7,8 +7,8 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_flag, is_number, is_one_of, is_whole
-from polyida.integrate.kinks import at_kink, beside, stretches
-from polyida.integrate.moves import cells_of
+from polyida.integrate.kinks import at_kink, beside, run_of, stretches
+from polyida.integrate.moves import PARTS, cells_of
 from polyida.integrate.radau.march import adapt, ladder_of, march
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run
@@ -135,12 +135,13 @@ class RadauIIA:
 
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
         """
-        sizes, span = sizes_of_run(model, state, t_end), t_end - state.t
+        sizes, run = sizes_of_run(model, state, t_end), run_of(state, t_end)
         engine, most_steps = Steps(self, model, counts, sizes), counts.steps + counts.rejected + self.max_num_steps
-        ladder, longest = ladder_of(state, self._first(sizes, span)), self.h or self.max_step or np.inf
+        ladder, longest = ladder_of(state, self._first(sizes, t_end - state.t)), self.h or self.max_step or np.inf
         state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else restarted(state)
         engine.begin(state)
-        for begin, end, most in stretches(model, state.t, t_end, *((self.h,) if self.h else cells_of(longest, span))):
+        h, fine = (self.h, PARTS) if self.h else cells_of(longest, np.ptp(run))
+        for begin, end, most in stretches(model, run[0], t_end, h, fine, now=state.t):
             engine.limits = (-np.inf, beside(end, -1) if at_kink(model, end) else np.inf)
             if at_kink(model, begin):
                 engine.limits = (beside(begin, 1), engine.limits[1])
@@ -150,6 +151,7 @@ class RadauIIA:
             else:
                 piece = adapt(engine, self, model, state, begin, end, min(longest, most), counts, ladder, most_steps)
             for state in piece:
+                state.memory["run"] = run
                 yield state
 
     def _first(self, sizes, span):

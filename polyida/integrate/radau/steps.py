@@ -38,7 +38,8 @@ class Steps:
         self.kept, self.shares, self.stacked = Kept(), None, None
 
     def begin(self, state):
-        """Take up what a state of this method holds: the norm's weights, Newton's contraction, the factors."""
+        """Take up what a state of this method holds, and nothing else: the norm's weights, Newton's contraction, the factors."""
+        self.kept, self.stacked, self.newton.marks = Kept(), None, UNKNOWN.copy()
         memory, model = state.memory, self.model
         given = memory.get("radau_shares")
         self.shares = weights(model, state.q) if given is None else np.array(given, float)

@@ -49,6 +49,8 @@ def _at_rest(model, state, grid, counts):
         return None
     if "rest" in state.memory:
         return state.memory["rest"]
+    if grid.done:  # the run was not at rest where the grid begins, and goes on as if it had not been stopped
+        return None
     small = ROUND_OFF * extent(model, state.q)
     if np.abs(state.a).max() > (CALM * model.free_fall or small / grid.h**2):
         return None
