@@ -1,9 +1,11 @@
 """Small scenes that many tests share: one or two rubber plates on a coarse mesh, held by every kind of joint."""
 
 import math
+import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +18,7 @@ from polyida.integrate.running import run as running
 
 settings.register_profile("same every time", derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 settings.load_profile("same every time")
+os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(pi.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])  # of other processes too
 running.FLUSH_SECONDS = math.inf  # flushes by steps alone, so that the load of the machine adds none
 
 RUBBER = dict(E=50e6, nu=0.3, rho=1100.0)

@@ -394,3 +394,12 @@ def test_strong_damping_beside_a_motor_stands_in_the_border():
     compiled, general = (pi.solve(scene.build(), 0.4, pi.IDA(linear=linear)) for linear in ("auto", "kkt"))
     assert compiled.success and compiled.counts.rejected <= 10 and compiled.counts.steps < 1.3 * general.counts.steps
     assert np.abs(compiled.q[-1] - general.q[-1]).max() < 1e-2
+
+
+@pytest.mark.parametrize("form", ["ggl2", "index3"])
+def test_a_run_into_a_collapse_keeps_instants_of_their_own_and_finite_works(form):
+    """IDA tries steps below the round-off of t there: they are no frames, and nothing overflows (the suite takes warnings for errors)."""
+    model = plates.double_plate_motors(4, material=pi.Material(1e5, 0.3, 1100.0)).build()
+    run = pi.solve(model, 0.5, pi.IDA(form=form))
+    assert run.status in ("objection", "newton") and 0.4 < run.t[-1] < 0.5
+    assert np.diff(run.t).min() > 0 and all(np.isfinite(work).all() for work in run.energy.work.values())

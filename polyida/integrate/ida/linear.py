@@ -26,6 +26,7 @@ from polyida.linear.lu import SingularSystem
 from polyida.linear.step_matrix import StepMatrix
 
 SAME_CJ = 1e-3  # relative change of cj below which the factor serves on
+STEEPEST = 1e60  # 1/s: cj above it, of a step that is lost in the round-off of t, has no factor: its powers would overflow
 LATE = 2  # iterations of one step after which the factor is made anew where it is
 
 
@@ -55,7 +56,10 @@ class Correction:
         if t != self.tried:
             self.tried, self.iterations, self.expected = t, 0, self.predicted.cj(t, y[: self.system.model.n])
         if not abs(self.expected - self.cj) <= SAME_CJ * self.expected or self.iterations == LATE:
-            self.setup(t, y, yp, self.expected)
+            if self.expected < STEEPEST:
+                self.setup(t, y, yp, self.expected)
+            else:
+                self.cj = math.nan
         self.iterations += 1
         self.counts.newton_iterations += 1
         self._solve(t, y, yp, r, z)
@@ -71,6 +75,8 @@ class Correction:
     def _solve(self, t, y, yp, r, z):
         self.counts.solves += 1
         try:
+            if math.isnan(self.cj):
+                raise SingularSystem("there is no factor")
             self.reduced(t, y, yp, r, z)
         except SingularSystem:
             z[:] = math.nan

@@ -167,11 +167,8 @@ class SceneSolve(Correction):
         self.counts.solves += 2 * step.solves
 
     def reduced(self, t, y, yp, r, z):
-        """z = J^-1 r, joints as the last residual saw them; nan where there is no factor."""
+        """z = J^-1 r, joints as the last residual saw them."""
         model, system, step = self.step.model, self.system, self.step
-        if not math.isfinite(self.cj):
-            z[:] = math.nan
-            return
         where = model.arrays, step.corotated, self.massive, step.room, system.room, model.drives(system.clamp(t))
         if not self.kernel(*where, self.cj, system.form.integrated, system.damp, r, z):
             z[:] = math.nan
