@@ -155,13 +155,26 @@ class Trajectory:
 
         It is what the force `-phi_q^T lam` of the joint's rows does on the body of b, or on the ground, by virtual work. Components that
         the rows never have are left out: a revolute joint has (fx, fy), a weld (fx, fy, m), a motor (m,), a Path those that it leads, the
-        clamp of a plate to ground the force on each node. Of redundant constraints it is that with the least sum of squares of all
+        clamp of a plate to ground the force on each node, a joint of one's own with one row on the point of b the force along d phi/dx_b.
+        `wrench` gives (fx, fy, m) of any joint. Of redundant constraints it is that with the least sum of squares of all
         multipliers; see `unique`. Raises InputError for what is no joint of the model.
         """
-        model, first, found = self._of_joint("reaction", name), 0, []
+        return self._reaction("reaction", name, False)
+
+    def wrench(self, name: str) -> NDArray:
+        """Force and moment of a joint on its side b, (frames, 3): (fx, fy), N, in the axes of the scene, and m, N m, about the point of b.
+
+        Of every joint, also where `reaction` has fewer components, or more. Raises InputError for what is no joint of a scene.
+        """
+        return self._reaction("wrench", name, True)
+
+    def _reaction(self, call, name, whole):
+        model, first, found = self._of_joint(call, name), 0, []
+        if whole and not (model.is_scene and model.reaction_of(name)):
+            raise InputError(f"{call}: {name!r} is no joint of a scene")
         for q in blocks(self.q):
             part = slice(first, first + len(q))
-            found.append(reaction_of(model, name, np.asarray(self.t[part]), q, np.asarray(self.lam[part], float)))
+            found.append(reaction_of(model, name, np.asarray(self.t[part]), q, np.asarray(self.lam[part], float), whole))
             first += len(q)
         return np.concatenate(found)
 

@@ -61,18 +61,18 @@ class NamedPoints(Model):
             raise InputError(f"position({name!r}): give the name of a mass, load or joint, the part itself, or an attachment")
         return self.attachment(name)
 
-    def reactions(self, name, q, lam, t=0.0):
+    def reactions(self, name, q, lam, t=0.0, whole=False):
         """What a joint does to its side b over frames q (frames, n), lam (frames, k), and t (frames,), s, or one for all: force, N, and
-        moment, N m. Of a body the multipliers of its own rows.
+        moment, N m; `whole`: (fx, fy, m) of every joint. Of a body the multipliers of its own rows.
         """
-        reaction = self.reaction_of(name)
+        reaction = self.reaction_of(name, whole)
         return lam.copy() if reaction is None else reaction(np.broadcast_to(t, len(q)), lam, lambda place: self.place(place, q))
 
-    def reaction_of(self, name):
+    def reaction_of(self, name, whole=False):
         """The Reaction of a joint; None of a body."""
-        if name not in self._reactions:
-            self._reactions[name] = Reaction(self.joints[name]) if isinstance(self.joints[name], Joint) else None
-        return self._reactions[name]
+        if (name, whole) not in self._reactions:
+            self._reactions[name, whole] = Reaction(self.joints[name], whole) if isinstance(self.joints[name], Joint) else None
+        return self._reactions[name, whole]
 
     def place(self, place, q):
         """Where the "point" of an attachment is, or its "direction", over frames q (frames, n): (frames,), complex."""

@@ -10,7 +10,7 @@ from polyida.errors import InputError
 from polyida.given import settle
 from polyida.joint.attachment import labelled
 from polyida.joint.formula import Row, Vector, dot
-from polyida.joint.joint import Joint
+from polyida.joint.joint import FORCE, Joint
 from polyida.keywords import named_keywords
 
 
@@ -25,6 +25,7 @@ class Distance(Joint):
     """
 
     length: float | None = None
+    components = FORCE
     placing = "place the bodies so that their points are the length apart"
 
     def __post_init__(self):

@@ -8,6 +8,8 @@ from polyida.errors import InputError
 from polyida.joint.attachment import Ground, labelled, require_sides
 from polyida.joint.formula import Row, Vector
 
+FORCE = (("x", "N"), ("y", "N"))  # axis and unit of the components of a reaction
+
 
 @dataclass(frozen=True, eq=False)
 class Joint:
@@ -40,7 +42,11 @@ class Joint:
 
     @property
     def components(self) -> tuple[tuple[str, str], ...] | None:
-        """(axis, unit) of the components of its reaction that are told; None: force and moment, as far as its rows act by them on b."""
+        """(axis, unit) of the components of its reaction.
+
+        None: force and moment, as far as the rows act by them on b. Of one row that acts on the point of b alone, the force along
+        d phi/dx_b, its direction: one number, N.
+        """
         return None
 
     @property

@@ -11,27 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.joint.formula import Piece, rest_of, rows_of
-from polyida.joint.joint import Joint
+from polyida.joint.joint import FORCE, Joint
 
-FORCE = (("x", "N"), ("y", "N"))  # axis and unit of components
 MOMENT = (("", "N m"),)
+ALONG = (("", "N"),)
 Place = tuple[Any, str]  # an attachment or a place of the ground, and "point" or "direction" of it
 
 
 class Reaction:
     """The reaction of a joint as a function of its multipliers and of the places in its rows.
 
-    components: (axis, unit) of each. needed: the Places of bodies that it depends on. profiles: those that turn vectors in the rows.
+    whole: force and moment, whatever the components of the joint. components: (axis, unit) of each. needed: the Places of bodies that it depends on. profiles: those that turn vectors in the rows.
     """
 
-    def __init__(self, joint: Joint):
+    def __init__(self, joint: Joint, whole: bool = False):
         self.joint, self.rows = joint, list(rows_of(joint.rows()))
         pieces = [piece for row in self.rows for product in row.products for piece in (product.turning, product.still)]
         on_b = [(side, part) for piece in pieces for side, part, _ in self._of_b(piece)]
         self._turns = any(part == "direction" or not _same(side, joint.b) for side, part in on_b)
         pushes = any(part == "point" for _, part in on_b) or not on_b
         self._points = len({id(side) for side, _ in on_b}) if joint.by_points else 0
-        self.components = joint.components or (FORCE * self._points or FORCE * pushes + MOMENT * self._turns)
+        if whole:
+            self._points, self.components = 0, FORCE + MOMENT
+        else:
+            free = ALONG if len(self.rows) == 1 and not self._turns else FORCE * pushes + MOMENT * self._turns
+            self.components = joint.components or FORCE * self._points or free
         about = [(joint.b, "point")] if self._turns and pushes and joint.b.body is not None else []
         found = {(id(side), part): (side, part) for side, part in [(s, p) for piece in pieces for s, p, _ in piece.terms] + about}
         self.needed: list[Place] = list(found.values())
@@ -67,8 +71,9 @@ class Reaction:
         moment = none.real
         if self._turns:
             moment = sum(((np.conj(self._arm(side, part, place)) * force).imag for side, part, force in forces.values()), moment)
-        told = {"x": force.real, "y": force.imag, "": moment}
-        return np.stack([told[axis] for axis, _ in self.components], axis=1)
+        # one row pushes with `-lam d phi/dx_b`: its part along d phi/dx_b has the sign of -lam
+        found = {"x N": force.real, "y N": force.imag, " N m": moment, " N": -np.sign(lam[:, 0]) * np.abs(force)}
+        return np.stack([found[f"{axis} {unit}"] for axis, unit in self.components], axis=1)
 
     def _of_b(self, piece):
         """The terms of a piece that are of side b."""

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from polyida.joint.formula import Row, Vector
-from polyida.joint.joint import Joint
+from polyida.joint.joint import FORCE, Joint
 from polyida.joint.shared_rows import across
 from polyida.keywords import named_keywords
 
@@ -17,6 +17,7 @@ class Slot(Joint):
     Reaction on b, (2,): force, N, across the line.
     """
 
+    components = FORCE
     placing = "place the bodies so that b is on the line through a along its direction"
 
     def __post_init__(self):

@@ -61,7 +61,7 @@ def body(scene, name="body", origin=(1.0, 0.0), angle=0.4, **start):
 
 AT = pi.ground.at((1.0, 0.0), direction=(2.0, 1.0))
 JOINTS = {  # (the joint of an end of a body and of another point of it, components of the reaction)
-    "rail": (lambda end, other: Rail(AT, end), "f"),
+    "rail": (lambda end, other: Rail(AT, end), "along"),
     "slot": (lambda end, other: pi.Slot(AT, end), "f"),
     "hinge": (lambda end, other: Hinge(AT, end), "f"),
     "revolute": (lambda end, other: pi.Revolute(pi.ground, end), "f"),
@@ -79,8 +79,8 @@ JOINTS = {  # (the joint of an end of a body and of another point of it, compone
 
 def torsor(run, model, name, components):
     """(fx, fy, m) of the reaction, what it has not as zero."""
-    told, found = run.reaction(name), np.zeros((len(run), 3))
-    found[:, {"f": [0, 1], "fm": [0, 1, 2], "m": [2], "y": [1]}[components]] = told
+    told, found = run.wrench(name) if components == "along" else run.reaction(name), np.zeros((len(run), 3))
+    found[:, {"f": [0, 1], "fm": [0, 1, 2], "along": [0, 1, 2], "m": [2], "y": [1]}[components]] = told
     return found
 
 
@@ -108,6 +108,7 @@ def test_a_reaction_is_what_moves_the_body(kind):
     run = pi.solve(model, 0.1, pi.GeneralizedAlpha(h=5e-3, tolerance=1e-12))
     expected = needed(run, model, bar, bar.at("end"))
     assert run.success and torsor(run, model, name, components) == pytest.approx(expected, abs=1e-8)
+    assert run.wrench(name) == pytest.approx(expected, abs=1e-8)
 
 
 def test_the_rail_of_the_readme_is_a_slot():
@@ -116,9 +117,11 @@ def test_the_rail_of_the_readme_is_a_slot():
         scene = pi.Scene(gravity=(0.0, -G))
         scene.add(kind(pi.ground.at((0.0, 0.0)), scene.add(pi.RigidBody(MASS, 0.1, {"B": (0.0, 0.0)})).at("B"), name="guide"))
         run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3), sensors={"guide": pi.sensor.reaction("guide")})
-        found.append(run.reaction("guide"))
-        assert np.array_equal(run.sensors["guide"][-1], found[-1][-1])
-    assert found[0] == pytest.approx(np.tile([0.0, MASS * G], (len(run), 1)), abs=1e-9) and np.array_equal(*found)
+        found.append(run.wrench("guide"))
+        along = found[-1][:, 1:2] if kind is Rail else found[-1][:, :2]  # one row of one's own: the force along d phi/dx_b
+        assert run.reaction("guide") == pytest.approx(along, abs=1e-12)
+        assert np.array_equal(run.sensors["guide"][-1], run.reaction("guide")[-1])
+    assert found[0] == pytest.approx(np.tile([0.0, MASS * G, 0.0], (len(run), 1)), abs=1e-9) and np.array_equal(*found)
 
 
 @pytest.mark.parametrize("kind", ["rail", "slot", "hinge", "turning rail", "prismatic", "weld", "motor"])
