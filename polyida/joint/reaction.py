@@ -30,12 +30,9 @@ class Reaction:
         on_b = [(side, part) for piece in pieces for side, part, _ in self._of_b(piece)]
         self._turns = any(part == "direction" or not _same(side, joint.b) for side, part in on_b)
         pushes = any(part == "point" for _, part in on_b) or not on_b
-        self._points = len({id(side) for side, _ in on_b}) if joint.by_points else 0
-        if whole:
-            self._points, self.components = 0, FORCE + MOMENT
-        else:
-            free = ALONG if len(self.rows) == 1 and not self._turns else FORCE * pushes + MOMENT * self._turns
-            self.components = joint.components or FORCE * self._points or free
+        self._points = len({id(side) for side, _ in on_b}) if joint.by_points and not whole else 0
+        free = ALONG if len(self.rows) == 1 and not self._turns else FORCE * pushes + MOMENT * self._turns
+        self.components = FORCE + MOMENT if whole else joint.components or FORCE * self._points or free
         about = [(joint.b, "point")] if self._turns and pushes and joint.b.body is not None else []
         found = {(id(side), part): (side, part) for side, part in [(s, p) for piece in pieces for s, p, _ in piece.terms] + about}
         self.needed: list[Place] = list(found.values())
