@@ -236,7 +236,15 @@ def test_nonholonomic_is_of_two_forms_alone():
 
 @pytest.mark.parametrize("name", ["phi", "phi_q"])
 def test_a_model_without_a_function_of_its_constraints_is_named(name):
-    model = type("Bare", (Slider,), {name: getattr(pi.Model, name)})()
-    for ask in (lambda: pi.solve(model, 0.1, STEP, **RUN), lambda: pi.static(model), lambda: pi.linearise(model), lambda: pi.modes(model)):
+    given = {name: getattr(pi.Model, name), "potential": lambda self, q: 0.0}
+    model, keeping = type("Bare", (Slider,), given)(), pi.EnergyMomentum(h=1e-2)
+    for ask in (
+        lambda: pi.solve(model, 0.1, keeping),
+        lambda: pi.check_derivatives(model),
+        lambda: pi.solve(model, 0.1, STEP, **RUN),
+        lambda: pi.static(model),
+        lambda: pi.linearise(model),
+        lambda: pi.modes(model),
+    ):
         with pytest.raises(pi.InputError, match=rf"Bare: m = 1 constraints, but its class gives no {name}\(t, q\)"):
             ask()

@@ -10,7 +10,7 @@ from polyida.given import floats, is_number, is_whole
 from polyida.keywords import named_keywords
 from polyida.linear.matrix import dense
 from polyida.model import Model, differences
-from polyida.model.guarded import SAME, guard, writes
+from polyida.model.guarded import SAME, guard, require_constraints, writes
 
 ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of what it is taken of
 TRIES = 8  # states that are drawn until forces are finite
@@ -43,6 +43,7 @@ def check_derivatives(
     model = guard(model, "check_derivatives")
     if not (is_number(t) and is_whole(seed, 0)):
         raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
+    require_constraints(model)
     random = np.random.default_rng(seed)
     q, v, a = _drawn(model, t, random, [None if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a))])
     lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)

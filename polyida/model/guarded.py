@@ -41,15 +41,20 @@ def require_functions(model, t, q, v):
     """Call each function of a guarded model once; raise InputError for one whose result is wrong or not finite."""
     if model.compiled and not model.own_forces:
         return
-    for name in ("phi", "phi_q") if model.m and not model.is_scene else ():
-        if not writes(model.user, name):
-            raise InputError(f"{model.name}: m = {model.m} constraints, but its class gives no {name}(t, q)")
+    require_constraints(model)
     try:
         model.call_all(t, q, v)
     except NotImplementedError as error:
         raise InputError(f"{model.name} has not all of the functions mass, force, phi and phi_q") from error
     if model.not_finite:
         raise InputError(f"{model.not_finite} at t = {t:.9g} s, where the run begins")
+
+
+def require_constraints(model):
+    """Raise InputError where a guarded model says that it has constraints, and does not write them."""
+    for name in ("phi", "phi_q") if model.m and not model.is_scene else ():
+        if not writes(model.user, name):
+            raise InputError(f"{model.name}: m = {model.m} constraints, but its class gives no {name}(t, q)")
 
 
 def blame(model, t, state):

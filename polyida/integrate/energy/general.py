@@ -20,7 +20,7 @@ from polyida.integrate.stepping.ended import DONE, INVERTED, NOT_FINITE, REFACTO
 from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
 from polyida.model.differences import FIRST_ORDER_STEP, along
-from polyida.model.guarded import guard
+from polyida.model.guarded import guard, require_constraints
 
 EPS = np.finfo(float).eps
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off
@@ -145,6 +145,7 @@ def require_general(model):
     What its functions are like is seen at places drawn at random.
     """
     model, random = guard(model, "EnergyMomentum"), np.random.default_rng(0)
+    require_constraints(model)
     q, d = random.standard_normal((2, model.n))
     part, else_ = f"EnergyMomentum: {model.name}", "; use GeneralizedAlpha or IDA"
     if model.potential(q) is None:
