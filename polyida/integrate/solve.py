@@ -130,6 +130,9 @@ def require_run(model, t_end, begin, integrator):
     guard(model)
     if not hasattr(integrator, "steps") or isinstance(integrator, type):
         raise InputError(f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
+    if not callable(integrator.steps):
+        told = f"steps = {integrator.steps!r:.100} of {type(integrator).__name__}"
+        raise InputError(f"solve: {told} must be a function, steps(model, state, t_end, counts), that yields a State a step")
     getattr(integrator, "require", lambda model: None)(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")

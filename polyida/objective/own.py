@@ -32,7 +32,7 @@ class Own(Objective):
         self._value, self._slopes = value, slopes
 
     def __call__(self, run: Any) -> float:
-        found = self._value(run_of("Own", run))
+        found = _asked("value", self._value, run_of("Own", run))
         if not is_number(found):
             raise InputError(f"Own: value(run) must return a finite number, not {found!r:.100}")
         return float(found)
@@ -40,7 +40,7 @@ class Own(Objective):
     def slopes(self, run: Any) -> Callable[[slice], Slopes]:
         """What the user's function gives, looked at."""
         run = run_of("Own", run)
-        given = self._slopes(run)
+        given = _asked("slopes", self._slopes, run)
         if not isinstance(given, Mapping):
             raise InputError(f"Own: slopes(run) must return a dictionary, not {given!r:.100}")
         frames = {name: _checked(name, value, np.shape(getattr(run, name))) for name, value in given.items() if name in FRAMES}
@@ -60,6 +60,17 @@ class Own(Objective):
                 ) from None
 
         return of
+
+
+def _asked(name, function, run):
+    """What a user's function of a run gives. Raises InputError, in its name, where it raises."""
+    try:
+        return function(run)
+    except InputError:
+        raise
+    except Exception as error:
+        called = getattr(function, "__name__", type(function).__name__)
+        raise InputError(f"Own: {name}(run), the function {called}, raised {type(error).__name__}: {error}") from error
 
 
 def _checked(name, value, shape=None):

@@ -23,12 +23,17 @@ def write(result, folder, overwrite, command=""):
 
     command: what made it, by default the script that runs. Raises InputError where there is something in the folder, or a file of its name.
     """
+    if not isinstance(folder, (str, Path)) or not str(folder):
+        raise InputError(f"report: folder = {folder!r:.100} must be the path of a folder")
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise InputError(f"report: {folder} is a file; give a folder")
     if folder.is_dir() and any(folder.iterdir()) and not overwrite:
         raise InputError(f"report: {folder} has something in it: choose another folder, or say overwrite=True")
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"report: the folder {folder} cannot be made: {error.strerror}") from error
     command = command or (shlex.join([Path(sys.executable).name, *sys.argv]) if sys.argv[0] else "an interactive session")
     data = result.as_dict() | {"command": command}
     (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")

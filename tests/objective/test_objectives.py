@@ -245,6 +245,8 @@ def test_own_slopes_are_looked_at(slopes, match, motion):
     [
         (lambda: of.Deviation("tap", (0.0, 0.0)), "'tap'; known: .*'tip'"),
         (lambda: of.Deviation("tip", lambda t: (t, np.nan)), "path = .* must be two finite numbers"),
+        (lambda: of.Deviation("tip", lambda: (0.0, 0.0)), r"Deviation: path\(0\) raised TypeError: .*it must be a function of time"),
+        (lambda: of.Own(lambda run: 1.0 / 0.0, dict), "Own: value.run., the function <lambda>, raised ZeroDivisionError: "),
         (lambda: of.StrainEnergy("tip"), "no body that deforms is called 'tip'; known: 'upper', 'lower'"),
         (lambda: of.PeakStress("hub"), "no body that deforms is called 'hub'"),
         (lambda: of.PeakReaction("tip"), "no joint is called 'tip'; known: 'hub', 'motor', 'elbow'"),

@@ -275,3 +275,15 @@ def test_wrong_options_of_the_others_are_named(study):
     for wrong in ({"part": "a"}, {"work": "time"}):
         with pytest.raises(InputError, match="must be one of"):
             study.plot(**wrong)
+
+
+def test_a_class_without_a_step_and_steps_that_are_no_function_are_told():
+    class Stepless:
+        steps = 3
+
+    with pytest.raises(pi.InputError, match="integrators.'odd'. = .*Stepless.* makes no integrator of a step h"):
+        pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"odd": Stepless}, h=(1e-2,))
+    with pytest.raises(pi.InputError, match="steps = 3 of Stepless must be a function"):
+        pi.solve(Swing(), 0.5, Stepless(), **start())
+    with pytest.raises(pi.InputError, match="steps = 3 of Stepless must be a function"):
+        pi.study.work_precision(Swing(), 0.5, **start(), integrators={"odd": [Stepless()]})

@@ -126,6 +126,29 @@ def test_a_reference_is_refined_until_it_is_known_to_a_tenth_of_what_is_measured
     assert asked == [0, 1] and found["known_to"]["q"] == pytest.approx(1e-5)
 
 
+def test_each_part_is_known_as_well_as_it_can_be():
+    """One that comes no nearer does not keep the others from being refined."""
+    apart = {"q": (1e-3, 1e-5, 1e-7), "v": (1e-3, 1e-5, 1e-7), "lam": (1e-6, 2e-6, 1.1e-6)}
+
+    def other(subject, level):
+        return f"other {level}", {part: value + apart[part][level] for part, value in agreed._radau(subject, level)[1].items()}
+
+    known = agreed.agreed(swing(), others=(other,))["known_to"]
+    assert known == {"q": pytest.approx(1e-7), "v": pytest.approx(1e-7), "lam": pytest.approx(1e-6, rel=1e-3)}
+
+
+def test_what_two_methods_share_is_seen_by_how_far_a_finer_run_moves():
+    """A family that errs as Radau IIA does agrees with it to round-off: behind the end of a linear load, of another slope of lam too."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 2.0, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    scene.add(pi.PointLoad(bar.at("right"), (3.0, 5.0), pi.profile.linear(0.0, 1.0, 0.1), name="load"))
+    motion = Subject("kink", scene.build(), 0.1001)
+    found = agreed.agreed(motion, lambda values: dict.fromkeys(families.PARTS, 1e-3), others=(agreed._radau,))
+    off = families.distance(found, families.by_explicit(motion.model, motion.t_end, 2.3e-14))
+    assert all(off[part] <= found["known_to"][part] for part in off) and found["known_to"]["q"] < 1e-9
+
+
 def test_another_family_is_asked_where_one_does_not_come_there_or_near():
     def broken(subject, level):
         raise RuntimeError("it broke")

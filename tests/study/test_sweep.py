@@ -437,3 +437,74 @@ def test_a_sweep_shows_itself(tmp_path):
     assert (written / "report.html").exists() and (written / "sweep.png").exists()
     with pytest.raises(pi.InputError, match="no case has numbers x = 'path'"):
         study.plot("path")
+
+
+def test_a_row_of_another_case_is_not_taken_for_this_one_s(tmp_path):
+    """Its file was renamed, or its case edited."""
+    pi.study.sweep(square, numbered(3), folder=tmp_path)
+    files = {json.loads(path.read_text())["row"]["number"]: path for path in tmp_path.glob("*.json")}
+    files[0].write_bytes(files[1].read_bytes())
+    files[2].write_text(files[2].read_text().replace('"number": 2', '"number": 7', 1))
+    again = pi.study.sweep(square, numbered(3), folder=tmp_path)
+    assert again.ran == 2 and [row["square"] for row in again.rows] == [0.0, 1.0, 4.0]
+    assert pi.study.sweep(square, numbered(3), folder=tmp_path).ran == 0
+
+
+def test_a_row_that_cannot_be_written_is_told_with_those_that_are_kept(tmp_path, monkeypatch):
+    """A full disk, and a folder in the place of a row."""
+    from polyida.study.sweeps import harness
+
+    whole, written = harness.write_whole, []
+
+    def full(path, text):
+        if len(written) == 2:
+            raise OSError(28, "No space left on device")
+        written.append(path)
+        whole(path, text)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(harness, "write_whole", full)
+        with pytest.raises(pi.InputError, match=r"cannot be written: No space left on device; 2 rows are kept .* goes on from them"):
+            pi.study.sweep(square, numbered(3), folder=tmp_path)
+    assert pi.study.sweep(square, numbered(3), folder=tmp_path).ran == 1
+    written[0].unlink()
+    written[0].mkdir()
+    with pytest.raises(pi.InputError, match="cannot be written: .*; 2 rows are kept"):
+        pi.study.sweep(square, numbered(3), folder=tmp_path)
+
+
+def test_a_function_that_an_executor_cannot_send_is_told():
+    class Sends(Executor):
+        def submit(self, function, /, *arguments, **named):
+            try:
+                raise TypeError("cannot pickle '_thread.lock' object")
+            except TypeError as error:
+                raise TypeError("Could not serialize object of type LLGExpr") from error
+
+    with pytest.raises(pi.InputError, match="square cannot be sent to other processes .cannot pickle '_thread.lock' object.; write it as"):
+        pi.study.sweep(square, numbered(1), Sends())
+
+
+def test_reports_in_folders_that_cannot_be_made_are_told(tmp_path):
+    study = pi.study.sweep(square, numbered(1))
+    (tmp_path / "file").write_text("")
+    for folder, told in ((None, "folder = None must be the path"), (tmp_path / "file" / "below", "cannot be made: Not a directory")):
+        with pytest.raises(pi.InputError, match=told):
+            study.report(folder)
+
+
+def test_exits_of_a_case_are_rows_and_what_is_no_exception_goes_on_with_the_rows_kept(tmp_path):
+    class Halt(BaseException):
+        pass
+
+    def case(number):
+        if number == 1:
+            raise SystemExit(3)
+        if number == 2:
+            raise Halt
+        return {"value": number}
+
+    with pytest.raises(Halt):
+        pi.study.sweep(case, numbered(3), folder=tmp_path)
+    kept = [json.loads(path.read_text())["row"] for path in tmp_path.iterdir()]
+    assert sorted(row["error"] for row in kept) == ["", "SystemExit: 3"] and len(kept) == 2

@@ -56,7 +56,15 @@ class Deviation(TimeMean):
         return look
 
     def _at(self, t):
-        return self._place(self.path(t) if callable(self.path) else self.path)
+        if not callable(self.path):
+            return self._place(self.path)
+        try:
+            found = self.path(t)
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(f"Deviation: path({t:.6g}) raised {type(error).__name__}: {error}; it must be a function of time") from error
+        return self._place(found)
 
     def _place(self, given):
         pair = floats(given)

@@ -51,7 +51,7 @@ class Choice:
             raise InputError(f"{self.name} must have --{_option(min(lacking))}")
         with self.code():
             found = self.make(**{self.takes[key]: value for key, value in given.items()})
-        if isinstance(found, type) or not hasattr(found, "steps"):
+        if isinstance(found, type) or not callable(getattr(found, "steps", None)):
             raise InputError(f"{self.name}: {found!r} is no integrator, which has `steps(model, state, t_end, counts)`")
         return found
 

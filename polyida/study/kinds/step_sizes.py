@@ -81,4 +81,13 @@ def _made(integrators, steps):
     for label, make in integrators.items():
         if not callable(make):
             raise InputError(f"step_sizes: integrators[{label!r}] = {make!r} must be a class or a function of h")
-    return {label: [make(h) for h in steps] for label, make in integrators.items()}
+    return {label: [_of_step(label, make, h) for h in steps] for label, make in integrators.items()}
+
+
+def _of_step(label, make, h):
+    try:
+        return make(h)
+    except TypeError as error:
+        raise InputError(
+            f"step_sizes: integrators[{label!r}] = {getattr(make, '__name__', repr(make))} makes no integrator of a step h: {error}"
+        ) from error

@@ -96,7 +96,8 @@ def write_whole(path, text):
             os.fsync(file.fileno())
         os.replace(partial, path)
     finally:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
 
 
 def results(study, quick, folder, progress=lambda done, total, task: None):
@@ -115,13 +116,13 @@ def collected(submit, tasks, names, shelf, progress=lambda done, total, task: No
     {} in the end. Ctrl-C, and what progress raises, calls off the tasks that have not begun.
     """
     shelf.tidy()
-    rows = {name: row for name in dict.fromkeys(names) if (row := shelf.read(name)) is not None}
+    rows = {name: row for name, task in dict(zip(names, tasks)).items() if (row := shelf.read(name, task)) is not None}
     waiting = {name: task for name, task in zip(names, tasks) if name not in rows}
     total, ran = len(rows) + len(waiting), len(waiting)
     progress(len(rows), total, next(iter(waiting.values()), {}))
     with closing(_ended(submit, dict(waiting))) as ended:
         for name, row in ended:
-            rows[name] = shelf.put(name, waiting.pop(name) | row)
+            rows[name] = shelf.put(name, waiting.pop(name), row)
             progress(len(rows), total, next(iter(waiting.values()), {}))
     return [rows[name] for name in names], ran
 
@@ -167,7 +168,8 @@ def _row(future):
 class Shelf:
     """Rows by name, one file each in `folder`, whole or not at all; without a folder nothing is kept.
 
-    code: mark of what makes them, written beside each. again: rows with an error count as not there.
+    Beside each stand its case and code, the mark of what makes it. again: rows with an error count as not there. InputError where a row or the
+    folder cannot be written: those before are kept.
     """
 
     folder: Path | None = None
@@ -177,19 +179,31 @@ class Shelf:
     def tidy(self):
         """Have the folder there, without what killed processes left half written."""
         if self.folder:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            try:
+                self.folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise InputError(f"the folder of rows {self.folder} cannot be made: {error.strerror}") from error
             _remove_litter(self.folder)
 
-    def read(self, name):
-        """The row of a name, or None."""
+    def read(self, name, case):
+        """The row of a case by its name, or None: where there is no file, or another case's is in its place."""
         data = _read(self._path(name)) if self.folder else None
-        return None if data is None or self.again and data["row"].get("error") else data["row"]
+        if data is None or self.again and data["row"].get("error"):
+            return None
+        shown = {name: data["row"].get(name) for name in case} if self.again else case  # a study's rows may have other values there
+        text = [json.dumps(values, sort_keys=True, default=plain) for values in (case, shown, data.get("case"))]  # nan is nan there
+        return data["row"] if text[0] == text[1] == text[2] else None
 
-    def put(self, name, row):
-        """Keep a row; returns it as it is read."""
-        text = json.dumps({"row": row, "code": self.code}, default=plain)
+    def put(self, name, case, row):
+        """Keep the row of a case, which is this with what it gave; returns it as it is read."""
+        text = json.dumps({"row": case | row, "case": case, "code": self.code}, default=plain)
         if self.folder:
-            write_whole(self._path(name), text)
+            try:
+                write_whole(self._path(name), text)
+            except OSError as error:
+                kept = len([path for path in self.folder.glob("*.json") if path.is_file()])
+                reason = f"{self._path(name)} cannot be written: {error.strerror or error}"
+                raise InputError(f"{reason}; {kept} rows are kept in that folder, the same call goes on from them") from error
         return json.loads(text)["row"]
 
     def _path(self, name):

@@ -113,7 +113,10 @@ def sweep(
     place, sweep_id = executor or Serial(), uuid4().hex
 
     def submit(arguments):
-        return place.submit(measured, function=function, arguments=arguments, sweep_id=sweep_id)
+        try:
+            return place.submit(measured, function=function, arguments=arguments, sweep_id=sweep_id)
+        except (TypeError, AttributeError, pickle.PickleError) as error:
+            raise InputError(_unsent(function, error)) from error
 
     with teller("sweep", progress) as tell:
         rows, ran = collected(submit, cases, names, shelf, lambda done, total, case: tell(done, total, _words(case)))
@@ -168,10 +171,15 @@ def _require_executor(function, executor):
         try:
             pickle.dumps(function)
         except Exception as error:  # noqa: BLE001, whatever it holds
-            raise InputError(
-                f"sweep: {_called(function)} cannot be sent to other processes ({error}); write it as a function of a module or of the "
-                "script, with all it needs in its case"
-            ) from None
+            raise InputError(_unsent(function, error)) from None
+
+
+def _unsent(function, error):
+    """What is said of a function that an executor cannot send; the first cause says what it holds."""
+    while error.__cause__ is not None or error.__context__ is not None:
+        error = error.__cause__ or error.__context__
+    advice = "write it as a function of a module or of the script, with all it needs in its case"
+    return f"sweep: {_called(function)} cannot be sent to other processes ({error}); {advice}"
 
 
 def _shelf(function, folder):
