@@ -236,7 +236,11 @@ class Trajectory:
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         cost = getattr(self.integrator, "cost", lambda model: "")
-        of_model = (self.model.remark, cost(self.model), hint(self.model, self.q, self.integrator), self._left_out()) if self.model is not None else ()
+        of_model = (
+            (self.model.remark, cost(self.model), hint(self.model, self.q, self.integrator), self._left_out())
+            if self.model is not None
+            else ()
+        )
         told = "".join(f", {what}" for what in (told, *of_model) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
