@@ -251,8 +251,9 @@ class Trajectory:
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
-        of_model = (self.model.remark, hint(self.model, self.q, self.integrator), self._left_out()) if self.model is not None else ()
-        unknown = self.missing if self.model is None and self.missing != Trajectory.missing else ""
+        cost, model = getattr(self.integrator, "cost", lambda model: ""), self.model
+        of_model = () if model is None else (model.remark, cost(model), hint(model, self.q, self.integrator), self._left_out())
+        unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
         told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (

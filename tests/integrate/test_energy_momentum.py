@@ -147,3 +147,33 @@ def test_velocities_of_frames_that_are_not_kept_are_not_made(monkeypatch):
     assert len(made) == 5 + 50
     assert np.array_equal(runs[0].q, runs[1].q[::10]) and np.array_equal(runs[0].v, runs[1].v[::10])
     assert runs[1].velocity_drift.max() < 1e-12
+
+
+def test_the_summary_says_which_part_makes_each_step_factorize():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody(1.0, 0.1, {"left": (-0.5, 0.0), "right": (0.5, 0.0)}, origin=(0.5, 0.0), name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
+    alone = pi.solve(scene.build(), 0.01, pi.EnergyMomentum(h=1e-3))
+    assert alone.counts.factorizations < alone.steps and "in each step" not in alone.summary()
+    scene.add(pi.SpringDamper(pi.ground.at((0.0, 1.0)), bar.at("right"), stiffness=50.0, name="spring"))
+    with_spring = pi.solve(scene.build(), 0.01, pi.EnergyMomentum(h=1e-3))
+    assert with_spring.counts.factorizations >= with_spring.steps
+    assert "a new factorization in each step, because of 'spring'" in with_spring.summary()
+    assert "each step" not in pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3)).summary()
+
+
+def test_the_summary_says_that_a_model_of_ones_own_makes_each_step_factorize():
+    class Mass(pi.Model):
+        n, m = 1, 0
+
+        def mass(self, q):
+            return np.eye(1)
+
+        def force(self, t, q, v):
+            return q
+
+        def potential(self, q):
+            return 0.5 * float(q @ q)
+
+    run = pi.solve(Mass(), 0.01, pi.EnergyMomentum(h=1e-3), q0=[1.0])
+    assert run.counts.factorizations >= run.steps and "a new factorization in each step, because of functions in Python" in run.summary()

@@ -36,6 +36,8 @@ class EnergyMomentum:
     `potential`, with a constant mass and phi at most quadratic in q (integrate/energy/general.py). Other forces act at the middle. That
     the energy is kept where phi_q varies needs `Needs(driven=False)`: else phi may do work, and v is put on its constraint at the cost of it.
 
+    With force elements, bodies of one's own or a model of one's own each step makes a new factorization, which the run's summary says.
+
     h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
     the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the
     acceleration. max_iterations: of one Newton solve. Raises InputError for a setting out of range and for a model that it does not take.
@@ -65,9 +67,17 @@ class EnergyMomentum:
             require_general(model)
         require_energies(guard(model), 0.0, np.zeros(model.n))
 
+    def cost(self, model: Model) -> str:
+        """What a summary says of steps that cost more than those of a scene of plates, rigid bodies, joints and loads; empty for these."""
+        kind = _kind(model)
+        if kind is Midpoint:
+            return ""
+        parts = [own.name for own in model.own_forces.each] if kind is WithForces else []
+        return f"a new factorization in each step, because of {', '.join(map(repr, parts)) or 'functions in Python'}"
+
     def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
-        kind = General if not model.is_scene else Midpoint if model.compiled and not model.own_forces else WithForces
+        kind = _kind(model)
         for begin, end, most in stretches(model, state.t, t_end, self.h):
             state = _ready(model, state, begin)
             count = enough_steps(model, state, begin, end, min(self.h, most))
@@ -81,6 +91,11 @@ class EnergyMomentum:
                 state = stepper.step(state, grid.time(k))
                 counts.steps += 1
                 yield state
+
+
+def _kind(model):
+    """The kind of steps that a model takes."""
+    return General if not model.is_scene else Midpoint if model.compiled and not model.own_forces else WithForces
 
 
 def _ready(model, state, begin):
