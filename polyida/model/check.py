@@ -17,6 +17,7 @@ TRIES = 8  # states that are drawn until forces are finite
 ONE_SIDED = 8  # by how much more of it a difference beside a kink has
 REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: how far from the start a state is drawn, the first where phi is finite
 SCALES = (1.0, 1e-2, 1e-4)  # of a difference's step: where two of them agree, the difference is known
+FINER = 1.0 / 8.0  # of the steps of differences, at which they are taken again: beside a kink they are others
 AGREES = 1e-5  # of its size, by which a derivative may be off
 DOUBT = 10.0  # times by how much differences disagree
 ROUND = 64 * np.finfo(float).eps  # of a function, over a step: round-off of its difference
@@ -80,25 +81,32 @@ def check_derivatives(
         }
         written = {key: entry for key, entry in slopes.items() if writes(model.user, key)}
         pairs |= {f"{key} {name}": (own(name, *at), plain(model, name, *at)) for key, (own, plain, at) in written.items()}
-    for name, energy, slope, force in _energies(model, t, q):
-        blur[name] = ROUND_OFF * max(abs(energy), np.abs(force).max())
+    for name, energy, force in _energies(model, t, q):
+        slope, doubt = _slope(energy, force.size)
+        blur[name] = ROUND_OFF * max(np.abs(energy(np.zeros(force.size))).max(), np.abs(force).max()) + doubt
         pairs[name] = slope, -force
     return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
 
 
+def _slope(function, size):
+    """(slope at 0 of a function of (size,) by differences, (size,), how far it may be off: beside a kink, finer ones are others)."""
+    one, finer = (differences.jacobian(lambda s, part=part: function(part * s), np.zeros(size), 1)[0] / part for part in (1.0, FINER))
+    return one, DOUBT * np.abs(one - finer).max()
+
+
 def _energies(model, t, q):
-    """(name, energy, J, its slope by differences, force) of all that has an energy of which its force at v = 0 must be the falling slope."""
+    """(name, its energy, J, (1,), at a small displacement s, minus its slope there) of all that must have its force at v = 0 as that."""
     if not model.is_scene:
-        force, energy = _said(lambda: _conservative(model, t, q)), model.potential
+        force = _said(lambda: _conservative(model, t, q))
         if force is not None:
-            yield "potential", energy(q), differences.jacobian(lambda x: np.array([energy(x)]), q, 1)[0], force
+            yield "potential", lambda s: np.array([model.potential(q + s)]), force
         return
     for own in model.own_forces.each:
         x = own.places(q)
         force, reach = _said(lambda own=own, x=x: own.conservative(t, x)), np.broadcast_to(own.sizes, x.shape)
         if force is not None:
             moved = lambda s, own=own, x=x, reach=reach: np.array([own.energy(x + reach * s.reshape(x.shape))])  # noqa: E731
-            yield f"energy of {own.name}", own.energy(x), differences.jacobian(moved, np.zeros(x.size), 1)[0], (reach * force).ravel()
+            yield f"energy of {own.name}", moved, (reach * force).ravel()
 
 
 def _said(call):
