@@ -514,3 +514,16 @@ def test_files_find_it_by_its_name(tmp_path):
     integrator = pi.RadauIIA(rtol=1e-5, stages=2, form="index3", project=False)
     pi.solve(Oscillator(), 0.5, integrator, q0=[1.0], out=tmp_path / "run.h5")
     assert pi.load(tmp_path / "run.h5").integrator == integrator
+
+
+@pytest.mark.parametrize("settings", [{"rtol": 1e-6}, {}], ids=str)
+def test_corrections_below_round_off_of_a_body_at_rest_end_newton(settings):
+    """q = v = 0 while the motor waits: corrections of 1e-58 m cannot contract any more."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, mass=1.0))
+    scene.add(pi.Revolute(pi.ground, bar.at("left")))
+    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), angle=pi.profile.linear(0.0, 0.5, 0.11, begin=0.033)))
+    scene.add(pi.PointMass(bar.at("right"), 0.2, name="tip"))
+    run = pi.solve(scene.build(), 0.1, pi.RadauIIA(**settings))
+    angle = 0.5 * (0.1 - 0.033) / 0.11
+    assert run.success and run.position("tip")[-1] == pytest.approx([np.cos(angle), np.sin(angle)], abs=1e-10)

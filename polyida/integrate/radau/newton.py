@@ -57,11 +57,14 @@ class Newton:
         self.system, self.tableau, self.max_iterations = system, tableau, max_iterations
         self.marks = UNKNOWN.copy()
 
-    def solve(self, matrices, state, h, allowed, shares):
-        """Iterations until they leave `allowed` of q; the stages are in the system's trial. shares (n,): the norm's weights. Raises Failed."""
+    def solve(self, matrices, state, h, allowed, shares, least):
+        """Iterations until they leave `allowed` of q; the stages are in the system's trial.
+
+        shares (n,): the weights of the norm. least: round-off of q = 0. Raises Failed.
+        """
         self._guess(state, h)
         size = np.sqrt(shares @ state.q**2) + h * np.sqrt(shares @ state.v**2)
-        contraction, last, worst, round_off = self._first(), np.inf, 0.0, ROUND * size
+        contraction, last, worst, round_off = self._first(), np.inf, 0.0, max(ROUND * size, least)
         self.system.take(matrices)
         for iteration in range(1, self.max_iterations + 1):
             moved = self.system.iterate(matrices)

@@ -12,7 +12,7 @@ from polyida.integrate.radau.newton import UNKNOWN, Failed, Newton
 from polyida.integrate.radau.plain import PlainSystem
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.whole import WholeModes
-from polyida.integrate.sizes import weights
+from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import consistent_acceleration, start_values
 from polyida.integrate.state import State, StepFailure
 from polyida.integrate.stepping.kept import Kept
@@ -99,7 +99,7 @@ class Steps:
             raise Failed("singular", str(error)) from None
         self.counts.backend = matrices.backend
         left = self.settings.left(state, self.shares, self.sizes)
-        return self.newton.solve(matrices, state, h, left, self.shares)
+        return self.newton.solve(matrices, state, h, left, self.shares, ROUND_OFF * float(self.sizes[0]))
 
     def _factored(self, state, h):
         """New Matrices at a state, with what its last stage was rather than a and lam that ring."""
