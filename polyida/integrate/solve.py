@@ -187,8 +187,13 @@ def _plan(begin, t_end, every, output, until, flush_every, fsync, precision):
 
 
 def _began(state):
-    """How a run begins: at a "start" from q0 and v0, in a "state" that is taken as it is, or within a "run" whose memory the state has."""
-    return "start" if state is None or not state.restart else "run" if "h" in state.memory else "state"
+    """How a run begins: at a "start" from q0 and v0, in a "state" that is taken as it is, or in one of another "run".
+
+    A state of a run has the memory of its integrator, or is between two steps; one of `static` has no memory but its residual, `rest`.
+    """
+    if state is None:
+        return "start"
+    return "run" if state.memory.keys() - {"rest"} or not state.restart else "state"
 
 
 def _expected(plan, begin, integrator):

@@ -178,9 +178,36 @@ def test_a_state_to_begin_from_is_held():
     assert max(errors.values()) < CLOSE and "v0" not in pi.gradient(run, DEVIATION)
     with pytest.raises(pi.InputError, match="'v0' is no parameter"):
         pi.gradient(run, DEVIATION, parameters=["v0"])
-    onward = pi.solve(run.model, 0.1, pi.GeneralizedAlpha(2e-3), state=run.state)
+
+
+ONWARD = [
+    (pi.GeneralizedAlpha(2e-3), pi.GeneralizedAlpha(4e-3)),
+    *((before, pi.RadauIIA(h=5e-3)) for before in (pi.RadauIIA(h=5e-3), pi.IDA(1e-4))),
+]
+
+
+@pytest.mark.parametrize(("before", "integrator"), ONWARD)
+@pytest.mark.parametrize("until", [None, lambda t, q, v: t - 0.0051])
+def test_a_state_of_another_run_is_refused(before, integrator, until):
+    state = pi.solve(arm_without_motor(), 0.01, before, until=until).state
+    onward = pi.solve(arm_without_motor(), 0.02, integrator, state=state)
     with pytest.raises(pi.InputError, match="goes on from a state of another one"):
         pi.gradient(onward, DEVIATION)
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(2e-3), pi.RadauIIA(h=5e-3)])
+def test_slopes_in_what_moves_the_constraints_of_a_held_state_are_refused(integrator):
+    """The state of a rigid bar that has turned holds z, of which the length is the radius of gyration."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 0.5, name="bar"))
+    scene.add(pi.Revolute(pi.ground, bar.at("left"), name="hub"))
+    scene.add(pi.TorsionSpring(pi.ground, bar.at("left"), 20.0, name="spring"))
+    model = scene.build()
+    run, far = pi.solve(model, 0.02, integrator, state=pi.static(model)), pi.objective.Deviation(bar.at("right"), (1.0, 0.0))
+    assert pi.gradient(run, far, parameters=["spring.stiffness"])
+    for given in (run, pi.solve(model, 0.02, integrator, q0=run.q[0])):
+        with pytest.raises(pi.InputError, match="'bar.inertia' .* constraints of the state that the run begins with"):
+            pi.gradient(given, far, parameters=["bar.inertia"])
 
 
 @pytest.mark.parametrize("last", [0.0, 1e-60])
@@ -215,3 +242,11 @@ def test_own_slopes_in_parameters_are_looked_at(slopes, word):
 
 def test_what_is_zero_is_checked_from_above():
     assert max(pi.check_gradient(RUN, DEVIATION, parameters=["arm.mass_damping"]).values()) < CLOSE
+
+
+def test_a_motor_that_holds_the_state_of_a_run_is_left_out():
+    """With the state held, another start of the motor would jump; its end, to which it moves later, would not."""
+    run = pi.solve(MODEL, 0.02, pi.GeneralizedAlpha(2e-3), state=pi.static(MODEL))
+    found = pi.gradient(run, DEVIATION)
+    assert "moves the constraints of the state" in found.left_out["motor.start"] and "motor.start" not in found
+    assert {"motor.end", "motor.duration", "arm.E"} <= {*found}

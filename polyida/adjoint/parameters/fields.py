@@ -34,6 +34,11 @@ class OfField(Parameter):
     asked = True
 
     @property
+    def changes_coordinates(self):
+        """Of bodies."""
+        return isinstance(self.model.parts[self.part], Body)
+
+    @property
     def room(self):
         """Of what is not negative."""
         return POSITIVE if self.value == 0.0 else EVERYWHERE

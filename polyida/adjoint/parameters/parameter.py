@@ -24,6 +24,7 @@ class Parameter:
     model: Any
     asked = False
     why = "its slope takes differences of the model"  # where it is `asked`: the reason why it is not taken without its name
+    changes_coordinates = False  # whether the same q may be another position with it
     room = EVERYWHERE  # in which it may be changed
 
     def work(self, work: Work) -> Any:
