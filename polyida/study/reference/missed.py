@@ -72,7 +72,7 @@ class _Step:
         """g of what no kink announces at s = at (k,), (k, n)."""
         found = np.empty((len(at), self.model.n))
         for row, s in zip(found, at.tolist()):
-            t, q, v = self.t + s * self.h, *self._state(s)
+            t, (q, v) = self.t + s * self.h, self._state(s)
             if self.model.is_scene:
                 row[:] = 0.0
                 self.model.own_forces.take_from(row, t, q, v)
