@@ -17,7 +17,7 @@ import numpy as np
 from polyida.compiled import pack
 from polyida.integrate.radau.tableau import radau, through, through_zero
 
-SLOW = 0.5  # contraction beyond which a correction of ROUND of the size is round-off
+SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
 ROUND = 1e-11
 CARRIED = 10  # steps in which the contraction of an earlier one is taken for that of the first iteration
 UNKNOWN = np.array([1.0, CARRIED])  # the marks of a Newton that has none
