@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from functools import cache, lru_cache
 from importlib import metadata
 
+from polyida import __version__
 from polyida.errors import InputError
 from polyida.given import is_whole
 from polyida.keywords import named_keywords
@@ -15,13 +16,13 @@ from polyida.keywords import named_keywords
 _lock = threading.Lock()
 _threads = [1]  # that a run takes
 _inside: list = []  # the limit in force, and one entry for each run within it
-PACKAGES = ("polyida", "numpy", "scipy", "numba", "scikit-sundae")
+PACKAGES = ("numpy", "scipy", "numba", "scikit-sundae")
 
 
 @cache
 def versions():
-    """{package: version} of Python and of the packages that compute; a package that is not installed is left out."""
-    found = {"python": platform.python_version()}
+    """{package: version} of Python, of this package, installed or not, and of the installed packages that compute."""
+    found = {"python": platform.python_version(), "polyida": __version__}
     for name in PACKAGES:
         try:
             found[name] = metadata.version(name)
