@@ -55,7 +55,7 @@ class Model:
     alike = False  # True where all coordinates are of one kind, m: Newton's |dq| is then their plain root mean square, by mass elsewhere
     carries = False  # True where `increments` tells what phi gains in a step
     compiled = False  # True of a scene without Python in it: integrators have compiled loops over its `arrays`
-    own_forces = ()  # the force elements of a scene
+    own_forces: Any = ()  # the force elements of a scene
     remark = ""  # what a run's summary says of the model
     flexible = False  # True where bodies deform: BDF of order 3 to 5 is unstable, or slow, on mesh modes with little damping
     extent = None  # size in space, m, that does not depend on the state
