@@ -19,7 +19,7 @@ from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard
 from polyida.results.angle import angle_of
-from polyida.results.energy import Energy, energy_of
+from polyida.results.energy import Energy, energy_of, grown
 from polyida.results.momentum import momenta_of
 from polyida.results.motion import Motion
 from polyida.results.section_forces import SectionForces, section_forces
@@ -235,7 +235,11 @@ class Trajectory:
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
-        of_model = (self.model.remark, hint(self.model, self.q, self.integrator), self._left_out()) if self.model is not None else ()
+        of_model = (
+            (self.model.remark, hint(self.model, self.q, self.integrator), self._left_out(), self._grown())
+            if self.model is not None
+            else ()
+        )
         told = "".join(f", {what}" for what in (told, *of_model) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
@@ -245,6 +249,10 @@ class Trajectory:
     def _left_out(self):
         """What is said of reduced plates whose modes leave much out."""
         return left_out.hint(self.model, self.t, self.q, self.a) if self.model.few else ""
+
+    def _grown(self):
+        """What is said of energy that comes from nowhere."""
+        return grown(self._motion("summary"))
 
     def __repr__(self):
         return f"<Trajectory: {self._told()}>"
