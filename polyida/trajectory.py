@@ -19,7 +19,7 @@ from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard
 from polyida.results.angle import angle_of
-from polyida.results.energy import Energy, energy_of
+from polyida.results.energy import Energy, energy_of, grown
 from polyida.results.momentum import momenta_of
 from polyida.results.motion import Motion
 from polyida.results.reaction import reaction_of
@@ -252,7 +252,7 @@ class Trajectory:
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         cost, model = getattr(self.integrator, "cost", lambda model: ""), self.model
-        of_model = () if model is None else (model.remark, cost(model), hint(model, self.q, self.integrator), self._left_out())
+        of_model = () if model is None else (model.remark, cost(model), hint(model, self.q, self.integrator), self._left_out(), self._grown())
         unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
         told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
@@ -263,6 +263,10 @@ class Trajectory:
     def _left_out(self):
         """What is said of reduced plates whose modes leave much out."""
         return left_out.hint(self.model, self.t, self.q, self.a) if self.model.few else ""
+
+    def _grown(self):
+        """What is said of energy that comes from nowhere."""
+        return grown(self._motion("summary"))
 
     def __repr__(self):
         return f"<Trajectory: {self._told()}>"

@@ -61,7 +61,8 @@ class Contact(ForceElement):
     delta: how deep the point a is in what b bounds, m. Without a radius that is the half-plane to the right of the line through b along its
     direction (below `ground.at(point)`, whose direction is the x axis); with a radius, m, the circle about the point b. stiffness k, N/m^n;
     exponent n, 1 or more, 3/2 of Hertz; damping c, s/m: slow blows at a speed v come back with (1 - c v) v. There is no friction. Energy
-    `k delta^(n + 1) / (n + 1)`; `3/2 c k delta^n delta'^2` is dissipated.
+    `k delta^(n + 1) / (n + 1)`; `3/2 c k delta^n delta'^2` is dissipated. Its `gap` is -delta: steps of all integrators end where the contact
+    opens and closes, and are short enough while it is closed.
     Raises InputError for wrong values, and for a line whose side has no direction.
     Source: Hunt, Crossley, J. Appl. Mech. 42 (1975) 440-445.
     """

@@ -26,6 +26,7 @@ class ForceElement(OwnPart):
     Instead of `forces` it may have `law`, a function decorated with `numba.njit`: `law(t, x, v, data, f)` fills f (sides, 2), N, where
     data are the element's `numbers()`. Kernels call it by its address, and take its slopes by differences; where all force elements of
     a scene have one, generalized-alpha, Radau IIA and IDA keep their compiled loops.
+    A force that acts only in a part of space gives a `gap`; without one it may be stepped over, and nothing in the result shows it.
     dissipates: whether what its forces do beyond its energy is reported as dissipated, and not as work. works: whether they do more than
     its energy says where nothing moves, as of a spring with an actuator; else `forces` at v = 0 must be the falling slope of an `energy`
     that is given (unless they depend on t), which `check_derivatives` reports and the energy-momentum method requires.

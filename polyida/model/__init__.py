@@ -42,7 +42,8 @@ class Model:
 
     A model of one's own sets `n` and `m` and writes `mass`, `force`, `phi` and `phi_q`; all other derivatives have right
     defaults by fourth-order differences. Override them where the exact form is known, and check the override with
-    `check_derivatives`. Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
+    `check_derivatives`. A model whose forces act only in a part of the motion, like those of contacts, writes `gaps` too: without it steps may
+    pass over them unseen. Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
 
     The attributes below it are what else is asked of every model; these are the values of one that has nothing of the kind.
     """

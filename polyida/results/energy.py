@@ -7,11 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.assembly.loads import dead_loads
 from polyida.body.own_part import writes
 from polyida.brief import brief
 from polyida.force.force_element import ForceElement
 from polyida.io.frames import each
+from polyida.results.motion import Motion
 from polyida.results.work import works
+
+GROWN, LOOKS = 1e-2, 32  # of the largest kinetic energy: more is no error that a run may have; frames that are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,33 @@ class Energy:
     @cached_property
     def _works(self):
         return works(self._motion)
+
+
+def grown(motion):
+    """What a summary says of energy that grows although nothing supplies any: by more than GROWN of the largest kinetic energy.
+
+    LOOKS frames are looked at; empty where a part may do work.
+    """
+    model, count = motion.model, len(motion.t)
+    if count < 2 or not _passive(model):
+        return ""
+    looks = np.unique(np.linspace(0, count - 1, LOOKS).astype(int))
+    energy = energy_of(Motion(model, motion.t[looks], *(np.array([x[k] for k in looks], float) for x in motion[2:])))
+    gains = energy.total - np.minimum.accumulate(energy.total)
+    at, most = int(gains.argmax()), float(energy.kinetic.max())
+    if not gains[at] > GROWN * most > 0.0:
+        return ""
+    return (
+        f"the energy grows by {gains[at]:.2g} J up to t = {motion.t[looks[at]]:.4g} s, the largest kinetic energy being {most:.2g} J, "
+        "and no part supplies it: take shorter steps or a tighter rtol"
+    )
+
+
+def _passive(model):
+    """Whether a scene has no load, no profile and no force element without an energy; of other models nothing is known."""
+    if not model.is_scene or any(name for name, _ in model.named_profiles) or dead_loads(model.parts, model.gravity, model.places):
+        return False
+    return all(own.strain or writes(own.element, ForceElement, "energy") for own in model.own_forces.each)
 
 
 def energy_of(motion):

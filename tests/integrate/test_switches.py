@@ -1,0 +1,187 @@
+"""Contacts and other declared switches: no integrator steps over one, or gains energy at it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import polyida as pi
+
+INTEGRATORS = {
+    "radau": (pi.RadauIIA(), 1e-2),
+    "radau, tight": (pi.RadauIIA(rtol=1e-9), 1e-5),
+    "radau, h": (pi.RadauIIA(h=0.02), 1e-3),
+    "alpha": (pi.GeneralizedAlpha(), 1e-3),
+    "alpha, h": (pi.GeneralizedAlpha(h=1e-3), 1e-2),
+    "alpha, long h": (pi.GeneralizedAlpha(h=0.02), 1e-2),
+    "IDA": (pi.IDA(), 1e-3),
+    "IDA, tight": (pi.IDA(rtol=1e-9), 1e-6),
+    "energy": (pi.EnergyMomentum(h=0.02), 1e-4),
+}
+
+
+def thrown(stop, gravity=0.0, at=(0.0, 0.0), velocity=(1.0, 0.0)):
+    """The model of a body of 1 kg that is thrown; stop: a function of its point, for the force element that it meets."""
+    scene = pi.Scene(gravity=(0.0, -gravity))
+    body = scene.add(pi.RigidBody(1.0, 1.0, {"c": (0.0, 0.0)}, origin=at, velocity=velocity, name="body"))
+    scene.add(stop(body.at("c")))
+    return scene.build()
+
+
+def ball(x=0.5, y=0.0, **settings):
+    return lambda point: pi.Contact(point, pi.ground.at((x, y)), **{"stiffness": 1e6, "radius": 0.01, "name": "stop"} | settings)
+
+
+def speeds(run):
+    return run.v.reshape(len(run), -1, 2)[:, 0]
+
+
+@pytest.mark.parametrize("name", INTEGRATORS)
+def test_a_body_comes_back_from_an_elastic_ball(name):
+    integrator, near = INTEGRATORS[name]
+    run = pi.solve(thrown(ball()), 1.0, integrator)
+    assert run.status == "done" and speeds(run)[-1] == pytest.approx([-1.0, 0.0], abs=near)
+
+
+@pytest.mark.parametrize("name", ["radau", "alpha, long h", "IDA"])
+def test_a_glancing_blow_keeps_energy_and_turns_the_way(name):
+    """From the ball's centre nothing but central force acts: energy and moment of momentum about it are kept."""
+    run = pi.solve(thrown(ball(y=-0.008)), 1.0, INTEGRATORS[name][0])
+    (vx, vy), (x, y) = speeds(run)[-1], run.q.reshape(len(run), -1, 2)[-1, 0]
+    assert vy > 0.3 and vx**2 + vy**2 == pytest.approx(1.0, abs=2e-3)
+    assert (x - 0.5) * vy - (y + 0.008) * vx == pytest.approx(-0.008, abs=2e-4)
+
+
+@pytest.mark.parametrize("name", ["radau, tight", "alpha, long h", "energy"])
+def test_bounces_on_a_line_keep_energy(name):
+    run = pi.solve(
+        thrown(lambda p: pi.Contact(p, pi.ground.at((0.0, 0.0)), 1e5, exponent=1.0), 9.81, (0.0, 0.2)), 1.0, INTEGRATORS[name][0]
+    )
+    energy = run.energy
+    assert run.success and abs(energy.total - energy.total[0]).max() < 5e-3 * energy.kinetic.max()
+
+
+def test_a_damped_blow_loses_what_hunt_and_crossley_say():
+    """Slow blows at a speed v come back with about (1 - c v) v."""
+    run = pi.solve(thrown(ball(damping=0.05)), 1.0, pi.RadauIIA(rtol=1e-8))
+    assert speeds(run)[-1, 0] == pytest.approx(-0.95, abs=5e-3)
+
+
+def test_a_body_at_rest_in_contact_takes_no_more_steps():
+    """Pressed in by its weight, it stays there and nothing switches."""
+    depth = (9.81 / 1e6) ** (2 / 3)
+    model = thrown(lambda p: pi.Contact(p, pi.ground.at((0.0, 0.0)), 1e6), 9.81, (0.0, -depth), (0.3, 0.0))
+    run = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=0.02))
+    assert run.success and run.steps == 100 and abs(run.v.reshape(-1, 2)[:, 1]).max() < 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Push(pi.ForceElement):
+    """A constant force to the left beyond x = 0.5 m: it jumps there."""
+
+    at: object
+    force: float = 100.0
+    name: str | None = None
+
+    def sides(self):
+        return (self.at,)
+
+    def forces(self, t, x, v):
+        return np.array([[-self.force if x[0, 0] > 0.5 else 0.0, 0.0]])
+
+    def energy(self, x):
+        return self.force * max(0.0, x[0, 0] - 0.5)
+
+    def gap(self, x):
+        return 0.5 - x[0, 0]
+
+
+@pytest.mark.parametrize("name", ["radau, tight", "radau, h", "energy"])
+def test_an_own_force_that_jumps_where_its_gap_closes(name):
+    """It turns the body round in 2 v m / F."""
+    run = pi.solve(thrown(Push), 1.0, INTEGRATORS[name][0])
+    assert run.q[-1, 0] == pytest.approx(0.02, abs=1e-6)
+    assert speeds(run)[-1, 0] == pytest.approx(-1.0, abs=1e-6)
+
+
+class Window(pi.Model):
+    """A point of 1 kg on a line; a constant force within a window of 1 mm: v^2 grows by 2 F d."""
+
+    n, m = 1, 0
+    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+
+    def mass(self, q):
+        return np.eye(1)
+
+    def force(self, t, q, v):
+        return np.array([-1500.0 if 0.4937 < q[0] < 0.4947 else 0.0])
+
+    def gaps(self, t, q):
+        return np.array([abs(q[0] - 0.4942) - 0.0005])
+
+
+@pytest.mark.parametrize("name", ["radau", "alpha, long h", "IDA"])
+def test_an_own_model_is_seen_through_two_roots_within_one_step(name):
+    run = pi.solve(Window(), 1.0, INTEGRATORS[name][0], v0=[1.0])
+    assert Window().switching and run.v[-1, 0] == pytest.approx(2.0, rel=1e-3)
+
+
+def test_a_model_without_switches_says_so():
+    scene = pi.Scene()
+    scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
+    assert not scene.build().switching and scene.build().gaps(0.0, np.zeros(4)).size == 0
+
+
+def test_two_contacts_that_close_together():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(0.4, 0.5, origin=(-0.2, 0.2), name="bar"))
+    for end in ("left", "right"):
+        scene.add(pi.Contact(bar.at(end), pi.ground.at((0.0, 0.0)), 1e5, name=end))
+    run = pi.solve(scene.build(), 0.5, pi.GeneralizedAlpha(h=0.01))
+    assert abs(run.energy.total - run.energy.total[0]).max() < 5e-3 and np.ptp(run.q[-1].reshape(-1, 2)[:, 1]) < 0.1
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=0.02), pi.RadauIIA()], ids=["alpha", "radau"])
+def test_a_run_that_stops_anywhere_about_a_contact_goes_on_bit_by_bit(tmp_path, integrator):
+    model = thrown(ball())
+    whole = pi.solve(model, 1.0, integrator)
+    near = np.searchsorted(whole.t, 0.489)
+    for stop in (near, near + 1, near + 3):
+        taken = iter(range(stop))
+        part = pi.solve(model, 1.0, integrator, out=tmp_path / f"{stop}.h5", progress=lambda t, taken=taken: _stop(taken), flush_every=1)
+        assert part.status == "interrupted"
+        for run in (pi.resume(tmp_path / f"{stop}.h5"), pi.solve(model, 1.0, integrator, state=part.state)):
+            assert np.array_equal(run.q[-1], whole.q[-1]) and np.array_equal(run.v[-1], whole.v[-1])
+
+
+def _stop(taken):
+    if next(taken, None) is None:
+        raise KeyboardInterrupt
+
+
+def test_a_gap_that_is_no_number_is_refused():
+    class Wrong(Push):
+        def gap(self, x):
+            return "closed"
+
+    with pytest.raises(pi.InputError, match="push.*gap"):
+        pi.solve(thrown(lambda p: Wrong(p, name="push")), 1.0, pi.RadauIIA())
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=0.005), pi.RadauIIA(rtol=1e-7)], ids=["alpha", "radau"])
+def test_gradients_take_the_steps_that_end_at_contacts_again(integrator):
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody.bar(1.0, 1.0, angle=0.3, name="bar"))
+    scene.add(pi.Revolute(bar.at("left"), pi.ground.at((0.0, 0.0)), name="pin"))
+    scene.add(pi.Contact(bar.at("right"), pi.ground.at((0.0, -0.99)), 1e3, radius=0.05, name="stop"))
+    run = pi.solve(scene.build(), 0.8, integrator)
+    assert run.counts.rejected
+    deviation = pi.objective.Deviation(bar.at("right"), lambda t: (0.3, -0.2))
+    assert max(pi.check_gradient(run, deviation, ["stop.stiffness"]).values()) < 1e-3
+
+
+def test_a_summary_names_energy_that_comes_from_nowhere():
+    run = pi.solve(thrown(ball()), 0.7, pi.RadauIIA(rtol=1e-7))
+    faster = replace(run, v=np.where(run.t[:, None] > 0.6, 2.0 * run.v, run.v))
+    assert "the energy grows" not in run.summary()
+    assert "the energy grows by 1.5 J up to t = 0." in faster.summary()
