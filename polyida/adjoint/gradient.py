@@ -37,6 +37,9 @@ def gradient(
     are not all of its steps is taken again from its beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as
     checkpoints between which it is taken a third time.
 
+    With adaptive steps the slopes are those of these very steps, stretched between kinks. A run that is solved again chooses others, and means
+    over time are sums over frames: differences of such runs are up to some hundredths off in what moves a kink, steps of constant h are not.
+
     A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is, and so is the beginning where a motor begins
     with the run: the slope in its begin is that with the start where it was. The model is taken as it is now: one that was changed since
     its run gives another gradient. Laws that are not smooth (a contact that closes within a step) have differences as rough as they are:
@@ -44,9 +47,10 @@ def gradient(
 
     parameters: names, or None for all that cost next to nothing: of plates `stiffness` and `mass` (a factor of each cell), `E`, `thickness`,
     `rho`; `mass` of point masses; of motors and loads the numbers of their profiles (`motor.end`, `motor.duration`, `load.amplitude` ...);
-    velocities of bodies and `v0`; of models of one's own what their `parameters` names. By name also any number of a part, `spring.stiffness`.
+    velocities of bodies and `v0`; of models of one's own what their `parameters` names. By name also any number of a part, `spring.stiffness`;
+    `left_out` of the result names those that were not taken, with the reason.
     progress: called with t as it goes back, or True for a bar of tqdm. Raises InputError for what is none of these, for another
-    integrator's run, for frames between steps (`output`, `until`, `extrapolate`), and for an unknown parameter.
+    integrator's run, for a run that begins in a state of another run, for what moves the constraints of a held state, for frames between steps (`output`, `until`, `extrapolate`), and for an unknown parameter.
 
         found = pi.gradient(run, pi.objective.Deviation("tip", path))
         found.value, found["arm.stiffness"]
