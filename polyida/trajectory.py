@@ -252,7 +252,9 @@ class Trajectory:
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         cost, model = getattr(self.integrator, "cost", lambda model: ""), self.model
-        of_model = () if model is None else (model.remark, cost(model), hint(model, self.q, self.integrator), self._left_out(), self._grown())
+        of_model = (
+            () if model is None else (model.remark, cost(model), hint(model, self.q, self.integrator), self._left_out(), self._grown())
+        )
         unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
         told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
