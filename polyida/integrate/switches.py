@@ -32,7 +32,6 @@ AGAIN, STANDING = 20, 1e-9  # a gap that switches so often in a row, each time w
 JUMP = 2.0  # forces that change by less than that when the distance to the switch is taken four times jump there
 KEPT = ("sizes", "rtol", "tolerances", "mu", "ladder")  # of the memory of a state, behind a jump of forces
 FAILURES = 6  # fixed steps in a row that fail, each a quarter of the one before
-COARSE = "coarse"  # the key in a State's memory of the gaps for which the finest part of a fixed step is too long
 
 
 class Crossing(NamedTuple):
