@@ -1,15 +1,10 @@
 """A run that was stopped at any of its steps and goes on is the run that was never stopped, bit by bit."""
 
-from itertools import islice
-
 import numpy as np
 import pytest
 
 import polyida as pi
 from polyida.assembly.rows.increments import gain_table
-from polyida.integrate.start import consistent_state
-from polyida.integrate.state import Counts
-from polyida.model.guarded import guard
 
 FRAMES = ("t", "q", "v", "a", "lam")
 T_END = 0.06
@@ -82,28 +77,38 @@ CASES = [(driven, name) for name in RADAU | ALPHA if name != "kkt"] + [(bead, "k
 CASES += [(scene, name) for scene in (plate, bead) for name in ("three stages", "two stages, rtol", "alpha")]
 
 
-def states_of(model, integrator, start, whole):
-    """What the run goes on from behind each of its steps but the last: one run of Radau IIA yields it, alpha makes it where it is stopped."""
-    if isinstance(integrator, pi.RadauIIA):
-        first = consistent_state(model, q0=start.get("q0"))
-        yield from islice(integrator.steps(guard(model), first, T_END, Counts()), len(whole) - 2)
-        return
-    for t in whole.t[1:-1]:
-
-        def progress(now, last=t):
-            if now == last:
-                raise KeyboardInterrupt
-
-        yield pi.solve(model, T_END, integrator, progress=progress, **start).state
-
-
 @pytest.mark.parametrize("scene, name", CASES, ids=lambda value: getattr(value, "__name__", value))
-def test_every_stop_bit_by_bit(scene, name):
+def test_stopped_at_every_step_bit_by_bit(scene, name):
+    """Each part of the run goes one step on from the state of the part before: what one stop loses, no later part has again."""
     (model, start), integrator = scene(), (RADAU | ALPHA)[name]
     whole = pi.solve(model, T_END, integrator, **start)
     assert whole.success and len(whole) > 4
-    for number, state in enumerate(states_of(model, integrator, start, whole), 1):
-        rest = pi.solve(model, T_END, integrator, state=state)
+
+    def progress(now):
+        if now > begin:
+            raise KeyboardInterrupt
+
+    begin = 0.0
+    for number in range(len(whole) - 1):
+        part = pi.solve(model, T_END, integrator, progress=progress, **start)
+        assert len(part) == 2
+        for key in FRAMES:
+            assert np.array_equal(getattr(part, key), getattr(whole, key)[number : number + 2]), (number, key)
+        begin, start = part.t[-1], {"state": part.state}
+
+
+@pytest.mark.parametrize("name", ["three stages, rtol", "alpha"])
+def test_the_rest_of_a_run_bit_by_bit(name):
+    (model, start), integrator = bead(), (RADAU | ALPHA)[name]
+    whole = pi.solve(model, T_END, integrator, **start)
+    for number in range(1, len(whole) - 1):
+
+        def progress(now, last=whole.t[number]):
+            if now == last:
+                raise KeyboardInterrupt
+
+        part = pi.solve(model, T_END, integrator, progress=progress, **start)
+        rest = pi.solve(model, T_END, integrator, state=part.state)
         assert len(rest) == len(whole) - number
         for key in FRAMES:
             assert np.array_equal(getattr(rest, key), getattr(whole, key)[number:]), (number, key)
