@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import scipy.sparse
 
 import polyida as pi
+from polyida.model.check import require_declared
 from polyida.model.differences import along, jacobian
 from polyida.model.guarded import guard
 
@@ -318,3 +320,84 @@ def test_a_step_matrix_of_one_s_own_is_taken():
 
     runs = [pi.solve(kind(), 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.0]) for kind in (Pendulum, Own)]
     assert np.array_equal(runs[0].q, runs[1].q) and len(made) >= runs[1].counts.factorizations > 0
+
+
+@pytest.mark.parametrize("kind", ["coo", "csr", "dia", "lil"])
+@pytest.mark.parametrize("integrator", [*INTEGRATORS, pi.EnergyMomentum(h=1e-2)], ids=lambda one: type(one).__name__)
+def test_matrices_come_in_every_sparse_format_beside_dense_ones(integrator, kind):
+    """`scipy.sparse.eye` and `diags` give "dia" where no format is asked for; a sparse phi_q may stand beside a dense M, and the other way."""
+
+    class Sparse(Pendulum):
+        needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
+
+        def potential(self, q):
+            return 1.5 * q[0] ** 2 + 9.81 * q[1]
+
+        def phi_q(self, t, q):
+            return scipy.sparse.coo_matrix(2.0 * q[None]).asformat(kind)
+
+    class SparseMass(Sparse):
+        def mass(self, q):
+            return scipy.sparse.eye(2).asformat(kind)
+
+        phi_q = Pendulum.phi_q
+
+    wanted = pi.solve(Pendulum(), 0.05, pi.RadauIIA(rtol=1e-8), **START).q[-1]
+    for model in (Sparse(), SparseMass()):
+        run = pi.solve(model, 0.05, integrator, **START)
+        assert run.status == "done" and np.abs(run.q[-1] - wanted).max() < 1e-4
+
+
+def test_checks_before_a_run_keep_sparse_matrices_sparse():
+    """Dense, M alone would have 8e10 entries."""
+    n = 100_000
+    one = scipy.sparse.eye(n, format="csr")
+
+    class Chain(pi.Model):
+        m = 1
+        needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+
+        def mass(self, q):
+            return one
+
+        def force(self, t, q, v):
+            return q - 1.0
+
+        def phi(self, t, q):
+            return q[:1]
+
+        def phi_q(self, t, q):
+            return one[:1]
+
+    Chain.n = n
+    require_declared(guard(Chain()), 0.0, np.zeros(n), np.zeros(n), 1.0)
+
+
+@pytest.mark.parametrize("length", [1e-6, 1e3, 1e9])
+@pytest.mark.parametrize("integrator", [*INTEGRATORS[:3], INTEGRATORS[4], pi.EnergyMomentum(h=1e-2)], ids=lambda one: type(one).__name__)
+def test_a_constraint_in_square_metres_closes_to_its_own_round_off(integrator, length):
+    """`q . q - l^2` has the round-off of l^2 and the slope 2 l; the motion is that of l = 1 m where g grows with l."""
+
+    class Long(pi.Model):
+        n, m, needs = 2, 1, pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
+
+        def __init__(self, length):
+            self.length = length
+
+        def mass(self, q):
+            return np.eye(2)
+
+        def force(self, t, q, v):
+            return np.array([0.0, 9.81 * self.length])
+
+        def phi(self, t, q):
+            return np.array([q @ q - self.length**2])
+
+        def phi_q(self, t, q):
+            return 2.0 * q[None]
+
+        def potential(self, q):
+            return 9.81 * self.length * q[1]
+
+    run, wanted = (pi.solve(Long(x), 0.1, integrator, q0=[x, 0.0]) for x in (length, 1.0))
+    assert run.status == "done" and np.abs(run.q[-1] / length - wanted.q[-1]).max() < 1e-4

@@ -133,7 +133,7 @@ class Model:
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,), so that d2 phi/dt2 = phi_q a + phi_bias."""
         if not (self.needs.driven or self.needs.phi_q_varies):
             return np.zeros(self.m)
-        reach = min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(v).max(initial=0)))
+        reach = differences.reach_along(q, v)
         return differences.along(lambda s: self.phi_q(t + s, q + s * v) @ v + self.phi_t(t + s, q + s * v), reach, self._smooth(t))
 
     def phi_rate_q(self, t: float, q: NDArray, v: NDArray) -> Matrix:

@@ -247,10 +247,15 @@ def _change(calls):
     values = []
     for call in calls:
         with suppress(Exception):
-            values.append(dense(call()))
-    finite = [value for value in values if np.isfinite(value).all()]
-    change = max((np.abs(value - finite[0]).max(initial=0.0) for value in finite[1:]), default=0.0)
-    return change if change > SAME * max((np.abs(value).max(initial=0.0) for value in finite), default=0.0) else None
+            values.append(call())
+    finite = [value for value in values if np.isfinite(_largest(value))]
+    change = max((_largest(value - finite[0]) for value in finite[1:]), default=0.0)
+    return float(change) if change > SAME * max(map(_largest, finite), default=0.0) else None
+
+
+def _largest(array):
+    """The largest absolute entry, of a sparse matrix too, which stays sparse."""
+    return abs(array).max() if np.prod(array.shape) else 0.0
 
 
 def _require_derivatives(model, times, q, v, random, nonholonomic):
@@ -265,7 +270,7 @@ def _require_derivatives(model, times, q, v, random, nonholonomic):
     everywhere = differences.EVERYWHERE
 
     def size():  # of what phi is the sum of, whose round-off it has
-        return np.abs(dense(model.phi_q(t, q))) @ (np.abs(q) + np.abs(v)) + np.abs(model.phi_t(t, q) * t)
+        return abs(model.phi_q(t, q)) @ (np.abs(q) + np.abs(v)) + np.abs(model.phi_t(t, q) * t)
 
     moving, rate = (lambda s: model.phi(t + s, q + s * v)), (lambda s: model.phi_rate(t + s, q + s * v, v))
     if nonholonomic:

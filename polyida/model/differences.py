@@ -25,6 +25,12 @@ def along(function, scale=1.0, room=EVERYWHERE):
     return (8 * near - far) / (12 * step)
 
 
+def reach_along(q, direction):
+    """The s over which q + s direction moves by its own size, and by 1 where q is less; at most 1."""
+    size, pace = 1.0 + np.abs(q).max(initial=0.0), np.abs(direction).max(initial=0.0)
+    return float(size / pace) if pace > size else 1.0
+
+
 def central(scale=1.0):
     """(s, weight) of the values that `along` takes where there is room, the derivative being their weighted sum."""
     step = FIRST_ORDER_STEP * scale

@@ -176,7 +176,7 @@ class Guarded(Model):
                 raise InputError(f"{self.name}.{name} {wrong}") from error
             if not (type(found) is np.ndarray and found.dtype is FLOAT and found.shape == shape):
                 self._require(name, found, shape)
-                found = found.astype(float)
+                found = _workable(found).astype(float)
             elif getrefcount(found) > ALONE or found.base is not None:
                 found = found.copy()
             last[1] = found
@@ -293,6 +293,11 @@ class Guarded(Model):
             if not np.isfinite(_entries(found)).all() and all(np.isfinite(x).all() for x in given)
         ]
         return f"{' and '.join(bad)} gave numbers that are not finite" if bad else ""
+
+
+def _workable(found):
+    """An array as it is; a sparse matrix in a format with all operations, which those of diagonals and the like have not."""
+    return found.tocsr() if getattr(found, "format", "csr") not in ("csr", "csc") else found
 
 
 def _entries(found):

@@ -22,7 +22,7 @@ import numpy as np
 
 from polyida.integrate.state import State
 from polyida.linear.matrix import dense
-from polyida.model.differences import along
+from polyida.model.differences import along, reach_along
 
 NEAR = np.finfo(float).eps ** (1 / 3)  # of phi_q's slopes, which only Newton sees: two values are enough
 UNTESTED = 1e9  # absolute tolerance of what carries no error estimate, as multipliers: far above any size of theirs
@@ -231,7 +231,7 @@ class System:
         slope = self._phi_q_along(1.0, v, t, q)
         if order == 1:
             return slope, B, zero
-        reach = _reach(q, v)
+        reach = reach_along(q, v)
         curvature = along(lambda s: self._phi_q_along(1.0, v, t + s, q + s * v), reach) if slope.any() else zero
         return curvature + self._phi_q_along(0.0, a, t, q), 2 * slope, B
 
@@ -240,11 +240,6 @@ class System:
         needs = self.model.needs
         if not (needs.phi_q_varies or (needs.driven and time)):
             return np.zeros((self.model.m, self.model.n))
-        step = NEAR * _reach(q, direction)
+        step = NEAR * reach_along(q, direction)
         ahead, behind = (dense(self.model.phi_q(t + s * time, q + s * direction)) for s in (step, -step))
         return (ahead - behind) / (2 * step)
-
-
-def _reach(q, direction):
-    """The path length over which q + s direction moves by its own size, at most 1."""
-    return min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(direction).max(initial=0)))

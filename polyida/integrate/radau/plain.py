@@ -17,7 +17,7 @@ from polyida.integrate.radau.newton import Failed, trial
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
-from polyida.model.differences import along
+from polyida.model.differences import along, reach_along
 
 NOTHING = 1e-12  # of the largest mass: none
 MOVES = 3  # of q onto phi = 0, at most
@@ -197,5 +197,4 @@ class Rows:
 
 def _slope(model, t, q, v, B):
     """d(phi_q v + phi_t)/dq, which is the slope of phi_q along the motion."""
-    reach = min(1.0, (1.0 + np.abs(q).max(initial=0)) / (1e-300 + np.abs(v).max(initial=0)))
-    return along(lambda s: dense(model.phi_q(t + s, q + s * v)), reach)
+    return along(lambda s: dense(model.phi_q(t + s, q + s * v)), reach_along(q, v))
