@@ -105,6 +105,7 @@ class Switches:
             before, t = self.counts.steps, self.state.t
             try:
                 yield from self._piece()
+                failed = 0
             except StepFailure:
                 failed = failed + 1 if self.state.t == t else 1
                 if not self.h or failed > FAILURES:
@@ -267,7 +268,7 @@ class Switches:
     def _to_switch(self, after, crossing):
         """Yield the states of a step, or a few, to the first switch; none where that is at its beginning."""
         state, whole = self.state, after.t - self.state.t
-        near, beyond, t, hit, states, slow = state.t, crossing.beyond, crossing.guess, crossing.which, [], 0
+        near, beyond, t, hit, states, slow = state.t, after.t, crossing.guess, crossing.which, [], 0
         if t - state.t < TOGETHER * whole:
             g, rate = self.here
             self.state = self._flipped(state, hit)
@@ -287,7 +288,7 @@ class Switches:
                 ways = np.where(hit & (falls > 0), (left - 0.5 * self.near) / np.where(falls > 0, falls, 1.0), np.inf)
                 t = near + float(ways.min())
             else:
-                beyond = min(t, beyond) if found is None else min(t, beyond, found.beyond)
+                beyond = min(t, beyond)  # not where that step crosses: behind a jump of forces its motion is not that of a shorter one
                 hit, t = (hit, near) if found is None else (found.which, found.guess)
             self.counts.rejected += 1
             slow = slow + 1 if beyond - near > 0.5 * wide else 0

@@ -1,6 +1,7 @@
 """The collocation equations of a scene, in compiled code (`stages.py`, `corrections.py`): what `plain.py` does for any model."""
 
 import math
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from polyida.integrate.radau.scene.loads import Loads
 from polyida.integrate.radau.scene.stages import SHARES, A, begin, close, room, way
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, REASONS, SINGULAR
+
+KERNELS: WeakKeyDictionary = WeakKeyDictionary()  # {model: {settings that types follow from: {kernel: the same for arguments of known types}}}
 
 
 class SceneSystem:
@@ -28,7 +31,9 @@ class SceneSystem:
         self.trial = trial(tableau.stages, model.n, model.m, self.tied)
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.moves_v, self.tie = moves_v, tie(model) if model.m else None
-        self.kernels = {kernel: kernel.typed() for kernel in (begin, iterate, close, error)}
+        alike = KERNELS.setdefault(model, {})  # a run that ends steps at switches makes many systems
+        key = tableau.stages, self.tied, linear, moves_v
+        self.kernels = alike.setdefault(key, {kernel: kernel.typed() for kernel in (begin, iterate, close, error)})
 
     def _call(self, kernel, *args):
         """kernel(scene's arrays, *args), whose types are the same in every call."""
