@@ -44,6 +44,8 @@ def _bdf(subject, level):
 
 
 def _extrapolated(subject, level, name, method):
+    if subject.model.switching:  # steps are cut there, and the error is no power of h
+        raise RuntimeError(f"{name} cannot be extrapolated: its steps end where forces of the model switch")
     h = subject.t_end / STEPS[level]
     found = extrapolated(subject.model, subject.t_end, method, h, subject.q0, subject.v0)
     return f"{name}, h = {h:g} s and half of it, extrapolated", found
