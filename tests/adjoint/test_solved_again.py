@@ -42,7 +42,7 @@ def _square(run):
 
 
 def _square_slopes(run):
-    return {"q": run.model.pulled(run.model.side("tip").x, 2 * run.position("tip") * (run.t > 0)[:, None])}
+    return {"q": run.model.pulled((run.model.side("tip"), "point"), 2 * (run.position("tip") @ (1.0, 1.0j)) * (run.t > 0))}
 
 
 @pytest.mark.parametrize("name", HEAVY)

@@ -252,7 +252,7 @@ def test_a_plate_that_collapses_stops_in_good_order(scenes, linear):
 @pytest.mark.parametrize("linear", ["auto", "kkt"])
 def test_a_motor_that_jumps_half_a_turn_is_stopped(scenes, linear, monkeypatch):
     """By the steps themselves, where nobody has looked at the profile before."""
-    monkeypatch.setattr(moves, "parts", lambda model, begin, end, h, fine: [moves.Part(begin, end, np.inf)])
+    monkeypatch.setattr(moves, "parts", lambda model, begin, end, h, fine, now: [moves.Part(begin, end, np.inf)])
     scene, upper = scenes.hinged((0.0, 0.0))
     jump = pi.profile.from_function(lambda t: 0.0 if t < 0.0095 else np.pi, lambda t: 0.0, lambda t: 0.0)
     scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=jump, name="drive"))

@@ -62,5 +62,5 @@ def test_newton_that_contracts_slowly_goes_on_to_its_tolerance():
     moves = iter(1e-12 * 0.6 ** np.arange(40))
     system = SimpleNamespace(trial=trial(2, 1, 0, False), take=lambda matrices: None, iterate=lambda matrices: next(moves))
     state = State(0.0, np.ones(1), np.zeros(1), np.zeros(1), np.zeros(0))
-    taken = Newton(system, radau(2), 30).solve(None, state, 1e-3, 1e-16, np.ones(1))
+    taken = Newton(system, radau(2), 30).solve(None, state, 1e-3, 1e-16, np.ones(1), 0.0)
     assert 1e-12 * 0.6**taken / 0.4 <= 1e-16

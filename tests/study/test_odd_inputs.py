@@ -64,7 +64,7 @@ def test_integrators_that_stand_still_away_from_the_reference_are_told():
     assert study.rows[-1]["error_q"] == pytest.approx(exact, rel=0.1) and study.known_to["q"] < 1e-3 * exact
     assert any(note.startswith("own: from 15000 to 30000 steps") and "stepped over something short" in note for note in study.notes)
     calm = pi.study.work_precision(Spring(), 0.3, q0=[1.0], integrators={"own": settings(Leapfrog)})
-    assert calm.notes == []
+    assert len(calm.notes) == 1 and "is not seen" in calm.notes[0]  # of a force of one's own, that no kink announces
 
 
 def test_a_function_that_raises_is_a_row_and_the_others_are_kept():
@@ -109,7 +109,8 @@ def test_an_integrator_that_counts_no_steps_has_orders_and_no_doubts():
             return super().steps(model, state, t_end, replace(counts))
 
     study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"own": settings(Silent)})
-    assert [row["steps"] for row in study.rows] == [0, 0] and study.orders["own"]["q"] == pytest.approx(2, abs=0.1) and study.notes == []
+    assert [row["steps"] for row in study.rows] == [0, 0] and study.orders["own"]["q"] == pytest.approx(2, abs=0.1)
+    assert len(study.notes) == 1 and "is not seen" in study.notes[0]
 
 
 def test_the_line_of_an_order_has_the_slope_of_the_points():

@@ -179,5 +179,5 @@ def _pairs(numbers):
 
 
 def _place(attachment):
-    x, y = attachment.point
+    x, y = (round(float(value), 12) + 0.0 for value in attachment.point)  # without round-off of zero, which differs from machine to machine
     return f"({x:.6g}, {y:.6g})"
