@@ -57,7 +57,7 @@ class Newton:
         self.system, self.tableau, self.max_iterations = system, tableau, max_iterations
         self.marks = UNKNOWN.copy()
 
-    def solve(self, matrices, state, h, allowed, shares, least):
+    def solve(self, matrices, state, h, allowed, shares, least=0.0):
         """Iterations until they leave `allowed` of q; the stages are in the system's trial.
 
         shares (n,): the weights of the norm. least: round-off of q = 0. Raises Failed.
