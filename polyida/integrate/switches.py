@@ -30,6 +30,7 @@ STEEP = 1.5  # rates within a piece over those at its ends, at most
 TRIALS, PATIENCE = 60, 3  # steps tried to end at one switch; of those that bring its bounds nearer by less than half, before bisection
 AGAIN, STANDING = 20, 1e-9  # a gap that switches so often in a row, each time within that share of the run, does so without end
 JUMP = 2.0  # forces that change by less than that when the distance to the switch is taken four times jump there
+BETWEEN = 1e-2  # of a jump of q'': a step that ends there and is off its near side by more has ended within the jump
 KEPT = ("sizes", "rtol", "tolerances", "mu", "ladder")  # of the memory of a state, behind a jump of forces
 FAILURES = 6  # fixed steps in a row that fail, each a quarter of the one before
 
@@ -67,7 +68,7 @@ class Switches:
         self.taken, self.integrator = taken, replace(integrator, max_halvings=0) if parts else integrator
         speed = float(np.abs(state.v).max(initial=0.0))
         self.reach = 1e-6 * min(extent(model, state.q) / speed if speed else np.inf, self.span)
-        self.switched, self.changed = {}, 0.0
+        self.switched, self.changed, self.jumped = {}, 0.0, False
         self.state = State(state.t, state.q, state.v, state.a, state.lam, {"sizes": sizes_of_run(model, state, t_end)} | state.memory)
         self._recall(state)
 
@@ -148,6 +149,8 @@ class Switches:
             elif self.bound:
                 grown = 2 * self.bound if self.changed < 0.4 else self.bound
                 self.bound = grown if self.h > grown and (self.sides < 0).any() else 0.0
+        if self.jumped:
+            after.memory["jumped"], self.jumped = 1.0, False
         lasting = [[self.bound, self.goal], self.sides, self.speeds, self.peaks, self.offsets, self.flips]
         after.memory["switches"] = np.concatenate(lasting)
         self.state = after
@@ -169,19 +172,33 @@ class Switches:
 
     def _behind_jump(self, state, hit):
         """The state with the forces of the far side, where they jump."""
-        g, rate = self.here
+        s = self._jump(state, hit, *self.here)
+        if not s:
+            return state
+        self.jumped = True
+        a, lam = consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v)
+        memory = {name: value for name, value in state.memory.items() if name in KEPT}
+        return State(state.t, state.q, state.v, a, lam, memory | {"cut": 0.0, "h": 0.0})
+
+    def _jump(self, state, hit, g, rate):
+        """The time on both sides of a state within which forces jump as gaps switch; 0 where they do not."""
         fast = hit & (np.abs(rate) > 0)
         if not fast.any():
-            return state
+            return 0.0
         s = float(np.max((4 * np.abs(g) + 10 * self._least(state.q))[fast] / np.abs(rate)[fast]))
         force = lambda s: self.model.force(state.t, state.q + s * state.v, state.v)  # noqa: E731
         ahead = force(s)
         change, more = (float(np.abs(x).max()) for x in (ahead - force(-s), force(4 * s) - force(-4 * s)))
-        if not (change > 1e-6 * np.abs(ahead).max() and more < JUMP * change):
-            return state
-        a, lam = consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v)
-        memory = {name: value for name, value in state.memory.items() if name in KEPT}
-        return State(state.t, state.q, state.v, a, lam, memory | {"cut": 0.0, "h": 0.0, "jumped": 1.0})
+        return s if change > 1e-6 * np.abs(ahead).max() and more < JUMP * change else 0.0
+
+    def _within_jump(self, after, hit, g, rate):
+        """Whether a step ended on a jump of forces, with a force between those of both sides: no motion of either side goes there."""
+        s = self._jump(after, hit, g, rate)
+        if not s:
+            return False
+        ahead, behind = (consistent_acceleration(self.model, after.t, after.q + e * after.v, after.v)[0] for e in (s, -s))
+        found = after.memory.get("a_end", after.a)
+        return np.abs(found - behind).max() > BETWEEN * np.abs(ahead - behind).max()
 
     def _look(self, state, after):
         """(the first Crossing in a step or None, the bound of a shorter one or 0)."""
@@ -199,6 +216,12 @@ class Switches:
             if bracket and (first is None or bracket[1] < first.beyond):
                 which = np.arange(len(g)) == k
                 first = Crossing(self._root(k, *bracket, place), bracket[1], which)
+        if first is None:
+            _, g, rate = seen[-1]
+            left = self.sides * g
+            reached = (left >= 0) & (left <= self.near) & (self.sides * rate < 0) & ~self._fresh(self.here[0])
+            if reached.any() and self._within_jump(after, reached, g, rate):
+                first = Crossing(after.t, after.t, reached)
         return first, 0.0
 
     def _fresh(self, g):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stress import cases, identities, own, scenes
+from stress import cases, contacts, identities, own, scenes
 from stress.kills import killed_runs, killed_sweeps
 from stress.long import many_steps
 from stress.outcome import INTEGRATORS, outcome_of
@@ -106,6 +106,10 @@ AXES = {
     "broken promise": Axis(own.promised, own.PROMISES, own.PROMISES, own.WITHOUT_POTENTIAL, foreseen=own.broken_promise),
     "no derivative": Axis(own.circled, own.DERIVATIVES, own.DERIVATIVES, own.WITHOUT_POTENTIAL, foreseen=own.no_derivative),
     "energy over potential": Axis(own.own_energy, (1.0, 1.001, 0.5, -1.0), (1.0, 0.5), foreseen=own.no_potential),
+    "beside a ball, m": Axis(contacts.thrown_at_a_ball, (0.0, 0.004, 0.008, 0.0099), (0.0, 0.008)),
+    "exponent of a contact": Axis(contacts.bouncing, (1.5, 1.0, 2.0), (1.5,)),
+    "stiffness of a stop, N/m^1.5": Axis(contacts.pendulum_at_a_stop, (1e4, 1e5, 1e6, 1e7), (1e5,)),
+    "plate at a stop, m/s": Axis(contacts.plate_at_a_stop, (1.0, 3.0), (1.0,)),
     "steps": Axis(many_steps, (20_000, 100_000, 1_000_000), (20_000,), ("alpha", "energy")),
     "steps of those that choose them": Axis(many_steps, (2_000, 100_000), (2_000,), ("ggl2", "radau")),
     "kills of a run": Axis(killed_runs, (50,), (3,), ("alpha", "energy", "ggl2", "radau"), slow=("energy", "radau")),

@@ -11,6 +11,7 @@ INTEGRATORS = {
     "radau": (pi.RadauIIA(), 1e-2),
     "radau, tight": (pi.RadauIIA(rtol=1e-9), 1e-5),
     "radau, h": (pi.RadauIIA(h=0.02), 1e-3),
+    "radau, long h": (pi.RadauIIA(h=0.05), 1e-4),
     "alpha": (pi.GeneralizedAlpha(), 1e-3),
     "alpha, h": (pi.GeneralizedAlpha(h=1e-3), 1e-2),
     "alpha, long h": (pi.GeneralizedAlpha(h=0.02), 1e-2),
@@ -110,14 +111,33 @@ class Window(pi.Model):
     n, m = 1, 0
     needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
 
+    def __init__(self, middle=0.4942, half=0.0005, force=1500.0):
+        self.middle, self.half, self.push = middle, half, force
+
     def mass(self, q):
         return np.eye(1)
 
     def force(self, t, q, v):
-        return np.array([-1500.0 if 0.4937 < q[0] < 0.4947 else 0.0])
+        return np.array([-self.push if abs(q[0] - self.middle) < self.half else 0.0])
 
     def gaps(self, t, q):
-        return np.array([abs(q[0] - 0.4942) - 0.0005])
+        return np.array([abs(q[0] - self.middle) - self.half])
+
+
+@pytest.mark.parametrize(
+    "h, window", [(2e-3, {"middle": 0.255022, "half": 0.0011928, "force": -113.18659625792287}), (1e-3, {})], ids=["within", "short of"]
+)
+def test_a_step_does_not_end_within_a_jump(h, window):
+    """Not with a force between those of both sides, which solves the equations of a step that ends on the jump; nor short of it."""
+    run = pi.solve(Window(**window), 0.55, pi.GeneralizedAlpha(h=h), v0=[1.0])
+    force, half = run.model.push, run.model.half
+    assert run.success and run.v[-1, 0] == pytest.approx(np.sqrt(1.0 + 4.0 * force * half), rel=1e-6)
+
+
+def test_gradients_through_jumps_of_forces_are_refused():
+    run = pi.solve(thrown(Push), 0.6, pi.GeneralizedAlpha(h=0.02))
+    with pytest.raises(pi.InputError, match="forces jump where a gap changes sign at t = 0.5"):
+        pi.gradient(run, pi.objective.Deviation("body", lambda t: (0.0, 0.0)), ["body.mass"])
 
 
 @pytest.mark.parametrize("name", ["radau", "alpha, long h", "IDA"])

@@ -89,6 +89,7 @@ def taken_again(run, model, memory_limit, accepted, repeats):
     begin = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
     seen = Recorded(begin, Room.of(model, memory_limit, repeats))
     for state in accepted(run, model, seen):
+        _require_no_jump(state)
         if state.t >= run.t[-1]:
             break
     t = np.array(seen.times)
@@ -99,6 +100,15 @@ def taken_again(run, model, memory_limit, accepted, repeats):
         return Course(seen.pieces, _read(run, frames, memory_limit), frames)
     segments = Segments(lambda kept: accepted(run, model, kept), seen)
     return Course(seen.pieces, lambda first, end: (t[first:end], *segments.vectors(first, end)), frames)
+
+
+def _require_no_jump(state):
+    """Raise InputError where forces jump at a switch."""
+    if state.memory.get("jumped"):
+        raise InputError(
+            f"gradient: the forces jump where a gap changes sign at t = {state.t:.6g} s, and slopes are taken with the times of switches held, "
+            "which is right for continuous forces only; use a force that grows from zero at its gap, or differences of runs"
+        )
 
 
 def _repeats(settings):

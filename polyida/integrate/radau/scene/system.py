@@ -15,7 +15,9 @@ from polyida.integrate.radau.scene.stages import SHARES, A, begin, close, room, 
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, REASONS, SINGULAR
 
-KERNELS: WeakKeyDictionary = WeakKeyDictionary()  # {model: {settings that types follow from: {kernel: the same for arguments of known types}}}
+KERNELS: WeakKeyDictionary = (
+    WeakKeyDictionary()
+)  # {model: {settings that types follow from: {kernel: the same for arguments of known types}}}
 
 
 class SceneSystem:
