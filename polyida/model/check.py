@@ -21,6 +21,7 @@ FINER = 1.0 / 8.0  # of the steps of differences, at which they are taken again:
 AGREES = 1e-5  # of its size, by which a derivative may be off
 DOUBT = 10.0  # times by how much differences disagree
 ROUND = 64 * np.finfo(float).eps  # of a function, over a step: round-off of its difference
+RAISED = Exception, SystemExit, GeneratorExit  # what functions of users may raise at places drawn at random
 MOMENTS = 8  # times at which phi is looked at
 VELOCITY_ROWS = '; a velocity constraint that has no phi needs IDA(form="index2", nonholonomic=True), or "index1"'
 
@@ -111,7 +112,7 @@ def _energies(model, t, q):
 
 def _said(call):
     """What a call gives; None where it raises, as at times at which forces are not known."""
-    with suppress(Exception):
+    with suppress(*RAISED):
         return call()
     return None
 
@@ -149,7 +150,7 @@ def _wrong_slope(energy, forces, x, sizes, random):
     """What forces say of the slope of an energy near x, along a direction, and what differences do; empty where they agree or say nothing."""
     for reach in (0.3, 0.03):
         place, d = x + reach * sizes * random.standard_normal(x.shape), sizes * random.standard_normal(x.shape)
-        with suppress(Exception), np.errstate(all="ignore"):
+        with suppress(*RAISED), np.errstate(all="ignore"):
             force = forces(place)
             if force is None:
                 continue
@@ -207,7 +208,7 @@ def _near(model, t, t_end, q, v, random, reaches):
     times = t + (t_end - t) * np.array([*(0.2 + 0.6 * random.random(MOMENTS)), 0.0, 1.0])
     drawn = [random.standard_normal(model.n) for _ in range(2)]
     for reach in reaches:
-        with suppress(Exception):
+        with suppress(*RAISED):
             sizes = _size(q), _size(v, _size(q))
             at, speed = (x + reach * size * d for x, size, d in zip((q, v), sizes, drawn))
             found = [model.mass(at).sum(), model.force(times[0], at, speed)]
@@ -246,7 +247,7 @@ def _change(calls):
     """The largest change of an entry from the first call's on, None where it is none but round-off."""
     values = []
     for call in calls:
-        with suppress(Exception):
+        with suppress(*RAISED):
             values.append(call())
     finite = [value for value in values if np.isfinite(_largest(value))]
     change = max((_largest(value - finite[0]) for value in finite[1:]), default=0.0)
@@ -301,7 +302,7 @@ def _require_derivatives(model, times, q, v, random, nonholonomic):
 
 def _wrong(call, function, scale, room, order, size):
     """What a derivative that is written gives, and what differences of the function do, in words; empty where they agree, or none is known."""
-    with suppress(Exception):
+    with suppress(*RAISED):
         written, (found, doubt) = np.asarray(call()), _known(function, scale, room, order, size)
         off = np.abs(written - found) - DOUBT * doubt - AGREES * np.maximum(np.abs(written), np.abs(found))
         worst = int(np.argmax(off))

@@ -33,7 +33,9 @@ class Subject:
     def _until(self, t_end, integrator, **options):
         try:
             run = solve(self.model, t_end, integrator, q0=self.q0, v0=self.v0, **options)
-        except Exception as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit of a user's function, say
             run = getattr(error, "trajectory", None)
             if run is None:
                 raise

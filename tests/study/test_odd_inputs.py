@@ -20,15 +20,15 @@ class Spring(pi.Model):
 
     n, m = 1, 0
 
-    def __init__(self, raises=np.inf, pulse=np.inf):
-        self.raises, self.pulse = raises, pulse
+    def __init__(self, raises=np.inf, pulse=np.inf, error=ArithmeticError):
+        self.raises, self.pulse, self.error = raises, pulse, error
 
     def mass(self, q):
         return np.eye(1)
 
     def force(self, t, q, v):
         if t > self.raises:
-            raise ArithmeticError("no force")
+            raise self.error("no force")
         return 100.0 * q - 1e5 * (self.pulse < t < self.pulse + 1e-4)
 
 
@@ -67,12 +67,14 @@ def test_integrators_that_stand_still_away_from_the_reference_are_told():
     assert len(calm.notes) == 1 and "is not seen" in calm.notes[0]  # of a force of one's own, that no kink announces
 
 
-def test_a_function_that_raises_is_a_row_and_the_others_are_kept():
-    study = pi.study.work_precision(Spring(raises=0.2), 0.5, q0=[1.0], integrators={"alpha": settings()})
+@pytest.mark.parametrize("error", [ArithmeticError, SystemExit, GeneratorExit])
+def test_a_function_that_raises_is_a_row_and_the_others_are_kept(error):
+    spring = Spring(raises=0.2, error=error)
+    study = pi.study.work_precision(spring, 0.5, q0=[1.0], integrators={"alpha": settings()})
     assert [row["status"] for row in study.rows] == ["error"] * 2 and all(0 < row["t"] < 0.21 for row in study.rows)
-    assert "alpha, h=0.01: ArithmeticError: no force" in study.notes and any("no two methods" in note for note in study.notes)
+    assert f"alpha, h=0.01: {error.__name__}: no force" in study.notes and any("no two methods" in note for note in study.notes)
     assert len(study.notes) == len(set(study.notes))
-    assert pi.study.energy(Spring(raises=0.2), 0.5, q0=[1.0], integrators={"alpha": settings()[0]}).rows[0]["status"] == "error"
+    assert pi.study.energy(spring, 0.5, q0=[1.0], integrators={"alpha": settings()[0]}).rows[0]["status"] == "error"
 
 
 def test_errors_that_are_zero_have_no_place_on_a_logarithmic_axis():

@@ -55,7 +55,9 @@ def users_code(path):
     """Turn exceptions that pass through the user's file into SceneFileError; input errors gain the line number."""
     try:
         yield
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         lines = _lines_of(error, path)
         if not lines:
             raise

@@ -94,7 +94,9 @@ def _refined(subject, make, levels, mine, failed, errors, tell):
             if level not in mine:
                 mine[level] = _radau(subject, level)
             other = make(subject, level)
-        except Exception as error:  # noqa: BLE001, whatever a user's functions answer where nobody led them: what was measured must come out
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001, whatever a user's functions answer where nobody led them: what was measured must come out
             failed.append(str(error) or type(error).__name__)
             return best
         made, values, unseen = mine[level]
