@@ -1,6 +1,6 @@
 """What every body of one's own is: coordinates that are points of the complex plane, a constant mass, an elastic force, named points."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -156,6 +156,16 @@ class BodyPoint(Attachment):
     def direction(self) -> NDArray | None:
         """Reference direction, (2,), of length one, or None."""
         return None if self.turn_weights is None else pairs_of(self.turn_weights @ rest_of(self.body))
+
+    def on(self, body: Any) -> "Attachment":
+        """The point of the same name of another body like its own, its direction turned as it was: weights may depend on the body's numbers."""
+        if self.name not in body.attachments():
+            return replace(self, body=body)
+        before, after = self.body.at(self.name), body.at(self.name)
+        if self.turn_weights is None:
+            return after
+        k = np.argmax(np.abs(before.turn_weights))
+        return replace(after, turn_weights=after.turn_weights * (self.turn_weights[k] / before.turn_weights[k]))
 
     def share(self, force: ArrayLike) -> NDArray:
         """What of a force (2,) at the point acts on each pair, (pairs, 2)."""

@@ -1,6 +1,6 @@
 """Attachments: weighted sets of nodes at which joints, masses and loads take hold of a body."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,10 @@ class Attachment:
     def direction(self) -> NDArray | None:
         """Reference direction, (2,), of length one, or None: the same wherever the body lies."""
         return None if self.turn_weights is None else self.turn_weights @ _arms(self.body, self.nodes)
+
+    def on(self, body: Any) -> "Attachment":
+        """The same attachment of another body like its own."""
+        return replace(self, body=body)
 
     @property
     def turns_only(self) -> bool:

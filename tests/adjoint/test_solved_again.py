@@ -53,6 +53,17 @@ def test_coordinates_of_a_rigid_body_are_measured_in_what_its_mass_and_inertia_c
     assert error(double_pendulum, HEAVY, name, 0.2, integrator, objective) < 1e-7
 
 
+@pytest.mark.parametrize("name", HEAVY)
+def test_a_point_of_the_body_itself_moves_with_its_mass_and_inertia(name):
+    """Its weights depend on them; a point of a part by name is the same point."""
+    run = pi.solve(double_pendulum(HEAVY), 0.2, ALPHA)
+    slopes = [
+        pi.gradient(run, pi.objective.Deviation(point, (1.0, 0.3)), parameters=[name])[name]
+        for point in ("tip", run.model.parts["lower"].at("right"))
+    ]
+    assert slopes[1] == pytest.approx(slopes[0], rel=1e-7)
+
+
 def test_parameters_that_are_left_out_are_told():
     found = pi.gradient(pi.solve(double_pendulum(HEAVY), 0.05, ALPHA), pi.objective.Deviation("elbow", (1.0, 0.3)))
     assert {*HEAVY} <= {*found.left_out} and not {*found} & {*found.left_out} and "differences" in found.left_out["lower.mass"]

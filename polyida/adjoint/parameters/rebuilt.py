@@ -2,10 +2,7 @@
 
 from dataclasses import fields, replace
 
-import numpy as np
-
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.body import BodyPoint
 from polyida.joint.attachment import Attachment
 from polyida.profile import Profile
 
@@ -48,7 +45,7 @@ def profiles_of(part):
 
 def _holding(part, old, new):
     """The part with its attachments of one body made those of another, which is like it."""
-    return _with(part, lambda value: _moved(value, old, new) if isinstance(value, Attachment) and value.body is old else value)
+    return _with(part, lambda value: value.on(new) if isinstance(value, Attachment) and value.body is old else value)
 
 
 def _with(part, change):
@@ -61,14 +58,3 @@ def _with(part, change):
 
 def _same(one, other):
     return one is other or isinstance(one, tuple) and len(one) == len(other) and all(x is y for x, y in zip(one, other))
-
-
-def _moved(side, old, new):
-    """An attachment on the changed body: of the same nodes, or of the point of that name, its direction turned as it was."""
-    if not (isinstance(side, BodyPoint) and side.name in new.attachments()):
-        return replace(side, body=new)
-    before, after = old.at(side.name), new.at(side.name)
-    if side.turn_weights is None:
-        return after
-    k = np.argmax(np.abs(before.turn_weights))
-    return replace(after, turn_weights=after.turn_weights * (side.turn_weights[k] / before.turn_weights[k]))

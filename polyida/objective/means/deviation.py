@@ -83,7 +83,7 @@ class OnBody(NamedTuple):
 
     def on(self, model):
         """The attachment on the body of that name."""
-        return replace(self.side, body=model.parts[self.body])
+        return self.side.on(model.parts[self.body])
 
 
 def _pull(model, point):

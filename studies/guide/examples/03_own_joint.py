@@ -6,7 +6,6 @@ A joint is its formula. Here the left edge of a plate runs along a rail, 45 degr
 """
 
 import matplotlib.pyplot as plt
-import numpy as np
 
 import polyida as pi
 
@@ -35,7 +34,7 @@ for (name, integrator), style in zip(integrators.items(), ("-", "--", ":")):
     run = pi.solve(model, 0.5, integrator)
     for point in ("rail", "tip"):
         path.plot(*run.position(point).T, style, label=f"{point}, {name}")
-    force.plot(run.t, np.linalg.norm(run.reaction("rail"), axis=1), style, label=name)
+    force.plot(run.t, run.reaction("rail")[:, 0], style, label=name)
 path.set(xlabel="x, m", ylabel="y, m", aspect="equal", title="paths of both ends")
 force.set(xlabel="t, s", ylabel="force, N", title="what the rail does")
 force.legend(fontsize="small")
