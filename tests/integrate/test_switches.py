@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.study.reference.missed import announces
 
 INTEGRATORS = {
     "radau": (pi.RadauIIA(), 1e-2),
@@ -231,3 +232,8 @@ def test_energy_momentum_keeps_energy_at_a_kink_of_a_force_within_a_step():
     scene.add(SilentSpring(body.at("c"), 1e3, name="stop"))
     energy = pi.solve(scene.build(), 0.45, pi.EnergyMomentum(h=1e-3)).energy.total
     assert abs(energy - energy[0]).max() < 1e-11 * energy[0]
+
+
+def test_a_reference_of_declared_switches_needs_no_doubt_about_short_forces():
+    assert announces(thrown(ball())) and announces(thrown(Push)) and announces(Window())
+    assert not announces(thrown(lambda point: SilentSpring(point, 1e3)))
