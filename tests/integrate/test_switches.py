@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.study.reference.missed import announces
 
 INTEGRATORS = {
     "radau": (pi.RadauIIA(), 1e-2),
@@ -205,3 +206,34 @@ def test_a_summary_names_energy_that_comes_from_nowhere():
     faster = replace(run, v=np.where(run.t[:, None] > 0.6, 2.0 * run.v, run.v))
     assert "the energy grows" not in run.summary()
     assert "the energy grows by 1.5 J up to t = 0." in faster.summary()
+
+
+@dataclass(frozen=True, eq=False)
+class SilentSpring(pi.ForceElement):
+    """A linear stop beyond x = 0.3 m that declares no gap."""
+
+    at: object
+    force: float
+    name: str | None = None
+
+    def sides(self):
+        return (self.at,)
+
+    def forces(self, t, x, v):
+        return np.array([[-self.force * max(0.0, x[0, 0] - 0.3), 0.0]])
+
+    def energy(self, x):
+        return 0.5 * self.force * max(0.0, x[0, 0] - 0.3) ** 2
+
+
+def test_energy_momentum_keeps_energy_at_a_kink_of_a_force_within_a_step():
+    scene = pi.Scene()
+    body = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, velocity=(1.0, 0.2), spin=1.0, name="body"))
+    scene.add(SilentSpring(body.at("c"), 1e3, name="stop"))
+    energy = pi.solve(scene.build(), 0.45, pi.EnergyMomentum(h=1e-3)).energy.total
+    assert abs(energy - energy[0]).max() < 1e-11 * energy[0]
+
+
+def test_a_reference_of_declared_switches_needs_no_doubt_about_short_forces():
+    assert announces(thrown(ball())) and announces(thrown(Push)) and announces(Window())
+    assert not announces(thrown(lambda point: SilentSpring(point, 1e3)))

@@ -28,11 +28,15 @@ NOISE = 32 * EPS  # of V, in V_1 - V_0 - V': less is none
 SAME = 1e-9  # of its size, by which what ought to be equal may differ
 
 
-def missing(potential, x0, x1, metric):
-    """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, metric being M dx; zero where round-off is all there is."""
+def missing(potential, x0, x1, metric, slope=None):
+    """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, metric being M dx; zero where round-off is all there is.
+
+    slope: grad V at the middle, in the shape of x; None: V' by differences, which a kink of V near the middle makes wrong.
+    """
     dx, middle = x1 - x0, 0.5 * (x0 + x1)
     size, first, last = np.vdot(dx, metric), potential(x0), potential(x1)
-    bracket = last - first - along(lambda s: potential(middle + s * dx), SPAN)
+    along_dx = along(lambda s: potential(middle + s * dx), SPAN) if slope is None else np.vdot(slope, dx)
+    bracket = last - first - along_dx
     if not (size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last))):
         return np.zeros_like(dx)
     return bracket / size * metric
@@ -135,8 +139,12 @@ class WithForces(General):
         """Forces of one of them, (sides, 2)."""
         w = self.room
         x0, x1 = own.places(w.u0.ravel()), own.places(w.u1.ravel())
-        force = own.forces(t, 0.5 * (x0 + x1), own.velocities(w.vm.ravel()))
-        return force - missing(own.energy, x0, x1, x1 - x0) if np.isfinite(force).all() else force
+        middle = 0.5 * (x0 + x1)
+        force = own.forces(t, middle, own.velocities(w.vm.ravel()))
+        if not np.isfinite(force).all():
+            return force
+        held = own.conservative(t, middle)
+        return force - missing(own.energy, x0, x1, x1 - x0, None if held is None else -held)
 
 
 def require_general(model):

@@ -21,8 +21,9 @@ CUBIC = np.linalg.inv(np.vander(STAGES, increasing=True))
 
 
 def announces(model):
-    """Whether all forces of a model are smooth between its kinks, as far as is known: those of scenes without force elements."""
-    return model.is_scene and not model.own_forces
+    """Whether all forces of a model are smooth between its kinks and switches, as far as is known: where all force elements give gaps, or an own
+    model does."""
+    return all(own.switches for own in model.own_forces.each) if model.is_scene else model.switching
 
 
 def missed(run):
