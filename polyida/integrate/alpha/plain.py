@@ -59,7 +59,7 @@ class PlainLoop:
             if self.tied:
                 x.now[step.DD] += slip
                 x.now[step.Q] = y.past[step.Q] + (p.h * y.past[step.V] + x.now[step.DD])
-            if settled and (np.abs(self._closed(p)) / y.closed[step.SLOPES]).max(initial=0.0) <= allowed:
+            if settled and np.abs(self._closed(p)).max(initial=0.0) <= allowed:
                 return self._settled(), moved
             if hopeless:
                 return REFACTOR, moved

@@ -63,7 +63,7 @@ def carry(s, p, drives, gains, y, x, w):
 
 @part
 def closed(s, p, before, drives, gains, y, x, w):
-    """The largest |phi| over its slope at the trial state, carried or from the positions."""
+    """The largest |phi| at the trial state, carried or from the positions."""
     if p.incremental:
         carry(s, p, before, gains, y, x, w)
     else:
@@ -71,7 +71,7 @@ def closed(s, p, before, drives, gains, y, x, w):
         joints.joint_forces(s, drives, w.points[DZ], x.rows[step.LAM], x.rows[step.PHI], w.points[FORCES])
     worst = 0.0
     for k in range(x.rows.shape[1]):
-        worst = max(worst, abs(x.rows[step.PHI, k]) / y.closed[step.SLOPES, k])
+        worst = max(worst, abs(x.rows[step.PHI, k]))
     return worst
 
 

@@ -16,8 +16,7 @@ FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
 Q, V, A, A_ALG, CHANGE, EARLIER, MASSES, SHARES = range(8)  # rows of Memory.past; the first three are those of Trial.now too
 DD, R, DQ = range(3, 6)  # further rows of Trial.now
-LAM, PHI, RATE, DLAM = range(4)  # rows of Trial.rows; the first three are those of Memory.closed too
-SLOPES = 3  # a further row of Memory.closed
+LAM, PHI, RATE, DLAM = range(4)  # rows of Memory.closed, and of Trial.rows
 CONTRACTION, AGE, SIZE, CHANGED, AHEAD, BEHIND, MOVED, ERROR, SINCE, PULL, TURN = range(11)
 MARKS = 11
 
@@ -54,8 +53,7 @@ class Method(NamedTuple):
 
 @pack
 class Memory(NamedTuple):
-    """What goes from step to step: `past` (8, n), `closed` (4, m): lam, phi and rate = phi_q v + phi_t as they are carried, and the
-    sums of the rows of |phi_q|, by which phi is divided before it is compared with what is allowed (1 where that is less), `marks`.
+    """What goes from step to step: `past` (8, n), `closed` (3, m): lam, phi and rate = phi_q v + phi_t as they are carried, `marks`.
 
     CHANGE, EARLIER: of q'' in the last step and in the one before. MASSES, SHARES: of the coordinates in the mean squares of the
     local error and of Newton's. CONTRACTION of Newton; AGE of it in steps; SIZE of q'' and CHANGED of it in a step, PULL and TURN the same
@@ -78,7 +76,7 @@ class Trial(NamedTuple):
 
 def empty(n, m):
     """(Memory, Trial) for n coordinates and m constraints."""
-    return Memory(np.zeros((8, n)), np.ones((4, m)), np.zeros(MARKS)), Trial(np.zeros((6, n)), np.zeros((4, m)))
+    return Memory(np.zeros((8, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((6, n)), np.zeros((4, m)))
 
 
 @part
@@ -118,7 +116,7 @@ def begin(p, y, w):
 def correct(p, y, w, first, last):
     """Add dq and dlam to the trial state; what an iteration that moved by |dq| after one by `last` tells.
 
-    (|dq|, settled or not, hopeless or not, the largest |phi| allowed, over SLOPES): settled where the error to be expected is below the
+    (|dq|, settled or not, hopeless or not, the largest |phi| allowed): settled where the error to be expected is below the
     tolerance, or dq is round-off and no longer falls.
     """
     past, now = y.past, w.now

@@ -64,7 +64,6 @@ class Steps:
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
         y.past[step.CHANGE] = self._change_before(state)
         y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
-        y.closed[step.SLOPES] = self._slopes(state)
         self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
         self.verdict = None
@@ -83,12 +82,6 @@ class Steps:
         asked = self.control and self.control.before and not at_kink(self.model, state.t)
         return state.memory.get("change", 0.0) if asked else 0.0
 
-    def _slopes(self, state):
-        """Sums of the rows of |phi_q|, 1 at least: phi is not known better than its slope times the round-off of q."""
-        if not self.model.m:
-            return np.zeros(0)
-        return np.maximum(1.0, np.asarray(abs(self.model.phi_q(state.t, state.q)).sum(axis=1)).ravel())
-
     def _weigh(self, masses):
         self.memory.past[step.MASSES], self.memory.past[step.SHARES] = masses, 1.0 / len(masses) if self.model.alike else masses
 
@@ -102,7 +95,6 @@ class Steps:
         self._weigh(memory.get("weights", self.memory.past[step.MASSES].copy()))
         if len(memory["factored_at"]):
             self._factor(lambda system, p: system.again(memory["factored_at"], p.to_a, p.to_v), float("nan"))
-        self.memory.closed[step.SLOPES] = memory.get("slopes", self.memory.closed[step.SLOPES])
         self.memory.marks[:] = memory["marks"]
         self.method = self.method._replace(extent=float(memory["extent"]))
 
@@ -198,7 +190,7 @@ class Steps:
         made = np.zeros(0) if self.system is None else self.system.made_at
         memory = dict(zip(("a_alg", "change", "earlier"), y.past[step.A + 1 : step.MASSES].copy()))
         memory |= self.control.memory if self.control else {}
-        memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made, "extent": p.extent, "slopes": y.closed[step.SLOPES].copy()}
+        memory |= {"h": p.h, "marks": y.marks.copy(), "factored_at": made, "extent": p.extent}
         if self.model.needs.mass_varies:
             memory["weights"] = y.past[step.MASSES].copy()
         if p.incremental:

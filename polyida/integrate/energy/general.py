@@ -160,15 +160,9 @@ def require_general(model):
         raise InputError(f"{part} gives no potential(q), so there is no energy to keep{else_}")
     if model.needs.mass_varies and not _equal(model.mass(q), model.mass(q + d)):
         raise InputError(f"{part}: its mass varies with q; it must be constant{else_}")
-    if model.m and not _quadratic(model, q, d):
+    if model.m and not _equal(model.phi(0.0, q + d) - model.phi(0.0, q - d), 2.0 * model.phi_q(0.0, q) @ d):
         raise InputError(f"{part}: its phi(t, q) is not quadratic in q, at most, which its constraints must be to do no work{else_}")
 
 
-def _quadratic(model, q, d):
-    """Whether phi gains between q - d and q + d what its slope in the middle says, but for phi's round-off, of a part that does not depend on q."""
-    ahead, behind = model.phi(0.0, q + d), model.phi(0.0, q - d)
-    return _equal(ahead - behind, 2.0 * model.phi_q(0.0, q) @ d, NOISE * max(abs(ahead).max(), abs(behind).max()))
-
-
-def _equal(one, other, blur=0.0):
-    return abs(one - other).max() <= SAME * (abs(one).max() + abs(other).max()) + blur
+def _equal(one, other):
+    return abs(one - other).max() <= SAME * (abs(one).max() + abs(other).max())
