@@ -371,33 +371,3 @@ def test_checks_before_a_run_keep_sparse_matrices_sparse():
 
     Chain.n = n
     require_declared(guard(Chain()), 0.0, np.zeros(n), np.zeros(n), 1.0)
-
-
-@pytest.mark.parametrize("length", [1e-6, 1e3, 1e9])
-@pytest.mark.parametrize("integrator", [*INTEGRATORS[:3], INTEGRATORS[4], pi.EnergyMomentum(h=1e-2)], ids=lambda one: type(one).__name__)
-def test_a_constraint_in_square_metres_closes_to_its_own_round_off(integrator, length):
-    """`q . q - l^2` has the round-off of l^2 and the slope 2 l; the motion is that of l = 1 m where g grows with l."""
-
-    class Long(pi.Model):
-        n, m, needs = 2, 1, pi.Needs(mass_varies=False, velocity_forces=False, driven=False)
-
-        def __init__(self, length):
-            self.length = length
-
-        def mass(self, q):
-            return np.eye(2)
-
-        def force(self, t, q, v):
-            return np.array([0.0, 9.81 * self.length])
-
-        def phi(self, t, q):
-            return np.array([q @ q - self.length**2])
-
-        def phi_q(self, t, q):
-            return 2.0 * q[None]
-
-        def potential(self, q):
-            return 9.81 * self.length * q[1]
-
-    run, wanted = (pi.solve(Long(x), 0.1, integrator, q0=[x, 0.0]) for x in (length, 1.0))
-    assert run.status == "done" and np.abs(run.q[-1] / length - wanted.q[-1]).max() < 1e-4

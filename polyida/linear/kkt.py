@@ -13,7 +13,6 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.linear.independence import MOST, coordinate_sizes, involved, least, rows_of
 from polyida.linear.lu import LU
-from polyida.linear.matrix import dense
 
 DEPENDENT = 1e-6  # smallest singular value of the rows of phi_q, made of length one, below which they are
 SCALINGS = ("none", "bottasso", "physical")
@@ -54,8 +53,9 @@ def assemble(tangent, phi_q, scaling=Scaling(), pull=None):
     n, m = tangent.shape[0], phi_q.shape[0]
     matrix = np.zeros((n + m, n + m), np.result_type(tangent, float))
     matrix[:n, :n] = scaling.row * tangent
-    matrix[:n, n:] = scaling.row * scaling.column * dense(pull).T
-    matrix[n:, :n] = dense(phi_q)
+    border, pull = (B.toarray() if hasattr(B, "toarray") else B for B in (phi_q, pull))
+    matrix[:n, n:] = scaling.row * scaling.column * pull.T
+    matrix[n:, :n] = border
     return matrix
 
 

@@ -126,9 +126,7 @@ def attempt(function, arguments):
     before = heard()
     try:
         row = {"error": ""} | function(**arguments)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # noqa: BLE001, whatever it is, a task's failure is a row of the table
+    except (Exception, SystemExit, GeneratorExit) as error:  # noqa: BLE001, whatever it is, a task's failure is a row of the table
         row = {"error": told(error), "traceback": traceback.format_exc(limit=-4)}
     if heard() > before:
         raise KeyboardInterrupt
