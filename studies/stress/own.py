@@ -171,7 +171,7 @@ def reaction_of(kind, name):
     run = solve(scene.build(), 0.1, integrator(name))
     normal = np.array([-0.6, 0.8])
     known = 2.0 * G * (np.array([0.0, 1.0]) if kind == "Pin" else 0.8 * normal)
-    force = np.asarray(run.reaction("joint"))[-1, :2]
+    force = np.asarray(run.wrench("joint"))[-1, :2]
     off = float(np.linalg.norm(force - known)) if force.shape == (2,) else float("inf")
     return run, [Check("reaction on side b, of the weight", off / (2.0 * G), ALLOWED), held(run)]
 
