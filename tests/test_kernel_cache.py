@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from polyida.compiled import cache as kernel_cache
+from polyida.compiled import entry
 
 PACKAGE = Path(kernel_cache.__file__).parents[1]
 CALLED = "from polyida.compiled import part\n\n\n@part\ndef called(x):\n    return x + {}\n"
@@ -63,6 +64,51 @@ def test_what_kept_code_calls_is_there_or_compiled_anew(chain):
     assert kept and say()[0][:2] == (2, 1)
 
 
+def test_two_processes_that_compile_at_once_do_not_mix_up_signatures(tmp_path, monkeypatch):
+    """Two entries of one function stand for two processes; the second writes its code while the first is between its files."""
+
+    def double(x):
+        return 2 * x
+
+    monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
+    first, second, replace, late, calls = entry(double), entry(double), os.replace, [], []
+
+    def replaced(source, target):
+        calls.append(target)
+        if len(calls) == 1:
+            assert second(1.5) == 3.0
+        if len(calls) > 1 and not late and not str(target).endswith(".nbi"):
+            late.append((source, target))  # the second one's code comes last
+        else:
+            replace(source, target)
+
+    monkeypatch.setattr(os, "replace", replaced)
+    assert first(1) == 2
+    for source, target in late:
+        replace(source, target)
+    monkeypatch.undo()
+    monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
+    fresh = entry(double)
+    assert (fresh(1.5), fresh(1)) == (3.0, 2)
+    assert sum(fresh.stats.cache_hits.values()) == 2
+
+
+@pytest.mark.parametrize("damage", [b"", b"no pickle", None])
+def test_a_damaged_file_is_compiled_anew(tmp_path, monkeypatch, damage):
+    monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
+
+    def triple(x):
+        return 3 * x
+
+    assert entry(triple)(1.0) == 3.0
+    (path,) = tmp_path.rglob("*.nbc")
+    path.write_bytes(path.read_bytes()[:200] if damage is None else damage)
+    fresh = entry(triple)
+    assert fresh(1.0) == 3.0 and not fresh.stats.cache_hits
+    again = entry(triple)
+    assert again(1.0) == 3.0 and sum(again.stats.cache_hits.values()) == 1
+
+
 def test_the_folder_is_where_numba_was_told_or_where_files_can_be_written(chain, tmp_path):
     package, say = chain
     assert say(NUMBA_CACHE_DIR=str(tmp_path / "own"))[0][2].is_relative_to(tmp_path / "own")
@@ -73,8 +119,6 @@ def test_the_folder_is_where_numba_was_told_or_where_files_can_be_written(chain,
 
 def test_without_any_folder_kernels_are_compiled_but_not_kept(monkeypatch):
     monkeypatch.setattr(kernel_cache, "folder", lambda: None)
-    from polyida.compiled import entry
-
     assert entry(lambda x: x + 1.0)(1.0) == 2.0
 
 

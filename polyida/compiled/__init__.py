@@ -38,7 +38,7 @@ def _entry(function, inner, compiler, part, options):
     result = Entry(outer, part, {"nopython": True, "no_cfunc_wrapper": True, **_COMMON, **options}, compiler)
     with kernel_cache.kept() as cached:
         if cached:
-            result.enable_caching()
+            kernel_cache.keep(result)
     return result
 
 

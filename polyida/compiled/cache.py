@@ -7,12 +7,13 @@ an empty folder.
 
 import hashlib
 import os
+import pickle
 import re
 import shutil
 import tempfile
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -107,3 +108,46 @@ def kept():
             yield place is not None
         finally:
             numba.config.CACHE_DIR = before
+
+
+class Files:
+    """The files of an entry's kernels, one for each signature and named after it.
+
+    numba numbers its files and keeps the numbers in an index. Two processes that compile at once take the same number, and the code of
+    one signature is then loaded for another.
+    """
+
+    def __init__(self, folder, name):
+        self.folder, self.name = folder, name
+
+    def save(self, key, data):
+        """Write the code of a signature; where that fails it is compiled again next time."""
+        path = self._path(key)
+        with suppress(OSError):
+            descriptor, temporary = tempfile.mkstemp(dir=self.folder, prefix=self.name, suffix=".tmp")
+            try:
+                with open(descriptor, "wb") as file:
+                    pickle.dump((key, data), file, protocol=-1)
+                os.replace(temporary, path)
+            except BaseException:
+                os.unlink(temporary)
+                raise
+
+    def load(self, key):
+        """The code of a signature, None where there is none."""
+        try:
+            with open(self._path(key), "rb") as file:
+                kept, data = pickle.load(file)
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None
+        return data if kept == key else None
+
+    def _path(self, key):
+        return os.path.join(self.folder, f"{self.name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc")
+
+
+def keep(entry):
+    """Let numba keep what an entry compiles, in `Files`; within `kept`."""
+    entry.enable_caching()
+    cached = entry._cache
+    cached._cache_file = Files(cached.cache_path, cached._impl.filename_base)
