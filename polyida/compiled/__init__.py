@@ -15,10 +15,10 @@ __all__ = ["entry", "leaf", "pack", "part", "shared"]
 _COMMON = {"nogil": True, "error_model": "numpy"}  # releases the GIL, divides by zero as numpy does
 
 
-def entry(function, **options):
-    """What Python calls: cached in `cache.folder()`. Compiled code that calls it takes it in as a part."""
+def entry(function, c=False, **options):
+    """What Python calls: cached in `cache.folder()`. Compiled code that calls it takes it in as a part. c: with a C function beside it."""
     inner = part(function, **options)
-    return _entry(function, inner, EntryCompiler, inner, options)
+    return _entry(function, inner, EntryCompiler, inner, options | {"no_cfunc_wrapper": not c})
 
 
 def shared(function, **options):

@@ -41,6 +41,12 @@ class Entry(CPUDispatcher):
         """The compiled function for arguments of these very types."""
         return self.compile(tuple(map(typeof, args)))
 
+    def bound_result(self, *args):
+        """What numba knows of the compiled function for arguments of these very types."""
+        kinds = tuple(map(typeof, args))
+        self.compile(kinds)
+        return self.overloads[kinds]
+
     def typed(self):
         """The same for arguments whose types are those of its first call, and not looked at again: that costs as much as a small kernel."""
         return Typed(self)

@@ -1,5 +1,7 @@
 """A small linear solve for compiled code, dense or nearly banded."""
 
+import numpy as np
+
 from polyida.compiled import entry, part
 
 
@@ -40,6 +42,49 @@ def solve_small(matrix, b, last):
             total -= matrix[i, j] * b[j]
         b[i] = total / matrix[i, i]
     return True
+
+
+@part
+def factor(matrix, pivots):
+    """P matrix = L U in place, by rows, with partial pivoting: False if it is singular. pivots (n,): the row taken at each step."""
+    n = matrix.shape[0]
+    for k in range(n):
+        p, most = k, abs(matrix[k, k])
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > most:
+                p, most = i, abs(matrix[i, k])
+        pivots[k] = p
+        if not 0.0 < most < np.inf:
+            return False
+        if p != k:
+            for j in range(n):
+                matrix[k, j], matrix[p, j] = matrix[p, j], matrix[k, j]
+        for i in range(k + 1, n):
+            if matrix[i, k] != 0.0:
+                share = matrix[i, k] / matrix[k, k]
+                matrix[i, k] = share
+                for j in range(k + 1, n):
+                    matrix[i, j] -= share * matrix[k, j]
+    return True
+
+
+@part
+def solve(matrix, pivots, b):
+    """b becomes the solution, with what `factor` left."""
+    n = b.shape[0]
+    for k in range(n):
+        if pivots[k] != k:
+            b[k], b[pivots[k]] = b[pivots[k]], b[k]
+    for i in range(1, n):
+        total = b[i]
+        for j in range(i):
+            total -= matrix[i, j] * b[j]
+        b[i] = total
+    for i in range(n - 1, -1, -1):
+        total = b[i]
+        for j in range(i + 1, n):
+            total -= matrix[i, j] * b[j]
+        b[i] = total / matrix[i, i]
 
 
 @part

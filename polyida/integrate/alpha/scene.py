@@ -140,11 +140,15 @@ class SceneLoop:
     longest = 256
 
     def __init__(self, settings, model, counts, memory, trial):
-        self.model, self.counts, self.memory, self.trial = model, counts, memory, trial
+        self.settings, self.model, self.counts, self.memory, self.trial = settings, model, counts, memory, trial
         self.tie = tie_of(model) if settings.form == "stabilised" and model.m else None
         self.damp = np.zeros((model.n_nodes, 2)) if model.damped else None
         self.scratch = scratch(model)
         self.helpers = Helpers(threads() if model.n >= SHARED else 1)
+
+    def system(self):
+        """What factors the step matrix, not factored yet."""
+        return self.settings.step_matrix(self.model)
 
     def prepare(self, times, method):
         """Get ready for steps between the times: loads and motors at all of them."""

@@ -15,8 +15,8 @@ SLOW = 0.3  # contraction above which the matrix is made anew
 FRESHEN = 10  # steps after which the contraction is measured again
 PATIENCE = 6  # steps with a small error before the step grows
 Q, V, A, A_ALG, CHANGE, EARLIER, MASSES, SHARES = range(8)  # rows of Memory.past; the first three are those of Trial.now too
-DD, R, DQ = range(3, 6)  # further rows of Trial.now
-LAM, PHI, RATE, DLAM = range(4)  # rows of Memory.closed, and of Trial.rows
+DD, R, DQ, DV, SLIP = range(3, 8)  # further rows of Trial.now
+LAM, PHI, RATE, DLAM, BIAS = range(5)  # rows of Memory.closed, and of Trial.rows
 CONTRACTION, AGE, SIZE, CHANGED, AHEAD, BEHIND, MOVED, ERROR, SINCE, PULL, TURN = range(11)
 MARKS = 11
 
@@ -68,7 +68,7 @@ class Memory(NamedTuple):
 
 @pack
 class Trial(NamedTuple):
-    """The state that Newton works on, `q = q_0 + (h v_0 + dd)`: `now` (6, n), `rows` (4, m)."""
+    """The state that Newton works on, `q = q_0 + (h v_0 + dd)`: `now` (8, n), `rows` (5, m)."""
 
     now: np.ndarray
     rows: np.ndarray
@@ -76,7 +76,7 @@ class Trial(NamedTuple):
 
 def empty(n, m):
     """(Memory, Trial) for n coordinates and m constraints."""
-    return Memory(np.zeros((8, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((6, n)), np.zeros((4, m)))
+    return Memory(np.zeros((8, n)), np.zeros((3, m)), np.zeros(MARKS)), Trial(np.zeros((8, n)), np.zeros((5, m)))
 
 
 @part

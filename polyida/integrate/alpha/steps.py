@@ -31,7 +31,7 @@ class Steps:
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
         self.loop = _loop(settings, model)(settings, model, counts, self.memory, self.trial)
-        self.caution = settings.step_matrix(model).caution
+        self.caution = self.loop.system().caution
         self.system = self.verdict = None
         self.longest = 1 if model.switching else self.loop.longest  # a step that crosses a switch is taken again from the one before
         self.kept, self.pause, self.rows, self.watch = Kept(), 0, _no_rows, None
@@ -202,7 +202,7 @@ class Steps:
 
     def _factor(self, make, t):
         """A new factor, made by make(system, method)."""
-        system = self.settings.step_matrix(self.model)
+        system = self.loop.system()
         self.counts.tangents += 1
         self.counts.factorizations += 1
         try:
@@ -225,11 +225,11 @@ def _fresh(count, n, m):
 
 
 def _loop(settings, model):
-    """The compiled loop of a scene, or the plain one."""
+    """The compiled loop of a scene, or that of any model's table."""
     if model.compiled and settings.linear != "kkt":
         from polyida.integrate.alpha.scene import SceneLoop
 
         return SceneLoop
-    from polyida.integrate.alpha.plain import PlainLoop
+    from polyida.integrate.alpha.loop import Loop
 
-    return PlainLoop
+    return Loop

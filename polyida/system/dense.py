@@ -1,0 +1,274 @@
+"""The table of a small model with dense matrices: compiled code around its functions, which are C functions or Python ones.
+
+A function of the model is called as `f(data, 0, t, q, v, a, lam, out)`, addresses of what it may read and of what it fills.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray
+
+from polyida.compiled import pack, part
+from polyida.integrate.stepping.ended import DONE, NOT_FINITE, SINGULAR
+from polyida.linear import dense
+from polyida.system.table import ACCEPT, CLOSE, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, address, c_address, c_entry, call, pointer
+
+MOST = 50  # coordinates and constraints of a model that is solved so
+# constants of compiled code
+MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED = range(7)
+FUNCTIONS = ("mass", "force", "phi", "phi_q", "phi_t", "residual", "objection")
+MASS_VARIES, DRIVEN, BENT, KEPT = range(4)  # of Dense.flags; KEPT: the factors are of the S and B of now
+INNER, END = range(2)  # of Dense.t: within the step beside a kink at its end, and the end itself
+
+
+@pack
+class Dense(NamedTuple):
+    """The workspace of a model.
+
+    functions: addresses of FUNCTIONS, 0 where there is none. data: address of what the C functions read as self. times (instants, 2): INNER and
+    END. t, q, v, a, lam: what the functions are called with. S (n, n): the step matrix; lu: of it and B; masses: of M and B.
+    """
+
+    functions: np.ndarray
+    data: int
+    flags: np.ndarray
+    times: np.ndarray
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    M: np.ndarray
+    g: np.ndarray
+    phi: np.ndarray
+    B: np.ndarray
+    phi_t: np.ndarray
+    S: np.ndarray
+    lu: np.ndarray
+    pivots: np.ndarray
+    masses: np.ndarray
+    mass_pivots: np.ndarray
+    x: np.ndarray
+
+
+def workspace(n, m, functions, data, flags):
+    """A Dense of n coordinates and m constraints."""
+    N = n + m
+    arrays = [np.zeros(shape) for shape in ((2,), (n,), (n,), (n,), (m,), (n, n), (n,), (m,), (m, n), (m,), (n, n), (N, N))]
+    return Dense(
+        functions, data, np.array(flags, np.int64), np.zeros((1, 2)), *arrays, np.zeros(N, np.int64), np.zeros((N, N)),
+        np.zeros(N, np.int64), np.zeros(N),
+    )  # fmt: skip
+
+
+@part
+def vector(at, size):
+    """The array (size,) at an address."""
+    return carray(pointer(at), (size,))
+
+
+@part
+def ask(w, function, time, out):
+    """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam."""
+    t = address(w.t) + 8 * time
+    return call(w.functions[function], w.data, 0, t, address(w.q), address(w.v), address(w.a), address(w.lam), address(out))
+
+
+@part
+def take(w, instant, q, v):
+    """Take the state for the functions' arguments."""
+    w.t[INNER], w.t[END] = w.times[instant, INNER], w.times[instant, END]
+    given_q, given_v = vector(q, w.q.shape[0]), vector(v, w.q.shape[0])
+    for i in range(w.q.shape[0]):
+        w.q[i], w.v[i] = given_q[i], given_v[i]
+
+
+@part
+def take_rows(w):
+    """B at the state, where it changes."""
+    if w.lam.shape[0] and w.flags[BENT]:
+        w.flags[KEPT] = 0
+        return ask(w, PHI_Q, INNER, w.B)
+    return DONE
+
+
+@part
+def finite(x):
+    """Whether all entries are finite."""
+    total = 0.0
+    for i in range(x.shape[0]):
+        total += 0.0 * x[i]
+    return total == 0.0
+
+
+@c_entry
+def residual(w, instant, q, v, a, lam, r, phi):
+    """r at the state within the step, phi at its end."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    take(w, instant, q, v)
+    given_a, given_lam, found, rows = vector(a, n), vector(lam, m), vector(r, n), vector(phi, m)
+    for i in range(n):
+        w.a[i] = given_a[i]
+    for k in range(m):
+        w.lam[k] = given_lam[k]
+    if m:
+        ended = ask(w, PHI, END, w.phi)
+        if ended != DONE:
+            return ended
+        for k in range(m):
+            rows[k] = w.phi[k]
+        ended = take_rows(w)
+        if ended != DONE:
+            return ended
+    if w.functions[WHOLE]:
+        ended = ask(w, WHOLE, INNER, w.g)
+        if ended != DONE:
+            return ended
+        for i in range(n):
+            found[i] = w.g[i]
+    else:
+        if w.flags[MASS_VARIES]:
+            ended = ask(w, MASS, INNER, w.M)
+            if ended != DONE:
+                return ended
+        ended = ask(w, FORCE, INNER, w.g)
+        if ended != DONE:
+            return ended
+        for i in range(n):
+            total = w.g[i]
+            for j in range(n):
+                total += w.M[i, j] * w.a[j]
+            for k in range(m):
+                total += w.B[k, i] * w.lam[k]
+            found[i] = total
+    return DONE if finite(found) and finite(rows) else NOT_FINITE
+
+
+@c_entry
+def hold(w, instant, q, v, c, d, e, f):
+    """Nothing: phi is taken from positions."""
+    return DONE
+
+
+@c_entry
+def close(w, instant, q, dd, dv, phi, rate, f):
+    """phi at the end; the rate stays."""
+    m = w.lam.shape[0]
+    if not m:
+        return DONE
+    take(w, instant, q, address(w.v))
+    ended, rows = ask(w, PHI, END, w.phi), vector(phi, m)
+    for k in range(m):
+        rows[k] = w.phi[k]
+    return ended
+
+
+@part
+def bordered(A, w, matrix, size):
+    """A = [[matrix, B^T s], [B, 0]], its multipliers in units of s."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    for i in range(n):
+        for j in range(n):
+            A[i, j] = matrix[i, j]
+        for k in range(m):
+            A[i, n + k] = size * w.B[k, i]
+            A[n + k, i] = size * w.B[k, i]
+    for k in range(m):
+        for j in range(m):
+            A[n + k, n + j] = 0.0
+
+
+@part
+def typical(matrix):
+    """The mean size of the diagonal, 1 where that is zero."""
+    total = 0.0
+    for i in range(matrix.shape[0]):
+        total += abs(matrix[i, i])
+    return total / matrix.shape[0] if total > 0.0 else 1.0
+
+
+@c_entry
+def solve(w, instant, q, lam, r, phi, dq, dlam):
+    """dq and dlam of one Newton correction."""
+    n, m, size = w.q.shape[0], w.lam.shape[0], typical(w.S)
+    if not w.flags[KEPT]:
+        bordered(w.lu, w, w.S, size)
+        if not dense.factor(w.lu, w.pivots):
+            return SINGULAR
+        w.flags[KEPT] = 1
+    given, rows, moved, more = vector(r, n), vector(phi, m), vector(dq, n), vector(dlam, m)
+    for i in range(n):
+        w.x[i] = -given[i]
+    for k in range(m):
+        w.x[n + k] = -size * rows[k]
+    dense.solve(w.lu, w.pivots, w.x)
+    for i in range(n):
+        moved[i] = w.x[i]
+    for k in range(m):
+        more[k] = size * w.x[n + k]
+    return DONE
+
+
+@c_entry
+def rate(w, instant, q, v, found, d, e, f):
+    """phi_q v + phi_t."""
+    m, rows = w.lam.shape[0], vector(found, w.lam.shape[0])
+    take(w, instant, q, v)
+    ended = take_rows(w)
+    if ended != DONE:
+        return ended
+    if w.flags[DRIVEN]:
+        ended = ask(w, PHI_T, INNER, w.phi_t)
+        if ended != DONE:
+            return ended
+    for k in range(m):
+        total = w.phi_t[k]
+        for i in range(w.q.shape[0]):
+            total += w.B[k, i] * w.v[i]
+        rows[k] = total
+    return DONE
+
+
+@c_entry
+def project(w, instant, rows, x, anew, d, e, f):
+    """B x falls by rows, by a change of x of the least M-norm; anew: x becomes the change that has the same B x."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    if w.flags[MASS_VARIES]:
+        ended = ask(w, MASS, INNER, w.M)
+        if ended != DONE:
+            return ended
+    size = typical(w.M)
+    bordered(w.masses, w, w.M, size)
+    if not dense.factor(w.masses, w.mass_pivots):
+        return SINGULAR
+    wanted, moved = vector(rows, m), vector(x, n)
+    for k in range(m):
+        total = wanted[k]
+        if anew:
+            for i in range(n):
+                total -= w.B[k, i] * moved[i]
+        w.x[n + k] = -size * total
+    for i in range(n):
+        w.x[i] = 0.0
+    dense.solve(w.masses, w.mass_pivots, w.x)
+    for i in range(n):
+        moved[i] = w.x[i] if anew else moved[i] + w.x[i]
+    return DONE
+
+
+@c_entry
+def accept(w, instant, q, b, c, d, e, f):
+    """What the model says of the state."""
+    if not w.functions[ACCEPTED]:
+        return DONE
+    take(w, instant, q, address(w.v))
+    return ask(w, ACCEPTED, END, w.x)
+
+
+@cache
+def addresses():
+    """Of all functions, for every Dense."""
+    example = workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0, 0, 0, 0))
+    made = {RESIDUAL: residual, HOLD: hold, CLOSE: close, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
+    return {number: c_address(function, example) for number, function in made.items()}

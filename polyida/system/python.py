@@ -1,0 +1,207 @@
+"""Tables of models that are written in Python: callbacks, which keep an exception until the driver has returned."""
+
+import ctypes
+
+import numpy as np
+
+from polyida.integrate.state import StepFailure
+from polyida.integrate.stepping.ended import DONE, NOT_FINITE, RAISED, SINGULAR
+from polyida.linear.lu import SingularSystem
+from polyida.linear.matrix import dense
+from polyida.linear.step_matrix import StepMatrix
+from polyida.model.guarded import writes
+from polyida.system import dense as small
+from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, PROJECT, RATE, RESIDUAL, SOLVE
+
+INSTANTS = 256  # that are prepared at once, at most
+
+
+class PythonTable:
+    """The table of any model: every entry is a callback.
+
+    functions: the addresses; workspace: that of the model's arrays; longest: steps of a stretch.
+    """
+
+    longest = 1  # so that each state is there before the model's functions are called again
+    workspace = 0
+
+    def __init__(self, model, linear="auto"):
+        self.model, self.raised, self.times = model, None, np.zeros((INSTANTS, 2))
+        self.functions, self.kept = np.zeros(ENTRIES, np.int64), []
+        self._fill()
+
+    def _fill(self):
+        entries = {RESIDUAL: self._residual, HOLD: self._hold, CLOSE: self._close, SOLVE: self._solve}
+        entries |= {RATE: self._rate, PROJECT: self._project, ACCEPT: self._accept}
+        for number, function in entries.items():
+            self.functions[number] = self._address(function)
+
+    def _address(self, function):
+        """Of a function as a C function; an exception of it is kept."""
+
+        def called(*given):
+            try:
+                return function(*given[1:]) or DONE
+            except BaseException as error:  # noqa: BLE001 it is raised when the driver has returned
+                self.raised = error
+                return RAISED
+
+        callback = CALLBACK(called)
+        self.kept.append(callback)
+        return ctypes.cast(callback, ctypes.c_void_p).value
+
+    def raise_left(self):
+        """Raise what a function of the model raised."""
+        error, self.raised = self.raised, None
+        if error is not None:
+            raise error
+
+    def system(self, settings):
+        """What factors the step matrix."""
+        return settings.step_matrix(self.model)
+
+    def prepare(self, times, ends, h):
+        """Get ready for steps between the times; ends: the first and the last, beside them where there is a kink."""
+        count, self.begin, self.ends, self.h = len(times) - 1, times[0], ends, h
+        self.times[:count, small.INNER] = self.times[:count, small.END] = times[1:]
+        self.times[count - 1, small.INNER] = ends[1]
+
+    def inner(self, t):
+        """The time within the steps for one of their ends."""
+        return self.ends[1] if t == self.times[0, small.END] else t
+
+    def take(self, system):
+        """Take the factored system."""
+        self.factored = system
+
+    def _array(self, at, size):
+        return np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
+
+    def _at(self, instant):
+        return float(self.times[instant, small.INNER]), float(self.times[instant, small.END])
+
+    def _hold(self, instant, q, v, *_):
+        self.increments, model = None, self.model
+        if model.carries:
+            q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
+            before = self.begin if instant == 0 else self.times[instant - 1, small.END]
+            ends = (self.ends[0] if instant == 0 else before), self._at(instant)[0]
+            self.increments = model.increments(before, self._at(instant)[1], ends, self.h, q, v)
+
+    def _residual(self, instant, q, v, a, lam, r, phi):
+        model, (inner, end) = self.model, self._at(instant)
+        q, v, a = (self._array(at, model.n).copy() for at in (q, v, a))
+        rows = self._array(phi, model.m)
+        if self.increments is None:
+            rows[:] = model.phi(end, q)
+        self.q = q
+        found = self._array(r, model.n)
+        found[:] = model.residual(inner, q, v, a, self._array(lam, model.m).copy())
+        return DONE if np.isfinite(found).all() and np.isfinite(rows).all() else NOT_FINITE
+
+    def _close(self, instant, q, dd, dv, phi, rate, _):
+        model = self.model
+        rows, rates = self._array(phi, model.m), self._array(rate, model.m)
+        if self.increments is None:
+            rows[:] = model.phi(self._at(instant)[1], self._array(q, model.n).copy())
+        else:
+            rows[:], rates[:] = self.increments(self._array(dd, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
+
+    def _solve(self, instant, q, lam, r, phi, dq, dlam):
+        n, m = self.model.n, self.model.m
+        given = self._array(q, n).copy(), self._array(lam, m).copy(), self._array(r, n).copy(), self._array(phi, m).copy()
+        try:
+            self._array(dq, n)[:], self._array(dlam, m)[:] = self.factored.saddle(self._at(instant)[0], *given)
+        except SingularSystem:
+            return SINGULAR
+        return DONE
+
+    def _rate(self, instant, q, v, rate, *_):
+        model, self.at = self.model, (self._at(instant)[0], self._array(q, self.model.n).copy())
+        self._array(rate, model.m)[:] = model.phi_q(*self.at) @ self._array(v, model.n) + model.phi_t(*self.at)
+
+    def _project(self, instant, rows, x, anew, *_):
+        model, x = self.model, self._array(x, self.model.n)
+        rows = self._array(rows, model.m) - (model.phi_q(*self.at) @ x if anew else 0.0)
+        change = model.mass_system(*self.at).solve(np.zeros(model.n), rows)[0]
+        x[:] = change if anew else x + change
+
+    def _accept(self, instant, q, *_):
+        end = self._at(instant)[1]
+        if objection := self.model.objection(end, self._array(q, self.model.n).copy()):
+            raise StepFailure("objection", objection, end)
+
+
+class DenseTable(PythonTable):
+    """The table of a small model: compiled code, which calls the model's functions back."""
+
+    def _fill(self):
+        model, needs = self.model, self.model.needs
+        functions, bent = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
+        flags = needs.mass_varies, needs.driven, bent, 0
+        self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
+        for number, function in enumerate(self._functions(w).values()):
+            functions[number] = self._address(function) if function else 0
+        for number, at in small.addresses().items():
+            self.functions[number] = at
+        self.workspace, self.factored, self.made = w.address, None, False
+
+    def _functions(self, w):
+        model = self.model
+
+        def fill(out, function, *arguments):
+            def called(*_):
+                found = function(*(given() for given in arguments))
+                out[...] = found if type(found) is np.ndarray else dense(found)
+
+            return called
+
+        inner, end = (lambda at=at: float(w.t[at]) for at in (small.INNER, small.END))
+        q, v, a, lam = (x.copy for x in (w.q, w.v, w.a, w.lam))
+        whole = writes(getattr(model, "user", model), "residual")
+        asks = writes(getattr(model, "user", model), "objection")
+
+        def accepted(*_):
+            if objection := model.objection(end(), q()):
+                raise StepFailure("objection", objection, end())
+
+        return {
+            "mass": fill(w.M, model.mass, q),
+            "force": fill(w.g, model.force, inner, q, v),
+            "phi": fill(w.phi, model.phi, end, q),
+            "phi_q": fill(w.B, model.phi_q, inner, q),
+            "phi_t": fill(w.phi_t, model.phi_t, inner, q),
+            "residual": fill(w.g, model.residual, inner, q, v, a, lam) if whole else None,
+            "objection": accepted if asks else None,
+        }
+
+    def system(self, settings):
+        """What makes the step matrix."""
+        return DenseMatrix(self.model)
+
+    def take(self, system):
+        """Take the step matrix, and M and B where they do not change."""
+        if system is not self.factored:
+            self.factored, self.w.S[...], self.w.flags[small.KEPT] = system, system.S, 0
+        if not self.made:
+            (t, q), self.made = (float(system.made_at[0]), system.made_at[1 : self.model.n + 1]), True
+            if not self.w.flags[small.MASS_VARIES]:
+                self.w.M[...] = dense(self.model.mass(q))
+            if self.model.m and not self.w.flags[small.BENT]:
+                self.w.B[...] = dense(self.model.phi_q(t, q))
+
+
+class DenseMatrix(StepMatrix):
+    """S of a small model; it is factored with B in compiled code."""
+
+    backend = "dense LU"
+
+    def _take(self, S, c_m):
+        self.S = dense(S)
+
+
+def table_of(model, linear):
+    """The table of a model that is no compiled scene."""
+    own = getattr(model, "user", model)
+    plain = not any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")) and not model.is_scene
+    return (DenseTable if linear != "kkt" and plain and model.n + model.m <= small.MOST else PythonTable)(model, linear)

@@ -1,0 +1,73 @@
+"""A model as a table of C functions: a driver calls them by their addresses and is compiled once for every model.
+
+Each has the signature `int64 f(int64 model, int64 instant, int64 x 6)`: the address of the model's workspace, the number of one of the
+instants that were prepared, and addresses of contiguous float64 arrays. It returns how it ended (stepping/ended.py).
+
+| entry | arguments | what it does |
+|---|---|---|
+| RESIDUAL | q, v, a, lam, r, phi | r and phi |
+| HOLD | q, v | take up the state that a step begins from |
+| CLOSE | q, dd, dv, phi, rate | phi and rate at q; where they are carried, from those at the step's start and q's and v's increments |
+| SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
+| RATE | q, v, rate | `phi_q v + phi_t` |
+| PROJECT | rows, x, anew | B x falls by rows, and the change of x has the least M-norm; anew: from x = 0 to `B x = B x_before - rows`; B of the last RATE |
+| ACCEPT | q | whether the model accepts a state |
+"""
+
+import ctypes
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from polyida.compiled import entry
+
+ARGUMENTS = 8
+CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
+WORD = ir.IntType(64)
+# constants of compiled code
+RESIDUAL, HOLD, CLOSE, SOLVE, RATE, PROJECT, ACCEPT = range(7)
+ENTRIES = 7
+
+
+@intrinsic
+def call(typing, function, model, instant, a, b, c, d, e, f):
+    """What the C function at address `function` returns."""
+
+    def made(context, builder, sig, args):
+        kind = ir.FunctionType(WORD, [WORD] * ARGUMENTS)
+        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
+
+    return types.int64(*[types.int64] * (ARGUMENTS + 1)), made
+
+
+@intrinsic
+def address(typing, array):
+    """Of the first entry of an array."""
+
+    def made(context, builder, sig, args):
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        return builder.ptrtoint(data, WORD)
+
+    return types.int64(array), made
+
+
+@intrinsic
+def pointer(typing, number):
+    """An address as a pointer to float64."""
+
+    def made(context, builder, sig, args):
+        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+
+    return types.CPointer(types.float64)(types.int64), made
+
+
+def c_entry(function):
+    """A function of compiled code that has a C function beside it."""
+    return entry(function, c=True)
+
+
+def c_address(function, workspace):
+    """The address of a function `f(workspace, instant, 6 addresses)` for workspaces of one type, as a C function."""
+    made = function.bound_result(workspace, *[0] * (ARGUMENTS - 1))
+    return made.library.get_pointer_to_function(made.fndesc.llvm_cfunc_wrapper_name)
