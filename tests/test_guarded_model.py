@@ -319,7 +319,7 @@ def test_a_step_matrix_of_one_s_own_is_taken():
             return Counted(self)
 
     runs = [pi.solve(kind(), 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.0]) for kind in (Pendulum, Own)]
-    assert np.array_equal(runs[0].q, runs[1].q) and len(made) >= runs[1].counts.factorizations > 0
+    assert np.abs(runs[0].q - runs[1].q).max() < 1e-14 and len(made) >= runs[1].counts.factorizations > 0
 
 
 @pytest.mark.parametrize("kind", ["coo", "csr", "dia", "lil"])

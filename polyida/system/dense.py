@@ -12,13 +12,15 @@ from numba import carray
 from polyida.compiled import pack, part
 from polyida.integrate.stepping.ended import DONE, NOT_FINITE, SINGULAR
 from polyida.linear import dense
-from polyida.system.table import ACCEPT, CLOSE, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, address, c_address, c_entry, call, pointer
+from polyida.model.differences import FIRST_ORDER_STEP
+from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, address, c_address, c_entry, call, pointer
 
 MOST = 50  # coordinates and constraints of a model that is solved so
 # constants of compiled code
-MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED = range(7)
-FUNCTIONS = ("mass", "force", "phi", "phi_q", "phi_t", "residual", "objection")
-MASS_VARIES, DRIVEN, BENT, KEPT = range(4)  # of Dense.flags; KEPT: the factors are of the S and B of now
+MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q = range(12)
+FUNCTIONS = "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q"
+MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT = range(6)  # of Dense.flags; KEPT: the factors are of the S and B of now
+REACH = FIRST_ORDER_STEP
 INNER, END = range(2)  # of Dense.t: within the step beside a kink at its end, and the end itself
 
 
@@ -44,7 +46,11 @@ class Dense(NamedTuple):
     phi: np.ndarray
     B: np.ndarray
     phi_t: np.ndarray
+    c: np.ndarray
     S: np.ndarray
+    made: np.ndarray
+    slope: np.ndarray
+    near: np.ndarray
     lu: np.ndarray
     pivots: np.ndarray
     masses: np.ndarray
@@ -55,7 +61,27 @@ class Dense(NamedTuple):
 def workspace(n, m, functions, data, flags):
     """A Dense of n coordinates and m constraints."""
     N = n + m
-    arrays = [np.zeros(shape) for shape in ((2,), (n,), (n,), (n,), (m,), (n, n), (n,), (m,), (m, n), (m,), (n, n), (N, N))]
+    arrays = [
+        np.zeros(shape)
+        for shape in (
+            (2,),
+            (n,),
+            (n,),
+            (n,),
+            (m,),
+            (n, n),
+            (n,),
+            (m,),
+            (m, n),
+            (m,),
+            (2,),
+            (n, n),
+            (1 + 3 * n + m,),
+            (n, n),
+            (4, n),
+            (N, N),
+        )
+    ]
     return Dense(
         functions, data, np.array(flags, np.int64), np.zeros((1, 2)), *arrays, np.zeros(N, np.int64), np.zeros((N, N)),
         np.zeros(N, np.int64), np.zeros(N),
@@ -180,6 +206,93 @@ def bordered(A, w, matrix, size):
 
 
 @part
+def combined(w, function, out):
+    """A function's value, M a of "mass", B^T lam of "phi_q"."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    if function == FORCE:
+        ended = ask(w, FORCE, INNER, w.g)
+        for i in range(n):
+            out[i] = w.g[i]
+        return ended
+    ended = ask(w, MASS, INNER, w.slope) if function == MASS else ask(w, PHI_Q, INNER, w.B)
+    for i in range(n):
+        total = 0.0
+        if function == MASS:
+            for j in range(n):
+                total += w.slope[i, j] * w.a[j]
+        else:
+            for k in range(m):
+                total += w.B[k, i] * w.lam[k]
+        out[i] = total
+    return ended
+
+
+@part
+def add_difference(w, function, x, c):
+    """S += c d/dx of a function's value, by differences of fourth order (model/differences.py)."""
+    for j in range(x.shape[0]):
+        at = x[j]
+        step = REACH * max(1.0, abs(at))
+        for e in range(4):
+            x[j] = at + (1.0, -1.0, 2.0, -2.0)[e] * step
+            ended = combined(w, function, w.near[e])
+            if ended != DONE:
+                x[j] = at
+                return ended
+        x[j] = at
+        for i in range(w.S.shape[0]):
+            w.S[i, j] += c * (8.0 * (w.near[0, i] - w.near[1, i]) - (w.near[2, i] - w.near[3, i])) / (12.0 * step)
+    return DONE
+
+
+@part
+def add_slope(w, written, function, x, c):
+    """S += c times a slope that the model writes, or its difference."""
+    if not w.functions[written]:
+        return add_difference(w, function, x, c)
+    ended = ask(w, written, INNER, w.slope)
+    for i in range(w.S.shape[0]):
+        for j in range(w.S.shape[0]):
+            w.S[i, j] += c * w.slope[i, j]
+    return ended
+
+
+@part
+def add_slopes(w):
+    """S from the terms that the model has, at w.t, w.q, w.v, w.a, w.lam."""
+    n = w.q.shape[0]
+    ended = ask(w, MASS, INNER, w.M) if w.flags[MASS_VARIES] else DONE
+    for i in range(n):
+        for j in range(n):
+            w.S[i, j] = w.c[0] * w.M[i, j]
+    if ended == DONE:
+        ended = add_slope(w, FORCE_Q, FORCE, w.q, 1.0)
+    if ended == DONE and w.flags[VELOCITY]:
+        ended = add_slope(w, FORCE_V, FORCE, w.v, w.c[1])
+    if ended == DONE and w.flags[MASS_VARIES]:
+        ended = add_slope(w, MASS_A_Q, MASS, w.q, 1.0)
+    if ended == DONE and w.flags[VARIES] and w.lam.shape[0]:
+        ended = add_slope(w, REACTION_Q, PHI_Q, w.q, 1.0)
+    return ended
+
+
+@c_entry
+def factor(w, instant, q, v, a, lam, c, f):
+    """S at a state; it is factored with the B of a solve."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    take(w, instant, q, v)
+    given_a, given_lam, given_c = vector(a, n), vector(lam, m), vector(c, 2)
+    w.c[0], w.c[1], w.made[0] = given_c[0], given_c[1], w.t[INNER]
+    for i in range(n):
+        w.a[i] = given_a[i]
+        w.made[1 + i], w.made[1 + n + i], w.made[1 + 2 * n + i] = w.q[i], w.v[i], w.a[i]
+    for k in range(m):
+        w.lam[k] = w.made[1 + 3 * n + k] = given_lam[k]
+    w.flags[KEPT] = 0
+    return ask(w, TANGENT, INNER, w.S) if w.functions[TANGENT] else add_slopes(w)
+
+
+@part
 def typical(matrix):
     """The mean size of the diagonal, 1 where that is zero."""
     total = 0.0
@@ -269,6 +382,6 @@ def accept(w, instant, q, b, c, d, e, f):
 @cache
 def addresses():
     """Of all functions, for every Dense."""
-    example = workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0, 0, 0, 0))
-    made = {RESIDUAL: residual, HOLD: hold, CLOSE: close, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
+    example = workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * 6)
+    made = {RESIDUAL: residual, HOLD: hold, CLOSE: close, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
     return {number: c_address(function, example) for number, function in made.items()}

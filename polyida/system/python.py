@@ -5,12 +5,13 @@ import ctypes
 import numpy as np
 
 from polyida.integrate.state import StepFailure
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, RAISED, SINGULAR
+from polyida.integrate.stepping.ended import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import writes
 from polyida.system import dense as small
+from polyida.system.own import SHAPES, Compiled
 from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, PROJECT, RATE, RESIDUAL, SOLVE
 
 INSTANTS = 256  # that are prepared at once, at most
@@ -138,7 +139,7 @@ class DenseTable(PythonTable):
     def _fill(self):
         model, needs = self.model, self.model.needs
         functions, bent = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = needs.mass_varies, needs.driven, bent, 0
+        flags = needs.mass_varies, needs.velocity_forces, needs.driven, bent, needs.phi_q_varies, 0
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for number, function in enumerate(self._functions(w).values()):
             functions[number] = self._address(function) if function else 0
@@ -173,35 +174,83 @@ class DenseTable(PythonTable):
             "phi_t": fill(w.phi_t, model.phi_t, inner, q),
             "residual": fill(w.g, model.residual, inner, q, v, a, lam) if whole else None,
             "objection": accepted if asks else None,
+            "tangent": fill(w.S, model.tangent, inner, q, v, a, lam, lambda: float(w.c[0]), lambda: float(w.c[1]), lambda: 1.0),
         }
 
     def system(self, settings):
         """What makes the step matrix."""
-        return DenseMatrix(self.model)
+        return DenseMatrix(self.model, self)
 
     def take(self, system):
         """Take the step matrix, and M and B where they do not change."""
         if system is not self.factored:
             self.factored, self.w.S[...], self.w.flags[small.KEPT] = system, system.S, 0
+
+    def make(self, t, q, v, a, lam, c_m, c_v):
+        """Make S at a state in the workspace."""
+        w, self.w.times[0] = self.w, t
+        self._hold_constant(t, q)
+        places = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, (c_m, c_v))]
+        ended = small.factor(w, 0, *(x.ctypes.data for x in places), 0)
+        self.raise_left()
+        if ended != DONE:
+            raise StepFailure(*REASONS[ended], t)
+
+    def _hold_constant(self, t, q):
+        """M and B where they do not change."""
         if not self.made:
-            (t, q), self.made = (float(system.made_at[0]), system.made_at[1 : self.model.n + 1]), True
+            self.made = True
             if not self.w.flags[small.MASS_VARIES]:
                 self.w.M[...] = dense(self.model.mass(q))
             if self.model.m and not self.w.flags[small.BENT]:
                 self.w.B[...] = dense(self.model.phi_q(t, q))
 
 
-class DenseMatrix(StepMatrix):
-    """S of a small model; it is factored with B in compiled code."""
+class DenseMatrix:
+    """S of a small model, made by its table; it is factored with B in compiled code."""
 
-    backend = "dense LU"
+    backend, solves = "dense LU", 0
+    near_any_state, caution = StepMatrix.near_any_state, StepMatrix.caution
 
-    def _take(self, S, c_m):
-        self.S = dense(S)
+    def __init__(self, model, table):
+        self.model, self.table, self.made_at, self.S = model, table, np.zeros(0), None
+
+    def factor(self, t, q, v, a, lam, c_m, c_v):
+        """Make S at a state."""
+        self.table.make(t, q, v, a, lam, c_m, c_v)
+        self.read()
+
+    def again(self, made_at, c_m, c_v):
+        """Make S as it was made before."""
+        self.factor(float(made_at[0]), *np.split(made_at[1:], np.cumsum([self.model.n] * 3)), c_m, c_v)
+
+    def read(self):
+        """Take the S that the table made last."""
+        w = self.table.w
+        self.S, self.made_at, self.table.factored = w.S.copy(), w.made.copy(), self
+
+
+class CompiledTable(DenseTable):
+    """The table of a small model whose functions numba compiled; what it does not write is asked of it in Python, or is a difference."""
+
+    longest = INSTANTS
+
+    def _fill(self):
+        super()._fill()
+        own = getattr(self.model, "user", self.model)
+        names = [name for name in small.FUNCTIONS if name in SHAPES and writes(own, name)]
+        self.compiled, functions = Compiled(own, names), self.w.functions
+        functions[small.TANGENT] = 0
+        for name, at in self.compiled.addresses.items():
+            functions[small.FUNCTIONS.index(name)] = at
+        self.w = self.w._replace(data=self.compiled.data)
+        self.workspace = self.w.address
 
 
 def table_of(model, linear):
     """The table of a model that is no compiled scene."""
     own = getattr(model, "user", model)
     plain = not any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")) and not model.is_scene
+    if plain and own.by_numba and linear != "kkt" and model.n + model.m <= small.MOST:
+        return CompiledTable(model)
     return (DenseTable if linear != "kkt" and plain and model.n + model.m <= small.MOST else PythonTable)(model, linear)

@@ -8,6 +8,7 @@ instants that were prepared, and addresses of contiguous float64 arrays. It retu
 | RESIDUAL | q, v, a, lam, r, phi | r and phi |
 | HOLD | q, v | take up the state that a step begins from |
 | CLOSE | q, dd, dv, phi, rate | phi and rate at q; where they are carried, from those at the step's start and q's and v's increments |
+| FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq there; 0 where the caller of the driver makes it |
 | SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
 | RATE | q, v, rate | `phi_q v + phi_t` |
 | PROJECT | rows, x, anew | B x falls by rows, and the change of x has the least M-norm; anew: from x = 0 to `B x = B x_before - rows`; B of the last RATE |
@@ -26,8 +27,8 @@ ARGUMENTS = 8
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 WORD = ir.IntType(64)
 # constants of compiled code
-RESIDUAL, HOLD, CLOSE, SOLVE, RATE, PROJECT, ACCEPT = range(7)
-ENTRIES = 7
+RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT = range(8)
+ENTRIES = 8
 
 
 @intrinsic

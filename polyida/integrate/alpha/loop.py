@@ -13,7 +13,7 @@ from polyida.compiled import entry, part
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.step import BIAS, DD, DLAM, DQ, DV, LAM, PHI, RATE, SLIP, A, Q, R, V
 from polyida.integrate.kinks import inner_side
-from polyida.integrate.stepping.ended import DONE, REFACTOR, TOO_FAR
+from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REFACTOR, TOO_FAR
 from polyida.system import table
 from polyida.system.python import table_of
 from polyida.system.table import address, call
@@ -115,16 +115,32 @@ def newton(f, w, k, p, tied, y, x, counts):
     return REFACTOR, last
 
 
+@part
+def factor(f, w, k, c, x):
+    """Make the step matrix at the trial state."""
+    now, rows = x.now, x.rows
+    return call(f[table.FACTOR], w, k, address(now[Q]), address(now[V]), address(now[A]), address(rows[LAM]), address(c), 0)
+
+
 @entry
-def stretch(f, w, first, p, tied, y, x, counts, qs, vs, accelerations, lams):
+def stretch(f, w, first, p, c, tied, y, x, counts, qs, vs, accelerations, lams):
     """Steps until the frames, the factor's use or that of h end: (steps, how it ended, last |dq|).
 
-    f, w: addresses of the table's functions and of the model's workspace; first: number of the instant at the first step's end. Frames go to
+    f, w: addresses of the table's functions and of the model's workspace; first: number of the instant at the first step's end; c (2,):
+    p.to_a and p.to_v; counts (3,): of residuals, solves and matrices made. Frames go to
     qs, vs, accelerations (steps, n), lams (steps, m).
     """
     moved = 0.0
     for k in range(lams.shape[0]):
         end, moved = newton(f, w, first + k, p, tied, y, x, counts)
+        if f[table.FACTOR] and (end == REFACTOR or end == NOT_FINITE):
+            y.marks[step.MOVED] = y.marks[step.AHEAD] = y.marks[step.BEHIND] = 0.0
+            step.predict(p, y, x)
+            end = factor(f, w, first + k, c, x)
+            counts[2] += 1
+            y.marks[step.CONTRACTION], y.marks[step.AGE] = 1.0, step.FRESHEN
+            if end == DONE:
+                end, moved = newton(f, w, first + k, p, tied, y, x, counts)
         if end != DONE:
             return k, end, moved
         end = step.finish(p, y, x, qs[k], vs[k], accelerations[k], lams[k])
@@ -157,11 +173,16 @@ class Loop:
 
     def steps(self, p, system, first, last, *frames):
         """Take the steps from `first` to `last` with a factored system: (steps, how it ended, last |dq|). Raises what the model raised."""
-        seen, model = np.zeros(2, np.int64), self.table
+        seen, model = np.zeros(3, np.int64), self.table
         model.take(system)
-        result = stretch(model.functions, model.workspace, first, p, self.tied, self.memory, self.trial, seen, *frames)
+        c = np.array([p.to_a, p.to_v])
+        result = stretch(model.functions, model.workspace, first, p, c, self.tied, self.memory, self.trial, seen, *frames)
         self.counts.residuals += int(seen[0])
         self.counts.solves += int(seen[1])
         self.counts.newton_iterations += int(seen[1])
         model.raise_left()
+        if seen[2]:
+            system.read()
+            self.counts.tangents += int(seen[2])
+            self.counts.factorizations += int(seen[2])
         return result
