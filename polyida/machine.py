@@ -68,7 +68,7 @@ def threads(count: int | None = None) -> int:
     """Let runs take so many threads from now on, and as many cores, all free; without a number, how many they take: one, where nothing was
     said.
 
-    What takes them are the steps of generalized-alpha on scenes of SHARED coordinates and more (integrate/alpha/scene.py). The
+    What takes them are the steps of generalized-alpha on scenes of SHARED coordinates and more (system/scene.py). The
     results are the same bit by bit for any number. Raises InputError for what is no whole number from 1 to that of the cores it may use.
     """
     if count is not None:

@@ -41,9 +41,8 @@ class Entry(CPUDispatcher):
         """The compiled function for arguments of these very types."""
         return self.compile(tuple(map(typeof, args)))
 
-    def bound_result(self, *args):
-        """What numba knows of the compiled function for arguments of these very types."""
-        kinds = tuple(map(typeof, args))
+    def compiled_for(self, *kinds):
+        """What numba knows of the compiled function for arguments of these types."""
         self.compile(kinds)
         return self.overloads[kinds]
 

@@ -7,7 +7,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray
+from numba import carray, typeof
 
 from polyida.compiled import pack, part
 from polyida.integrate.stepping.ended import DONE, NOT_FINITE, SINGULAR
@@ -384,4 +384,4 @@ def addresses():
     """Of all functions, for every Dense."""
     example = workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * 6)
     made = {RESIDUAL: residual, HOLD: hold, CLOSE: close, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
-    return {number: c_address(function, example) for number, function in made.items()}
+    return {number: c_address(function, typeof(example)) for number, function in made.items()}

@@ -1,6 +1,7 @@
 """Tables of models that are written in Python: callbacks, which keep an exception until the driver has returned."""
 
 import ctypes
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -12,9 +13,7 @@ from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import writes
 from polyida.system import dense as small
 from polyida.system.own import SHAPES, Compiled
-from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, PROJECT, RATE, RESIDUAL, SOLVE
-
-INSTANTS = 256  # that are prepared at once, at most
+from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
 
 class PythonTable:
@@ -26,8 +25,8 @@ class PythonTable:
     longest = 1  # so that each state is there before the model's functions are called again
     workspace = 0
 
-    def __init__(self, model, linear="auto"):
-        self.model, self.raised, self.times = model, None, np.zeros((INSTANTS, 2))
+    def __init__(self, model, incremental):
+        self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((INSTANTS, 2))
         self.functions, self.kept = np.zeros(ENTRIES, np.int64), []
         self._fill()
 
@@ -63,17 +62,20 @@ class PythonTable:
 
     def prepare(self, times, ends, h):
         """Get ready for steps between the times; ends: the first and the last, beside them where there is a kink."""
-        count, self.begin, self.ends, self.h = len(times) - 1, times[0], ends, h
+        count, self.begin, self.last, self.ends, self.h = len(times) - 1, times[0], times[-1], ends, h
         self.times[:count, small.INNER] = self.times[:count, small.END] = times[1:]
         self.times[count - 1, small.INNER] = ends[1]
 
-    def inner(self, t):
-        """The time within the steps for one of their ends."""
-        return self.ends[1] if t == self.times[0, small.END] else t
+    def factor(self, system, t, *at):
+        """Factor the system near t, an end of the steps. Returns the number of residuals that it took."""
+        system.factor(self.ends[1] if t == self.last else t, *at)
+        return 0
 
-    def take(self, system):
-        """Take the factored system."""
+    @contextmanager
+    def at_work(self, system):
+        """(addresses of the functions, address of the workspace) with a factored system."""
         self.factored = system
+        yield self.functions, self.workspace
 
     def _array(self, at, size):
         return np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
@@ -83,7 +85,7 @@ class PythonTable:
 
     def _hold(self, instant, q, v, *_):
         self.increments, model = None, self.model
-        if model.carries:
+        if self.incremental:
             q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
             before = self.begin if instant == 0 else self.times[instant - 1, small.END]
             ends = (self.ends[0] if instant == 0 else before), self._at(instant)[0]
@@ -181,10 +183,12 @@ class DenseTable(PythonTable):
         """What makes the step matrix."""
         return DenseMatrix(self.model, self)
 
-    def take(self, system):
-        """Take the step matrix, and M and B where they do not change."""
+    @contextmanager
+    def at_work(self, system):
+        """As of any table; S is in the workspace."""
         if system is not self.factored:
             self.factored, self.w.S[...], self.w.flags[small.KEPT] = system, system.S, 0
+        yield self.functions, self.workspace
 
     def make(self, t, q, v, a, lam, c_m, c_v):
         """Make S at a state in the workspace."""
@@ -247,10 +251,14 @@ class CompiledTable(DenseTable):
         self.workspace = self.w.address
 
 
-def table_of(model, linear):
-    """The table of a model that is no compiled scene."""
+def table_of(model, linear, tied, incremental):
+    """The table of a model. linear: as the integrator has it; tied: whether RATE and PROJECT are needed; incremental: phi by increments."""
+    if model.compiled and linear != "kkt":
+        from polyida.system.scene import SceneTable
+
+        return SceneTable(model, tied, incremental)
     own = getattr(model, "user", model)
     plain = not any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")) and not model.is_scene
-    if plain and own.by_numba and linear != "kkt" and model.n + model.m <= small.MOST:
-        return CompiledTable(model)
-    return (DenseTable if linear != "kkt" and plain and model.n + model.m <= small.MOST else PythonTable)(model, linear)
+    if linear == "kkt" or not plain or model.n + model.m > small.MOST:
+        return PythonTable(model, incremental)
+    return (CompiledTable if own.by_numba else DenseTable)(model, incremental)

@@ -24,6 +24,7 @@ from numba.extending import intrinsic
 from polyida.compiled import entry
 
 ARGUMENTS = 8
+INSTANTS = 256  # that are prepared at once, at most
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 WORD = ir.IntType(64)
 # constants of compiled code
@@ -68,7 +69,7 @@ def c_entry(function):
     return entry(function, c=True)
 
 
-def c_address(function, workspace):
-    """The address of a function `f(workspace, instant, 6 addresses)` for workspaces of one type, as a C function."""
-    made = function.bound_result(workspace, *[0] * (ARGUMENTS - 1))
+def c_address(function, kind):
+    """The address of a function `f(workspace, instant, 6 addresses)` for workspaces of a type, as a C function."""
+    made = function.compiled_for(kind, *[types.int64] * (ARGUMENTS - 1))
     return made.library.get_pointer_to_function(made.fndesc.llvm_cfunc_wrapper_name)

@@ -6,11 +6,11 @@ from polyida.adjoint.alpha.plain import PlainSweep, Sent, Swept
 from polyida.adjoint.scene import steps
 from polyida.adjoint.scene.products import arrays_of, scratch
 from polyida.assembly.rows.increments import drive_table
-from polyida.integrate.alpha import scene as loop
 from polyida.integrate.stepping.ended import DONE
 from polyida.linear.cholesky.helpers import Helpers
 from polyida.machine import threads
 from polyida.objective.slopes import Slopes
+from polyida.system import scene as tables
 
 SHARE = 1e-2  # of what Newton leaves, over what it is compared with, that refinement leaves of w
 LEAST = 1e-11  # of |w|: no less
@@ -28,7 +28,7 @@ class SceneSweep:
         self.viscosity = model.arrays.plates.body_viscosity if model.damped else None
         self.memory, self.trial = steps.empty(model.n, model.m)
         self.system, self.before = None, np.inf
-        self.helpers = Helpers(threads() if model.n >= loop.SHARED else 1)
+        self.helpers = Helpers(threads() if model.n >= tables.SHARED else 1)
 
     def back(self, t, q, v, a, lam, slopes, sent, keep=None):
         """The Swept of steps that ended at these frames, in order of time, (count, .) each.

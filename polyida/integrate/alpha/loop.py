@@ -133,7 +133,7 @@ def stretch(f, w, first, p, c, tied, y, x, counts, qs, vs, accelerations, lams):
     moved = 0.0
     for k in range(lams.shape[0]):
         end, moved = newton(f, w, first + k, p, tied, y, x, counts)
-        if f[table.FACTOR] and (end == REFACTOR or end == NOT_FINITE):
+        if f[table.FACTOR] and (end in (REFACTOR, NOT_FINITE)):
             y.marks[step.MOVED] = y.marks[step.AHEAD] = y.marks[step.BEHIND] = 0.0
             step.predict(p, y, x)
             end = factor(f, w, first + k, c, x)
@@ -153,9 +153,10 @@ class Loop:
     """Stretches of compiled steps of a model."""
 
     def __init__(self, settings, model, counts, memory, trial):
-        self.model, self.counts, self.memory, self.trial = model, counts, memory, trial
-        self.settings, self.table = settings, table_of(model, settings.linear)
-        self.longest, self.tied = self.table.longest, settings.form == "stabilised" and model.m > 0
+        self.settings, self.model, self.counts, self.memory, self.trial = settings, model, counts, memory, trial
+        self.tied = settings.form == "stabilised" and model.m > 0
+        self.table = table_of(model, settings.linear, self.tied, settings.incremental_phi and model.carries)
+        self.longest = self.table.longest
 
     def system(self):
         """What factors the step matrix, not factored yet."""
@@ -169,20 +170,20 @@ class Loop:
     def factor(self, system, p, t):
         """Factor the system at the trial state. Raises SingularSystem."""
         q, v, a = self.trial.now[:3].copy()
-        system.factor(self.table.inner(t), q, v, a, self.trial.rows[LAM].copy(), p.to_a, p.to_v)
+        self.counts.residuals += self.table.factor(system, t, q, v, a, self.trial.rows[LAM].copy(), p.to_a, p.to_v)
 
     def steps(self, p, system, first, last, *frames):
         """Take the steps from `first` to `last` with a factored system: (steps, how it ended, last |dq|). Raises what the model raised."""
-        seen, model = np.zeros(3, np.int64), self.table
-        model.take(system)
-        c = np.array([p.to_a, p.to_v])
-        result = stretch(model.functions, model.workspace, first, p, c, self.tied, self.memory, self.trial, seen, *frames)
-        self.counts.residuals += int(seen[0])
-        self.counts.solves += int(seen[1])
-        self.counts.newton_iterations += int(seen[1])
-        model.raise_left()
-        if seen[2]:
+        counts, c = np.zeros(3, np.int64), np.array([p.to_a, p.to_v])
+        with self.table.at_work(system) as (functions, workspace):
+            result = stretch(functions, workspace, first, p, c, self.tied, self.memory, self.trial, counts, *frames)
+        residuals, solves, made = map(int, counts)
+        self.counts.residuals += residuals
+        self.counts.solves += solves
+        self.counts.newton_iterations += solves
+        self.table.raise_left()
+        if made:
             system.read()
-            self.counts.tangents += int(seen[2])
-            self.counts.factorizations += int(seen[2])
+            self.counts.tangents += made
+            self.counts.factorizations += made
         return result

@@ -3,6 +3,7 @@
 import numpy as np
 
 from polyida.integrate.alpha import step
+from polyida.integrate.alpha.loop import Loop
 from polyida.integrate.alpha.step_control import calm_error
 from polyida.integrate.kinks import at_kink
 from polyida.integrate.sizes import extent, weights
@@ -30,7 +31,7 @@ class Steps:
     def __init__(self, settings, model, counts, control=None):
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
-        self.loop = _loop(settings, model)(settings, model, counts, self.memory, self.trial)
+        self.loop = Loop(settings, model, counts, self.memory, self.trial)
         self.caution = self.loop.system().caution
         self.system = self.verdict = None
         self.longest = 1 if model.switching else self.loop.longest  # a step that crosses a switch is taken again from the one before
@@ -222,14 +223,3 @@ def _no_rows(count):
 
 def _fresh(count, n, m):
     return room([(n,), (n,), (n,), (m,)], [np.dtype(float)] * 4, 8 * count * (3 * n + m))
-
-
-def _loop(settings, model):
-    """The compiled loop of a scene, or that of any model's table."""
-    if model.compiled and settings.linear != "kkt":
-        from polyida.integrate.alpha.scene import SceneLoop
-
-        return SceneLoop
-    from polyida.integrate.alpha.loop import Loop
-
-    return Loop
