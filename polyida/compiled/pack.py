@@ -77,6 +77,10 @@ def _size(kind):
 
 @typeof_impl.register(_Packed)
 def _type_of(value, context):
+    return vars(value).get("_kind") or vars(value).setdefault("_kind", _made_of(value, context))
+
+
+def _made_of(value, context):
     return PackType(type(value).__name__, tuple((name, _kind(typeof_impl(field, context))) for name, field in zip(value._fields, value)))
 
 

@@ -197,7 +197,7 @@ class SceneTable:
             "numbers": np.array([0.0, 0.0, 1.0, float(incremental)]),
             "level": np.zeros(len(links.row_constant)),
         }
-        self.functions = None
+        self.functions = self.work = None
 
     def system(self, settings):
         """What factors the step matrix, not factored yet."""
@@ -220,13 +220,18 @@ class SceneTable:
         """(addresses of the functions, address of the workspace) with a factored system."""
         with self.helpers.at_work(system.corotated.factor, system.room) as room:
             self.w["numbers"][TO_A] = system.c_m
-            work = SceneWork(factored=system.corotated, room=room, **self.w)
-            kind = typeof(work)
-            if self.functions is None or kind != self.kind:
-                self.functions, self.kind = np.zeros(ENTRIES, np.int64), kind
-                for number, function in FUNCTIONS.items():
-                    self.functions[number] = c_address(function, kind)
-            yield self.functions, work.address
+            if self.work is None or self.work.room is not room:
+                self._take(SceneWork(factored=system.corotated, room=room, **self.w))
+            yield self.functions, self.work.address
+
+    def _take(self, work):
+        """Take a workspace; functions are compiled for its type."""
+        kind = typeof(work)
+        if self.work is None or kind != typeof(self.work):
+            self.functions = np.zeros(ENTRIES, np.int64)
+            for number, function in FUNCTIONS.items():
+                self.functions[number] = c_address(function, kind)
+        self.work = work
 
     def raise_left(self):
         """Nothing: no function raises."""

@@ -1,7 +1,4 @@
-"""A step of generalized-alpha on any model: predict, correct, judge, finish, on flat arrays.
-
-The plain loop (`plain.py`) calls these for any model, a scene's compiled loop (`scene.py`) the very same.
-"""
+"""A step of generalized-alpha on flat arrays: predict, correct, judge, finish; `loop.py` calls the model in between."""
 
 from typing import NamedTuple
 
