@@ -12,6 +12,7 @@ from numba.core.errors import NumbaError
 from polyida.errors import InputError
 from polyida.integrate.stepping.ended import DONE, RAISED, WRONG_SHAPE
 from polyida.model import Model
+from polyida.model.guarded import OF_CONSTRAINTS, writes
 from polyida.system.table import ARGUMENTS, pointer
 
 NUMBERS = types.Array(types.float64, 1, "C", readonly=True)
@@ -64,9 +65,10 @@ def compiled(cls):
 
 
 class Compiled:
-    """The C functions of a model, {name: address}, and what they read as self; kept as long as this."""
+    """The C functions that a model writes, {name: address}, and what they read as self; kept as long as this. Raises InputError."""
 
-    def __init__(self, model, names):
+    def __init__(self, model):
+        names = [name for name in SHAPES if writes(model, name) and (model.m or name not in OF_CONSTRAINTS)]
         self.values = _values(model, names)
         own = numba.from_dtype(self.values.dtype)
         self.addresses = {name: _c_function(model, name, own).address for name in names}
@@ -101,10 +103,9 @@ def _names(code):
 
 
 def _c_function(model, name, own):
-    return _made(getattr(type(model), name), name, own, model.n, model.m)
+    return _kept(getattr(type(model), name), name, own, model.n, model.m)
 
 
-@cache
 def _made(function, name, own, n, m):
     """A C function of the signature of a table's, for arguments (self, 0, t, q, v, a, lam, out)."""
     given, label = list(signature(function).parameters)[1:], function.__qualname__
@@ -142,6 +143,9 @@ def _made(function, name, own, n, m):
     names = {"carray": carray, "pointer": pointer, "record": _record_pointer(own), "inner": inner, "shape": shape}
     exec(source, names | {"RAISED": RAISED, "WRONG_SHAPE": WRONG_SHAPE, "DONE": DONE}, made)
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(made["called"])
+
+
+_kept = cache(_made)  # a class is compiled once for models of one shape
 
 
 @cache

@@ -12,7 +12,7 @@ from polyida.linear.matrix import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import writes
 from polyida.system import dense as small
-from polyida.system.own import SHAPES, Compiled
+from polyida.system.own import Compiled
 from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
 
@@ -241,9 +241,7 @@ class CompiledTable(DenseTable):
 
     def _fill(self):
         super()._fill()
-        own = getattr(self.model, "user", self.model)
-        names = [name for name in small.FUNCTIONS if name in SHAPES and writes(own, name)]
-        self.compiled, functions = Compiled(own, names), self.w.functions
+        self.compiled, functions = Compiled(getattr(self.model, "user", self.model)), self.w.functions
         functions[small.TANGENT] = 0
         for name, at in self.compiled.addresses.items():
             functions[small.FUNCTIONS.index(name)] = at

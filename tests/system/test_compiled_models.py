@@ -1,0 +1,212 @@
+"""Own models whose functions numba compiles: the same motion as in Python, and the same errors."""
+
+import threading
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.model.guarded import guard
+from polyida.system.own import compiled
+from polyida.system.python import table_of
+
+LENGTH = 0.7
+
+
+def slope_of(angle):
+    """A plain function of the module, which a compiled function may call."""
+    return np.sin(angle) * twice(0.5)
+
+
+def twice(x):
+    return 2.0 * x
+
+
+class Slider(pi.Model):
+    """A mass in polar coordinates q = (r, angle) with damping, on a curve that moves: all terms of r and phi."""
+
+    n, m = 2, 1
+    drag, heavy, table = 0.5, True, np.array([3.0, 4.0])
+
+    def mass(self, q):
+        return np.diag(np.array([2.0, 2.0 * q[0] ** 2])) if self.heavy else np.eye(2)
+
+    def force(self, t, q, v):
+        along = -2.0 * q[0] * v[1] ** 2 + self.table[0] * q[0] + self.drag * v[0]
+        return np.array([along, self.table[1] * q[0] * v[0] * v[1] + slope_of(q[1]) + np.cos(t)])
+
+    def phi(self, t, q):
+        return np.array([q[0] - np.exp(0.3 * t) * np.cos(q[1])])
+
+    def phi_q(self, t, q):
+        return np.array([[1.0, np.exp(0.3 * t) * np.sin(q[1])]])
+
+
+class Exact(Slider):
+    """The same with its derivatives by hand."""
+
+    def force_q(self, t, q, v):
+        return np.array([[-2.0 * v[1] ** 2 + 3.0, 0.0], [4.0 * v[0] * v[1], np.cos(q[1])]])
+
+    def force_v(self, t, q, v):
+        return np.array([[0.5, -4.0 * q[0] * v[1]], [4.0 * q[0] * v[1], 4.0 * q[0] * v[0]]])
+
+    def mass_a_q(self, q, a):
+        return np.array([[0.0, 0.0], [4.0 * q[0] * a[1], 0.0]])
+
+    def reaction_q(self, t, q, lam):
+        return np.array([[0.0, 0.0], [0.0, np.exp(0.3 * t) * np.cos(q[1]) * lam[0]]])
+
+    def phi_t(self, t, q):
+        return np.array([-0.3 * np.exp(0.3 * t) * np.cos(q[1])])
+
+
+class Whole(Slider):
+    """The same with r in one function."""
+
+    def residual(self, t, q, v, a, lam):
+        pull = np.array([lam[0], lam[0] * np.exp(0.3 * t) * np.sin(q[1])])
+        inertia = np.array([2.0 * a[0], 2.0 * q[0] ** 2 * a[1]])
+        along = -2.0 * q[0] * v[1] ** 2 + 3.0 * q[0] + 0.5 * v[0]
+        return inertia + pull + np.array([along, 4.0 * q[0] * v[0] * v[1] + np.sin(q[1]) + np.cos(t)])
+
+
+class Free(pi.Model):
+    """Two springs without a constraint, in constant M."""
+
+    n, m, needs = 2, 0, pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
+
+    def mass(self, q):
+        return np.array([[2.0, 0.5], [0.5, 1.0]])
+
+    def force(self, t, q, v):
+        return np.array([9.0 * q[0] ** 3, 4.0 * q[1] - 1.0])
+
+
+START = dict(q0=[np.cos(0.4), 0.4])
+METHODS = {
+    "fixed steps": pi.GeneralizedAlpha(h=2e-3),
+    "adaptive steps": pi.GeneralizedAlpha(rtol=1e-6),
+    "stabilised": pi.GeneralizedAlpha(h=2e-3, form="stabilised"),
+    "extrapolated": pi.GeneralizedAlpha(h=2e-3, extrapolate=True),
+    "whole matrix": pi.GeneralizedAlpha(h=2e-3, linear="kkt"),
+}
+
+
+def by_numba(kind):
+    """The class, its functions compiled."""
+    return compiled(type(kind.__name__, (kind,), {}))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("kind", [Slider, Exact, Whole, Free])
+def test_the_motion_is_that_of_the_functions_in_python(kind, method):
+    start = {"q0": [1.0, 0.5]} if kind is Free else START
+    runs = [pi.solve(model(), 0.3, METHODS[method], **start) for model in (kind, by_numba(kind))]
+    assert all(run.success for run in runs)
+    for name in ("q", "v", "a", "lam"):
+        one, other = (getattr(run, name)[-1] for run in runs)
+        assert np.abs(one - other).max(initial=0.0) < 1e-6 * max(1.0, np.abs(one).max(initial=0.0)), name
+    assert runs[0].counts.steps == runs[1].counts.steps
+
+
+@pytest.mark.parametrize("kind", [Slider, Exact])
+def test_the_step_matrix_is_that_of_the_functions_in_python(kind):
+    model, state = guard(by_numba(kind)()), [np.array(x) for x in ([0.8, 0.4], [-0.6, 1.3], [0.9, -0.2], [1.7])]
+    table = table_of(model, "auto", False, False)
+    table.make(0.7, *state, 1e4, 1e2)
+    exact = Exact().tangent(0.7, *state, 1e4, 1e2, 1.0)
+    assert np.abs(table.w.S - exact).max() < 1e-9 * np.abs(exact).max()
+    assert np.abs(table.w.S - 1e4 * Exact().mass(state[0])).max() > 1.0, "what the differences add can be seen"
+
+
+def test_numbers_of_the_model_are_read_where_a_run_begins():
+    kind = by_numba(Slider)
+    ends = []
+    for drag in (0.5, 5.0):
+        model, plain = kind(), Slider()
+        model.drag = plain.drag = drag
+        runs = [pi.solve(m, 0.3, pi.GeneralizedAlpha(h=2e-3), **START) for m in (model, plain)]
+        assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-9
+        ends.append(runs[0].q[-1, 1])
+    assert abs(ends[0] - ends[1]) > 1e-3
+
+
+def test_a_run_is_gone_on_with():
+    model, method = by_numba(Slider)(), pi.GeneralizedAlpha(h=2e-3)
+    whole = pi.solve(model, 0.4, method, **START)
+    part = pi.solve(model, 0.4, method, until=lambda t, q, v: t - 0.2, **START)
+    rest = pi.solve(model, 0.4, method, state=part.state)
+    assert np.abs(rest.q[-1] - whole.q[-1]).max() < 1e-8
+
+
+def test_two_threads_have_each_their_own_workspace():
+    model, method = by_numba(Slider)(), pi.GeneralizedAlpha(h=1e-3)
+    alone, found = pi.solve(model, 0.5, method, **START), {}
+
+    def run(k):
+        found[k] = pi.solve(model, 0.5, method, **START)
+
+    threads = [threading.Thread(target=run, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(np.array_equal(found[k].q, alone.q) for k in range(4))
+
+
+class Raises(Free):
+    def force(self, t, q, v):
+        if t > 0.1:
+            raise ValueError("beyond")
+        return np.array([9.0 * q[0] ** 3, 4.0 * q[1] - 1.0])
+
+
+class Grows(Free):
+    def force(self, t, q, v):
+        return np.array([9.0 * q[0] ** 3, 4.0 * q[1] - 1.0]) if t < 0.1 else np.zeros(3)
+
+
+class Divides(Free):
+    def force(self, t, q, v):
+        late = 0.0 if t > 0.1 else 1.0
+        return np.array([9.0 * q[0] ** 3, 4.0 * q[1] - 1.0 / late])
+
+
+@pytest.mark.parametrize("kind, words", [(Raises, "exception"), (Grows, "shape"), (Divides, "not finite")])
+def test_a_function_that_fails_ends_the_run_at_its_time(kind, words):
+    run = pi.solve(by_numba(kind)(), 0.3, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.5])
+    assert not run.success and words in run.message
+    assert 0.08 < run.t[-1] < 0.11 and np.isfinite(run.q).all()
+
+
+class Complex(Free):
+    def mass(self, q):
+        return np.eye(2) * 1j
+
+
+class Number(Free):
+    def force(self, t, q, v):
+        return 1.0
+
+
+class Writes(Free):
+    def force(self, t, q, v):
+        q[0] = 0.0
+        return np.zeros(2)
+
+
+class Unknown(Free):
+    def force(self, t, q, v):
+        return np.array(eval("[0.0, 1.0]"))
+
+
+@pytest.mark.parametrize("kind", [Complex, Number, Writes, Unknown])
+def test_what_cannot_be_compiled_is_refused_before_the_run(kind):
+    with pytest.raises(pi.InputError, match=f"{kind.__name__}.(mass|force)"):
+        pi.solve(by_numba(kind)(), 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.5])
+
+
+def test_only_models_are_compiled():
+    with pytest.raises(pi.InputError, match="subclass of polyida.Model"):
+        compiled(dict)
