@@ -2,9 +2,9 @@
 
 Each step is looked at between its ends, on the motion that its integrator gives or on the cubic through q and v: for changes of sign of every
 gap, and for its least value, which its rate brackets. A step that crosses is discarded. Shorter ones are tried until one ends on the near
-side of the switch, and the run goes on from there. A step behind the closing of a gap may change the rate of that gap only by a share of
-the rate at which it closed. Steps of fixed size are parted for that while the gap is closed; error control needs it only in the first step,
-since it has not seen the force yet.
+side of the switch, and the run goes on from there. While a gap is closed a step may change its rate only by a share of the largest one since
+it closed; by less where steps are of fixed size or of second order. Where the shortest step changes it by more, the run says so
+(`unresolved`), and begins anew behind a step in which the forces turn round.
 """
 
 import math
@@ -16,13 +16,13 @@ import numpy as np
 from polyida.integrate.running.hermite import cubic
 from polyida.integrate.sizes import extent, sizes_of_run
 from polyida.integrate.start import consistent_acceleration
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.state import State, StepFailure, constant_step
 
 NEAR = 1e-9  # of a gap's size in a step: so near to zero a step ends
 LEAST = 1e-13  # of the model's size: the same where the gap is as good as zero in all of the step
 TOGETHER = 1e-4  # of a step: gaps that switch within it switch together, and one so near to its beginning there
-FIXED, VARIABLE = 0.1, 0.5  # of the rate at which a gap closed: by how much a step may change it
-BENT = 1e-3  # of the same: by how much a fixed step may be wrong in it, `h / 12` times the change of what forces make of it
+FIXED, VARIABLE = 0.1, 0.5  # of a gap's largest rate since it closed: by how much a step may change it
+BENT = 1e-3  # of the same: by how much a step of second order may be wrong in it, `h / 12` times the change of what forces make of it
 SMALL = 1e-2  # of the largest rate seen: a gap that closed with less is taken as if it had closed with that
 FINEST = 256  # parts of a fixed step, at most
 DIPS, SPLITS = 24, 6  # how often a piece of a step is halved to find the least of a gap: where its rate changes sign, and elsewhere
@@ -51,37 +51,51 @@ def steps_of(taken, integrator, model, state, t_end, counts):
     return Switches(taken, integrator, model, state, t_end, counts).run() if model.switching else taken(integrator, state, t_end)
 
 
+def unresolved(model, integrator, state):
+    """In words, the gaps whose rate changes too much in steps that can be no shorter, up to a state; empty where there are none."""
+    kept = state.memory.get("switches", ()) if model.switching else ()
+    turns, times = np.reshape(kept[2:], (7, -1))[-2:] if len(kept) else np.zeros((2, 0))
+    least = f"h/{FINEST}" if constant_step(integrator) else f"{STANDING:g} of the run's time"
+    return "; ".join(
+        f"at t = {times[k]:.6g} s the shortest step, {least}, is too long for {name}: the rate of its gap changes there by "
+        f"{100 * turns[k]:.3g} % of the largest since it closed; take a smaller h or rtol"
+        for k, name in zip(np.flatnonzero(turns), np.array(model.gap_names(), object)[turns > 0] if turns.any() else ())
+    )
+
+
 class Switches:
     """The states of a run of a model with gaps, from `state` to t_end: `run` yields them.
 
     taken: a function (integrator, state, t_end) that gives the states of the integrator's own steps. State.memory "switches" is what a run
     goes on from: bound: no step is longer, 0 where any may be; goal: a time at which a step ends, 0 where none is known; and for each gap
-    sides: 1 open, -1 closed, 0 not known yet; speeds: the rate at which it closed, 0 where it was closed from the start or is open; peaks: its
-    largest rate so far; offsets: how far from zero it was when it switched last; flips: 1 where it switches at the goal.
+    sides: 1 open, -1 closed, 0 not known yet; speeds: its largest rate since it closed, 0 where it was closed from the start or is open; peaks: its
+    largest rate so far; offsets: how far from zero it was when it switched last; flips: 1 where it switches at the goal; turns, times: the
+    largest change of its rate in a step that could be no shorter, over `speeds`, and the end of that step, s.
     """
 
     def __init__(self, taken, integrator, model, state, t_end, counts):
         self.model, self.counts, self.t_end, self.span = model, counts, t_end, t_end - state.t
-        h, adapts = getattr(integrator, "h", None), getattr(integrator, "adaptive", False)
-        self.h = float(h) if isinstance(h, (int, float)) and not adapts else 0.0
+        self.h = constant_step(integrator)
         parts = is_dataclass(integrator) and self.h and hasattr(integrator, "max_halvings")
+        self.coarse = bool(self.h) or getattr(integrator, "second_order", False)
         self.taken, self.integrator = taken, replace(integrator, max_halvings=0) if parts else integrator
         speed = float(np.abs(state.v).max(initial=0.0))
         self.reach = 1e-6 * min(extent(model, state.q) / speed if speed else np.inf, self.span)
-        self.switched, self.changed, self.jumped = {}, 0.0, False
+        self.switched, self.changed, self.jumped, self.rough = {}, 0.0, False, False
         self.state = State(state.t, state.q, state.v, state.a, state.lam, {"sizes": sizes_of_run(model, state, t_end)} | state.memory)
         self._recall(state)
 
     def _recall(self, state):
         self.here = g, rate = self._gaps(state.t, state.q, state.v)
         kept, count = state.memory.get("switches"), len(g)
-        if np.shape(kept) == (2 + 5 * count,):
+        if np.shape(kept) == (2 + 7 * count,):
             self.bound, self.goal = float(kept[0]), float(kept[1])
-            self.sides, self.speeds, self.peaks, self.offsets, self.flips = np.array(kept[2:]).reshape(5, count)
+            self.sides, self.speeds, self.peaks, self.offsets, self.flips, self.turns, self.times = np.array(kept[2:]).reshape(7, count)
             return
         self.bound = self.goal = 0.0
         near = np.abs(g) <= self._least(state.q)
-        self.sides, self.peaks, self.flips = np.where(near, np.sign(rate), np.sign(g)), np.abs(rate), np.zeros(count)
+        self.sides, self.peaks = np.where(near, np.sign(rate), np.sign(g)), np.abs(rate)
+        self.flips, self.turns, self.times = np.zeros((3, count))
         self.speeds, self.offsets = np.where(self.sides < 0, self.peaks, 0.0), np.where(near, np.abs(g), 0.0)
 
     def _least(self, q):
@@ -141,17 +155,22 @@ class Switches:
         """The state, accepted, with all that the run goes on from."""
         self.here = g, rate = self._gaps(after.t, after.q, after.v)
         self.peaks = np.maximum(self.peaks, np.abs(rate))
+        self.speeds = np.where(self.speeds > 0, np.maximum(self.speeds, np.abs(rate)), 0.0)
         self.sides = np.where((self.sides == 0) & (np.abs(g) > self._least(after.q)), np.sign(g), self.sides)
         if self.goal and after.t >= self.goal:
             self.goal, hit = 0.0, self.flips > 0
             if hit.any():
                 after = self._flipped(after, hit)
             elif self.bound:
-                grown = 2 * self.bound if self.changed < 0.4 else self.bound
-                self.bound = grown if self.h > grown and (self.sides < 0).any() else 0.0
+                grown, length = 2 * self.bound if self.changed < 0.4 else self.bound, after.t - self.state.t
+                goes_on = grown < self.h if self.h else self.coarse and length > 0.4 * self.bound
+                self.bound = grown if goes_on and (self.sides < 0).any() else 0.0
+        if self.rough:
+            self.rough = False
+            after = self._anew(after, after.a, after.lam)
         if self.jumped:
             after.memory["jumped"], self.jumped = 1.0, False
-        lasting = [[self.bound, self.goal], self.sides, self.speeds, self.peaks, self.offsets, self.flips]
+        lasting = [[self.bound, self.goal], self.sides, self.speeds, self.peaks, self.offsets, self.flips, self.turns, self.times]
         after.memory["switches"] = np.concatenate(lasting)
         self.state = after
         return after
@@ -175,8 +194,11 @@ class Switches:
         s = self._jump(state, hit, *self.here)
         if not s:
             return state
+        return self._anew(state, *consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v))
+
+    def _anew(self, state, a, lam):
+        """The state as one from which the integrator begins anew, with these a and lam: what it remembers is of other forces."""
         self.jumped = True
-        a, lam = consistent_acceleration(self.model, state.t, state.q + s * state.v, state.v)
         memory = {name: value for name, value in state.memory.items() if name in KEPT}
         return State(state.t, state.q, state.v, a, lam, memory | {"cut": 0.0, "h": 0.0})
 
@@ -231,18 +253,26 @@ class Switches:
     def _too_long(self, seen, state, after):
         """A shorter bound of the step, where it changes the rate of a closed gap by too much; 0 where it does not."""
         g, length, self.changed = self.here[0], after.t - state.t, 0.0
-        closed = (self.sides < 0) & (self.speeds > 0) & (bool(self.h) | (np.abs(g) == self.offsets))
+        closed = (self.sides < 0) & (self.speeds > 0)
         if not closed.any():
             return 0.0
         rates = np.array([rate for _, _, rate in seen])
         size = np.maximum(np.maximum(self.speeds, SMALL * self.peaks), 1e-300)[closed]
-        self.changed = float((np.ptp(rates, axis=0)[closed] / size).max()) / (FIXED if self.h else VARIABLE)
-        if self.h:
+        self.changed = float((np.ptp(rates, axis=0)[closed] / size).max()) / (FIXED if self.coarse else VARIABLE)
+        if self.coarse:
             turned = np.abs(self._pull(after) - self._pull(state))[closed]
             bent = float((length / 12 * turned / size).max())
             self.changed = max(self.changed, math.sqrt(bent / BENT))
+        if self.changed <= 1.0:
+            return 0.0
         finest = self.h / FINEST if self.h else STANDING * self.span
-        return max(finest, 0.5 * length) if self.changed > 1.0 and length > 1.01 * finest else 0.0
+        if length > 1.01 * finest:
+            return max(finest, 0.5 * length)
+        turned = np.zeros(len(g))
+        turned[closed] = np.ptp(rates, axis=0)[closed] / size
+        self.times = np.where(turned > self.turns, after.t, self.times)
+        self.turns, self.rough = np.maximum(self.turns, turned), bool(turned.max() > VARIABLE)
+        return 0.0
 
     def _may_cross(self, seen, allowed):
         """Which gaps (gaps,) may be beyond zero by more than is allowed anywhere in a step."""
