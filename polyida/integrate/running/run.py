@@ -206,7 +206,7 @@ def _again(run, state, counts):
     """The State after the steps of a run from `state` to its last, taken anew, with what the integrator goes on from."""
     end = run.counts.steps
     state = State(state.t, state.q, state.v, state.a, state.lam, state.memory | {"pause": end})
-    steps = run.integrator.steps(guard(run.model), state, run.plan["t_end"], counts)
+    steps = accepted(run.integrator, guard(run.model), state, run.plan["t_end"], counts)
     return next(islice(steps, end - counts.steps - 1, None))
 
 
