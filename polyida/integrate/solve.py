@@ -15,9 +15,9 @@ from polyida.bar import require_progress
 from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole, takes
 from polyida.integrate.running.recorder import Recorder, require_sensors
-from polyida.integrate.running.run import Run, constant_step
+from polyida.integrate.running.run import Run
 from polyida.integrate.start import consistent_state, given, require_state, restarted
-from polyida.integrate.state import Counts, Integrator, State
+from polyida.integrate.state import Counts, Integrator, State, constant_step
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
