@@ -2,6 +2,7 @@
 
 import math
 import operator
+from inspect import signature
 from numbers import Real
 
 import numpy as np
@@ -33,6 +34,17 @@ def is_whole(value, least=1, most=2**62):
 def is_one_of(value, known):
     """Whether it is one of the texts `known`."""
     return isinstance(value, str) and value in known
+
+
+def takes(function, count):
+    """Whether a function may be called with so many arguments, as far as it says."""
+    try:
+        signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:
+        return True
+    return True
 
 
 def settle(part, **values):

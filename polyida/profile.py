@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from inspect import signature
 from math import isfinite
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from polyida.brief import cut
 from polyida.errors import InputError
-from polyida.given import floats, is_number
+from polyida.given import floats, is_number, takes
 from polyida.keywords import named_keywords
 from polyida.model.differences import around, within
 
@@ -207,24 +206,12 @@ def _times(f, factor, t):
     return factor * f(t)
 
 
-@named_keywords
-def _takes_time(function):
-    """Whether a function may be called with t alone, as far as it says."""
-    try:
-        signature(function).bind(0.0)
-    except TypeError:
-        return False
-    except ValueError:
-        return True
-    return True
-
-
 def as_profile(given: "Profile | Callable[[float], float] | float", part: str) -> Profile:
     """A Profile from a Profile, a number or a function; raises InputError naming the part otherwise.
 
     A function is tried at t = 0: it must give a finite number there.
     """
-    if callable(given) and not isinstance(given, Profile) and not _takes_time(given):
+    if callable(given) and not isinstance(given, Profile) and not takes(given, 1):
         raise InputError(f"{part}: {given!r:.80} is no function of time: it must take t, s, and nothing else")
     if isinstance(given, Profile) or callable(given):
         made = given if isinstance(given, Profile) else from_function(given)

@@ -25,15 +25,6 @@ RUBBER = dict(E=50e6, nu=0.3, rho=1100.0)
 LENGTH, HEIGHT, THICKNESS, GRAVITY = 1.0, 0.1, 0.01, (0.0, -9.81)
 PLATE_MASS = RUBBER["rho"] * LENGTH * HEIGHT * THICKNESS
 _meshes = {}
-WARM_UP = """
-import polyida as pi
-scene = pi.Scene()
-plate = scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=4), pi.Material(5e7, 0.3, 1100.0), 0.01))
-scene.add(pi.Revolute(pi.ground, plate.section("left")))
-for integrator in ({}):
-    pi.solve(scene.build(), 2e-3, integrator)
-"""
-AT_ONCE = ("pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA()", "pi.RadauIIA(),")  # which take about as long as each other
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -45,7 +36,7 @@ def pytest_sessionstart(session):
     """
     collect_rarely()
     if not hasattr(session.config, "workerinput"):
-        started = [subprocess.Popen([sys.executable, "-c", WARM_UP.format(integrators)]) for integrators in AT_ONCE]
+        started = [subprocess.Popen([sys.executable, Path(__file__).parent / "warm_up.py", name]) for name in ("alpha", "radau")]
         assert [process.wait() for process in started] == [0] * len(started)
 
 

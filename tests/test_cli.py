@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -506,3 +507,29 @@ def test_a_function_that_returns_a_result_is_a_study(folder, capsys):
     assert "returned int; a result of pi.study is needed" in refused(capsys, "study", "my_study.py:none")
     assert "takes no option --quick" in refused(capsys, "study", "my_study.py:none", "--quick")
     assert "mine exists" in refused(capsys, "study", "my_study.py:mine", "--out", "mine")
+
+
+INTERRUPTING = """
+import sys
+
+
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            raise KeyboardInterrupt
+
+
+sys.meta_path.insert(0, Interrupting())
+sys.argv = ["polyida", "run", "pendulum"]
+from {module} import {function}
+sys.exit({function}())
+"""
+
+
+@pytest.mark.parametrize("name", ["typer", "polyida.cli.options", "polyida.integrate.solve"])
+def test_ctrl_c_while_the_command_imports_is_one_line(name, tmp_path):
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    module, function = project["scripts"]["polyida"].split(":")
+    code = INTERRUPTING.format(name=name, module=module, function=function)
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=os.environ, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.strip()) == (130, "interrupted")

@@ -109,27 +109,24 @@ def test_a_worker_takes_call_after_call_and_one_that_hangs_is_replaced():
 
 
 ORPHAN = """
-import os, sys, time
-from polyida.study.sweeps.isolation import Worker, GRACE
+import os, signal, sys, time
+import polyida.study.sweeps.isolation as isolation
+isolation.GRACE = 0.5
 def long(place):
     open(place, "w").write(str(os.getpid()))
+    os.kill(os.getppid(), signal.SIGKILL)
     time.sleep(60)
 if __name__ == "__main__":
-    Worker().call(long, {"place": sys.argv[1]}, 1.0 if sys.argv[2] == "limit" else 30.0)
+    isolation.Worker().call(long, {"place": sys.argv[1]}, 1.0)
 """
 
 
 def test_a_worker_left_alone_ends_itself(tmp_path):
     """The process that asked is killed while a task goes on: the task ends at its limit and does not stay for ever."""
-    (tmp_path / "orphan.py").write_text(
-        ORPHAN.replace("import Worker, GRACE", "import Worker\nimport polyida.study.sweeps.isolation as i\ni.GRACE = 0.5")
-    )
-    parent = subprocess.Popen(
-        [sys.executable, tmp_path / "orphan.py", tmp_path / "pid", "limit"], env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    )
-    number = _wait_for(lambda: int((tmp_path / "pid").read_text()))
-    parent.kill()
-    parent.wait()
+    (tmp_path / "orphan.py").write_text(ORPHAN)
+    paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    assert subprocess.run([sys.executable, tmp_path / "orphan.py", tmp_path / "pid"], env=paths).returncode == -signal.SIGKILL
+    number = int((tmp_path / "pid").read_text())
     _wait_for(lambda: not harness._lives(number) or _is_zombie(number) or None)
 
 

@@ -29,7 +29,8 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
 
     That is found again with each parameter changed by a thousandth and two, up and down (what is zero and must not be negative up only);
     of an array along one direction drawn at random (seed). A run takes the same steps again, solved to a tolerance of 1e-11 or less, its
-    pieces between kinks stretched as these move. So what is seen is the error of the gradient, that of the run's own tolerance with it,
+    pieces between kinks stretched as these move. So what is seen is the error of the gradient, that of the run's own tolerance with it (of
+    adaptive RadauIIA up to 70 rtol for PeakStress and PeakReaction, unless its `tolerance` is smaller),
     and that of the differences where a motion bends over so small a change (1e-4 in a soft plate that is flung about). Relative to the
     difference, or to J over a thousand times the parameter where that is larger. Left out are parameters that move a kink into the run or
     out of it (a motor that ends with it), or what constraints ask of the start. Raises InputError as `pi.gradient`, and for a seed that is

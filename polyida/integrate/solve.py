@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.assembly.told import left_out
 from polyida.bar import require_progress
 from polyida.errors import InputError, ReductionWarning
-from polyida.given import floats, is_number, is_one_of, is_whole
+from polyida.given import floats, is_number, is_one_of, is_whole, takes
 from polyida.integrate.running.recorder import Recorder, require_sensors
-from polyida.integrate.running.run import Run, constant_step
+from polyida.integrate.running.run import Run
 from polyida.integrate.start import consistent_state, given, require_state, restarted
-from polyida.integrate.state import Counts, Integrator, State
+from polyida.integrate.state import Counts, Integrator, State, constant_step
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
@@ -133,6 +133,8 @@ def require_run(model, t_end, begin, integrator):
     if not callable(integrator.steps):
         told = f"steps = {integrator.steps!r:.100} of {type(integrator).__name__}"
         raise InputError(f"solve: {told} must be a function, steps(model, state, t_end, counts), that yields a State a step")
+    if not takes(integrator.steps, 4):
+        raise InputError(f"solve: steps of {type(integrator).__name__} must take (model, state, t_end, counts)")
     getattr(integrator, "require", lambda model: None)(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from polyida.brief import brief
+from polyida.given import is_number
 from polyida.model import Model
 
 
@@ -56,6 +57,12 @@ class Counts:
     def as_dict(self) -> dict:
         """The counts as a plain dictionary."""
         return asdict(self)
+
+
+def constant_step(integrator):
+    """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
+    h, adapts = getattr(integrator, "h", 0.0), getattr(integrator, "adaptive", False)
+    return float(h) if is_number(h) and not adapts else 0.0
 
 
 class Restart(NamedTuple):

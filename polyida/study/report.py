@@ -23,7 +23,7 @@ def write(result, folder, overwrite, command=""):
 
     command: what made it, by default the script that runs. Raises InputError where there is something in the folder, or a file of its name.
     """
-    if not isinstance(folder, (str, Path)) or not str(folder):
+    if not isinstance(folder, (str, Path)) or not str(folder) or "\0" in str(folder):
         raise InputError(f"report: folder = {folder!r:.100} must be the path of a folder")
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():

@@ -108,7 +108,7 @@ AXES = {
     "energy over potential": Axis(own.own_energy, (1.0, 1.001, 0.5, -1.0), (1.0, 0.5), foreseen=own.no_potential),
     "beside a ball, m": Axis(contacts.thrown_at_a_ball, (0.0, 0.004, 0.008, 0.0099), (0.0, 0.008)),
     "exponent of a contact": Axis(contacts.bouncing, (1.5, 1.0, 2.0), (1.5,)),
-    "stiffness of a stop, N/m^1.5": Axis(contacts.pendulum_at_a_stop, (1e5, 1e6, 1e7), (1e5,)),
+    "stiffness of a stop, N/m^1.5": Axis(contacts.pendulum_at_a_stop, (1e4, 1e5, 1e6, 1e7), (1e5,)),
     "plate at a stop, m/s": Axis(contacts.plate_at_a_stop, (1.0, 3.0), (1.0,)),
     "steps": Axis(many_steps, (20_000, 100_000, 1_000_000), (20_000,), ("alpha", "energy")),
     "steps of those that choose them": Axis(many_steps, (2_000, 100_000), (2_000,), ("ggl2", "radau")),

@@ -1,12 +1,15 @@
 """An integrator of a user's own: states that are wrong stop the run, and the good ones before them are kept."""
 
 from dataclasses import replace
+from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import polyida as pi
 from polyida.integrate.running.accepted import STANDSTILL
+from polyida.integrate.state import StepFailure
 from polyida.problems import plates
 
 END, BAD = 1.0, 5
@@ -197,6 +200,35 @@ def test_counts_that_are_none_stop_the_run(name, tmp_path):
     run = solved(Counting(), out=tmp_path / "run.h5")
     assert not run.success and f"counts.{name} = " in run.message and run.t[-1] == 0.5
     assert run.counts.steps == BAD and pi.load(tmp_path / "run.h5").counts.as_dict() == run.counts.as_dict() and run.summary()
+
+
+@pytest.mark.parametrize("kind", ["a state that is none", "a failure", "an exception"])
+def test_counts_are_numbers_however_a_run_ends(kind):
+    """A wrong count is put right where something else ends the run, too."""
+
+    class Ends(Mine):
+        def steps(self, model, state, t_end, counts):
+            yield from islice(super().steps(model, state, t_end, counts), 3)
+            counts.steps = "many"
+            if kind == "a failure":
+                raise StepFailure("mine", "it gives up", 0.4)
+            if kind == "an exception":
+                raise ZeroDivisionError("mine")
+            yield state
+
+    if kind == "an exception":
+        with pytest.raises(ZeroDivisionError) as raised:
+            solved(Ends())
+        run = raised.value.trajectory
+    else:
+        run = solved(Ends())
+    assert run.counts.steps == 3 and run.summary()
+
+
+@pytest.mark.parametrize("steps", [lambda model: iter(()), lambda model, state, t_end, counts, more: iter(())])
+def test_steps_with_other_arguments_are_refused_before_the_run(steps):
+    with pytest.raises(pi.InputError, match=r"solve: steps of .* must take \(model, state, t_end, counts\)"):
+        solved(SimpleNamespace(steps=steps))
 
 
 def test_counts_of_numpy_are_numbers():

@@ -1,11 +1,13 @@
 """Contacts and other declared switches: no integrator steps over one, or gains energy at it."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.integrate import switches
 from polyida.study.reference.missed import announces
 
 INTEGRATORS = {
@@ -61,6 +63,27 @@ def test_bounces_on_a_line_keep_energy(name):
     )
     energy = run.energy
     assert run.success and abs(energy.total - energy.total[0]).max() < 5e-3 * energy.kinetic.max()
+
+
+@pytest.mark.parametrize("name", ["alpha, h", "radau", "IDA"])
+def test_a_body_that_passes_the_centre_of_a_soft_ball_keeps_its_energy(name):
+    """The force turns round there within no time; behind it no integrator may go on with what it remembers of the force before."""
+    run = pi.solve(thrown(ball(stiffness=2e4)), 0.7, INTEGRATORS[name][0])
+    assert run.status == "done" and speeds(run)[-1] == pytest.approx([1.0, 0.0], abs=2e-3)
+
+
+def test_adaptive_steps_of_second_order_are_short_enough_for_a_contact():
+    run = pi.solve(thrown(ball(stiffness=1e7)), 0.7, pi.GeneralizedAlpha(h=1e-3, rtol=1e-5, atol=1e-7))
+    assert speeds(run)[-1] == pytest.approx([-1.0, 0.0], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["alpha, long h", "radau, h", "energy"])
+def test_a_run_names_the_contact_that_its_shortest_steps_are_too_long_for(name, tmp_path):
+    run = pi.solve(thrown(ball(stiffness=1e12)), 0.6, INTEGRATORS[name][0], out=tmp_path / "run.h5")
+    told = r"at t = 0\.490\d* s the shortest step, h/256, is too long for 'stop'"
+    for found in (run, pi.load(tmp_path / "run.h5")):
+        assert re.search(told, found.message) and re.search(told, found.summary())
+    assert "too long" not in pi.solve(thrown(ball()), 0.6, INTEGRATORS[name][0]).message
 
 
 def test_a_damped_blow_loses_what_hunt_and_crossley_say():
@@ -137,7 +160,7 @@ def test_a_step_does_not_end_within_a_jump(h, window):
 
 def test_gradients_through_jumps_of_forces_are_refused():
     run = pi.solve(thrown(Push), 0.6, pi.GeneralizedAlpha(h=0.02))
-    with pytest.raises(pi.InputError, match="forces jump where a gap changes sign at t = 0.5"):
+    with pytest.raises(pi.InputError, match="forces jump at t = 0.5"):
         pi.gradient(run, pi.objective.Deviation("body", lambda t: (0.0, 0.0)), ["body.mass"])
 
 
@@ -237,3 +260,40 @@ def test_energy_momentum_keeps_energy_at_a_kink_of_a_force_within_a_step():
 def test_a_reference_of_declared_switches_needs_no_doubt_about_short_forces():
     assert announces(thrown(ball())) and announces(thrown(Push)) and announces(Window())
     assert not announces(thrown(lambda point: SilentSpring(point, 1e3)))
+
+
+def _hit_floor(height):
+    """A double pendulum whose tip falls to a floor: two joints, and stretches of many steps before it is near."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    first = scene.add(pi.RigidBody.bar(0.5, 1.0, name="first"))
+    second = scene.add(pi.RigidBody.bar(0.5, 1.0, origin=(0.5, 0.0), name="second"))
+    scene.add(pi.Revolute(pi.ground, first.at("left"), name="pin"))
+    scene.add(pi.Revolute(first.at("right"), second.at("left"), name="elbow"))
+    scene.add(pi.Contact(second.at("right"), pi.ground.at((0.0, -height)), 1e5, name="floor"))
+    return scene.build()
+
+
+def test_stretches_of_steps_are_those_of_single_steps(monkeypatch):
+    """Far from a switch many steps are taken at once; a step of them that crosses is taken again from the one before."""
+    model, integrator = _hit_floor(0.6), pi.GeneralizedAlpha(h=1e-3)
+    run = pi.solve(model, 0.6, integrator)
+    starts = []
+    monkeypatch.setattr(switches, "STRETCH", 1)
+    single = pi.solve(model, 0.6, integrator)
+    monkeypatch.setattr(switches, "STRETCH", 64)
+    monkeypatch.setattr(switches.Switches, "_far", lambda self, length: starts.append(length) or 64)
+    blind = pi.solve(model, 0.6, integrator)
+    assert run.counts.rejected and len(starts) < 0.5 * run.steps
+    for other in (single, blind):
+        assert np.array_equal(other.t, run.t) and np.array_equal(other.q, run.q) and np.array_equal(other.lam, run.lam)
+
+
+def test_a_run_that_stops_within_a_stretch_before_a_contact_goes_on_bit_by_bit(tmp_path):
+    model, integrator = _hit_floor(0.6), pi.GeneralizedAlpha(h=1e-3)
+    whole = pi.solve(model, 0.5, integrator)
+    for stop in (3, 50, int(np.searchsorted(whole.t, whole.t[np.diff(whole.t, append=1.0) < 9e-4][0])) + 2):
+        taken = iter(range(stop))
+        part = pi.solve(model, 0.5, integrator, out=tmp_path / f"{stop}.h5", progress=lambda t, taken=taken: _stop(taken))
+        assert part.status == "interrupted" and len(part) == stop + 2
+        for run in (pi.resume(tmp_path / f"{stop}.h5"), pi.solve(model, 0.5, integrator, state=part.state)):
+            assert np.array_equal(run.q[-1], whole.q[-1]) and np.array_equal(run.v[-1], whole.v[-1])

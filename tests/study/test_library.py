@@ -283,7 +283,19 @@ def test_a_class_without_a_step_and_steps_that_are_no_function_are_told():
 
     with pytest.raises(pi.InputError, match="integrators.'odd'. = .*Stepless.* makes no integrator of a step h"):
         pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"odd": Stepless}, h=(1e-2,))
+    with pytest.raises(pi.InputError, match="IDA makes no integrator of a step h: the class takes no h"):  # its first argument is rtol
+        pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"IDA": pi.IDA}, h=(1e-2,))
     with pytest.raises(pi.InputError, match="steps = 3 of Stepless must be a function"):
         pi.solve(Swing(), 0.5, Stepless(), **start())
     with pytest.raises(pi.InputError, match="steps = 3 of Stepless must be a function"):
         pi.study.work_precision(Swing(), 0.5, **start(), integrators={"odd": [Stepless()]})
+
+
+def test_a_class_gets_its_step_as_h():
+    """The first argument of RadauIIA is rtol."""
+    study = pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"Radau IIA": pi.RadauIIA}, h=(1e-1, 5e-2), reference=swung())
+    assert [row["steps"] for row in study.rows] == [5, 10]
+
+
+def swung():
+    return pi.solve(Swing(), 0.5, pi.RadauIIA(rtol=1e-10), **start())

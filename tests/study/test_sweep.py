@@ -488,7 +488,11 @@ def test_a_function_that_an_executor_cannot_send_is_told():
 def test_reports_in_folders_that_cannot_be_made_are_told(tmp_path):
     study = pi.study.sweep(square, numbered(1))
     (tmp_path / "file").write_text("")
-    for folder, told in ((None, "folder = None must be the path"), (tmp_path / "file" / "below", "cannot be made: Not a directory")):
+    for folder, told in (
+        (None, "folder = None must be the path"),
+        ("a\0b", "must be the path"),
+        (tmp_path / "file" / "below", "cannot be made: Not a directory"),
+    ):
         with pytest.raises(pi.InputError, match=told):
             study.report(folder)
 

@@ -106,7 +106,8 @@ def _require_no_jump(state):
     """Raise InputError where forces jump at a switch."""
     if state.memory.get("jumped"):
         raise InputError(
-            f"gradient: the forces jump where a gap changes sign at t = {state.t:.6g} s, and slopes are taken with the times of switches held, "
+            f"gradient: the forces jump at t = {state.t:.6g} s, where a gap changes sign or the shortest step is too long for a contact; slopes "
+            "are taken with the times of switches held, "
             "which is right for continuous forces only; use a force that grows from zero at its gap, or differences of runs"
         )
 

@@ -89,13 +89,13 @@ def asked_of_motions(model, t, q, R):
 
 
 def _warn_of_change(model, names, R, wanted, changed):
-    """Warn where joints change the motion that bodies were given by much."""
+    """Warn where joints change the motion that bodies were given by much; one far below what joints that move make of it counts as none."""
     M, change = model.mass(np.zeros(model.n)), changed - wanted
 
     def energy(w):
         return (R @ w) @ (M @ (R @ w))
 
-    if not energy(change) > CHANGED**2 * energy(wanted) > 0.0:
+    if not energy(change) > CHANGED**2 * energy(wanted) > CHANGED**4 * energy(changed):
         return
     share, told = np.sqrt(energy(change) / energy(wanted)), []
     energies = [energy(alone * change) for alone in np.eye(len(names)).repeat(3, axis=1)]

@@ -39,8 +39,13 @@ class Elastic(OwnForce):
 
         self.name, self.element, self.not_finite = placed.name, placed.body, ""
         self.rest = pairs_of(placed.rest)
-        self.A = eye_array(2 * n_pairs, format="csr")[2 * placed.pairs.start : 2 * placed.pairs.stop]
+        self.columns = slice(2 * placed.pairs.start, 2 * placed.pairs.stop)
+        self.A = eye_array(2 * n_pairs, format="csr")[self.columns]
         self.sizes = np.full((len(self.rest), 1), float(abs(self.rest).max()) or 1.0)
+
+    def velocities(self, v):
+        """Velocities of the pairs, (pairs, 2), m/s."""
+        return v[self.columns].reshape(-1, 2)
 
     def forces(self, t, x, v):
         """Forces on the pairs, (pairs, 2)."""

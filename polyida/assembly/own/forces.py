@@ -17,7 +17,7 @@ NEAR = 1e-3  # of the size of what is varied: forces of contact change within th
 
 
 class OwnForce:
-    """A force element in its scene: its sides are at `x = rest + A q`, A (2 sides, n) sparse; the ground's rows are zero.
+    """A force element in its scene: its sides are at `x = rest + A q`, A (2 sides, n) sparse, `near` its columns that are not zero; the ground's rows are.
 
     sizes: of what each side says, (sides, 1): the scene's, m, or one of a direction; derivatives are taken over NEAR of them. strain:
     whether its energy is that of a body's strain.
@@ -31,6 +31,8 @@ class OwnForce:
         sides = sides_of(name, element)
         self.rest = np.array([side.rest for side in sides])
         self.A = _places(sides, model)
+        self.columns = np.unique(self.A.tocsr().indices)
+        self.near = self.A[:, self.columns].toarray()
         self.sizes = np.array([[side.size(model.extent)] for side in sides])
 
     def pushed(self, profile, by):
@@ -48,7 +50,7 @@ class OwnForce:
 
     def velocities(self, v):
         """Velocities of the sides, (sides, 2), m/s."""
-        return (self.A @ v).reshape(-1, 2)
+        return (self.near @ v[self.columns]).reshape(-1, 2)
 
     def forces(self, t, x, v):
         """Forces on the sides, (sides, 2), N."""

@@ -75,6 +75,7 @@ class GeneralizedAlpha:
     max_halvings: int = 6
     max_num_steps: int = 1_000_000
     writes_rows = True  # into the places of a run's frames
+    second_order = True
 
     @classmethod
     def hht(cls, h: float | None = None, alpha: float = -0.05, **settings) -> Self:

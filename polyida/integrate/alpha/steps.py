@@ -34,14 +34,16 @@ class Steps:
         self.loop = Loop(settings, model, counts, self.memory, self.trial)
         self.caution = self.loop.system().caution
         self.system = self.verdict = None
-        self.longest = 1 if model.switching else self.loop.longest  # a step that crosses a switch is taken again from the one before
+        self.longest = self.loop.longest
         self.kept, self.pause, self.rows, self.watch = Kept(), 0, _no_rows, None
 
     def begin(self, state, h):
         """Go on from a state that `started` has made ready for steps of h.
 
-        memory["pause"]: the number of steps (of counts) after which a stretch ends, for what it leaves in memory there.
+        memory["pause"]: the number of steps (of counts) after which a stretch ends, for what it leaves in memory there. memory["stretch"]:
+        how many the next stretch of a model with switches may have; whoever takes the states puts it into the last of a stretch.
         """
+        self._limit(state.memory)
         self.pause = state.memory.get("pause", self.pause)
         s, c, y, model = self.settings, self.settings.coefficients, self.memory, self.model
         to_a, to_v = c.rates(h)
@@ -71,6 +73,11 @@ class Steps:
         self._take(self.kept.take(h))
         if self.watch is not None:
             self.watch.begun(state, h)
+
+    def _limit(self, memory):
+        """Heed what is said of the next stretch."""
+        if self.model.switching:
+            self.longest = min(int(memory.get("stretch", 1)), self.loop.longest)
 
     def _held_to(self, h):
         """(|C| h^2, rtol, atol, the error below which h may grow, the weight of the step before) of steps of h."""
@@ -102,16 +109,16 @@ class Steps:
     def run(self, grid):
         """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
         done, self.verdict = grid.done, None
-        most = min(self.longest, ADAPTIVE if self.control else np.inf)
-        longest = int(max(1, min(most, self.chunk_bytes // (48 * max(1, self.model.n)))))
+        most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
         while done < grid.count and self.verdict is None:
-            left = self.pause - self.counts.steps
+            longest, left = int(max(1, min(most, self.longest))), self.pause - self.counts.steps
             end = min(done + (left if 0 < left < longest else longest), grid.count)
             for state in self._stretch(np.array([grid.time(k) for k in range(done, end + 1)]), grid, done):
                 done += 1
                 if self.watch is not None:
                     self.watch.stepped(state)
                 yield state
+                self._limit(state.memory)
 
     def aside(self, grid):
         """The State at the end of the grid, in arrays of its own. Raises StepFailure."""

@@ -56,14 +56,18 @@ def _own(watch, states):
 
 def _foreign(watch, states):
     """States of a user's integrator, whole and their own."""
-    for given in states:
-        state = watch.taken(given)
-        watch.require_finite(state)
-        watch.require_ahead(state.t)
-        watch.require_moving(state.t)
-        watch.require_counts()
-        watch.before = state
-        yield state
+    try:
+        for given in states:
+            watch.require_counts()
+            state = watch.taken(given)
+            watch.require_finite(state)
+            watch.require_ahead(state.t)
+            watch.require_moving(state.t)
+            watch.before = state
+            yield state
+    except BaseException:
+        watch.wrong_count()
+        raise
     watch.require_counts()
 
 
@@ -99,7 +103,12 @@ class _Watch:
             self.stop(f"memory at t = {given.t:.9g} s cannot be copied ({error}); keep numbers, texts and arrays in it")
 
     def require_counts(self):
-        """Stop at counts that are no whole numbers, or that there are not, with the last that were right; those of numpy become int."""
+        """Stop at counts that are no whole numbers, or that there are not."""
+        if wrong := self.wrong_count():
+            self.stop(wrong)
+
+    def wrong_count(self):
+        """What is wrong with the counts, whose last right values it puts back, or None; whole numbers of numpy become int."""
         found, names = vars(self.counts), [field.name for field in fields(Counts)]
         wrong = next((name for name in found if name not in names), None)
         good = {name: isinstance(found.get(name), str) if name == "backend" else is_whole(found.get(name), 0) for name in names}
@@ -107,14 +116,14 @@ class _Watch:
         if wrong is None:
             self.known = {name: value if name == "backend" else int(value) for name, value in self.counts.as_dict().items()}
             found.update(self.known)
-            return
+            return None
         value = found.get(wrong)
         found.clear()
         found.update(self.known)
         wanted = (
             "must be a text" if wrong == "backend" else "must be a whole number" if wrong in names else f"is none of {', '.join(names)}"
         )
-        self.stop(f"counts.{wrong} = {value!r:.80} {wanted}")
+        return f"counts.{wrong} = {value!r:.80} {wanted}"
 
     def _floats(self, name, value, shape, t):
         kind = getattr(getattr(value, "dtype", None), "kind", "O")

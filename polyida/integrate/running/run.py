@@ -7,13 +7,13 @@ from itertools import islice
 import numpy as np
 
 from polyida.bar import over_time
-from polyida.given import is_number
 from polyida.integrate.moves import unseen
 from polyida.integrate.running import ctrl_c
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.running.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
-from polyida.integrate.state import Counts, Restart, State, StepFailure
+from polyida.integrate.state import Counts, Restart, State, StepFailure, constant_step
+from polyida.integrate.switches import unresolved
 from polyida.io.file.writer import NotWritten
 from polyida.io.save import behind_blocks, commit
 from polyida.machine import machine_info
@@ -22,12 +22,6 @@ from polyida.results.sensors import Sensors
 from polyida.trajectory import Trajectory
 
 FLUSH_SECONDS = 2.0
-
-
-def constant_step(integrator):
-    """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
-    h, adapts = getattr(integrator, "h", 0.0), getattr(integrator, "adaptive", False)
-    return h if is_number(h) and not adapts else 0.0
 
 
 class Run:
@@ -89,7 +83,7 @@ class Run:
             with suppress(Exception):
                 self._attach(error, self._end("error", f"{type(error).__name__}: {error}"))
             raise
-        return self._end(status, message)
+        return self._end(status, "; ".join(filter(None, (message, unresolved(guard(self.model), self.integrator, self.restart.state)))))
 
     def _steps(self, state, heed):
         self.last, until = state, Until(self.until, state) if self.until else None
@@ -212,7 +206,7 @@ def _again(run, state, counts):
     """The State after the steps of a run from `state` to its last, taken anew, with what the integrator goes on from."""
     end = run.counts.steps
     state = State(state.t, state.q, state.v, state.a, state.lam, state.memory | {"pause": end})
-    steps = run.integrator.steps(guard(run.model), state, run.plan["t_end"], counts)
+    steps = accepted(run.integrator, guard(run.model), state, run.plan["t_end"], counts)
     return next(islice(steps, end - counts.steps - 1, None))
 
 

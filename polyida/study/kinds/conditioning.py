@@ -1,6 +1,7 @@
 """The condition number of iteration matrices against the step."""
 
 from collections.abc import Callable
+from inspect import signature
 from itertools import product
 
 import numpy as np
@@ -93,7 +94,7 @@ def conditioning(
     """The condition number of every integrator's iteration matrix at every state for every step h, s.
 
     model: a Model, a Scene, a Problem or the name of one. states: a State, or several, of one's own, `run.state` or `consistent_state(model)`. integrators:
-    {label: integrator, or class or function of h}: GeneralizedAlpha, IDA (h is 1/cj) and RadauIIA, with any `scaling=` and form, as
+    {label: integrator, its class, or function of h}: GeneralizedAlpha, IDA (h is 1/cj) and RadauIIA, with any `scaling=` and form, as
     `condition_number` takes them; one of a user's own where it has `iteration_matrix(model, state, h)`. Raises InputError for others.
     """
     built = guard(studied("conditioning", model)[1], "conditioning")
@@ -122,6 +123,9 @@ def conditioning(
 
 def _condition(model, given, state, h):
     """The condition number for an integrator, or for what a class or function makes of h."""
-    integrator = given if hasattr(given, "steps") and not isinstance(given, type) else given(h)
+    if isinstance(given, type):
+        integrator = given(h=h) if "h" in signature(given).parameters else given()
+    else:
+        integrator = given if hasattr(given, "steps") else given(h)
     own = getattr(integrator, "iteration_matrix", None)
     return float(condition(own(model, state, h)) if own else condition_number(model, integrator, state, h=h))

@@ -1,6 +1,7 @@
 """Errors against the step: the order that an integrator shows on a motion, and where it ends."""
 
 from collections.abc import Callable
+from inspect import signature
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,7 +60,7 @@ def step_sizes(
 ) -> StepSizes:
     """Run every integrator with every step h, s, from (q0, v0) to t_end, and measure errors there, in q, v and lam.
 
-    integrators: {label: class or function of h that gives an integrator}; orders are over this h, also of one that chooses
+    integrators: {label: class that takes `h=`, or function of h, that gives an integrator}; orders are over this h, also of one that chooses
     its steps by what the function makes of it. The rest is as `work_precision` takes it. Raises InputError
     before the first run.
     """
@@ -85,9 +86,10 @@ def _made(integrators, steps):
 
 
 def _of_step(label, make, h):
+    told = f"step_sizes: integrators[{label!r}] = {getattr(make, '__name__', repr(make))} makes no integrator of a step h"
+    if isinstance(make, type) and "h" not in signature(make).parameters:
+        raise InputError(f"{told}: the class takes no h; give a function of h")
     try:
-        return make(h)
+        return make(h=h) if isinstance(make, type) else make(h)
     except TypeError as error:
-        raise InputError(
-            f"step_sizes: integrators[{label!r}] = {getattr(make, '__name__', repr(make))} makes no integrator of a step h: {error}"
-        ) from error
+        raise InputError(f"{told}: {error}") from error

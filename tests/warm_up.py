@@ -1,0 +1,35 @@
+"""Compile the kernels that many tests need: `python warm_up.py name` for a name of METHODS.
+
+A process that compiles a kernel first compiles all that it is made of, which takes longer than the rest.
+"""
+
+import sys
+
+import polyida as pi
+
+ALPHA, STABILISED = pi.GeneralizedAlpha(h=1e-3), pi.GeneralizedAlpha(h=1e-3, form="stabilised")
+METHODS = {  # one process each: they take about as long as each other
+    "alpha": [ALPHA, pi.EnergyMomentum(h=1e-3), STABILISED],
+    "radau": [pi.IDA(), pi.RadauIIA(), pi.RadauIIA(stages=2)],
+}
+
+
+def model():
+    """A plate on a pin that falls."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    scene.add(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=4), pi.Material(5e7, 0.3, 1100.0), 0.01, name="plate"))
+    scene.add(pi.Revolute(pi.ground, scene.parts["plate"].section("left")))
+    return scene.build()
+
+
+def main(name):
+    """Short runs of all methods of a name."""
+    for integrator in METHODS[name]:
+        run = pi.solve(model(), 2e-3, integrator)
+        assert run.success and run.counts.newton_iterations, "a plate that stays at rest needs no kernel"
+        if integrator is ALPHA:
+            pi.gradient(run, pi.objective.StrainEnergy("plate"))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
