@@ -8,6 +8,7 @@ _PLACES = {
     "ReductionWarning": "errors",
     "Model": "model",
     "Needs": "model",
+    "compiled": "system.own",
     "check_derivatives": "model.check",
     "Material": "body.material",
     "Plate": "body.plate",

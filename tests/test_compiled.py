@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from polyida.compiled import entry, pack, part, shared, thrift
+from polyida.jit import entry, pack, part, shared, thrift
 
 
 @pack

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from polyida.compiled import cache as kernel_cache
-from polyida.compiled import entry
+from polyida.jit import cache as kernel_cache
+from polyida.jit import entry
 
 PACKAGE = Path(kernel_cache.__file__).parents[1]
-CALLED = "from polyida.compiled import part\n\n\n@part\ndef called(x):\n    return x + {}\n"
-CALLER = "from polyida.called import called\nfrom polyida.compiled import entry\n\n\n@entry\ndef call(x):\n    return called(x)\n"
+CALLED = "from polyida.jit import part\n\n\n@part\ndef called(x):\n    return x + {}\n"
+CALLER = "from polyida.called import called\nfrom polyida.jit import entry\n\n\n@entry\ndef call(x):\n    return called(x)\n"
 SAY = "import polyida.caller as c; print(c.call(1), sum(c.call.stats.cache_hits.values()), c.call._cache.cache_path)"
 
 
@@ -25,7 +25,7 @@ def chain(tmp_path):
     """(package, say): a package of one entry that calls a part in another file; say() runs it in new processes."""
     package = tmp_path / "polyida"
     package.mkdir()
-    shutil.copytree(PACKAGE / "compiled", package / "compiled", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(PACKAGE / "jit", package / "jit", ignore=shutil.ignore_patterns("__pycache__"))
     (package / "__init__.py").write_text("")
     (package / "caller.py").write_text(CALLER)
     (package / "called.py").write_text(CALLED.format(1))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.bodies.compact import Compact
-from polyida.compiled import pack
+from polyida.jit import pack
 
 
 @pack

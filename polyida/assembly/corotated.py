@@ -16,7 +16,7 @@ import numpy as np
 
 from polyida.assembly.arrays import bilinear
 from polyida.assembly.rows import joints
-from polyida.compiled import entry, pack, part, shared
+from polyida.jit import entry, pack, part, shared
 from polyida.linear.cholesky.factor import BAND, FRONTS, Factor, factor
 from polyida.linear.cholesky.fronts import solve_fronts
 from polyida.linear.cholesky.team import Team, solve_together

@@ -2,8 +2,8 @@
 
 from polyida.assembly.bodies import compact, tangents
 from polyida.assembly.rows.joints import joint_forces, point_values, spread
-from polyida.compiled import entry, shared
 from polyida.element import kernels, stabilisation
+from polyida.jit import entry, shared
 from polyida.linear.dense import clear
 
 

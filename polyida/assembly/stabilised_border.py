@@ -14,8 +14,8 @@ import numpy as np
 from polyida.assembly import corotated
 from polyida.assembly.equilibrium import momentum
 from polyida.assembly.rows import joints
-from polyida.compiled import leaf, pack, part
 from polyida.given import on_pairs
+from polyida.jit import leaf, pack, part
 from polyida.linear.dense import clear, solve_small
 
 

@@ -10,7 +10,6 @@ zero and large translations cost no digits.
 
 import numpy as np
 
-from polyida.compiled import entry, part
 from polyida.element.lanes import (
     LANES,
     add_pair,
@@ -53,6 +52,7 @@ from polyida.element.material import (
     transposed,
     watch,
 )
+from polyida.jit import entry, part
 
 
 @part

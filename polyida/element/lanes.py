@@ -7,17 +7,7 @@ instructions. That costs numba no type inference, so kernels compile fast, and t
 arrays. Accesses are not checked for bounds.
 """
 
-from polyida.compiled.internals import (
-    AbstractTemplate,
-    infer_global,
-    intrinsic,
-    ir,
-    lower_builtin,
-    models,
-    register_model,
-    signature,
-    types,
-)
+from polyida.jit.internals import AbstractTemplate, infer_global, intrinsic, ir, lower_builtin, models, register_model, signature, types
 
 LANES = 8
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.compiled import entry
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, by_law
 from polyida.force.of_state import answer, is_of_state
 from polyida.given import is_flag, settle
+from polyida.jit import entry
 from polyida.joint.attachment import Attachment, require_attachment
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.body.material import number
-from polyida.compiled import entry
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.given import settle
+from polyida.jit import entry
 from polyida.joint.attachment import Ground, require_sides
 from polyida.keywords import named_keywords
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.compiled import entry, part
+from polyida.jit import entry, part
 
 
 @entry

@@ -3,6 +3,7 @@
 import types as python_types
 from functools import cache
 from inspect import signature
+from typing import TypeVar
 
 import numba
 import numpy as np
@@ -15,6 +16,7 @@ from polyida.model import Model
 from polyida.model.guarded import OF_CONSTRAINTS, writes
 from polyida.system.table import ARGUMENTS, pointer
 
+M = TypeVar("M", bound=Model)
 NUMBERS = types.Array(types.float64, 1, "C", readonly=True)
 SIGNATURE = types.int64(*[types.int64] * ARGUMENTS)
 SHAPES = {  # of what the functions return, in n and m
@@ -31,12 +33,13 @@ SHAPES = {  # of what the functions return, in n and m
 }
 
 
-def compiled(cls):
+def compiled(cls: type[M]) -> type[M]:
     """Class decorator of a Model: numba compiles its functions, and steps call no Python.
 
-    The functions stay what they are, plain numpy code; what numba takes of that they may use: `self` for numbers and arrays of
-    the model, as they are where a run begins, and functions of their module. They cannot call each other through `self`. A function that
-    raises, or returns an array of another shape, ends the run at that time.
+    The functions are the same plain numpy code as without it, as far as numba compiles that. They read numbers and arrays of `self`, with the
+    values at the start of a run, and may call functions of their module, but not each other through `self`. Derivatives that are not
+    written are formed by differences in compiled code. A function that raises, or returns an array of another shape, ends the run at that
+    time. GeneralizedAlpha steps such models without Python; the other integrators call the functions in Python.
 
     Parameters
     ----------
@@ -44,7 +47,14 @@ def compiled(cls):
 
     Returns
     -------
-    cls, marked
+    subclass of Model
+        The class itself.
+
+    Raises
+    ------
+    InputError
+        If cls is no subclass of Model. At the start of a run: if numba cannot compile a function, or if its result is no real array of the
+        right dimension; the message names the function.
 
     Examples
     --------
@@ -117,9 +127,7 @@ def _made(function, name, own, n, m):
         inner.compile(kinds)
     except NumbaError as error:
         text = " ".join(str(error).split())
-        raise InputError(
-            f"{label} cannot be compiled by numba: {text:.600}; leave out @polyida.compiled, or write it as numba wants"
-        ) from None
+        raise InputError(f"{label} cannot be compiled by numba: {text:.600}; leave out @polyida.jit, or write it as numba wants") from None
     found = inner.overloads[kinds].signature.return_type
     if not (isinstance(found, types.Array) and found.ndim == len(shape) and isinstance(found.dtype, types.Float | types.Integer)):
         raise InputError(f"{label} must return an array of {len(shape)} dimension{'s' * (len(shape) > 1)} of real numbers, not {found}")

@@ -15,8 +15,8 @@ from polyida.assembly.rows.increments import drive_table, gain_table
 from polyida.assembly.rows.tie import Tie, velocity_rate
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.rows.tie import tie as tie_of
-from polyida.compiled import pack, part
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
+from polyida.jit import pack, part
 from polyida.linear.cholesky.helpers import Helpers
 from polyida.linear.dense import clear
 from polyida.machine import threads

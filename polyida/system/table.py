@@ -21,7 +21,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from polyida.compiled import entry
+from polyida.jit import entry
 
 ARGUMENTS = 8
 INSTANTS = 256  # that are prepared at once, at most

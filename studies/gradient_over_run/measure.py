@@ -8,8 +8,8 @@ import polyida as pi
 from polyida.adjoint.alpha.plain import Sent
 from polyida.adjoint.scene import corrections, products
 from polyida.adjoint.scene.sweep import SceneSweep
-from polyida.compiled import entry
 from polyida.integrate.state import Counts
+from polyida.jit import entry
 from polyida.machine import one_blas_thread
 from polyida.problems import plates
 from step_cost.side import cells_for, cpu

@@ -13,13 +13,13 @@ import numpy as np
 import polyida
 from against_peers import peers
 from polyida.assembly import corotated, equilibrium
-from polyida.compiled import entry
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
+from polyida.jit import entry
 from polyida.linear.cholesky.factor import symbolic_of
 from polyida.linear.cholesky.fronts import factorize, solve_fronts
 from polyida.machine import one_blas_thread

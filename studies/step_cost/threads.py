@@ -10,10 +10,10 @@ from functools import partial
 
 import numpy as np
 
-from polyida.compiled import entry
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
+from polyida.jit import entry
 from polyida.linear.cholesky.factor import symbolic_of
 from polyida.machine import threads
 from polyida.problems import plates

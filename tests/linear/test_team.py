@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida import machine
 from polyida.assembly import equilibrium
-from polyida.compiled import entry
+from polyida.jit import entry
 from polyida.linear.cholesky.factor import FRONTS, symbolic_of
 from polyida.linear.cholesky.fronts import factorize, solve_fronts
 from polyida.linear.cholesky.team import at_work, solve_together, team

@@ -339,7 +339,7 @@ def test_the_package_of_a_commit_is_taken_as_it_was():
 
 def test_a_start_fills_its_own_cache_and_the_next_one_finds_it(tmp_path):
     """The second process adds no kernel; parts are no more than what the process used."""
-    (tmp_path / "own.py").write_text("from polyida.compiled import entry\n\n\n@entry\ndef plus_one(x):\n    return x + 1.0\n")
+    (tmp_path / "own.py").write_text("from polyida.jit import entry\n\n\n@entry\ndef plus_one(x):\n    return x + 1.0\n")
     parts = {"import": "import polyida", "build": "import own", "run": "assert own.plus_one(1.0) == 2.0"}
     kept = []
     for _ in range(2):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida import compiled
 from polyida.model.guarded import guard
-from polyida.system.own import compiled
 from polyida.system.python import table_of
 
 LENGTH = 0.7

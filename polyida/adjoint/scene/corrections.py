@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.adjoint.scene.products import DZ
 from polyida.assembly.corotated import close, hold_border, solve_in_place, turn_frames
-from polyida.compiled import part
+from polyida.jit import part
 
 LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which b is, ends at 1e-38
 

@@ -7,9 +7,9 @@ import numpy as np
 from polyida.assembly.bodies import compact, tangents
 from polyida.assembly.own.laws import add_own_curvature
 from polyida.assembly.rows import joints
-from polyida.compiled import entry, pack, part
 from polyida.element import kernels, stabilisation
 from polyida.element.paired import product
+from polyida.jit import entry, pack, part
 from polyida.linear.dense import clear
 
 

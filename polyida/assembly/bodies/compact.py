@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.compiled import leaf, pack, part
+from polyida.jit import leaf, pack, part
 
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from polyida.assembly.bodies import compact, tangents
 from polyida.assembly.equilibrium import tangent_blocks
-from polyida.compiled import entry
 from polyida.element import kernels
 from polyida.element.paired import two_states
+from polyida.jit import entry
 
 
 def symmetric_blocks(model, u, c_m, c_v):

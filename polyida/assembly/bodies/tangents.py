@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from polyida.assembly.bodies.compact import place, quadratic, strained, stresses, vectors
-from polyida.compiled import part
+from polyida.jit import part
 
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 

@@ -7,9 +7,9 @@ these works at factor 1 are its derivatives at any factors.
 import numpy as np
 
 from polyida.assembly.factors.shares import Shares
-from polyida.compiled import entry
 from polyida.element.lanes import LANES
 from polyida.element.paired import cells
+from polyida.jit import entry
 
 
 def stiffness_work(model, q, v, w):

@@ -11,8 +11,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from polyida.assembly.rows.joints import point_values, spread
-from polyida.compiled import cache as kernel_cache
-from polyida.compiled import entry, pack, part
+from polyida.jit import cache as kernel_cache
+from polyida.jit import entry, pack, part
 
 NUMBERS = types.CPointer(types.float64)
 CALLED = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS, types.int64, types.int64)  # t, x, v, data, f, sides, len(data)

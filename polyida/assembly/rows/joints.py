@@ -8,7 +8,7 @@ axis`) that each row touches, `row_columns[row_start[k]:row_start[k + 1]]`.
 
 import numpy as np
 
-from polyida.compiled import entry, leaf, part, shared
+from polyida.jit import entry, leaf, part, shared
 
 
 @entry

@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.mass_system import point_columns
-from polyida.compiled import pack, part
+from polyida.jit import pack, part
 from polyida.linear.dense import solve_small
 
 

@@ -6,11 +6,11 @@ and products of fields on the node pattern, from which the work of what is const
 number of frames at once. Arguments as in kernels.py; results are added to the arrays given.
 """
 
-from polyida.compiled import entry
 from polyida.element.kernels import _differences, _gradient, _room
 from polyida.element.lanes import LANES, load, load_integer, store, traced
 from polyida.element.material import first_piola
 from polyida.element.paired.two_state_material import two_state_piola
+from polyida.jit import entry
 
 
 @traced(1)

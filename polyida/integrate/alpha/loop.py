@@ -9,11 +9,11 @@ that eta has added in a step, SLIP, is made anew along the rows of each iteratio
 
 import numpy as np
 
-from polyida.compiled import entry, part
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.step import BIAS, DD, DLAM, DQ, DV, LAM, PHI, RATE, SLIP, A, Q, R, V
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REFACTOR, TOO_FAR
+from polyida.jit import entry, part
 from polyida.system import table
 from polyida.system.python import table_of
 from polyida.system.table import address, call
@@ -162,6 +162,10 @@ class Loop:
         """What factors the step matrix, not factored yet."""
         return self.table.system(self.settings)
 
+    def raise_left(self):
+        """Raise what a function of the model raised in the last steps."""
+        self.table.raise_left()
+
     def prepare(self, times, method):
         """Get ready for steps between the times."""
         ends = inner_side(self.model, times[0], -method.h), inner_side(self.model, times[-1], method.h)
@@ -173,7 +177,7 @@ class Loop:
         self.counts.residuals += self.table.factor(system, t, q, v, a, self.trial.rows[LAM].copy(), p.to_a, p.to_v)
 
     def steps(self, p, system, first, last, *frames):
-        """Take the steps from `first` to `last` with a factored system: (steps, how it ended, last |dq|). Raises what the model raised."""
+        """Take the steps from `first` to `last` with a factored system: (steps, how it ended, last |dq|)."""
         counts, c = np.zeros(3, np.int64), np.array([p.to_a, p.to_v])
         with self.table.at_work(system) as (functions, workspace):
             result = stretch(functions, workspace, first, p, c, self.tied, self.memory, self.trial, counts, *frames)
@@ -181,7 +185,6 @@ class Loop:
         self.counts.residuals += residuals
         self.counts.solves += solves
         self.counts.newton_iterations += solves
-        self.table.raise_left()
         if made:
             system.read()
             self.counts.tangents += made

@@ -13,13 +13,13 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.bodies import compact
 from polyida.assembly.bodies.damping import damped_blocks
 from polyida.assembly.rows import joints
-from polyida.compiled import entry, pack, part
 from polyida.element import kernels as elements
 from polyida.element import stabilisation
 from polyida.element.paired import two_states
 from polyida.integrate.energy.steps import SLOW, Steps
 from polyida.integrate.state import StepFailure
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REFACTOR, SINGULAR
+from polyida.jit import entry, pack, part
 from polyida.linear.cholesky.factor import NotFactorable
 
 

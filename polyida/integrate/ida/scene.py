@@ -14,9 +14,9 @@ from polyida.assembly.bodies.damping import add_damping
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
-from polyida.compiled import entry, pack
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.linear import Correction
+from polyida.jit import entry, pack
 from polyida.linear.dense import clear
 from polyida.linear.lu import SingularSystem
 

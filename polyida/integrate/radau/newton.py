@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.compiled import pack
 from polyida.integrate.radau.tableau import radau, through, through_zero
+from polyida.jit import pack
 
 SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
 ROUND = 1e-11

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.compiled import entry
+from polyida.jit import entry
 
 LANE, SECOND, THIRD, FOURTH = np.uint64(0xFFFF), np.uint64(16), np.uint64(32), np.uint64(48)
 TWO, THREE, FOUR = np.uint64(2), np.uint64(3), np.uint64(4)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.compiled import entry, pack, part
+from polyida.jit import entry, pack, part
 
 LEAF = 16  # nodes that are no longer cut: more make a fuller factor, less make short loops
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.compiled import pack
+from polyida.jit import pack
 from polyida.linear.cholesky.dissection import NOTHING, Symbolic, symbolic
 from polyida.linear.cholesky.fronts import factorize, single
 from polyida.linear.cholesky.triangular import eliminate_band, fill_band

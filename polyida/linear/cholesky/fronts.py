@@ -9,11 +9,11 @@ from functools import partial
 
 import numpy as np
 
-from polyida import compiled
+from polyida import jit
 
 FAST = {"contract", "reassoc", "nsz"}
-entry = partial(compiled.entry, fastmath=FAST)
-part = partial(compiled.part, fastmath=FAST)
+entry = partial(jit.entry, fastmath=FAST)
+part = partial(jit.part, fastmath=FAST)
 
 
 def factorize(symbolic, blocks, phase=1.0, dtype=None):

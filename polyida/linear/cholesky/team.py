@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida import compiled
-from polyida.compiled import pack
-from polyida.compiled.signal import leave, seen
+from polyida import jit
+from polyida.jit import pack
+from polyida.jit.signal import leave, seen
 from polyida.linear.cholesky.fronts import FAST, ascend, descend, spread
 
-entry = partial(compiled.entry, fastmath=FAST)
-part = partial(compiled.part, fastmath=FAST)
+entry = partial(jit.entry, fastmath=FAST)
+part = partial(jit.part, fastmath=FAST)
 LINE = 8  # numbers of a cache line: nobody waits on the line that another writes
 CALLED, DONE, GONE = 0, LINE, -1
 

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from polyida.compiled import entry, part
+from polyida.jit import entry, part
 
 FAST = {"contract", "reassoc", "nsz"}
 fast = partial(part, fastmath=FAST)

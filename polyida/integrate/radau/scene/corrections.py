@@ -14,9 +14,9 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.bodies.damping import add_damping
 from polyida.assembly.rows import joints
 from polyida.assembly.stabilised_border import StabilisedRoom, stabilised_border
-from polyida.compiled import entry, pack, part
 from polyida.integrate.radau.scene.stages import DX, MOVE, SHARES, SPEED, A, Q, pairs, residuals, through
 from polyida.integrate.stepping.ended import DONE, SINGULAR
+from polyida.jit import entry, pack, part
 from polyida.linear.dense import clear
 
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})

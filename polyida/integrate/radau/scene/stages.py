@@ -9,8 +9,8 @@ from polyida.assembly.bodies.damping import add_damping
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.tie import project
-from polyida.compiled import entry, pack, part
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE
+from polyida.jit import entry, pack, part
 from polyida.linear.dense import clear
 
 Q, V, SHARES, A, MOVE, SPEED = range(6)  # rows of Room.past

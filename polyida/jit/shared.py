@@ -3,8 +3,8 @@
 from importlib import import_module
 from typing import NamedTuple
 
-from polyida.compiled.internals import JITCodeLibrary
-from polyida.compiled.linked import EntryCompiler
+from polyida.jit.internals import JITCodeLibrary
+from polyida.jit.linked import EntryCompiler
 
 
 class SharedCompiler(EntryCompiler):

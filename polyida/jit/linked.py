@@ -5,8 +5,8 @@ numba by itself optimises every function and makes machine code of it, and again
 
 from numba import typeof
 
-from polyida.compiled.internals import Compiler, CPUDispatcher, JITCodeLibrary, PassManager, typed_passes, untyped_passes
-from polyida.compiled.thrift import Options, thrifty
+from polyida.jit.internals import Compiler, CPUDispatcher, JITCodeLibrary, PassManager, typed_passes, untyped_passes
+from polyida.jit.thrift import Options, thrifty
 
 PASSES = (
     untyped_passes.TranslateByteCode,

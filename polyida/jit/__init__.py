@@ -5,10 +5,10 @@ from inspect import signature
 
 import numba
 
-from polyida.compiled import cache as kernel_cache
-from polyida.compiled.linked import Entry, EntryCompiler, PartCompiler
-from polyida.compiled.pack import pack
-from polyida.compiled.shared import Call, SharedCompiler
+from polyida.jit import cache as kernel_cache
+from polyida.jit.linked import Entry, EntryCompiler, PartCompiler
+from polyida.jit.pack import pack
+from polyida.jit.shared import Call, SharedCompiler
 
 __all__ = ["entry", "leaf", "pack", "part", "shared"]
 

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.compiled.internals import (
+from polyida.jit.internals import (
     AttributeTemplate,
     NativeValue,
     infer_getattr,

@@ -5,7 +5,7 @@ import gc
 from contextlib import contextmanager
 from functools import cache
 
-from polyida.compiled.internals import BaseContext, BaseFunction, Flags, Inst, Loc, Var
+from polyida.jit.internals import BaseContext, BaseFunction, Flags, Inst, Loc, Var
 
 
 class Options(Flags):

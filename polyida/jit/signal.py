@@ -1,6 +1,6 @@
 """Numbers by which threads of compiled code wait for each other: whoever sees one sees all that was written before it was left."""
 
-from polyida.compiled.internals import intrinsic, signature, types
+from polyida.jit.internals import intrinsic, signature, types
 
 WIDTH = 8  # bytes of a number
 

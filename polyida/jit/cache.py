@@ -26,7 +26,7 @@ UNUSED = 3600.0  # s: a younger folder may be that of a process that is just sta
 # a file that compiles, or whose formulas are traced into compiled code, or whose tuples compiled code takes apart by place, or that
 # says that compiled code has constants from it
 _MAKES_KERNELS = re.compile(
-    rb"^(?:from|import) (?:numba|polyida import compiled|polyida\.(?:compiled|element\.lanes))\b|^class \w+\(NamedTuple\)|^# constants of compiled code",
+    rb"^(?:from|import) (?:numba|polyida import jit|polyida\.(?:jit|element\.lanes))\b|^class \w+\(NamedTuple\)|^# constants of compiled code",
     re.MULTILINE,
 )
 _lock = threading.Lock()
