@@ -33,9 +33,9 @@ class Watch:
         varies = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.model, self.steps, self.state, self.h, self.pace = model, 0, state, 0.0, 0.0
         self.every = model.looks_apart if varies else 0
-        self.sizes = coordinate_sizes(model, state.q) if varies else None
         self.proof = UnitRows(model, state) if self.every == 1 and model.is_scene else None
         if varies:
+            self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
             self.t = self.due = state.t
             if not (self.proof and self.proof.begin(state)):
                 self.rows, self.least = self._look(state)

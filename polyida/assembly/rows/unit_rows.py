@@ -55,10 +55,10 @@ class Scratch(NamedTuple):
 
 
 def pattern_of(model):
-    """(Pattern, bandwidth) of a scene."""
+    """(Pattern, bandwidth, number of slopes in the points, sizes of the coordinates) of a scene."""
     links, n, m = model.arrays.links, model.n, model.m
     slopes, sizes = len(links.row_columns), coordinate_sizes(model, np.zeros(n))
-    points = model._points_of_q.tocsr()[links.row_columns].tocoo()
+    points = model._points_of_q[links.row_columns].tocoo()
     row = np.repeat(np.arange(m), np.diff(links.row_start))
     order = _ordered(row[points.row], points.col, m)
     place = np.empty(m, np.int64)
@@ -75,7 +75,7 @@ def pattern_of(model):
         (points.data * sizes[points.col])[sort],
     )
     by_column = np.argsort(columns, kind="stable")
-    return pattern, _bandwidth(rows[by_column], columns[by_column]), slopes
+    return pattern, _bandwidth(rows[by_column], columns[by_column]), slopes, sizes
 
 
 def _bandwidth(rows, columns):
@@ -229,13 +229,12 @@ class UnitRows:
     """The unit rows of a scene's phi_q along a run."""
 
     def __init__(self, model, state):
-        self.model, (self.pattern, k, slopes) = model, model.once(pattern_of)
+        self.model, (self.pattern, k, slopes, self.sizes) = model, model.once(pattern_of)
         self.links, m, n, numbers = model.arrays.links, model.m, model.n, len(self.pattern.columns)
         self.turning = turning_drives(self.links).tolist()
         shapes = (2, numbers), slopes, (model.n_points, 2), n, (m, 2 * k + 1), (m, k + 1), (m, k + 1), 2, (2, 1 + n)
         self.scratch = Scratch(*map(np.zeros, shapes))
-        self.begin(state)
-        self.begin(state)  # so that there is one before it
+        self.scratch.past[:] = state.t, *state.q
 
     def begin(self, state):
         """Refer to a state from now on, whatever it is; whether it is proven sound."""
