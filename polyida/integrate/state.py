@@ -49,7 +49,7 @@ class Stretch:
     @classmethod
     def of(cls, state):
         """The Stretch of one State."""
-        return cls(np.array([state.t]), state.q[None], state.v[None], state.a[None], state.lam[None], state)
+        return Alone(state)
 
     def __len__(self):
         return len(self.t)
@@ -81,6 +81,25 @@ class Stretch:
     def finite(self):
         """Whether q and v, and lam, are finite: one product each tells."""
         return math.isfinite(np.vdot(self.q, self.v)) and math.isfinite(np.vdot(self.lam, self.lam))
+
+
+class Alone(Stretch):
+    """The Stretch of one State, whose vectors are made when they are asked for: an integrator may yield states that are not made whole yet."""
+
+    def __init__(self, state):
+        self._last = state
+
+    def __getattr__(self, name):
+        if name not in ("t", "q", "v", "a", "lam"):
+            raise AttributeError(name)
+        return np.asarray(getattr(self._last, name))[None]
+
+    def __len__(self):
+        return 1
+
+    def finite(self):
+        """Whether the State is."""
+        return self._last.finite()
 
 
 class States:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.integrate.radau import steps
+from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import Counts, State, States, Stretch, parted
 
 ALPHA = pi.GeneralizedAlpha(h=1e-3)
@@ -43,6 +45,14 @@ def test_a_stretch_is_its_states():
     assert [state.t for state in stretch.part(1, 5, 2)] == [2.0, 4.0]
     state = State(1.0, np.ones(2), np.ones(2), np.ones(2), np.zeros(0), {"a_alg": np.ones(2)})
     assert Stretch.of(state).last is state and len(Stretch.of(state)) == 1
+
+
+def test_vectors_of_a_state_that_nobody_asks_for_are_not_made(model, monkeypatch):
+    """A state of RadauIIA makes a and lam when they are asked for, by a solve."""
+    made = []
+    monkeypatch.setattr(steps, "consistent_acceleration", lambda *given: made.append(1) or consistent_acceleration(*given))
+    run = pi.solve(model, 0.1, pi.RadauIIA(h=1e-3), every=50)
+    assert run.success and len(run) == 3 and len(made) <= 4
 
 
 def test_counts_go_with_the_states():

@@ -239,7 +239,7 @@ class UnitRows:
     def begin(self, state):
         """Refer to a state from now on, whatever it is; whether it is proven sound."""
         drives = self._drives(np.array([state.t]))[0]
-        return begin(self.pattern, self.links, drives, state.t, np.ascontiguousarray(state.q), self.scratch)
+        return begin(self.pattern, self.links, drives, float(state.t), np.array(state.q), self.scratch)
 
     def unproven(self, stretch):
         """Yield the numbers of the states of a stretch for which nothing is proven; who asks for the next one has found that one to be sound."""

@@ -18,7 +18,7 @@ from functools import singledispatch
 import numpy as np
 
 from polyida.integrate.kinks import at_kink, beside
-from polyida.integrate.start import consistent_acceleration, far_side, jerk, rows_at, start_values
+from polyida.integrate.start import consistent_acceleration, far_side, jerk, start_values
 from polyida.integrate.state import Counts, State, StepFailure
 from polyida.linear.lu import SingularSystem
 from polyida.linear.refined import ExactSaddle
@@ -108,7 +108,7 @@ def _off_constraint(settings, model, state, h, third):
         return 0.0, np.zeros(model.m)
     c = settings.coefficients
     offset = (1 - 6 * c.beta - 3 * c.offset) / 6 * h * h * third
-    border = rows_at(model, state.t, state.q) @ offset
+    border = model.phi_q(state.t, state.q) @ offset
     return model.mass_system(state.t, state.q).solve(np.zeros(model.n), -border)[0], border
 
 
