@@ -75,13 +75,31 @@ class Constraints(NamedPoints):
         from scipy.sparse import csr_array
 
         s = self.arrays.links
+        return csr_array((self._slope_values(t, q), s.row_columns, s.row_start), (self.m, 2 * self.n_points))
+
+    def _slope_values(self, t, q):
+        s = self.arrays.links
         slopes = np.empty(len(s.row_columns))
         rows.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
-        return csr_array((slopes, s.row_columns, s.row_start), (self.m, 2 * self.n_points))
+        return slopes
 
     def phi_z(self, t, q):
         """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
-        return self._slopes(t, q).toarray()
+        found = np.zeros((self.m, 2 * self.n_points))
+        found[self._slope_rows, self.arrays.links.row_columns] = self._slope_values(t, q)
+        return found
+
+    @cached_property
+    def _slope_rows(self):
+        return np.repeat(np.arange(self.m), np.diff(self.arrays.links.row_start))
+
+    def small_phi_q(self, t, q):
+        """phi_q as a dense array, for scenes of few coordinates."""
+        return self.phi_z(t, q) @ self._small_points
+
+    @cached_property
+    def _small_points(self):
+        return self._points_of_q.toarray()
 
     def phi_t(self, t, q):
         """Partial derivative of phi in time, (m,)."""
@@ -125,9 +143,12 @@ class Constraints(NamedPoints):
         """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the rows on the points."""
         from scipy.sparse import csr_array
 
+        return self._points_t @ csr_array(self._curvature(t, lam)) @ self._points_t.T
+
+    def _curvature(self, t, lam):
         curvature = np.zeros((2 * self.n_points, 2 * self.n_points))
         rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), curvature)
-        return self._points_t @ csr_array(curvature) @ self._points_t.T
+        return curvature
 
     def _flipped(self, t, q):
         """Name of a joint whose angle error is beyond a quarter turn."""

@@ -70,31 +70,38 @@ def corotated(model, blocks, rotation, backend="auto", phase=1.0):
     Raises NotFactorable.
     """
     made, name = factor(model, blocks, backend, phase)
+    frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
+    reach, (point_body, active, place) = np.zeros((2 * model.n_points, model.n_nodes, 2), made.band.dtype), model.once(_of_points)
+    result = Corotated(made, frame, point_body, reach, active, place)
+    fill_reach(model.arrays.links, result)
+    return result, name
+
+
+def _of_points(model):
+    """(point_body, active, place) of a model's factors."""
     s, first = model.arrays.links, model.first_pairs
     bodies = np.searchsorted(first, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
-    point_body = np.stack([first[bodies], first[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2)
-    frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
-    reach = np.zeros((2 * model.n_points, model.n_nodes, 2), made.band.dtype)
     active = active_components(s, model.laws)
-    result = Corotated(made, frame, point_body, reach, active, order_along_joints(active, s))
-    fill_reach(s, result)
-    return result, name
+    return np.stack([first[bodies], first[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2), active, order_along_joints(active, s)
 
 
 def fill_reach(s, c, product=None):
     """X = S_ref^-1 A^T in the factor's own frame, one column a component of a point; S_ref^-1 M A^T with M's `product`."""
     order, behind = c.factor.order, c.factor.band.shape[1]
     x = np.zeros((len(c.reach), len(order) + behind), c.reach.dtype)
-    for column, values in enumerate(x):
-        f, axis = divmod(column, 2)
-        part = slice(s.point_ptr[f], s.point_ptr[f + 1])
-        load = np.zeros(c.reach.shape[1:])
-        load[s.point_nodes[part]] = UNIT[axis](*s.point_weights[part].T)
-        values[order] = load.ravel() if product is None else product(load).ravel()
+    points, pairs = np.repeat(np.arange(len(c.reach) // 2), np.diff(s.point_ptr)), order.reshape(-1, 2)
+    for axis, unit in enumerate(UNIT):
+        if product is None:
+            x[2 * points[:, None] + axis, pairs[s.point_nodes]] = unit(*s.point_weights.T)
+            continue
+        for f in range(len(c.reach) // 2):
+            load, part = np.zeros(c.reach.shape[1:]), points == f
+            load[s.point_nodes[part]] = unit(*s.point_weights[part].T)
+            x[2 * f + axis, order] = product(load).ravel()
     all_triangular(c.factor, x)
     for column, (values, found) in enumerate(zip(c.reach, x)):
         body = slice(*c.point_body[column // 2])
-        values[body] = found[order.reshape(-1, 2)[body]]
+        values[body] = found[pairs[body]]
 
 
 def active_components(s, laws):

@@ -25,9 +25,12 @@ from polyida.assembly.told.momenta import Momenta
 from polyida.assembly.told.powers import Powers
 from polyida.force.force_element import ForceElement
 from polyida.given import pairs_of
+from polyida.linear.matrix import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
 from polyida.profile import Profile
+
+SMALL = 100  # coordinates and multipliers up to which dense matrices are cheaper than what sparse ones cost in Python
 
 
 class SceneModel(Masses):
@@ -202,6 +205,26 @@ class SceneModel(Masses):
             result = result + 1j * turned * self.force_v(t, q, v)
         return (result + c_q * self.reaction_q(t, q, lam) if self.needs.phi_q_varies else result).tocsc()
 
+    @property
+    def small(self):
+        """Whether it has few coordinates: starts and adjoints then take dense matrices."""
+        return self.n + self.m <= SMALL
+
+    def small_mass(self):
+        """The mass matrix of a small scene as a dense array."""
+        return self.once(_dense_mass)
+
+    def small_tangent(self, t, q, v, lam):
+        """dr/dq of a small scene as a dense array."""
+        (indptr, indices), result = self.pattern, np.zeros((self.n, self.n))
+        pairs = np.repeat(np.arange(self.n_nodes), np.diff(indptr))
+        result.reshape(self.n_nodes, 2, self.n_nodes, 2)[pairs, :, indices, :] = self._blocks(q, v, 0.0, 1.0)
+        if self.own_forces:
+            result += dense(self.own_forces.slopes(t, q, v, 0.0, 1.0))
+        if self.needs.phi_q_varies:
+            result += self._small_points.T @ self._curvature(t, lam) @ self._small_points
+        return result
+
     def mass_system(self, t, q):
         """The system of M and phi_q through the points of the joints; without motors its border is made once."""
         if not self.solid:
@@ -292,12 +315,16 @@ class SceneModel(Masses):
         from scipy.sparse import bsr_array
 
         indptr, indices = self.pattern
-        blocks = np.empty((len(indices), 2, 2))
+        return bsr_array((self._blocks(q, v, c_v, c_q), indices, indptr), shape=(self.n, self.n)).tocsc()
+
+    def _blocks(self, q, v, c_v, c_q):
+        """The same of the pairs of `pattern`, (numbers, 2, 2)."""
+        blocks = np.empty((len(self.pattern[1]), 2, 2))
         if self.damped:
             damped_blocks(self.arrays, self._nodal(q), self._nodal(v), c_v, c_q, blocks)
         else:
             compiled.tangent_blocks(self.arrays, self._nodal(q), 0.0, c_q, blocks)
-        return bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
+        return blocks
 
     def once(self, make, of_shape=False):
         """make(self), kept: what other layers derive from the model once; of_shape: what is the same whatever the factors."""
@@ -305,6 +332,10 @@ class SceneModel(Masses):
         if make not in kept:
             kept[make] = make(self)
         return kept[make]
+
+
+def _dense_mass(model):
+    return model.mass().toarray()
 
 
 def again(kind, parts, gravity, redundant, factors):

@@ -124,10 +124,6 @@ class _InModes(FieldBody, part=False):
         """The exact energy of the span."""
         return form_of_fields(self.matrices, self.shapes()[:, 1:])
 
-    def strain_energy(self, moved: NDArray) -> float:
-        """Elastic energy, J, where its pairs have moved by this, complex."""
-        return self.matrices.energy(self._deformed(moved))
-
     def left_out(self, moved: NDArray, pulled: NDArray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
         """(strain energy, J, displacement, m) that the modes leave out where its pairs have moved by `moved` and are accelerated by
         `pulled`, complex: `-d^T r / 2` and the largest of d, by which the residual r of the full plate would move it with what holds it

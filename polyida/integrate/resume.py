@@ -150,6 +150,6 @@ def _continued(stored, model, integrator, plan, recorder, memory_limit):
     file = create(path, model, integrator, stored.n, stored.m, plan, machine, stored.single, recorder.shapes)
     with file.publishing(True):
         store = FrameStore(stored.n, stored.m, memory_limit, file, stored.single)
-        store.extend([stored.columns[name] for name in FRAMES], restart.frames)
+        store.copy([stored.columns[name] for name in FRAMES], restart.frames)
         commit(store, "running", "", Counts(**restart.counts), stored.seconds, restart, behind_blocks(file, recorder.rows))
     return store

@@ -3,9 +3,11 @@
 Where phi_q loses rank a mechanism can branch: what comes behind follows from round-off. With the rows of phi_q made of
 length one, a state is singular where their smallest singular value s is zero. Between two states it was zero where
 s_0 + s_1 is not more than the way that the rows went (no singular value changes by more than the matrix) and their space
-came back reversed: then `det(B_0 B_1^T) < 0`, which no smooth step does.
+came back reversed: then `det(B_0 B_1^T) < 0`, which no smooth step does. Of a scene compiled code proves for nearly every state
+that it is neither (assembly/rows/unit_rows.py), and only the others are looked at here.
 """
 
+from polyida.assembly.rows.unit_rows import UnitRows
 from polyida.integrate.state import StepFailure
 from polyida.linear.independence import between, coordinate_sizes, cosine, involved, least, rows_of, way
 
@@ -21,25 +23,53 @@ class SingularPosition(StepFailure):
 
 
 class Watch:
-    """Begins at a state; `step` looks at the next one. Of rows that do not vary nothing is looked at.
+    """Begins at a state; `look` looks at the next ones. Of rows that do not vary nothing is looked at.
 
-    Where it looks at every state, it looks again when the rows, at the pace they have, will have gone a quarter of the way to zero.
+    Where it looks at every state of a model that is no scene, it looks again when the rows, at the pace they have, will have gone a
+    quarter of the way to zero.
     """
 
     def __init__(self, model, state):
         varies = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.model, self.steps, self.state, self.h, self.pace = model, 0, state, 0.0, 0.0
         self.every = model.looks_apart if varies else 0
-        self.sizes = coordinate_sizes(model, state.q) if varies else None
+        self.proof = UnitRows(model, state) if self.every == 1 and model.is_scene else None
         if varies:
+            self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
             self.t = self.due = state.t
-            self.rows, self.least = self._look(state)
+            if not (self.proof and self.proof.begin(state)):
+                self.rows, self.least = self._look(state)
 
-    def step(self, state):
-        """Look at the next accepted state. Raises StepFailure where it is singular, or the way to it was."""
-        self.steps, self.state, self.h = self.steps + 1, state, state.t - self.state.t
-        if not self.every or self.steps % self.every or state.t < self.due:
-            return
+    def look(self, stretch):
+        """Look at the next accepted states: (how many are sound, the StepFailure where the next one, or the way to it, is singular, or None)."""
+        k, before = 0, self.state.t
+        try:
+            for k in self._asked(stretch):
+                state = stretch.state(k)
+                self.state, self.h = state, state.t - (stretch.t[k - 1] if k else before)
+                self._step(state)
+        except SingularPosition as failure:
+            return k, failure
+        self.steps, self.state = self.steps + len(stretch), stretch.last
+        self.h = self.state.t - (float(stretch.t[-2]) if len(stretch) > 1 else before)
+        return len(stretch), None
+
+    def _asked(self, stretch):
+        """The numbers of the states of a stretch that are to be looked at."""
+        if self.proof:
+            for k in self.proof.unproven(stretch):
+                self._recall(stretch.t[k])
+                yield k
+        elif self.every:
+            yield from (k for k in range(-(self.steps + 1) % self.every, len(stretch), self.every) if not stretch.t[k] < self.due)
+
+    def _recall(self, t):
+        """Take the last state before t that the proof refers to for the one that was looked at last."""
+        self.t, q = self.proof.before(t)
+        self.rows = rows_of(self.model.phi_q(self.t, q), self.sizes)
+        self.least = least(self.rows)
+
+    def _step(self, state):
         rows, now = self._look(state)
         if self.every == 1:
             self._require_no_passage(state.t, rows, now)
@@ -63,6 +93,8 @@ class Watch:
         gone, since = way(products), t - self.t
         if now + before <= gone and cosine(self.rows, rows, products) < REVERSED:
             raise self._failure(rows if now < before else self.rows, self.t + since * before / (before + now))
+        if self.proof:
+            return
         speed = max(gone / since if since else 0.0, self._speed(rows))
         self.due = t + min(2.0 * since, MOST * self.h, 0.25 * now / max(speed, 1e-300))
 
@@ -78,6 +110,8 @@ class Watch:
         """What to say beside a failure at t where phi_q was about to lose its rank, or nothing."""
         if not self.every:
             return ""
+        if self.proof:
+            self._recall(self.state.t)
         rows = rows_of(self.model.phi_q(self.state.t, self.state.q), self.sizes)
         now, left = least(rows), 2.0 * max(t - self.state.t, self.h)  # s: within the next two steps
         if now < NEAR or now**2 < left * self._pace(now):

@@ -36,7 +36,7 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
         raise InputError(f"t0 = {t0!r} must be a finite time in s")
     require_functions(model, float(t0), q, v)
     if model.m:
-        require_independent(model, model.phi_q(t0, q), q)
+        require_independent(model, rows_at(model, t0, q), q)
         drawn = q0 is None and model.is_scene
         remedy = "draw its bodies where they begin, or let scene.assemble() move them" if drawn else "give a consistent q0"
         require_near(model, "the drawing" if drawn else "q0", "phi", model.phi(t0, q), max(1.0, np.abs(q).max(initial=0)), remedy)
@@ -115,10 +115,15 @@ def velocity_rate(model, t, q, v):
     """phi_q v + phi_t, zero where it is nothing but round-off."""
     if not model.m:
         return np.zeros(0)
-    phi_t, phi_q = model.phi_t(t, q), model.phi_q(t, q)
+    phi_t, phi_q = model.phi_t(t, q), rows_at(model, t, q)
     rate = phi_q @ v + phi_t
     size = abs(phi_q.copy()) @ np.abs(v) + np.abs(phi_t)  # abs sorts a sparse matrix in place
     return np.where(np.abs(rate) > ROUND_OFF * size, rate, 0.0)
+
+
+def rows_at(model, t, q):
+    """phi_q, dense where the model is a small scene."""
+    return (model.small_phi_q if model.is_scene and model.small else model.phi_q)(t, q)
 
 
 def given(model, name, value):

@@ -1,4 +1,4 @@
-"""What an integrator takes and yields: a state, the counts of the work done, and how it says that it cannot go on."""
+"""What an integrator takes and yields: states, one by one or in stretches, the counts of the work done, and how it says that it cannot go on."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -36,6 +36,95 @@ class State:
     def finite(self) -> bool:
         """Whether q and v, and lam, are finite: one product each tells."""
         return math.isfinite(self.q.dot(self.v)) and math.isfinite(self.lam.dot(self.lam))
+
+
+class Stretch:
+    """Accepted states in a row: t (k,), q, v, a (k, n), lam (k, m), and the last of them as a State, with the memory that it may have.
+
+    Those before the last have no memory: a run cannot go on from them.
+    """
+
+    def __init__(self, t, q, v, a, lam, last=None):
+        self.t, self.q, self.v, self.a, self.lam, self._last = t, q, v, a, lam, last
+
+    @classmethod
+    def of(cls, state):
+        """The Stretch of one State."""
+        return Alone(state)
+
+    def __len__(self):
+        return len(self.t)
+
+    def __iter__(self):
+        return map(self.state, range(len(self)))
+
+    @property
+    def last(self):
+        """The last State."""
+        if self._last is None:
+            self._last = State(float(self.t[-1]), self.q[-1], self.v[-1], self.a[-1], self.lam[-1], restart=False)
+        return self._last
+
+    def state(self, k):
+        """The State number k, counted from 0."""
+        if k == len(self) - 1:
+            return self.last
+        return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k], restart=False)
+
+    def part(self, first, end, every=1):
+        """The Stretch of the states from number `first` to before `end`, or of each `every`-th of them."""
+        if first == 0 and end >= len(self) and every == 1:
+            return self
+        at = slice(first, end, every)
+        whole = end >= len(self) and every == 1
+        return Stretch(self.t[at], self.q[at], self.v[at], self.a[at], self.lam[at], self.last if whole else None)
+
+    def finite(self):
+        """Whether q and v, and lam, are finite: one product each tells."""
+        return math.isfinite(np.vdot(self.q, self.v)) and math.isfinite(np.vdot(self.lam, self.lam))
+
+
+class Alone(Stretch):
+    """The Stretch of one State, whose vectors are made when they are asked for: an integrator may yield states that are not made whole yet."""
+
+    def __init__(self, state):
+        self._last = state
+
+    def __getattr__(self, name):
+        if name not in ("t", "q", "v", "a", "lam"):
+            raise AttributeError(name)
+        return np.asarray(getattr(self._last, name))[None]
+
+    def __len__(self):
+        return 1
+
+    def finite(self):
+        """Whether the State is."""
+        return self._last.finite()
+
+
+class States:
+    """The states of stretches one by one; counts.steps is the number of each as it comes. stretches: what they are taken from."""
+
+    def __init__(self, stretches, counts):
+        self.stretches, self._states = stretches, (part.last for stretch in stretches for part in parted(stretch, counts))
+
+    def __iter__(self):
+        return self
+
+    def __next__(self):
+        return next(self._states)
+
+
+def parted(stretch, counts, size=lambda: 1):
+    """Yield a stretch in parts of `size()` states, with counts.steps at the last state of each."""
+    done, whole = 0, len(stretch)
+    counts.steps -= whole
+    while done < whole:
+        part = stretch.part(done, done + size())
+        done += len(part)
+        counts.steps += len(part)
+        yield part
 
 
 @dataclass

@@ -25,7 +25,7 @@ def save(run, path, overwrite=False):
     file = create(path, run.model, run.integrator, n, m, run.plan, run.machine, single, run.sensors.shapes)
     with file.publishing(overwrite):
         store = FrameStore(n, m, 0, file, single)
-        store.extend([getattr(run, name) for name in FRAMES], len(run))
+        store.copy([getattr(run, name) for name in FRAMES], len(run))
         store.put_away()
         seconds, sensed = (run.cpu_seconds, run.wall_seconds), behind_blocks(file, run.sensors.rows)
         commit(store, run.status, run.message, run.counts, seconds, run.restart, sensed, last=True)

@@ -56,24 +56,29 @@ class FrameStore:
             return None
         return [values[first:end] for values in self._block[1 : len(FRAMES)]]
 
-    def add(self, state):
-        """Keep a state; nothing is copied where it is in its place already."""
-        self._keep(state.t, state.q, state.v, state.a, state.lam)
+    def extend(self, stretch):
+        """Keep the states of a Stretch; nothing is copied where they are in their places already."""
+        self._extend([getattr(stretch, name) for name in FRAMES])
 
-    def extend(self, columns, count):
+    def copy(self, columns, count):
         """Keep the first `count` of frames, arrays or StoredFrames in the order of FRAMES."""
         for first in range(0, count, self.file.rows):
-            for frame in zip(*(values[first : min(first + self.file.rows, count)] for values in columns)):
-                self._keep(*frame)
+            self._extend([values[first : min(first + self.file.rows, count)] for values in columns])
 
-    def _keep(self, t, q, v, a, lam):
-        row, (ts, qs, vs, accelerations, lams, *samples) = self._rows, self._block
-        ts[row], qs[row], vs[row], accelerations[row], lams[row] = t, q, v, a, lam
-        for values, profile in zip(samples, self.drives):
-            values[row] = profile.at(t)
-        self._rows, self.count = row + 1, self.count + 1
-        if self._rows == len(ts) or (self._away and self.count == self._away.count + self._away.rows):
-            self.put_away()
+    def _extend(self, columns):
+        done, whole = 0, len(columns[0])
+        while done < whole:
+            first, room = self._rows, len(self._block[0]) - self._rows
+            if self._away:
+                room = min(room, self._away.count + self._away.rows - self.count)
+            count = min(room, whole - done)
+            for values, column in zip(self._block, columns):
+                values[first : first + count] = column[done : done + count]
+            for values, profile in zip(self._block[len(FRAMES) :], self.drives):
+                values[first : first + count] = [profile.at(t) for t in columns[0][done : done + count]]
+            self._rows, self.count, done = first + count, self.count + count, done + count
+            if count == room:
+                self.put_away()
 
     def waiting(self):
         """The frames that the file does not have yet, not more than a block of them."""

@@ -4,8 +4,8 @@
 [ S   B^T ] [ x  ]   [ right ]
 [ B   0   ] [ mu ] = [ below ]        S = c_m M + c_v C + K,  C = dr/dv,  K = dr/dq,  B = phi_q
 ```
-A compiled scene's factor, co-rotated, symmetric and in single precision, is kept from state to state and refines; the matrices of any
-other model are factored at each state.
+A compiled scene's factor, co-rotated, symmetric and in single precision, is kept from state to state and refines; the matrices of small
+scenes, which are dense, and of any other model are factored at each state.
 """
 
 import numpy as np
@@ -23,35 +23,41 @@ class ExactSaddle:
 
     def __init__(self, model, c_m, c_v, counts):
         self.model, self.c_m, self.c_v, self.counts = model, c_m, c_v, counts
-        self.system = self.K = self.C = self.S = self.B = None
+        self.system = self.direct = self.M = self.K = self.C = self.S = self.B = None
         self.here = ()
 
     def at(self, t, q, v, a, lam):
         """Take the matrices of a state."""
-        model = self.model
-        self.here = t, q, v, a, lam
-        self.K = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0)
+        model, self.here, self.direct = self.model, (t, q, v, a, lam), None
         self.C = model.force_v(t, q, v) if model.needs.velocity_forces else None
-        self.S = self.c_m * model.mass(q) + self.K
+        if model.is_scene and model.small:
+            self.K, self.M, self.B = model.small_tangent(t, q, v, lam), model.small_mass(), model.small_phi_q(t, q)
+            self.C = None if self.C is None else self.C.toarray()
+        else:
+            self.K, self.M, self.B = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), model.mass(q), model.phi_q(t, q)
+        self.S = self.c_m * self.M + self.K
         self.S = self.S if self.C is None else self.S + self.c_v * self.C
-        self.B = model.phi_q(t, q)
 
     def solve(self, right, below, transposed=False):
         """(x, mu). Raises SingularSystem."""
+        if isinstance(self.S, np.ndarray):
+            return self._direct(right, below, transposed)
         S, self.system = self.S.T if transposed else self.S, self.system or self.model.step_matrix()
-        return self._refined(S, right, below) if self.system.near_any_state else self._direct(S, right, below)
+        return self._refined(S, right, below, transposed) if self.system.near_any_state else self._direct(right, below, transposed)
 
-    def _direct(self, S, right, below):
-        self.counts.factorizations += 1
+    def _direct(self, right, below, transposed):
+        if self.direct is None:
+            self.counts.factorizations += 1
+            self.direct = KKT(self.S, self.B, scaling_factors("physical", 1 / abs(self.c_m), self.S))
         self.counts.solves += 1
-        return KKT(S, self.B, scaling_factors("physical", 1 / abs(self.c_m), self.S)).solve(-right, -below)
+        return (self.direct.adjoint if transposed else self.direct.solve)(-right, -below)
 
-    def _refined(self, S, right, below):
+    def _refined(self, S, right, below, transposed):
         found = self._refine(S, right, below) if len(self.system.made_at) else None
         if found is None:
             self._factor()
             found = self._refine(S, right, below)
-        return self._direct(S, right, below) if found is None else found
+        return self._direct(right, below, transposed) if found is None else found
 
     def _factor(self):
         self.system = self.model.step_matrix()

@@ -10,7 +10,7 @@ import pytest
 import polyida as pi
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.start import consistent_state
-from polyida.integrate.state import Counts, StepFailure
+from polyida.integrate.state import Counts, StepFailure, Stretch
 from polyida.io import memory
 from polyida.io.memory import room
 from polyida.io.store import SMALL, FrameStore
@@ -83,15 +83,15 @@ def test_no_more_is_reserved_than_the_system_grants(monkeypatch):
 
 
 def test_states_are_written_where_they_stay(model):
-    """No copy: the rows of a run's frames are the states that the integrator yields."""
+    """No copy: the rows of a run's frames are the stretches that the integrator yields."""
     begin, store = consistent_state(model, 0.0, None, None), FrameStore(model.n, model.m)
-    store.add(begin)
+    store.extend(Stretch.of(begin))
     states = []
-    for state in accepted(METHODS["fixed"], guard(model), begin, 0.02, Counts(), store.rows):
-        rows = store.rows(1)
-        assert all(np.shares_memory(getattr(state, name), row) for name, row in zip(FRAMES[1:], rows))
-        store.add(state)
-        states.append(state)
+    for stretch in accepted(METHODS["fixed"], guard(model), begin, 0.02, Counts(), store.rows):
+        rows = store.rows(len(stretch))
+        assert all(np.shares_memory(getattr(stretch, name), row) for name, row in zip(FRAMES[1:], rows))
+        store.extend(stretch)
+        states += stretch
     frames = store.arrays()
     assert all(np.array_equal(frames["q"][1 + k], state.q) for k, state in enumerate(states)) and len(states) == 20
 

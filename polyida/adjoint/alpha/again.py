@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Again:
             grid, state = Grid(times(piece.first), times(piece.first + piece.count), piece.count), states[-1]
             state = state if piece.kind == "on" else replace(state, memory=piece.memory(None))
             engine.begin(started(self.settings, model, state, grid.h), grid.h)
-            states += engine.run(grid)
+            states += chain.from_iterable(engine.run(grid))
         return states
 
     def _velocity(self, model):

@@ -7,7 +7,7 @@ import numpy as np
 from polyida.adjoint.steps.recorded import SAME, Piece, Recorded, Room, Segments
 from polyida.errors import InputError
 from polyida.integrate.kinks import enough_steps, stretches
-from polyida.integrate.state import Counts, State
+from polyida.integrate.state import Counts, State, States
 from polyida.integrate.switches import steps_of
 from polyida.io.frames import MEMORY_LIMIT
 
@@ -130,7 +130,7 @@ def _read(run, frames, memory_limit):
 def _accepted(run, model, seen):
     """The accepted states of the run behind the first that `seen` has, which is told of all steps."""
     counts = Counts()
-    own = lambda settings, state, t_end: settings.in_pieces(model, state, t_end, counts, watch=seen)  # noqa: E731
+    own = lambda settings, state, t_end: States(settings.in_pieces(model, state, t_end, counts, watch=seen), counts)  # noqa: E731
     for state in steps_of(own, run.integrator, model, seen.states[seen.first], run.plan["t_end"], counts):
         seen.accepted(state)
         yield state

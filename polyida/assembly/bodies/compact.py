@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.jit import leaf, pack, part
+from polyida.jit import entry, leaf, pack, part
 
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
@@ -223,11 +223,26 @@ def energy(c, u):
     """Elastic energy of all, J."""
     total = 0.0
     for b in range(c.drag.shape[0]):
-        size = vectors(c, b)[2]
-        if size:
-            d, s = np.empty(size), np.zeros(size)
-            strained(c, b, u, d)
-            stresses(c, b, d, s)
-            for e in range(size):
-                total += d[e] * (0.5 * s[e] + c.shift[c.shift_start[b] + e])
+        total += body_energy(c, b, u)
     return total
+
+
+@part
+def body_energy(c, b, u):
+    """Elastic energy of body b, J."""
+    total, size = 0.0, vectors(c, b)[2]
+    if size:
+        d, s = np.empty(size), np.zeros(size)
+        strained(c, b, u, d)
+        stresses(c, b, d, s)
+        for e in range(size):
+            total += d[e] * (0.5 * s[e] + c.shift[c.shift_start[b] + e])
+    return total
+
+
+@entry
+def energies(c, frames, found):
+    """Fill found (frames, bodies) with the elastic energy, J, of each body at displacements (frames, nodes, 2)."""
+    for k in range(frames.shape[0]):
+        for b in range(c.drag.shape[0]):
+            found[k, b] = body_energy(c, b, frames[k])

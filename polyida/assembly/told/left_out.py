@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from polyida.assembly.bodies import compact
 from polyida.assembly.loads import gravity_at
 from polyida.given import complex_of_pairs
 
@@ -24,16 +25,19 @@ def left_out(model, t, frames, accelerations):
     The residual `r = M x'' + f(x) - M g` of the full plate at the recovered motion, in the plate's frame, would move it by d, `K d + C^T l = -r`
     with what holds it kept, `C d = 0`: energy `-d^T r / 2`, of which no force of a joint is a part.
     """
-    reduced = [placed for placed in model.few if placed.body.left_out is not None]
-    chosen = np.unique(np.linspace(0, len(frames) - 1, LOOKS).astype(int)) if reduced and len(frames) else ()
-    pairs = {k: np.asarray(frames[k], float).reshape(-1, 2) for k in chosen}
-    found = {}
-    for placed in reduced if pairs else ():
-        energies = {k: placed.body.strain_energy(complex_of_pairs(u[placed.pairs])) for k, u in pairs.items()}
-        k = max(energies, key=energies.get)
-        if energies[k] > 0:
+    reduced = [(number, placed) for number, placed in enumerate(model.few) if placed.body.left_out is not None]
+    if not (reduced and len(frames)):
+        return {}
+    chosen, found = np.unique(np.linspace(0, len(frames) - 1, LOOKS).astype(int)), {}
+    pairs = np.array([frames[k] for k in chosen], float).reshape(len(chosen), -1, 2)
+    energies = np.empty((len(chosen), len(model.few)))
+    compact.energies(model.arrays.compact, pairs, energies)
+    for number, placed in reduced:
+        worst = int(np.argmax(energies[:, number]))
+        k, whole = chosen[worst], energies[worst, number]
+        if whole > 0:
             a = np.asarray(accelerations[k], float).reshape(-1, 2)
-            moved, pulled = (complex_of_pairs(x[placed.pairs]) for x in (pairs[k], a))
+            moved, pulled = (complex_of_pairs(x[placed.pairs]) for x in (pairs[worst], a))
             energy, far = placed.body.left_out(moved, pulled, complex(*gravity_at(model.gravity, t[k])))
-            found[placed.name] = energy / energies[k], far, far / float(np.linalg.norm(np.ptp(placed.body.points, axis=0)))
+            found[placed.name] = energy / whole, far, far / float(np.linalg.norm(np.ptp(placed.body.points, axis=0)))
     return found

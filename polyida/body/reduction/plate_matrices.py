@@ -66,14 +66,6 @@ class PlateMatrices:
             virtual.force(o.indptr, o.indices, o.stabilisation, stabilisation_factor(self.plate, o), 0, np.ascontiguousarray(moved), f)
         return f
 
-    def energy(self, moved):
-        """Elastic energy, J, at displacements (N, 2), m."""
-        o, u = self.operator, np.ascontiguousarray(moved)
-        total = kernels.strain_energy(*o.force_arrays, 0, *self.c1, u)
-        if self.stabilisation is not None:
-            total += virtual.energy(o.indptr, o.indices, o.stabilisation, stabilisation_factor(self.plate, o), 0, u)
-        return total
-
 
 def rows_of(plate, sides):
     """What the attachments to nodes hold of a plate at rest, (rows, 2N) dense: mean x, mean y and, where they have a direction, rotation;

@@ -15,7 +15,7 @@ from polyida.integrate.alpha.step_control import adapt
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import enough_steps, run_of, stretches
 from polyida.integrate.moves import PARTS, cells_of
-from polyida.integrate.state import Counts, State
+from polyida.integrate.state import Counts, State, States, Stretch
 from polyida.keywords import named_keywords
 from polyida.linear.kkt import SCALINGS
 from polyida.linear.step_matrix import WholeMatrix
@@ -178,12 +178,12 @@ class GeneralizedAlpha:
             from polyida.integrate.alpha.richardson import extrapolated
 
             return extrapolated(self, model, state, t_end, counts)
-        return self.in_pieces(model, state, t_end, counts, rows=rows)
+        return States(self.in_pieces(model, state, t_end, counts, rows=rows), counts)
 
     def in_pieces(
         self, model: Model, state: State, t_end: float, counts: Counts, split: int = 1, rows: Any = None, watch: Any = None
-    ) -> Iterator[State]:
-        """The same with h / split between the kinks of loads and motors, where h divides each piece evenly; watch: see Steps."""
+    ) -> Iterator[Stretch]:
+        """The same in stretches, with h / split between the kinks of loads and motors, where h divides each piece evenly; watch: see Steps."""
         engine = self._engine(model, counts, self._control(model, state, t_end))
         engine.rows, engine.watch, control = rows or engine.rows, watch, engine.control
         most_steps = counts.steps + counts.rejected + self.max_num_steps
@@ -195,10 +195,11 @@ class GeneralizedAlpha:
             else:
                 count = split * enough_steps(model, state, begin, end, min(self.h, most))
                 piece = march(engine, self, model, state, begin, end, count, counts)
-            for state in piece:
+            for stretch in piece:
+                state = stretch.last
                 if state.restart:
                     state.memory["run"] = run
-                yield state
+                yield stretch
 
     def _engine(self, model, counts, control):
         return Steps(self, model, counts, control)

@@ -1,27 +1,27 @@
 """Equal steps from the start of a run's piece to its end; one that fails is cut in two, four, ... parts."""
 
 from polyida.integrate.alpha.start import started
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.state import State, StepFailure, Stretch
 from polyida.integrate.stepping.grid import Grid, goes_on, grid_of
 from polyida.integrate.stepping.rest import held
 
 
 def march(engine, settings, model, state, begin, end, count, counts):
-    """Yield the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts fail."""
+    """Yield stretches of the states at the ends of `count` equal steps. Raises StepFailure where the smallest parts fail."""
     grid = grid_of(state, begin, end, count)
     for state in held(model, state, grid, counts):
         grid = grid._replace(done=grid.done + 1)
         state.memory["grid"] = grid.after(grid.done)
         counts.steps += 1
-        yield state
+        yield Stretch.of(state)
     level, done = min(int(state.memory.get("cut", 0)), settings.max_halvings), grid.done
     while done < grid.count:
         if level == 0:
             try:
-                for state in _whole(engine, settings, model, state, grid._replace(done=done)):
-                    done += 1
-                    counts.steps += 1
-                    yield state
+                for stretch in _whole(engine, settings, model, state, grid._replace(done=done)):
+                    state, done = stretch.last, done + len(stretch)
+                    counts.steps += len(stretch)
+                    yield stretch
                 return
             except StepFailure as failure:
                 first = failure
@@ -31,7 +31,7 @@ def march(engine, settings, model, state, begin, end, count, counts):
         done, level = done + 1, level - 1
         counts.steps += 1
         state = _cut(state, level, grid.after(done))
-        yield state
+        yield Stretch.of(state)
 
 
 def _whole(engine, settings, model, state, grid):

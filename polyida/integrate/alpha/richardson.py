@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.integrate.sizes import extent
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.state import State, States, StepFailure
 
 PARTED = 0.03  # distance of the two runs over the extent of the model, beyond which they tell of different motions
 
@@ -18,7 +18,7 @@ PARTED = 0.03  # distance of the two runs over the extent of the model, beyond w
 def extrapolated(settings, model, state, t_end, counts):
     """Yield the extrapolated states at the ends of steps of h. Raises StepFailure, also where h and h/2 have parted."""
     plain = replace(settings, extrapolate=False)
-    coarse, fine = (plain.in_pieces(model, state, t_end, counts, split) for split in (1, 2))
+    coarse, fine = (States(plain.in_pieces(model, state, t_end, counts, split), counts) for split in (1, 2))
     for one in coarse:
         next(fine)
         two = next(fine)

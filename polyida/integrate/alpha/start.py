@@ -123,7 +123,7 @@ def resolution(model, settings, state, h):
     c, (t, q) = settings.coefficients, (state.t, state.q)
     c_m, system = 1 / (c.beta * h * h), ExactSaddle(model, 1 / (c.beta * h * h), c.gamma / (c.beta * h), Counts())
     system.at(t, q, state.v, state.a, state.lam)
-    mass, border = model.mass(q), system.B
+    mass, border = system.M, system.B
     try:
         system.solve(np.zeros(model.n), np.zeros(model.m))  # which tells whether F exists
     except SingularSystem as error:

@@ -5,7 +5,7 @@ import numpy as np
 from polyida.integrate.alpha.control import ORDER
 from polyida.integrate.alpha.start import started
 from polyida.integrate.kinks import enough_steps
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.state import StepFailure, Stretch
 from polyida.integrate.stepping.grid import Grid
 from polyida.integrate.stepping.rest import held
 
@@ -50,7 +50,7 @@ def calm_error(h, largest, rungs=2, order=ORDER):
 
 
 def adapt(engine, settings, model, state, begin, end, largest, counts, most_steps):
-    """Yield states from begin to end, h as the local error allows, but no step above `largest`.
+    """Yield stretches of states from begin to end, h as the local error allows, but no step above `largest`.
 
     Raises StepFailure below the lowest rung, where h is round-off of t, and where the steps counted, with those
     rejected, would be more than most_steps.
@@ -64,16 +64,17 @@ def adapt(engine, settings, model, state, begin, end, largest, counts, most_step
         t = state.t
         counts.steps += 1
         state.memory.update(control.memory)
-        yield state
+        yield Stretch.of(state)
     while t < end:
         grid, moved = _piece(t, end, ladder.h), False
         _require_progress(t, grid.h, settings, counts, most_steps)
         try:
             engine.begin(started(settings, model, state, grid.h), grid.h)
-            for state in engine.run(grid):
-                t, moved = state.t, True
-                counts.steps += 1
-                yield State(state.t, state.q, state.v, state.a, state.lam, state.memory, restart=bool(state.memory))
+            for stretch in engine.run(grid):
+                stretch = stretch.part(0, most_steps - counts.steps - counts.rejected)
+                t, moved = stretch.last.t, True
+                counts.steps += len(stretch)
+                yield stretch
                 if counts.steps + counts.rejected >= most_steps:
                     break
             failures = []

@@ -1,4 +1,4 @@
-"""Steps of generalized-alpha on one model: stretches of a loop, factors where it asks for one, states from frames."""
+"""Steps of generalized-alpha on one model: stretches of a loop, factors where it asks for one."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from polyida.integrate.alpha.step_control import calm_error
 from polyida.integrate.kinks import at_kink
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.state import State, StepFailure, Stretch
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
 from polyida.integrate.stepping.kept import Kept
 from polyida.io.memory import room
@@ -22,6 +22,7 @@ class Steps:
 
     control: what adaptive steps are held to (a Control), None where they are equal.
     watch: what is told of every beginning, `begun(state, h)`, and every state, `stepped(state)`, of attempts that fail too; None: nobody.
+    With it, stretches are of one state.
     verdict: "far" or "near" where adaptive steps should be shorter or longer. rows: a function of a count that gives the
     places of so many states, [q, v, a (count, n), lam (count, m)], or None where they are to be made.
     """
@@ -107,29 +108,36 @@ class Steps:
         self.method = self.method._replace(extent=float(memory["extent"]))
 
     def run(self, grid):
-        """Yield the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
+        """Yield stretches of the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
         done, self.verdict = grid.done, None
         most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
         while done < grid.count and self.verdict is None:
             longest, left = int(max(1, min(most, self.longest))), self.pause - self.counts.steps
             end = min(done + (left if 0 < left < longest else longest), grid.count)
-            for state in self._stretch(np.array([grid.time(k) for k in range(done, end + 1)]), grid, done):
-                done += 1
-                if self.watch is not None:
-                    self.watch.stepped(state)
-                yield state
-                self._limit(state.memory)
+            for stretch in self._stretches(grid.times(done, end), grid, done):
+                done += len(stretch)
+                if self.watch is None:
+                    yield stretch
+                else:
+                    yield from self._watched(stretch)
+                self._limit(stretch.last.memory)
+
+    def _watched(self, stretch):
+        for k in range(len(stretch)):
+            part = stretch.part(k, k + 1)
+            self.watch.stepped(part.last)
+            yield part
 
     def aside(self, grid):
         """The State at the end of the grid, in arrays of its own. Raises StepFailure."""
         rows, self.rows = self.rows, _no_rows
         try:
-            return list(self.run(grid))[-1]
+            return list(self.run(grid))[-1].last
         finally:
             self.rows = rows
 
-    def _stretch(self, times, grid, done):
-        """The states at times[1:]."""
+    def _stretches(self, times, grid, done):
+        """The states at times[1:], as far as each call of the loop goes."""
         count = len(times) - 1
         frames = self.rows(count) or _fresh(count, self.model.n, self.model.m)
         self.times = times
@@ -143,10 +151,15 @@ class Steps:
             steps, ended, moved = self._steps(self.method, first, count, frames)
             if steps == 0 and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
                 steps, ended, moved = self._full_newton(first, frames)
-            for k in range(first, first + steps):
-                whole = k == count - 1 or (k == first + steps - 1 and ended == TOO_NEAR)
-                yield self._state(times[k + 1], *(frame[k] for frame in frames), grid.after(done + k + 1) if whole else None)
-            first, fresh = first + steps, fresh and not steps
+            made, first = slice(first, first + steps), first + steps
+            if steps:
+                stretch = Stretch(times[1:][made], *(frame[made] for frame in frames))
+                if first == count or ended == TOO_NEAR:
+                    last = stretch.last
+                    last = State(last.t, last.q, last.v, last.a, last.lam, self._memory(grid.after(done + first)))
+                    stretch = Stretch(stretch.t, stretch.q, stretch.v, stretch.a, stretch.lam, last)
+                yield stretch
+                fresh = False
             if ended in (TOO_FAR, TOO_NEAR):
                 self.verdict = "far" if ended == TOO_FAR else "near"
                 return
@@ -189,11 +202,7 @@ class Steps:
     def state(self, t):
         """The last accepted state with all that a run goes on from."""
         y = self.memory
-        return self._state(t, *y.past[: step.A + 1].copy(), y.closed[step.LAM].copy(), None, True)
-
-    def _state(self, t, q, v, a, lam, place, whole=False):
-        """A State; at the end of a stretch with all that the next one starts from."""
-        return State(float(t), q, v, a, lam, self._memory(place) if whole or place is not None else {}, restart=place is not None)
+        return State(float(t), *y.past[: step.A + 1].copy(), y.closed[step.LAM].copy(), self._memory(None), restart=False)
 
     def _memory(self, place):
         y, p = self.memory, self.method

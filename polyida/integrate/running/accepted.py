@@ -1,4 +1,4 @@
-"""The states that an integrator yields, looked at one by one: whatever it does, a run's frames are states on the way to its end."""
+"""The states that an integrator yields, looked at: whatever it does, a run's frames are states on the way to its end."""
 
 import math
 from copy import deepcopy
@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from polyida.given import is_number, is_whole
-from polyida.integrate.state import Counts, State, StepFailure
-from polyida.integrate.switches import steps_of
+from polyida.integrate.state import Counts, State, States, StepFailure, Stretch, parted
+from polyida.integrate.switches import Switches
 from polyida.model.guarded import blame
 
 SLACK = 1e-9  # of a run's length: as near to its end as that is at its end
@@ -18,7 +18,7 @@ FIELDS = ("q", "v", "a", "lam")
 
 
 def accepted(integrator, model, state, t_end, counts, rows=None):
-    """Yield the integrator's states from `state` to t_end.
+    """Yield the integrator's states from `state` to t_end, in stretches.
 
     Raises StepFailure, which names integrator and time, at one that is no State, has the wrong shape, is not real or not
     finite, goes back in time, repeats it, overruns t_end or hardly moves, where the last is short of t_end, and at counts that are no
@@ -26,32 +26,41 @@ def accepted(integrator, model, state, t_end, counts, rows=None):
     again and again; polyida's own are only looked at, in less than a microsecond. A failure says which of a user's functions gave what is not finite. rows: of a
     FrameStore, for an integrator that `writes_rows`.
     """
-    return steps_of(partial(_accepted, model=model, counts=counts, rows=rows), integrator, model, state, t_end, counts)
+    if model.switching:
+        return map(Stretch.of, Switches(partial(_one_by_one, model=model, counts=counts), integrator, model, state, t_end, counts).run())
+    return _accepted(integrator, state, t_end, model, counts, rows)
+
+
+def _one_by_one(integrator, state, t_end, model, counts):
+    return States(_accepted(integrator, state, t_end, model, counts, None), counts)
 
 
 def _accepted(integrator, state, t_end, model, counts, rows):
     """The same of the integrator's own steps, whatever switches."""
     own = type(integrator).__module__.startswith("polyida.")
-    places = {"rows": rows} if rows and own and not model.switching and getattr(integrator, "writes_rows", False) else {}
+    places = {"rows": rows} if rows and own and getattr(integrator, "writes_rows", False) else {}
     watch = _Watch(integrator, state, t_end, counts)
     begin = state if own else State(state.t, *(getattr(state, name).copy() for name in FIELDS), deepcopy(state.memory), state.restart)
     made = integrator.steps(model, begin, t_end, counts, **places)
     if not hasattr(made, "__iter__"):
         watch.stop(f"its steps gave {type(made).__name__}, no states")
     try:
-        yield from _own(watch, made) if own else _foreign(watch, made)
+        yield from _own(watch, made.stretches if isinstance(made, States) else made) if own else _foreign(watch, made)
     except StepFailure as failure:
         raise _naming_function(failure, model, watch.before) from None
     watch.at_end()
 
 
-def _own(watch, states):
-    """States of polyida's integrators."""
-    for state in states:
-        if not state.finite():
-            watch.require_finite(state)
-        watch.before = state
-        yield state
+def _own(watch, made):
+    """Stretches or states of polyida's integrators."""
+    for one in made:
+        stretch = one if isinstance(one, Stretch) else Stretch.of(one)
+        sound = stretch.finite()
+        for part in (stretch,) if sound else parted(stretch, watch.counts):
+            if not (sound or part.finite()):
+                watch.require_finite(part.last)
+            watch.before = part.last
+            yield part
 
 
 def _foreign(watch, states):
@@ -64,7 +73,7 @@ def _foreign(watch, states):
             watch.require_ahead(state.t)
             watch.require_moving(state.t)
             watch.before = state
-            yield state
+            yield Stretch.of(state)
     except BaseException:
         watch.wrong_count()
         raise

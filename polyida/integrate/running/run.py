@@ -12,7 +12,7 @@ from polyida.integrate.running import ctrl_c
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.running.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
-from polyida.integrate.state import Counts, Restart, State, StepFailure, constant_step
+from polyida.integrate.state import Counts, Restart, State, StepFailure, Stretch, constant_step, parted
 from polyida.integrate.switches import unresolved
 from polyida.io.file.writer import NotWritten
 from polyida.io.save import behind_blocks, commit
@@ -22,6 +22,7 @@ from polyida.results.sensors import Sensors
 from polyida.trajectory import Trajectory
 
 FLUSH_SECONDS = 2.0
+MANY = 2**62  # steps, more than a stretch has
 
 
 class Run:
@@ -89,22 +90,37 @@ class Run:
         self.last, until = state, Until(self.until, state) if self.until else None
         model = guard(self.model)
         self.watch = Watch(model, state)
-        for after in accepted(self.integrator, model, state, self.plan["t_end"], self.counts, self.sampler.rows):
-            self.watch.step(after)
-            at_zero = until.crossing(state, after) if until else None
-            self.recorder.step(after if at_zero is None else at_zero)
-            if at_zero is not None:
-                self.sampler.step(state, at_zero)
-                self.last = at_zero
-                self.sampler.keep(at_zero)
-                return "stopped", f"until changed its sign at t = {at_zero.t:.9g} s"
-            self.sampler.step(state, after)
-            self.last = state = after
-            self._keep(after)
-            if self.progress is not None:
-                self.progress(after.t)
-            heed()
+        size = self._steps_alone if until or self.recorder.functions or self.progress is not None else self._steps_to_flush
+        for stretch in accepted(self.integrator, model, state, self.plan["t_end"], self.counts, self.sampler.rows):
+            sound, failure = self.watch.look(stretch)
+            self.counts.steps -= len(stretch) - sound
+            for part in parted(stretch.part(0, sound), self.counts, size):
+                after = part.last
+                at_zero = until.crossing(state, after) if until else None
+                self.recorder.step(after if at_zero is None else at_zero)
+                if at_zero is not None:
+                    self.sampler.step(state, Stretch.of(at_zero))
+                    self.last = at_zero
+                    self.sampler.keep(at_zero)
+                    return "stopped", f"until changed its sign at t = {at_zero.t:.9g} s"
+                self.sampler.step(state, part)
+                self.last = state = after
+                self._keep(after)
+                if self.progress is not None:
+                    self.progress(after.t)
+                heed()
+            if failure:
+                self.counts.steps += 1
+                raise failure
         return "done", unseen(model, constant_step(self.integrator))
+
+    def _steps_alone(self):
+        return 1
+
+    def _steps_to_flush(self):
+        """How many steps it takes until a flush may be due."""
+        left = self.plan["flush_every"] - (self.counts.steps - self.flushed_steps) if self.store.file else MANY
+        return max(1, left)
 
     def _keep(self, state):
         """Note where the run can go on; a flush where it is due."""

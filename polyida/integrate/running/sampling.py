@@ -5,7 +5,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_number, read_only
 from polyida.integrate.running.hermite import cubic
-from polyida.integrate.state import State
+from polyida.integrate.state import State, Stretch
 
 
 def between(before, after, t):
@@ -45,15 +45,22 @@ class Sampler:
             self.next += 1
             self.keep(state)
 
-    def step(self, before, after):
-        """Keep what is wanted of the step from one accepted state to the next."""
+    def step(self, before, stretch):
+        """Keep what is wanted of the steps from one accepted state to those of a stretch, the last of which is number `counts.steps`."""
         if self.output is None:
-            if self.counts.steps % self.every == 0:
-                self.keep(after)
+            self._keep_every(stretch, self.counts.steps - len(stretch))
             return
-        while self.next < len(self.output) and self.output[self.next] <= after.t:
-            self.keep(between(before, after, self.output[self.next]))
+        while self.next < len(self.output) and self.output[self.next] <= stretch.t[-1]:
+            t = self.output[self.next]
+            k = int(np.searchsorted(stretch.t, t))
+            self.keep(between(stretch.state(k - 1) if k else before, stretch.state(k), t))
             self.next += 1
+
+    def _keep_every(self, stretch, done):
+        first = -(done + 1) % self.every
+        if first < len(stretch):
+            self.store.extend(stretch.part(first, len(stretch), self.every))
+            self.kept = None if (done + len(stretch)) % self.every else stretch.last
 
     def end(self, state):
         """Keep the last state, where no times were given."""
@@ -63,7 +70,7 @@ class Sampler:
     def keep(self, state):
         """Make a state the next frame, unless it is the last one already."""
         if state is not self.kept:
-            self.store.add(state)
+            self.store.extend(Stretch.of(state))
             self.kept = state
 
 

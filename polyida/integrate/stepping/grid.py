@@ -22,6 +22,12 @@ class Grid(NamedTuple):
         """The time after k steps; exactly `end` after the last."""
         return self.begin + k * self.h if k < self.count else self.end
 
+    def times(self, first, last):
+        """The times after `first` to `last` steps, (last - first + 1,)."""
+        times = self.begin + np.arange(first, last + 1) * self.h
+        times[self.count - first :] = self.end
+        return times
+
     def after(self, done):
         """What a State's memory holds of the grid after `done` steps."""
         return np.array([self.begin, self.end, self.count, done], float)

@@ -1,0 +1,80 @@
+"""The compiled proof that rows of phi_q stay independent: never more than the singular values say, and no singular position is passed over."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.assembly.rows.unit_rows import LEAST, UnitRows, pattern_of
+from polyida.integrate import singular
+from polyida.integrate.state import State
+from polyida.linear.independence import coordinate_sizes, least, rows_of
+
+
+def bars(points, links):
+    """A scene of bars between points {name: (x, y)}, pinned to the ground at points "A.." and to each other elsewhere."""
+    scene, at = pi.Scene(gravity=(0.0, -9.81)), {}
+    for first, second in links:
+        (x0, y0), (x1, y1) = points[first], points[second]
+        length, middle = np.hypot(x1 - x0, y1 - y0), ((x0 + x1) / 2, (y0 + y1) / 2)
+        ends = {first: (x0, y0), second: (x1, y1)}
+        bar = scene.add(pi.RigidBody(1.0, length**2 / 12, center=middle, points=ends, name=first + second))
+        for end in (first, second):
+            at.setdefault(end, []).append(bar.at(end))
+    for end, sides in at.items():
+        before = [pi.ground.at(points[end])] if end.startswith("A") else []
+        for k, (one, other) in enumerate(zip(before + sides, (before + sides)[1:])):
+            scene.add(pi.Revolute(one, other, name=f"{end}{k}"))
+    return scene
+
+
+def chain(count):
+    """A chain of bars that hangs from the ground."""
+    points = {"A": (0.0, 0.0)} | {f"P{k}": (k + 1.0, 0.0) for k in range(count)}
+    names = list(points)
+    return bars(points, list(zip(names, names[1:])))
+
+
+def four_bars(count, turned=1.0):
+    """Parallelograms side by side, their links 1 m, cranks at an angle to the ground."""
+    feet = {f"A{k}": (float(k), 0.0) for k in range(count + 1)}
+    points = feet | {f"P{k}": (k + np.cos(turned), np.sin(turned)) for k in range(count + 1)}
+    return bars(points, [(f"A{k}", f"P{k}") for k in range(count + 1)] + [(f"P{k}", f"P{k + 1}") for k in range(count)])
+
+
+@pytest.mark.parametrize("scene", [chain(1), chain(6), four_bars(1), four_bars(5), four_bars(2, 0.02)])
+@pytest.mark.parametrize("size", [0.0, 0.05, 0.5])
+def test_the_bound_is_below_the_least_singular_value(scene, size):
+    model, rng = scene.build(), np.random.default_rng(1)
+    start = pi.consistent_state(model)
+    proof, sizes = UnitRows(model, start), coordinate_sizes(model, start.q)
+    for _ in range(20):
+        state = State(0.0, start.q + size * rng.standard_normal(model.n), start.v, start.a, start.lam)
+        proof.begin(state)
+        found, exact = proof.scratch.marks[LEAST], least(rows_of(model.phi_q(0.0, state.q), sizes))
+        assert exact / np.sqrt(model.m) * (1 - 1e-6) <= found <= exact * (1 + 1e-6)
+
+
+def test_rows_are_in_an_order_of_small_bandwidth():
+    """Whatever the number of bars, and the order in which they are added."""
+    assert chain(40).build().once(pattern_of)[1] <= 4
+    assert four_bars(30).build().once(pattern_of)[1] <= 12
+
+
+@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("h", [1e-3, 2e-2])
+def test_parallelograms_stop_where_they_lie_flat_as_by_singular_values(count, h, monkeypatch):
+    model = four_bars(count).build()
+    run = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=h))
+    heights = np.array([run.position(f"P{k}0")[:, 1] for k in range(count + 1)])
+    assert run.status == "singular" and heights[:, -1].min() > 0.0 and np.ptp(heights[:, -1]) < 1e-6
+    assert heights[:, -1].max() < heights[:, -2].max() - heights[:, -1].max() + 1e-3  # the next step would have led through
+    monkeypatch.setattr(singular, "UnitRows", lambda model, state: None)
+    looked = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=h))
+    assert looked.message == run.message and np.array_equal(looked.t, run.t) and np.array_equal(looked.q, run.q)
+
+
+def test_a_sound_motion_is_proven_without_singular_values(monkeypatch):
+    model = chain(6).build()
+    monkeypatch.setattr(singular, "rows_of", None)
+    run = pi.solve(model, 0.5, pi.GeneralizedAlpha(h=1e-3))
+    assert run.status == "done" and len(run) == 501

@@ -1,0 +1,125 @@
+"""Stretches of states give the run that states one by one give, whatever looks at them."""
+
+import numpy as np
+import pytest
+
+import polyida as pi
+from polyida.integrate.radau import steps
+from polyida.integrate.start import consistent_acceleration
+from polyida.integrate.state import Counts, State, States, Stretch, parted
+
+ALPHA = pi.GeneralizedAlpha(h=1e-3)
+
+
+class OneByOne(pi.GeneralizedAlpha):
+    """A user's own: its states come one by one and are copied."""
+
+    def steps(self, *arguments, **more):
+        yield from super().steps(*arguments, **more)
+
+
+@pytest.fixture(scope="module")
+def model():
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    upper = scene.add(pi.RigidBody.bar(1.0, 1.0, name="upper"))
+    lower = scene.add(pi.RigidBody.bar(1.0, 1.0, origin=(1.0, 0.0), name="lower"))
+    scene.add(pi.Revolute(pi.ground, upper.at("left")))
+    scene.add(pi.Revolute(upper.at("right"), lower.at("left")))
+    return scene.build()
+
+
+def stretch_of(count, bad=None):
+    """States whose numbers tell their number."""
+    numbers = np.arange(1.0, count + 1)
+    q = np.repeat(numbers[:, None], 2, axis=1)
+    if bad is not None:
+        q[bad, 1] = np.nan
+    return Stretch(numbers, q, q + 100.0, q + 200.0, np.zeros((count, 0)), None)
+
+
+def test_a_stretch_is_its_states():
+    stretch = stretch_of(5)
+    assert len(stretch) == 5 and [state.t for state in stretch] == [1.0, 2.0, 3.0, 4.0, 5.0]
+    assert stretch.last is stretch.last and stretch.last is list(stretch)[-1] and not stretch.last.restart
+    assert stretch.part(1, 3).last.v.tolist() == [103.0, 103.0] and stretch.part(2, 9).last is stretch.last
+    assert [state.t for state in stretch.part(1, 5, 2)] == [2.0, 4.0]
+    state = State(1.0, np.ones(2), np.ones(2), np.ones(2), np.zeros(0), {"a_alg": np.ones(2)})
+    assert Stretch.of(state).last is state and len(Stretch.of(state)) == 1
+
+
+def test_vectors_of_a_state_that_nobody_asks_for_are_not_made(model, monkeypatch):
+    """A state of RadauIIA makes a and lam when they are asked for, by a solve."""
+    made = []
+    monkeypatch.setattr(steps, "consistent_acceleration", lambda *given: made.append(1) or consistent_acceleration(*given))
+    run = pi.solve(model, 0.1, pi.RadauIIA(h=1e-3), every=50)
+    assert run.success and len(run) == 3 and len(made) <= 4
+
+
+def test_counts_go_with_the_states():
+    counts = Counts(steps=10)
+
+    def stretches():
+        for count in (4, 3):
+            counts.steps += count  # as integrators do, before they yield
+            yield stretch_of(count)
+
+    seen = [(state.t, counts.steps) for state in States(stretches(), counts)]
+    assert seen == [(1.0, 11), (2.0, 12), (3.0, 13), (4.0, 14), (1.0, 15), (2.0, 16), (3.0, 17)]
+    sizes = iter([2, 5, 1])
+    assert [len(part) for part in parted(stretch_of(8), counts, lambda: next(sizes))] == [2, 5, 1] and counts.steps == 17
+
+
+WAYS = {
+    "plain": {},
+    "every": {"every": 7},
+    "output": {"output": [0.0, 1e-4, 0.1, 0.10005, 0.2999, 0.3]},
+    "until": {"until": lambda t, q, v: t - 0.1234},
+    "sensors": {"sensors": {"turned": lambda t, q, v: q}},
+    "single precision": {"precision": "single"},
+    "little memory": {"memory_limit": 20_000},
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("filed", [False, True])
+def test_runs_are_those_of_states_one_by_one(model, way, filed, tmp_path):
+    places = ({"out": tmp_path / "a.h5", "flush_every": 30}, {"out": tmp_path / "b.h5", "flush_every": 30}) if filed else ({}, {})
+    run = pi.solve(model, 0.3, ALPHA, **WAYS[way], **places[0])
+    other = pi.solve(model, 0.3, OneByOne(h=1e-3), **WAYS[way], **places[1])
+    assert run.success and run.counts == other.counts and run.message == other.message
+    assert all(np.array_equal(getattr(run, name), getattr(other, name)) for name in ("t", "q", "v", "a", "lam"))
+    assert np.array_equal(run.sensors.t, other.sensors.t) and run.sensors.t.size == (301 if way == "sensors" else 0)
+    assert run.state.t == other.state.t and run.state.memory.keys() == other.state.memory.keys()
+    if way == "plain":
+        assert run.t.tolist() == pytest.approx(np.arange(301) * 1e-3) and run.counts.steps == 300
+
+
+def test_progress_is_told_of_every_step(model):
+    told = []
+    run = pi.solve(model, 0.3, ALPHA, progress=told.append)
+    assert np.array_equal(told, run.t[1:])
+
+
+class Free(pi.Model):
+    n, m = 2, 0
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.zeros(2)
+
+
+def test_a_stretch_that_is_not_finite_in_its_middle_gives_the_states_before():
+    class Torn(pi.GeneralizedAlpha):
+        def steps(self, model, state, t_end, counts, rows=None):
+            def stretches():
+                counts.steps += 5
+                yield stretch_of(5, bad=3)
+
+            return States(stretches(), counts)
+
+    Torn.__module__ = "polyida.test"
+    run = pi.solve(Free(), 5.0, Torn(h=1.0), q0=[0.0, 0.0])
+    assert run.status == "not finite" and "q[1] = nan at t = 4 s" in run.message
+    assert run.t.tolist() == [0.0, 1.0, 2.0, 3.0] and run.counts.steps == 4
