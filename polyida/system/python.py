@@ -1,6 +1,7 @@
 """Tables of models that are written in Python: callbacks, which keep an exception until the driver has returned."""
 
 import ctypes
+import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,14 +16,19 @@ from polyida.system import dense as small
 from polyida.system.own import Compiled
 from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
+SHORT, LONG = 5e-3, 20e-3  # s
+
 
 class PythonTable:
     """The table of any model: every entry is a callback.
 
-    functions: the addresses; workspace: that of the model's arrays; longest: steps of a stretch.
+    functions: the addresses; workspace: that of the model's arrays. longest: steps of a stretch, by the time that they take; steady: the same
+    where what is done depends on where a stretch ends, as with adaptive steps.
     """
 
-    longest = 1  # so that each state is there before the model's functions are called again
+    steady = 1
+
+    longest = 1  # at first: its functions may be slow, and Ctrl-C and progress wait for the end of a stretch
     workspace = 0
 
     def __init__(self, model, incremental):
@@ -75,7 +81,19 @@ class PythonTable:
     def at_work(self, system):
         """(addresses of the functions, address of the workspace) with a factored system."""
         self.factored = system
-        yield self.functions, self.workspace
+        with self._timed():
+            yield self.functions, self.workspace
+
+    @contextmanager
+    def _timed(self):
+        """Let the next stretch be longer while one takes less than SHORT, shorter where it takes more than LONG."""
+        begun = time.perf_counter()
+        yield
+        spent = time.perf_counter() - begun
+        if spent < SHORT:
+            self.longest = min(2 * self.longest, INSTANTS)
+        elif spent > LONG:
+            self.longest = max(1, self.longest // 2)
 
     def _array(self, at, size):
         return np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
@@ -188,7 +206,8 @@ class DenseTable(PythonTable):
         """As of any table; S is in the workspace."""
         if system is not self.factored:
             self.factored, self.w.S[...], self.w.flags[small.KEPT] = system, system.S, 0
-        yield self.functions, self.workspace
+        with self._timed():
+            yield self.functions, self.workspace
 
     def make(self, t, q, v, a, lam, c_m, c_v):
         """Make S at a state in the workspace."""
@@ -237,7 +256,7 @@ class DenseMatrix:
 class CompiledTable(DenseTable):
     """The table of a small model whose functions numba compiled; what it does not write is asked of it in Python, or is a difference."""
 
-    longest = INSTANTS
+    longest = steady = INSTANTS
 
     def _fill(self):
         super()._fill()

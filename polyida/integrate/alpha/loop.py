@@ -156,7 +156,6 @@ class Loop:
         self.settings, self.model, self.counts, self.memory, self.trial = settings, model, counts, memory, trial
         self.tied = settings.form == "stabilised" and model.m > 0
         self.table = table_of(model, settings.linear, self.tied, settings.incremental_phi and model.carries)
-        self.longest = self.table.longest
 
     def system(self):
         """What factors the step matrix, not factored yet."""

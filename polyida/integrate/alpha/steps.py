@@ -13,6 +13,7 @@ from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINI
 from polyida.integrate.stepping.kept import Kept
 from polyida.io.memory import room
 from polyida.linear.lu import SingularSystem
+from polyida.system.table import INSTANTS
 
 ADAPTIVE = 32  # steps of a stretch whose step may change any time
 
@@ -35,7 +36,7 @@ class Steps:
         self.loop = Loop(settings, model, counts, self.memory, self.trial)
         self.caution = self.loop.system().caution
         self.system = self.verdict = None
-        self.longest = self.loop.longest
+        self.longest = INSTANTS
         self.kept, self.pause, self.rows, self.watch = Kept(), 0, _no_rows, None
 
     def begin(self, state, h):
@@ -78,7 +79,7 @@ class Steps:
     def _limit(self, memory):
         """Heed what is said of the next stretch."""
         if self.model.switching:
-            self.longest = min(int(memory.get("stretch", 1)), self.loop.longest)
+            self.longest = min(int(memory.get("stretch", 1)), INSTANTS)
 
     def _held_to(self, h):
         """(|C| h^2, rtol, atol, the error below which h may grow, the weight of the step before) of steps of h."""
@@ -112,7 +113,11 @@ class Steps:
         done, self.verdict = grid.done, None
         most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
         while done < grid.count and self.verdict is None:
-            longest, left = int(max(1, min(most, self.longest))), self.pause - self.counts.steps
+            table = self.loop.table
+            longest, left = (
+                int(max(1, min(most, self.longest, table.steady if self.control else table.longest))),
+                self.pause - self.counts.steps,
+            )
             end = min(done + (left if 0 < left < longest else longest), grid.count)
             for stretch in self._stretches(grid.times(done, end), grid, done):
                 done += len(stretch)
