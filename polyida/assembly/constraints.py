@@ -79,17 +79,13 @@ class Constraints(NamedPoints):
         rows.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
         return csr_array((slopes, s.row_columns, s.row_start), (self.m, 2 * self.n_points))
 
-    def phi_z(self, t, q):
-        """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
-        return self._slopes(t, q).toarray()
-
     def phi_t(self, t, q):
         """Partial derivative of phi in time, (m,)."""
         return self._rates(t, q, np.zeros(self.n))[0]
 
     def phi_rate(self, t, q, v):
         """`phi_q v + phi_t`, (m,)."""
-        return self.phi_z(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
+        return self._slopes(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
 
     def phi_bias(self, t, q, v):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""
@@ -123,11 +119,13 @@ class Constraints(NamedPoints):
 
     def reaction_q(self, t, q, lam):
         """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the rows on the points."""
-        from scipy.sparse import csr_array
+        from scipy.sparse import bsr_array
 
-        curvature = np.zeros((2 * self.n_points, 2 * self.n_points))
+        coupling = self.arrays.links.coupling
+        curvature = np.zeros((len(coupling.columns), 2, 2))
         rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), curvature)
-        return self._points_t @ csr_array(curvature) @ self._points_t.T
+        C = bsr_array((curvature, coupling.columns, coupling.start), (2 * self.n_points,) * 2)
+        return self._points_t @ C.tocsr() @ self._points_t.T
 
     def _flipped(self, t, q):
         """Name of a joint whose angle error is beyond a quarter turn."""

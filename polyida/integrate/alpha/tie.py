@@ -25,22 +25,12 @@ def part_constraints(s, drives, dz, v, phi, t, to_v):
 
 
 @part
-def _along(s, slopes, k, z):
-    """Row k of phi_z on z (points, 2)."""
-    total = 0.0
-    for e in range(s.row_start[k], s.row_start[k + 1]):
-        i = s.row_columns[e]
-        total += slopes[e] * z[i // 2, i % 2]
-    return total
-
-
-@part
 def slip(s, p, y, x, t):
     """Add y to the step, in t.slip with that of the iterations before."""
     past, now, dd = y.past, x.now, pairs(x.now[DD])
     joints.point_values(s, t.slip, t.vz)
     for k in range(t.bias.shape[0]):
-        t.bias[k] -= _along(s, t.slopes, k, t.vz)
+        t.bias[k] -= joints.along(s, t.slopes, k, t.vz)
     for i in range(dd.shape[0]):
         for e in range(2):
             dd[i, e] -= t.slip[i, e]
