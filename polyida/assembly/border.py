@@ -54,7 +54,8 @@ class Border(NamedTuple):
 @pack
 class BorderRoom(NamedTuple):
     """Numbers of a Border, float or complex: slots of E and F, the bodies' matrices, values of the elimination, right-hand side, unknowns;
-    scratch, vectors (3, a body's width), and of equations their left-hand sides and the sums of their terms. curvature: a view of its slots.
+    scratch, vectors (3, .) and answers of a body, and of equations their left-hand sides and the sums of their terms. curvature: a view of
+    its slots.
     """
 
     slots: np.ndarray
@@ -64,6 +65,7 @@ class BorderRoom(NamedTuple):
     right: np.ndarray
     x: np.ndarray
     vectors: np.ndarray
+    answers: np.ndarray
     left: np.ndarray
     terms: np.ndarray
 
@@ -164,7 +166,7 @@ def border_room(model, pattern, dtype=float):
     first, blocks = len(s.row_columns) + 1, 4 * len(s.coupling.columns)
     slots = np.zeros(first + blocks + len(s.row_columns), dtype)
     slots[first - 1] = 1.0
-    wide = pattern.layers * 2 * int(np.diff(pattern.point_start).max(initial=0))
+    wide, columns = (int(np.diff(each).max(initial=0)) for each in (2 * pattern.layers * pattern.point_start, pattern.column_start))
     return BorderRoom(
         slots,
         slots[first : first + blocks].reshape(-1, 2, 2),
@@ -172,7 +174,8 @@ def border_room(model, pattern, dtype=float):
         np.zeros(pattern.elimination.start[-1], dtype),
         np.zeros(count, dtype),
         np.zeros(count, dtype),
-        np.zeros((3, wide), dtype),
+        np.zeros((3, max(wide, columns)), dtype),
+        np.zeros((wide, columns), dtype),
         np.zeros(count, dtype),
         np.zeros(count),
     )
@@ -237,17 +240,20 @@ def assemble(b, w):
     """w.values = I_w + F G E, and the right-hand side."""
     for k in range(w.values.shape[0]):
         w.values[k] = 0.0
-    column = w.vectors[0]
+    row = w.vectors[0]
     for n in range(b.block.shape[0] - 1):
-        wide, rows = width(b, n), b.row_start[n + 1] - b.row_start[n]
-        count = b.column_start[n + 1] - b.column_start[n]
-        for j in range(count):
-            answer(b, w, n, b.column_start[n] + j, wide, column)
-            for i in range(rows):
-                r, total = b.row_start[n] + i, 0.0
-                for e in range(b.row_entry[r], b.row_entry[r + 1]):
-                    total += w.slots[b.row_slot[e]] * column[b.row_component[e]]
-                w.values[b.into[b.into_start[n] + i * count + j]] += total
+        first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
+        answer(b, w, n, first, count)
+        for r in range(b.row_start[n], b.row_start[n + 1]):
+            for j in range(count):
+                row[j] = 0.0
+            for e in range(b.row_entry[r], b.row_entry[r + 1]):
+                value, at = w.slots[b.row_slot[e]], b.row_component[e]
+                for j in range(count):
+                    row[j] += value * w.answers[at, j]
+            at = b.into_start[n] + (r - b.row_start[n]) * count
+            for j in range(count):
+                w.values[b.into[at + j]] += row[j]
     for i in range(b.active.shape[0]):
         w.values[b.elimination.diagonal[i]] += 1.0
     for u in range(w.right.shape[0]):
@@ -261,14 +267,16 @@ def width(b, n):
 
 
 @part
-def answer(b, w, n, c, wide, column):
-    """column (wide,) = G E of a column of body n."""
+def answer(b, w, n, first, count):
+    """w.answers = G E of body n, by components and columns."""
+    wide = width(b, n)
     for p in range(wide):
-        column[p] = 0.0
-    for e in range(b.column_entry[c], b.column_entry[c + 1]):
-        value, at = w.slots[b.column_slot[e]], b.block[n] + b.column_component[e]
-        for p in range(wide):
-            column[p] += w.blocks[at + p * wide] * value
+        line = b.block[n] + p * wide
+        for j in range(count):
+            total = 0.0
+            for e in range(b.column_entry[first + j], b.column_entry[first + j + 1]):
+                total += w.blocks[line + b.column_component[e]] * w.slots[b.column_slot[e]]
+            w.answers[p, j] = total
 
 
 @part
