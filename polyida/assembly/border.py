@@ -28,7 +28,8 @@ class Border(NamedTuple):
     body's matrix begins, square, `layers` times 2 components a point wide.
 
     rows, columns: the unknowns of the body's part of F and E from `row_start`, `column_start` on, and of each its components within the body
-    and slots, `*_entry` on; into: where the values of each row and column are, from `into_start` on.
+    and slots, `*_entry` on; single: how many columns begin the body's part that are of the first layer alone. into: where the values of each
+    row and column are, from `into_start` on.
     """
 
     elimination: Elimination
@@ -47,6 +48,7 @@ class Border(NamedTuple):
     column_entry: np.ndarray
     column_component: np.ndarray
     column_slot: np.ndarray
+    single: np.ndarray
     into_start: np.ndarray
     into: np.ndarray
 
@@ -95,17 +97,15 @@ def border(model, active=True, rows=True, rates=False):
                 note(looks, unknown, 2 * s.coupling.columns[block] + other, slots + 1 + 4 * block + 2 * axis + other)
     linear, turning = _live(s)
     behind = slots + 1 + 4 * len(s.coupling.columns)
-    for k in range(m):
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            component = s.row_columns[e]
+    entries = [(k, e) for k in range(m) for e in range(s.row_start[k], s.row_start[k + 1])]
+    for layer in range(layers):
+        for k, e in entries:
+            unknown, component = first + layer * m + k, s.row_columns[e]
             if linear[e] or turning[e]:
-                note(pulls, first + k, component, e)
-                note(looks, first + k, component, e)
-                if rates:
-                    note(pulls, first + m + k, component, e, 1)
-                    note(looks, first + m + k, component, e, 1)
-            if rates and turning[e]:
-                note(looks, first + m + k, component, behind + e)
+                note(pulls, unknown, component, e, layer)
+                note(looks, unknown, component, e, layer)
+            if layer and turning[e]:
+                note(looks, unknown, component, behind + e)
     groups = [sorted({*pull, *look}) for pull, look in zip(pulls, looks)]
     order = elimination(first + layers * m, groups)
     into = [_grid(order, list(look), list(pull)) for pull, look in zip(pulls, looks)]
@@ -118,6 +118,7 @@ def border(model, active=True, rows=True, rates=False):
         np.concatenate([[0], np.cumsum([(layers * size) ** 2 for size in wide])]).astype(np.int64),
         *_listed(looks),
         *_listed(pulls),
+        np.array([sum(unknown < first + m for unknown in pull) for pull in pulls], np.int64),
         starts(into),
         np.concatenate([*into, np.zeros(0, np.int64)]).astype(np.int64),
     )
@@ -243,13 +244,14 @@ def assemble(b, w):
     row = w.vectors[0]
     for n in range(b.block.shape[0] - 1):
         first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
+        layer = width(b, n) // b.layers
         answer(b, w, n, first, count)
         for r in range(b.row_start[n], b.row_start[n + 1]):
             for j in range(count):
                 row[j] = 0.0
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
                 value, at = w.slots[b.row_slot[e]], b.row_component[e]
-                for j in range(count):
+                for j in range(0 if at < layer else b.single[n], count):
                     row[j] += value * w.answers[at, j]
             at = b.into_start[n] + (r - b.row_start[n]) * count
             for j in range(count):
@@ -268,11 +270,11 @@ def width(b, n):
 
 @part
 def answer(b, w, n, first, count):
-    """w.answers = G E of body n, by components and columns."""
+    """w.answers = G E of body n, by components and columns; nothing where a column of the first layer meets the second one."""
     wide = width(b, n)
     for p in range(wide):
         line = b.block[n] + p * wide
-        for j in range(count):
+        for j in range(0 if p < wide // b.layers else b.single[n], count):
             total = 0.0
             for e in range(b.column_entry[first + j], b.column_entry[first + j + 1]):
                 total += w.blocks[line + b.column_component[e]] * w.slots[b.column_slot[e]]
@@ -295,7 +297,7 @@ def is_accurate(b, w):
             for e in range(b.column_entry[c], b.column_entry[c + 1]):
                 pull[b.column_component[e]] += w.slots[b.column_slot[e]] * w.x[b.columns[c]]
         for p in range(wide):
-            for q in range(wide):
+            for q in range(0 if p < wide // b.layers else wide // b.layers, wide):
                 value = w.blocks[b.block[n] + p * wide + q] * pull[q]
                 moved[p] += value
                 size[p] += magnitude(value)
@@ -304,10 +306,10 @@ def is_accurate(b, w):
             for e in range(b.row_entry[r], b.row_entry[r + 1]):
                 w.left[u] += w.slots[b.row_slot[e]] * moved[b.row_component[e]]
                 w.terms[u] += magnitude(w.slots[b.row_slot[e]] * size[b.row_component[e]])
+    good = True
     for u in range(w.x.shape[0]):
-        if not magnitude(w.right[u] - w.left[u]) <= ACCURATE * w.terms[u]:
-            return False
-    return True
+        good = good and magnitude(w.right[u] - w.left[u]) <= ACCURATE * w.terms[u]
+    return good
 
 
 @part

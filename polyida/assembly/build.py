@@ -9,8 +9,8 @@ from polyida.assembly.bodies.compact import Compact
 from polyida.assembly.bodies.places import PlacedBody, PlacedPlate
 from polyida.assembly.loads import dead_loads, steady
 from polyida.assembly.own.law_table import laws_of
-from polyida.assembly.rows.points import Points
 from polyida.assembly.rows.coupling import coupling_of
+from polyida.assembly.rows.points import Points
 from polyida.assembly.rows.row_table import Drives, RowTable, given_rows
 from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate

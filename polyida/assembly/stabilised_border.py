@@ -105,14 +105,15 @@ def add_masses(s, b, c_v, blocks):
     for n in range(b.block.shape[0] - 1):
         wide, at = width(b, n), b.block[n]
         size = wide // 2
+        for e in range(size):
+            mass = s.point_mass[b.points[b.point_start[n] + e // 2]]
+            if mass != 0.0:
+                for p in range(size):
+                    for q in range(size):
+                        blocks[at + p * wide + size + q] -= blocks[at + p * wide + e] * mass * blocks[at + (size + e) * wide + size + q]
         for p in range(size):
             for q in range(size):
-                total = blocks[at + p * wide + size + q]
-                for e in range(size):
-                    mass = s.point_mass[b.points[b.point_start[n] + e // 2]]
-                    if mass != 0.0:
-                        total -= blocks[at + p * wide + e] * mass * blocks[at + (size + e) * wide + size + q]
-                blocks[at + p * wide + size + q] = c_v * total
+                blocks[at + p * wide + size + q] *= c_v
 
 
 @part

@@ -3,8 +3,8 @@
 import numpy as np
 
 from polyida.assembly import corotated
-from polyida.assembly.border import border, border_room
 from polyida.assembly.bodies.damping import combined, symmetric_blocks
+from polyida.assembly.border import border, border_room
 from polyida.assembly.own.laws import add_own_curvature
 from polyida.linear.cholesky.factor import NotFactorable
 from polyida.linear.lu import SingularSystem

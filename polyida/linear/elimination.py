@@ -43,7 +43,9 @@ def elimination(count, groups):
     size = size + pivots
     start, first = (np.concatenate([[0], np.cumsum(numbers)]).astype(np.int64) for numbers in (size * (size + 1), size))
     unknowns = np.array([u for front in fronts for part in front for u in part], np.int64)
-    made = Elimination(pivots, size, start, first, -np.ones_like(pivots), unknowns, np.zeros_like(unknowns), *np.zeros((2, count), np.int64))
+    made = Elimination(
+        pivots, size, start, first, -np.ones_like(pivots), unknowns, np.zeros_like(unknowns), *np.zeros((2, count), np.int64)
+    )
     front, place = _own(made, count)
     made.diagonal[:] = start[front] + place * (size[front] + 2)
     made.right[:] = start[front] + place * (size[front] + 1) + size[front]
@@ -155,10 +157,12 @@ def eliminate(e, values, x):
             pivot = values[top + k]
             if not magnitude(pivot) > SMALL * magnitude(x[e.unknowns[e.first[f] + k]]):
                 return False
+            pivot = 1.0 / pivot
+            values[top + k] = pivot
             for i in range(k + 1, n):
                 row = at + i * wide
                 if values[row + k] != 0.0:
-                    factor = values[row + k] / pivot
+                    factor = values[row + k] * pivot
                     for j in range(k + 1, wide):
                         values[row + j] -= factor * values[top + j]
         if e.parent[f] >= 0:
@@ -181,7 +185,7 @@ def hand_on(e, values, f):
 
 @part
 def substitute(e, values, x):
-    """Fill x from the last front to the first."""
+    """Fill x from the last front to the first; the diagonal holds the reciprocals of the pivots."""
     for f in range(e.size.shape[0] - 1, -1, -1):
         n, at, first = e.size[f], e.start[f], e.first[f]
         for k in range(e.pivots[f] - 1, -1, -1):
@@ -189,7 +193,7 @@ def substitute(e, values, x):
             total = values[row + n]
             for j in range(k + 1, n):
                 total -= values[row + j] * x[e.unknowns[first + j]]
-            x[e.unknowns[first + k]] = total / values[row + k]
+            x[e.unknowns[first + k]] = total * values[row + k]
 
 
 @entry

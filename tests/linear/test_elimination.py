@@ -52,7 +52,10 @@ def test_its_numbers_grow_with_the_length_of_a_ladder():
     """Twice the windows, twice the numbers, but for the ends; a graph without long loops keeps its fronts small."""
 
     def ladder(n):
-        count, groups = 3 * n, [[3 * k, 3 * k + 1, 3 * k + 3, 3 * k + 4] for k in range(n - 1)] + [range(3 * k, 3 * k + 3) for k in range(n)]
+        count, groups = (
+            3 * n,
+            [[3 * k, 3 * k + 1, 3 * k + 3, 3 * k + 4] for k in range(n - 1)] + [range(3 * k, 3 * k + 3) for k in range(n)],
+        )
         return elimination(count, groups)
 
     one, two = ladder(100), ladder(200)
