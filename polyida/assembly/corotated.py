@@ -300,10 +300,11 @@ def pull_points(s, c, w, dq):
         p, q = co * x + si * y, co * y - si * x
         if p == 0.0 and q == 0.0:
             continue
-        size, at = c.place[f, 1] - c.place[f, 0], c.place[f, 2]
-        for e in range(size):
-            i = c.place[f, 0] + e
-            gx = c.reach[at + e, 0] * p + c.reach[at + size + e, 0] * q
-            gy = c.reach[at + e, 1] * p + c.reach[at + size + e, 1] * q
-            dq[i, 0] -= w.turn[i, 0] * gx - w.turn[i, 1] * gy
-            dq[i, 1] -= w.turn[i, 1] * gx + w.turn[i, 0] * gy
+        first, end, at = c.place[f, 0], c.place[f, 1], c.place[f, 2]
+        size = end - first
+        along, across, turn, moved = c.reach[at : at + size], c.reach[at + size : at + 2 * size], w.turn[first:end], dq[first:end]
+        for i in range(size):
+            gx = along[i, 0] * p + across[i, 0] * q
+            gy = along[i, 1] * p + across[i, 1] * q
+            moved[i, 0] -= turn[i, 0] * gx - turn[i, 1] * gy
+            moved[i, 1] -= turn[i, 1] * gx + turn[i, 0] * gy

@@ -74,7 +74,7 @@ def pull_points(c, room, y):
         p, q = co * x + si * y_, co * y_ - si * x
         if p == 0.0 and q == 0.0:
             continue
-        size, at = c.place[f, 1] - c.place[f, 0], c.place[f, 2]
+        first, size, at = c.place[f, 0], c.place[f, 1] - c.place[f, 0], c.place[f, 2]
         for e in range(size):
             for k in range(2):
-                y[c.place[f, 0] + e, k] -= c.reach[at + e, k] * p + c.reach[at + size + e, k] * q
+                y[first + e, k] -= c.reach[at + e, k] * p + c.reach[at + size + e, k] * q
