@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.bodies.compact import Compact
+from polyida.assembly.rows.coupling import Coupling
 from polyida.jit import pack
 
 
@@ -52,7 +53,7 @@ class Links(NamedTuple):
     Rows: constant; the components of the points that each touches, in CSR form, and the slopes of its linear part. Shifts: a factor
     times a drive that is added to a row. Products
     `R(theta) E . F`: their row, the vectors E and F, the drive of theta (-1: none), whether only one of two positions half a turn apart
-    is accepted. Vectors: value at rest, and in CSR form their points with a complex weight each.
+    is accepted. Vectors: value at rest, and in CSR form their points with a complex weight each. coupling: of the points.
     """
 
     point_ptr: np.ndarray
@@ -76,6 +77,7 @@ class Links(NamedTuple):
     vector_start: np.ndarray
     vector_points: np.ndarray
     vector_weights: np.ndarray
+    coupling: Coupling | None = None
 
 
 @pack

@@ -9,6 +9,7 @@ from polyida.assembly.bodies.compact import Compact
 from polyida.assembly.bodies.places import PlacedBody, PlacedPlate
 from polyida.assembly.loads import dead_loads, steady
 from polyida.assembly.own.law_table import laws_of
+from polyida.assembly.rows.coupling import coupling_of
 from polyida.assembly.rows.points import Points
 from polyida.assembly.rows.row_table import Drives, RowTable, given_rows
 from polyida.body.body import Body, points_of
@@ -104,6 +105,7 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
     fields["weight"] = np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few)])
     laws = laws_of(of_kind(parts, ForceElement), points, drives, size)
     links = Links(**points.arrays(), **table.arrays(), gravity=np.array(steady(gravity)))
+    links = links._replace(coupling=coupling_of(links, laws))
     first = plates[-1].nodes.stop if plates else 0
     arrays = SceneArrays(Plates(**fields), links, compact_of(few, first, int(fields["body_block"][-1])))
     return arrays, points, table, drives, laws

@@ -107,7 +107,7 @@ class Constraints(NamedPoints):
 
     def phi_rate(self, t, q, v):
         """`phi_q v + phi_t`, (m,)."""
-        return self.phi_z(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
+        return self._slopes(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
 
     def phi_bias(self, t, q, v):
         """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""
@@ -141,14 +141,19 @@ class Constraints(NamedPoints):
 
     def reaction_q(self, t, q, lam):
         """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the rows on the points."""
-        from scipy.sparse import csr_array
+        return self._points_t @ self._sparse_curvature(t, lam).tocsr() @ self._points_t.T
 
-        return self._points_t @ csr_array(self._curvature(t, lam)) @ self._points_t.T
+    def _sparse_curvature(self, t, lam):
+        """C in blocks of points that rows couple."""
+        from scipy.sparse import bsr_array
+
+        coupling = self.arrays.links.coupling
+        blocks = np.zeros((len(coupling.columns), 2, 2))
+        rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), blocks)
+        return bsr_array((blocks, coupling.columns, coupling.start), (2 * self.n_points,) * 2)
 
     def _curvature(self, t, lam):
-        curvature = np.zeros((2 * self.n_points, 2 * self.n_points))
-        rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), curvature)
-        return curvature
+        return self._sparse_curvature(t, lam).toarray()
 
     def _flipped(self, t, q):
         """Name of a joint whose angle error is beyond a quarter turn."""

@@ -5,8 +5,8 @@
 [ Bz A           0        ] [ dlam ] = - [ phi ]         + c_m masses at points, Bz = phi_z
 ```
 `S^-1 ~ P S_ref^-1 P^T` with P = R(q) R(q_ref)^T node by node: elastic plates that turn keep their factor. All joints act through the
-few points z = A q, so the border costs `X = S^-1 A^T`, made once a factor, and a dense system of its own size a solve. X is as stale
-as the factor, but `G = A X` is taken from that same X: dq satisfies `Bz A dq = -phi` to round-off however stale it is.
+few points z = A q, so the border costs `X = S^-1 A^T`, made once a factor, and a sparse system of its own a solve (border.py). X is as
+stale as the factor, but `G = A X` is taken from that same X: dq satisfies `Bz A dq = -phi` to round-off however stale it is.
 S, r and phi may be complex, and are symmetric then, not Hermitian; frames and Bz stay real.
 """
 
@@ -14,14 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.arrays import bilinear
+from polyida.assembly.border import Border, BorderRoom, body_of_points, border, border_room, look, put_slopes, solve_border
 from polyida.assembly.rows import joints
 from polyida.jit import entry, pack, part, shared
 from polyida.linear.cholesky.factor import BAND, FRONTS, Factor, factor
 from polyida.linear.cholesky.fronts import solve_fronts
 from polyida.linear.cholesky.team import Team, solve_together
 from polyida.linear.cholesky.triangular import solve_band, solve_columns
-from polyida.linear.dense import clear, solve_small
 
 UNIT = (lambda c, n: np.stack([c, -n], axis=1), lambda c, n: np.stack([n, c], axis=1))  # A^T of a unit along x and along y
 
@@ -30,35 +29,30 @@ UNIT = (lambda c, n: np.stack([c, -n], axis=1), lambda c, n: np.stack([n, c], ax
 class Corotated(NamedTuple):
     """A factor with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
 
-    point_body: first and last node of the body that each point is on; reach: X, (2 per point, nodes, 2), zero off the body;
-    active: the components of the points that curvature or mass can act on. place: the order of the unknowns (active, multipliers) along
-    the joints. turns: whether the factor turns with the nodes, P, or stays as it was made, P = I, which is there to be compared with.
+    place: of each point the first and last node of its body, and where its two columns X begin in `reach` (., 2), which has them on that
+    body's nodes alone. border: the pattern of the unknowns at the points. turns: whether the factor turns with the nodes, P, or stays as
+    it was made, P = I, which is there to be compared with.
     """
 
     factor: Factor
     frame: np.ndarray
-    point_body: np.ndarray
-    reach: np.ndarray
-    active: np.ndarray
     place: np.ndarray
+    reach: np.ndarray
+    border: Border
     turns: bool = True
 
 
 @pack
 class Room(NamedTuple):
-    """Scratch of a solve; own: slopes of the force elements on the points, as old as the factor, or (0, 0). team: of threads that serve it."""
+    """Scratch of a solve; own: slopes of the force elements, blocks of the coupling, as old as the factor, or (0, 2, 2). team: of threads
+    that serve it."""
 
     x: np.ndarray
     turn: np.ndarray
     spin: np.ndarray
     moved: np.ndarray
-    g: np.ndarray
     slopes: np.ndarray
-    curvature: np.ndarray
-    gb: np.ndarray
-    small: np.ndarray
-    right: np.ndarray
-    last: np.ndarray
+    border: BorderRoom
     pull: np.ndarray
     own: np.ndarray
     team: Team | None = None
@@ -70,87 +64,60 @@ def corotated(model, blocks, rotation, backend="auto", phase=1.0):
     Raises NotFactorable.
     """
     made, name = factor(model, blocks, backend, phase)
-    frame = rotation / np.linalg.norm(rotation, axis=1, keepdims=True)
-    reach, (point_body, active, place) = np.zeros((2 * model.n_points, model.n_nodes, 2), made.band.dtype), model.once(_of_points)
-    result = Corotated(made, frame, point_body, reach, active, place)
+    frame, place = rotation / np.linalg.norm(rotation, axis=1, keepdims=True), model.once(column_places, of_shape=True)
+    reach = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), made.band.dtype)
+    result = Corotated(made, frame, place, reach, model.once(border, of_shape=True))
     fill_reach(model.arrays.links, result)
     return result, name
 
 
-def _of_points(model):
-    """(point_body, active, place) of a model's factors."""
-    s, first = model.arrays.links, model.first_pairs
-    bodies = np.searchsorted(first, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
-    active = active_components(s, model.laws)
-    return np.stack([first[bodies], first[bodies + 1]], axis=1).astype(np.int64).reshape(-1, 2), active, order_along_joints(active, s)
+def column_places(model):
+    """(points, 3): the first and last pair of each point's body, and where its two columns on these pairs begin, one behind the other."""
+    bodies = body_of_points(model)
+    first, end = model.first_pairs[bodies], model.first_pairs[bodies + 1]
+    return np.stack([first, end, 2 * (np.cumsum(end - first) - (end - first))], axis=1).astype(np.int64).reshape(-1, 3)
+
+
+def columns_together(border):
+    """How many columns X there are on one body at most: those of other bodies are solved with them."""
+    return 2 * int(np.diff(border.point_start).max(initial=0))
 
 
 def fill_reach(s, c, product=None):
-    """X = S_ref^-1 A^T in the factor's own frame, one column a component of a point; S_ref^-1 M A^T with M's `product`."""
-    order, behind = c.factor.order, c.factor.band.shape[1]
-    x = np.zeros((len(c.reach), len(order) + behind), c.reach.dtype)
-    points, pairs = np.repeat(np.arange(len(c.reach) // 2), np.diff(s.point_ptr)), order.reshape(-1, 2)
-    for axis, unit in enumerate(UNIT):
-        if product is None:
-            x[2 * points[:, None] + axis, pairs[s.point_nodes]] = unit(*s.point_weights.T)
-            continue
-        for f in range(len(c.reach) // 2):
-            load, part = np.zeros(c.reach.shape[1:]), points == f
-            load[s.point_nodes[part]] = unit(*s.point_weights[part].T)
-            x[2 * f + axis, order] = product(load).ravel()
+    """X = S_ref^-1 A^T in the factor's own frame, one column a component of a point; S_ref^-1 M A^T with M's `product`.
+
+    Bodies are not coupled in S_ref: the first columns of all of them are found by one solve, then the second ones.
+    """
+    order, behind, points = c.factor.order, c.factor.band.shape[1], np.split(c.border.points, c.border.point_start[1:-1])
+    x = np.zeros((columns_together(c.border), len(order) + behind), c.reach.dtype)
+    for column, values in enumerate(x):
+        load = np.zeros((len(c.frame), 2))
+        for f in (group[column // 2] for group in points if len(group) > column // 2):
+            part = slice(s.point_ptr[f], s.point_ptr[f + 1])
+            load[s.point_nodes[part]] = UNIT[column % 2](*s.point_weights[part].T)
+        values[order] = load.ravel() if product is None else product(load).ravel()
     all_triangular(c.factor, x)
-    for column, (values, found) in enumerate(zip(c.reach, x)):
-        body = slice(*c.point_body[column // 2])
-        values[body] = found[pairs[body]]
-
-
-def active_components(s, laws):
-    """Components of the points on which a mass, the curvature of a row or a force element can act."""
-    acts = s.point_mass != 0
-    if laws is not None:
-        acts[laws.points[laws.points >= 0]] = True
-    for p in np.flatnonzero(bilinear(s)):
-        for i in (s.product_first[p], s.product_second[p]):
-            acts[s.vector_points[s.vector_start[i] : s.vector_start[i + 1]]] = True
-    return np.flatnonzero(np.repeat(acts, 2))
-
-
-def order_along_joints(active, s):
-    """Place of each unknown (active components, then multipliers): every row of phi after the components it touches."""
-    number, order, m = {int(p): i for i, p in enumerate(active)}, [], len(s.row_constant)
-    for row in range(m):
-        columns = s.row_columns[s.row_start[row] : s.row_start[row + 1]]
-        order += [number.pop(p) for p in columns.tolist() if p in number]
-        order.append(len(active) + row)
-    order += number.values()
-    place = np.empty(len(active) + m, np.int64)
-    place[order] = np.arange(len(order))
-    return place
+    for group in points:
+        for i, f in enumerate(group):
+            first, end, at = c.place[f]
+            for axis in range(2):
+                c.reach[at + axis * (end - first) : at + (axis + 1) * (end - first)] = x[2 * i + axis][order.reshape(-1, 2)[first:end]]
 
 
 def room(model, system):
     """Scratch for solves with `system`."""
-    points, m, size = 2 * model.n_points, model.m, len(system.active) + model.m
     band = system.factor.band
-    dtype = np.result_type(band, float)
+    dtype, coupled = np.result_type(band, float), len(model.arrays.links.coupling.columns)
     return Room(
         np.zeros(model.n + band.shape[1], band.dtype),
         np.empty((model.n_nodes, 2)),
         np.empty((model.n_points, 2)),
         np.empty((model.n_points, 2), dtype),
-        np.empty((points, points), dtype),
         np.empty(len(model.arrays.links.row_columns)),
-        np.empty((points, points), dtype),
-        np.empty((points, m), dtype),
-        *small_room(size, dtype),
-        np.empty(points, dtype),
-        np.zeros((0, 0) if model.laws is None else (points, points), dtype),
+        border_room(model, system.border, dtype),
+        np.empty(2 * model.n_points, dtype),
+        np.zeros((0 if model.laws is None else coupled, 2, 2), dtype),
     )
-
-
-def small_room(size, dtype=float):
-    """Of the dense system of the border: matrix, right-hand side, last columns."""
-    return np.empty((size, size), dtype), np.empty(size, dtype), np.empty(size, np.int64)
 
 
 @shared
@@ -203,9 +170,12 @@ def solve(s, c, w, drives, rotation, dz, lam, r, phi, c_m, dq, dlam):
     solve_plates(s, c, w, rotation, r, dq)
     for i in range(r.shape[0]):
         dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
-    if w.g.shape[0] == 0:
+    if w.spin.shape[0] == 0:
         return True
-    if not border(s, c, w, drives, dz, lam, phi, c_m, dq, dlam):
+    hold_border(s, c, w, drives, dz)
+    fill_curvature(s, w, w.border.curvature, drives, lam, c_m)
+    joints.point_values(s, dq, w.moved)
+    if not close(s, c, w, phi, dlam):
         return False
     pull_points(s, c, w, dq)
     return True
@@ -236,112 +206,89 @@ def turn_frames(s, c, w, rotation):
 
 
 @part
-def points_matrix(s, c, w):
-    """G = A X at the present rotations, (2 points, 2 points), zero between bodies."""
-    for f in range(w.spin.shape[0]):
-        for h in range(w.spin.shape[0]):
-            xx = xy = yx = yy = 0.0
-            end = s.point_ptr[f + 1] if c.point_body[f, 0] == c.point_body[h, 0] else s.point_ptr[f]
-            for k in range(s.point_ptr[f], end):
-                i, c0, n0 = s.point_nodes[k], s.point_weights[k, 0], s.point_weights[k, 1]
-                co, si = c0 * w.turn[i, 0] - n0 * w.turn[i, 1], c0 * w.turn[i, 1] + n0 * w.turn[i, 0]
-                p, q = c.reach[2 * h, i, 0], c.reach[2 * h, i, 1]
-                xx += co * p - si * q
-                yx += si * p + co * q
-                p, q = c.reach[2 * h + 1, i, 0], c.reach[2 * h + 1, i, 1]
-                xy += co * p - si * q
-                yy += si * p + co * q
-            co, si = w.spin[h, 0], w.spin[h, 1]
-            w.g[2 * f, 2 * h], w.g[2 * f, 2 * h + 1] = xx * co - xy * si, xx * si + xy * co
-            w.g[2 * f + 1, 2 * h], w.g[2 * f + 1, 2 * h + 1] = yx * co - yy * si, yx * si + yy * co
+def points_matrix(s, c, w, b, blocks, layer):
+    """G = A X at the present rotations, body by body, into the first rows of its matrices, behind `layer` others of its kind."""
+    for n in range(b.block.shape[0] - 1):
+        first, end = b.point_start[n], b.point_start[n + 1]
+        wide = 2 * b.layers * (end - first)
+        for e in range(first, end):
+            for o in range(first, end):
+                f, h = b.points[e], b.points[o]
+                begin, size, at = c.place[h, 0], c.place[h, 1] - c.place[h, 0], c.place[h, 2]
+                xx = xy = yx = yy = 0.0
+                for k in range(s.point_ptr[f], s.point_ptr[f + 1]):
+                    i, c0, n0 = s.point_nodes[k], s.point_weights[k, 0], s.point_weights[k, 1]
+                    co, si = c0 * w.turn[i, 0] - n0 * w.turn[i, 1], c0 * w.turn[i, 1] + n0 * w.turn[i, 0]
+                    p, q = c.reach[at + i - begin, 0], c.reach[at + i - begin, 1]
+                    xx += co * p - si * q
+                    yx += si * p + co * q
+                    p, q = c.reach[at + size + i - begin, 0], c.reach[at + size + i - begin, 1]
+                    xy += co * p - si * q
+                    yy += si * p + co * q
+                co, si = w.spin[h, 0], w.spin[h, 1]
+                to = b.block[n] + 2 * (e - first) * wide + 2 * (o - first + layer * (end - first))
+                blocks[to], blocks[to + 1] = xx * co - xy * si, xx * si + xy * co
+                blocks[to + wide], blocks[to + wide + 1] = yx * co - yy * si, yx * si + yy * co
 
 
 @part
-def fill_curvature(s, w, drives, lam, c_m):
-    """w.curvature = C: that of the rows, c_m times the masses at points, slopes of force elements."""
-    clear(w.curvature)
-    for i in range(w.own.shape[0]):
-        for j in range(w.own.shape[0]):
-            w.curvature[i, j] = w.own[i, j]
-    joints.joint_curvature(s, drives, lam, w.curvature)
-    for f in range(w.spin.shape[0]):
-        w.curvature[2 * f, 2 * f] += c_m * s.point_mass[f]
-        w.curvature[2 * f + 1, 2 * f + 1] += c_m * s.point_mass[f]
+def fill_curvature(s, w, curvature, drives, lam, c_m):
+    """Blocks of the coupling = C: that of the rows, c_m times the masses at points, slopes of force elements."""
+    for k in range(curvature.shape[0]):
+        for i in range(2):
+            for j in range(2):
+                curvature[k, i, j] = w.own[k, i, j] if w.own.shape[0] else 0.0
+    joints.joint_curvature(s, drives, lam, curvature)
+    add_masses(s, c_m, curvature)
 
 
 @part
-def border(s, c, w, drives, dz, lam, phi, c_m, y, dlam):
-    """Solve for the points' forces w.pull and dlam, y = -S^-1 r at hand.
-
-    `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
-    `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
-    """
-    hold_border(s, c, w, drives, dz)
-    fill_curvature(s, w, drives, lam, c_m)
-    joints.point_values(s, y, w.moved)
-    return close(s, c, w, phi, dlam)
+def add_masses(s, c_m, curvature):
+    """Blocks of the coupling += c_m times the masses at points."""
+    for f in range(s.point_mass.shape[0]):
+        k = s.coupling.mass[f]
+        if k >= 0:
+            curvature[k, 0, 0] += c_m * s.point_mass[f]
+            curvature[k, 1, 1] += c_m * s.point_mass[f]
 
 
 @part
 def hold_border(s, c, w, drives, dz):
-    """w.g = G, w.slopes = Bz and w.gb = G Bz^T of a state, whose frames are at hand."""
-    points_matrix(s, c, w)
+    """G of the bodies and w.slopes = Bz of a state, whose frames are at hand."""
+    points_matrix(s, c, w, c.border, w.border.blocks, 0)
     joints.joint_jacobian(s, drives, dz, w.slopes)
-    for k in range(w.gb.shape[1]):
-        for i in range(w.g.shape[0]):
-            total = 0.0
-            for e in range(s.row_start[k], s.row_start[k + 1]):
-                total += w.g[i, s.row_columns[e]] * w.slopes[e]
-            w.gb[i, k] = total
+    put_slopes(w.border, w.slopes, 0)
 
 
 @part
 def close(s, c, w, phi, dlam):
-    """w.pull and dlam from w.moved = A y, the border and w.curvature. False where it is singular."""
-    fill_small(s, c, w, phi)
-    if not solve_small(w.small, w.right, w.last):
-        return False
-    count = c.active.shape[0]
-    for i in range(w.pull.shape[0]):
-        w.pull[i] = 0.0
-    for i in range(count):
-        w.pull[c.active[i]] = w.right[c.place[i]]
+    """The points' forces w.pull and dlam, from w.moved = A y, y = -S^-1 r, the border and its curvature. False where it is singular.
+
+    `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
+    `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
+    """
+    look(s, c.border, w.border, w.moved, phi.shape[0])
+    count = c.border.active.shape[0]
     for k in range(phi.shape[0]):
-        dlam[k] = w.right[c.place[count + k]]
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            w.pull[s.row_columns[e]] += w.slopes[e] * dlam[k]
+        w.border.right[count + k] += phi[k]
+    if not solve_border(c.border, w.border):
+        return False
+    pull_of(s, c.border, w.border.x, w.slopes, w.pull, dlam)
     return True
 
 
 @part
-def fill_small(s, c, w, phi):
-    """The system of `border`, its unknowns in the order of `place`: along the joints, so that chains give a band."""
-    count = c.active.shape[0]
-    clear(w.small)
+def pull_of(s, b, x, slopes, pull, dlam):
+    """dlam and pull = w + Bz^T dlam of the unknowns x."""
+    count = b.active.shape[0]
+    for i in range(pull.shape[0]):
+        pull[i] = 0.0
     for i in range(count):
-        at = c.place[i]
-        w.right[at] = 0.0
-        w.small[at, at] = 1.0
-        for j in c.active:
-            if w.curvature[c.active[i], j] != 0.0:
-                add_row(c, w, at, w.curvature[c.active[i], j], j, phi.shape[0])
-    for k in range(phi.shape[0]):
-        at = c.place[count + k]
-        w.right[at] = phi[k]
+        pull[b.active[i]] = x[i]
+    for k in range(dlam.shape[0]):
+        dlam[k] = x[count + k]
         for e in range(s.row_start[k], s.row_start[k + 1]):
-            if w.slopes[e] != 0.0:
-                add_row(c, w, at, w.slopes[e], s.row_columns[e], phi.shape[0])
-
-
-@part
-def add_row(c, w, at, value, j, m):
-    """Add value times component j of `A dq = A y - G w - G Bz^T dlam` to equation `at`."""
-    count = c.active.shape[0]
-    w.right[at] += value * w.moved[j // 2, j % 2]
-    for e in range(count):
-        w.small[at, c.place[e]] += value * w.g[j, c.active[e]]
-    for k in range(m):
-        w.small[at, c.place[count + k]] += value * w.gb[j, k]
+            pull[s.row_columns[e]] += slopes[e] * dlam[k]
 
 
 @part
@@ -353,8 +300,11 @@ def pull_points(s, c, w, dq):
         p, q = co * x + si * y, co * y - si * x
         if p == 0.0 and q == 0.0:
             continue
-        for i in range(c.point_body[f, 0], c.point_body[f, 1]):
-            gx = c.reach[2 * f, i, 0] * p + c.reach[2 * f + 1, i, 0] * q
-            gy = c.reach[2 * f, i, 1] * p + c.reach[2 * f + 1, i, 1] * q
-            dq[i, 0] -= w.turn[i, 0] * gx - w.turn[i, 1] * gy
-            dq[i, 1] -= w.turn[i, 1] * gx + w.turn[i, 0] * gy
+        first, end, at = c.place[f, 0], c.place[f, 1], c.place[f, 2]
+        size = end - first
+        along, across, turn, moved = c.reach[at : at + size], c.reach[at + size : at + 2 * size], w.turn[first:end], dq[first:end]
+        for i in range(size):
+            gx = along[i, 0] * p + across[i, 0] * q
+            gy = along[i, 1] * p + across[i, 1] * q
+            moved[i, 0] -= turn[i, 0] * gx - turn[i, 1] * gy
+            moved[i, 1] -= turn[i, 1] * gx + turn[i, 0] * gy

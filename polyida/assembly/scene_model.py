@@ -18,7 +18,7 @@ from polyida.assembly.masses import Masses
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces
 from polyida.assembly.rows.increments import Increments
-from polyida.assembly.rows.mass_system import MassSystem, border, border_at_rest
+from polyida.assembly.rows.mass_system import MassSystem
 from polyida.assembly.rows.redundant import Redundant
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.assembly.told.momenta import Momenta
@@ -226,11 +226,10 @@ class SceneModel(Masses):
         return result
 
     def mass_system(self, t, q):
-        """The system of M and phi_q through the points of the joints; without motors its border is made once."""
+        """The system of M and phi_q through the points of the joints."""
         if not self.solid:
             return super().mass_system(t, q)
-        varies = self.needs.driven or self.needs.phi_q_varies
-        return MassSystem(self, border(self, t, q) if varies else self.once(border_at_rest))
+        return MassSystem(self, t, q)
 
     def step_matrix(self, linear="auto"):
         """The plates' factor in the frame of their nodal rotations; with force elements, whose slopes that has not, the sparse one."""

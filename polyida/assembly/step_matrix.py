@@ -4,6 +4,7 @@ import numpy as np
 
 from polyida.assembly import corotated
 from polyida.assembly.bodies.damping import combined, symmetric_blocks
+from polyida.assembly.border import border, border_room
 from polyida.assembly.own.laws import add_own_curvature
 from polyida.linear.cholesky.factor import NotFactorable
 from polyida.linear.lu import SingularSystem
@@ -21,7 +22,7 @@ class SceneStepMatrix(StepMatrix):
 
     def __init__(self, model, linear="auto"):
         super().__init__(model)
-        self.linear, self.solves = linear, 2 * model.n_points
+        self.linear, self.solves = linear, corotated.columns_together(model.once(border, of_shape=True))
 
     def factor(self, t, q, v, a, lam, c_m, c_v, parts=None):
         """Factor S at q; t and v are for force elements, t and lam for the joints' curvature in `solve`. Raises SingularSystem.
@@ -37,7 +38,8 @@ class SceneStepMatrix(StepMatrix):
             raise SingularSystem(str(error)) from None
         self.room = corotated.room(model, self.corotated)
         if model.laws is not None:
-            add_own_curvature(model.laws, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
+            coupling = model.arrays.links.coupling
+            add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
 
     def beside(self, c_m, c_v, change):
         """The same with other c_m and c_v, of C and M as if at rest: not those of change."""
@@ -51,9 +53,10 @@ class SceneStepMatrix(StepMatrix):
 
     def solve(self, q, b, transposed=False):
         """S^-1 b, or S^-T b, b (n,) or (n, k), in the frame of q; all of S but forces of one's own is symmetric. Raises SingularSystem."""
-        free = self.corotated._replace(place=np.arange(len(self.corotated.active)))
-        own = np.ascontiguousarray(self.room.own.T) if transposed else self.room.own
-        room = self.room._replace(own=own, **dict(zip(("small", "right", "last"), corotated.small_room(len(free.active), own.dtype))))
+        free, own = self.corotated._replace(border=self.model.once(border_without_rows, of_shape=True)), self.room.own
+        if transposed and len(own):
+            own = np.ascontiguousarray(own[self.model.arrays.links.coupling.mirror].transpose(0, 2, 1))
+        room = self.room._replace(own=own, border=border_room(self.model, free.border, self.room.pull.dtype))
         columns = [self._solved(free, room, *self.at, q, -column, np.zeros(0))[0] for column in np.reshape(b, (len(q), -1)).T]
         return np.stack(columns, axis=1).reshape(np.shape(b))
 
@@ -69,3 +72,8 @@ class SceneStepMatrix(StepMatrix):
         if not corotated.solve(model.arrays.links, factored, room, *at, r, phi, self.c_m, dq, dlam):
             raise SingularSystem("the constraints' system is singular")
         return dq.ravel(), dlam
+
+
+def border_without_rows(model):
+    """The Border of a scene for S alone."""
+    return border(model, rows=False)

@@ -1,4 +1,4 @@
-"""A small linear solve for compiled code, dense or nearly banded."""
+"""A small dense linear solve for compiled code."""
 
 import numpy as np
 
@@ -6,21 +6,16 @@ from polyida.jit import entry, part
 
 
 @entry
-def solve_small(matrix, b, last):
-    """b <- matrix^-1 b by elimination with row equilibration and partial pivoting; overwrites all. False where it is singular.
-
-    last (n,) is scratch: the last column of each row that is not zero. Chains of bodies give a narrow band, and pay for no more.
-    """
+def solve_small(matrix, b):
+    """b <- matrix^-1 b by elimination with row equilibration and partial pivoting; overwrites both. False where it is singular."""
     n = b.shape[0]
     for i in range(n):
         size = 0.0
         for j in range(n):
-            if matrix[i, j] != 0.0:
-                size = max(size, abs(matrix[i, j]))
-                last[i] = j
+            size = max(size, abs(matrix[i, j]))
         if not size > 0.0:
             return False
-        for j in range(last[i] + 1):
+        for j in range(n):
             matrix[i, j] /= size
         b[i] /= size
     for k in range(n):
@@ -31,14 +26,18 @@ def solve_small(matrix, b, last):
         if not abs(matrix[p, k]) > 1e-300:
             return False
         if p != k:
-            for j in range(k, max(last[k], last[p]) + 1):
+            for j in range(k, n):
                 matrix[k, j], matrix[p, j] = matrix[p, j], matrix[k, j]
             b[k], b[p] = b[p], b[k]
-            last[k], last[p] = last[p], last[k]
-        eliminate(matrix, b, last, k)
+        for i in range(k + 1, n):
+            if matrix[i, k] != 0.0:
+                factor = matrix[i, k] / matrix[k, k]
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                b[i] -= factor * b[k]
     for i in range(n - 1, -1, -1):
         total = b[i]
-        for j in range(i + 1, last[i] + 1):
+        for j in range(i + 1, n):
             total -= matrix[i, j] * b[j]
         b[i] = total / matrix[i, i]
     return True
@@ -93,15 +92,3 @@ def clear(matrix):
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0
-
-
-@part
-def eliminate(matrix, b, last, k):
-    """Subtract row k from the rows below that have an entry in column k."""
-    for i in range(k + 1, b.shape[0]):
-        if matrix[i, k] != 0.0:
-            factor = matrix[i, k] / matrix[k, k]
-            for j in range(k + 1, last[k] + 1):
-                matrix[i, j] -= factor * matrix[k, j]
-            last[i] = max(last[i], last[k])
-            b[i] -= factor * b[k]

@@ -136,16 +136,6 @@ def tied_rate(s, t, drives, dz, v, found):
             found[k] = t.rate[k]
 
 
-@part
-def along(s, slopes, k, z):
-    """Row k of phi_z on z (points, 2)."""
-    total = 0.0
-    for e in range(s.row_start[k], s.row_start[k + 1]):
-        i = s.row_columns[e]
-        total += slopes[e] * z[i // 2, i % 2]
-    return total
-
-
 @c_entry
 def project(w, instant, wanted, x, anew, d, e, f):
     """B x falls by rows, by a change of x of the least M-norm; anew: x becomes the change that has the same B x."""
@@ -162,7 +152,7 @@ def tied_project(s, t, wanted, x, anew):
     if anew:
         joints.point_values(s, x, t.vz)
         for k in range(wanted.shape[0]):
-            t.bias[k] -= along(s, t.slopes, k, t.vz)
+            t.bias[k] -= joints.along(s, t.slopes, k, t.vz)
         clear(x)
     return project_rows(s, t, t.bias, x)
 

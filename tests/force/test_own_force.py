@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from numba import njit
+from scipy.sparse import bsr_array
 
 import polyida as pi
 from polyida.assembly.own import laws
@@ -306,9 +307,11 @@ def test_kernels_call_laws(scenes):
 
 def test_curvature_of_laws_on_the_points(scenes):
     model, q, v = lawful(scenes)
-    curvature = np.zeros((2 * model.n_points, 2 * model.n_points))
-    laws.add_own_curvature(model.laws, model.drives(0.3), model.dz(q), model.dz(v), 2.0, 3.0, curvature)
+    coupling = model.arrays.links.coupling
+    blocks = np.zeros((len(coupling.columns), 2, 2))
+    laws.add_own_curvature(model.laws, coupling, model.drives(0.3), model.dz(q), model.dz(v), 2.0, 3.0, blocks)
     expected = model.own_forces.slopes(0.3, q, v, 3.0, 2.0).toarray()
+    curvature = bsr_array((blocks, coupling.columns, coupling.start), (2 * model.n_points,) * 2).toarray()
     assert np.abs(model._points_t @ curvature @ model._points_t.T.toarray() - expected).max() < 1e-7 * np.abs(expected).max()
 
 

@@ -98,10 +98,10 @@ def test_small_dense_solve(n):
     random = np.random.default_rng(n)
     matrix, x = random.standard_normal((n, n)) * 10.0 ** random.uniform(-8, 8, (n, 1)), random.standard_normal(n)
     b = matrix @ x
-    assert solve_small(matrix.copy(), b, np.empty(n, np.int64))
+    assert solve_small(matrix.copy(), b)
     assert np.allclose(b, x, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("matrix", [np.zeros((2, 2)), np.array([[1.0, 2.0], [2.0, 4.0]]), np.full((2, 2), np.nan)])
 def test_small_dense_solve_of_a_singular_matrix(matrix):
-    assert not solve_small(matrix.copy(), np.ones(2), np.empty(2, np.int64))
+    assert not solve_small(matrix.copy(), np.ones(2))

@@ -157,6 +157,10 @@ def performance(name, task):
         times = {f"{what}_us": 50.0 for what in ("run", "gradient", "sweep", "solve", "product")}
         counts = dict.fromkeys(("run_solves", "solves", "run_factorizations", "factorizations", "ratio"), 1.0)
         return times | counts | {"n": task["dof"], "steps": 10, "stiffness_error": 1e-6, "mass_error": 1e-6}
+    if name == "small_systems":
+        times = dict.fromkeys(("alpha_us", "exudyn_us", "radau_us", "energy_us"), 10.0 * task["size"])
+        ratios = dict.fromkeys(("alpha_over_exudyn", "radau_over_alpha", "energy_over_alpha"), 1.0)
+        return {"n": 4 * task["size"], "m": 3 * task["size"], "exudyn": "sparse, full Newton", "apart_m": 1e-8} | times | ratios
     if name == "gradient_errors":
         return {"n": 40, "steps": 10, "iterations": 2.0, "slope_error": task["tolerance"] or 1e-5, "stiffness": 1e-6}
     if task["part"] in COSTS:

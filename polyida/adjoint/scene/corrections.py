@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.adjoint.scene.products import DZ
-from polyida.assembly.corotated import close, hold_border, solve_in_place, turn_frames
+from polyida.assembly.corotated import add_masses, close, hold_border, solve_in_place, turn_frames
 from polyida.jit import part
 
 LEAST = 1e-280  # a residual below that is taken as that large: single precision, in which b is, ends at 1e-38
@@ -14,14 +14,14 @@ def hold(s, c, room, drives, to_a, to_v, x):
     """Frames, rows and curvature of the state that x holds, `S^T` on the points among them. The rotations must be there."""
     turn_frames(s, c, room, x.rotation)
     hold_border(s, c, room, drives, x.points[DZ])
-    for i in range(room.curvature.shape[0]):
-        for j in range(room.curvature.shape[1]):
-            room.curvature[i, j] = x.curvature[j, i]
-            if x.slack.shape[0]:
-                room.curvature[i, j] += to_v * x.slack[j, i]
-    for f in range(s.point_mass.shape[0]):
-        room.curvature[2 * f, 2 * f] += to_a * s.point_mass[f]
-        room.curvature[2 * f + 1, 2 * f + 1] += to_a * s.point_mass[f]
+    curvature, mirror = room.border.curvature, s.coupling.mirror
+    for k in range(mirror.shape[0]):
+        for i in range(2):
+            for j in range(2):
+                curvature[k, i, j] = x.curvature[mirror[k], j, i]
+                if x.slack.shape[0]:
+                    curvature[k, i, j] += to_v * x.slack[mirror[k], j, i]
+    add_masses(s, to_a, curvature)
 
 
 @part
@@ -40,7 +40,7 @@ def correct(s, c, room, r, phi, dq, dlam):
     for i in range(r.shape[0]):
         dq[i, 0], dq[i, 1] = size * b[order[2 * i]], size * b[order[2 * i + 1]]
         free += abs(dq[i, 0]) + abs(dq[i, 1])
-    if phi.shape[0] + c.active.shape[0]:
+    if room.border.x.shape[0]:
         move_points(s, turn, dq, room.moved)
         if not close(s, c, room, phi, dlam):
             return -1.0
@@ -74,6 +74,7 @@ def pull_points(c, room, y):
         p, q = co * x + si * y_, co * y_ - si * x
         if p == 0.0 and q == 0.0:
             continue
-        for i in range(c.point_body[f, 0], c.point_body[f, 1]):
+        first, size, at = c.place[f, 0], c.place[f, 1] - c.place[f, 0], c.place[f, 2]
+        for e in range(size):
             for k in range(2):
-                y[i, k] -= c.reach[2 * f, i, k] * p + c.reach[2 * f + 1, i, k] * q
+                y[first + e, k] -= c.reach[at + e, k] * p + c.reach[at + size + e, k] * q

@@ -18,7 +18,7 @@ class Scratch(NamedTuple):
     """Of products at a state: nodal rotations, what was made of the points and of bodies of few coordinates, and the results.
 
     points (5, points, 2): displacements, velocities, those of w, forces, masses times those of w. curvature, slack
-    (2 points, 2 points): K and C on the points, of rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few
+    (., 2, 2): blocks of K and C on the coupled points, of rows and force elements. few, slow (blocks, 2, 2): K and C of bodies of few
     coordinates. stiff, heavy, slowing (nodes, 2): K^T w + B^T mu, M w, C^T w; rows (m,): B w.
     """
 
@@ -45,13 +45,13 @@ def arrays_of(model):
 
 def scratch(model):
     """Scratch of a scene's size."""
-    nodes, points, few = (model.n_nodes, 2), 2 * model.n_points, (int(np.ptp(model.arrays.compact.block)), 2, 2)
-    square = (points, points)
+    nodes, few = (model.n_nodes, 2), (int(np.ptp(model.arrays.compact.block)), 2, 2)
+    coupled = (len(model.arrays.links.coupling.columns), 2, 2)
     return Scratch(
         np.zeros(nodes),
         np.zeros((4, model.n_points, 2)),
-        np.zeros(square),
-        np.zeros(square if model.laws is not None else (0, 0)),
+        np.zeros(coupled),
+        np.zeros(coupled if model.laws is not None else (0, 2, 2)),
         np.zeros(few),
         np.zeros(few if model.damped else (0, 2, 2)),
         np.zeros(nodes),
@@ -65,13 +65,13 @@ def scratch(model):
 def hold_state(s, laws, drives, u, v, lam, x):
     """What products at a state are made of, beside the plates: its points, their curvature, the matrices of bodies of few coordinates."""
     joints.point_values(s.links, u, x.points[DZ])
-    clear(x.curvature)
+    x.curvature[:] = 0.0
     joints.joint_curvature(s.links, drives, lam, x.curvature)
     if laws is not None:
-        clear(x.slack)
+        x.slack[:] = 0.0
         joints.point_values(s.links, v, x.points[VZ])
-        add_own_curvature(laws, drives, x.points[DZ], x.points[VZ], 1.0, 0.0, x.curvature)
-        add_own_curvature(laws, drives, x.points[DZ], x.points[VZ], 0.0, 1.0, x.slack)
+        add_own_curvature(laws, s.links.coupling, drives, x.points[DZ], x.points[VZ], 1.0, 0.0, x.curvature)
+        add_own_curvature(laws, s.links.coupling, drives, x.points[DZ], x.points[VZ], 0.0, 1.0, x.slack)
     if x.few.shape[0]:
         x.few[:] = 0.0
         tangents.blocks(s.compact, u, v, 0.0, 0.0, 1.0, x.few)
@@ -134,7 +134,7 @@ def point_products(s, laws, slopes, w, mu, x):
     """Add what masses, rows and force elements give at the points; x.rows = B w. slopes: phi_z."""
     wz, forces = x.points[WZ], x.points[FORCES]
     joints.point_values(s, w, wz)
-    pull_back(x.curvature, wz, forces)
+    pull_back(s.coupling, x.curvature, wz, forces)
     for k in range(mu.shape[0]):
         total = 0.0
         for e in range(s.row_start[k], s.row_start[k + 1]):
@@ -147,18 +147,19 @@ def point_products(s, laws, slopes, w, mu, x):
         forces[f, 0], forces[f, 1] = s.point_mass[f] * wz[f, 0], s.point_mass[f] * wz[f, 1]
     joints.spread(s, forces, x.heavy)
     if laws is not None:
-        pull_back(x.slack, wz, forces)
+        pull_back(s.coupling, x.slack, wz, forces)
         joints.spread(s, forces, x.slowing)
 
 
 @part
-def pull_back(matrix, wz, forces):
-    """forces = matrix^T wz."""
-    for j in range(matrix.shape[1]):
-        total = 0.0
-        for i in range(matrix.shape[0]):
-            total += matrix[i, j] * wz[i // 2, i % 2]
-        forces[j // 2, j % 2] = total
+def pull_back(coupling, blocks, wz, forces):
+    """forces = the transposed blocks of the coupling times wz."""
+    for p in range(forces.shape[0]):
+        forces[p, 0] = forces[p, 1] = 0.0
+        for k in range(coupling.start[p], coupling.start[p + 1]):
+            block, q = blocks[coupling.mirror[k]], coupling.columns[k]
+            for j in range(2):
+                forces[p, j] += block[0, j] * wz[q, 0] + block[1, j] * wz[q, 1]
 
 
 @entry

@@ -123,32 +123,32 @@ def add_own_forces(laws, links, drives, u, v, r):
 
 
 @entry
-def add_own_curvature(laws, drives, dz, vz, c_q, c_v, curvature):
-    """curvature (2 points, 2 points) -= `c_q df/dx + c_v df/dv` of all laws; dz, vz (points, 2) move the points."""
+def add_own_curvature(laws, coupling, drives, dz, vz, c_q, c_v, curvature):
+    """Blocks of the coupling -= `c_q df/dx + c_v df/dv` of all laws; dz, vz (points, 2) move the points."""
     numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
         x, v, ahead = place(laws, k, dz, vz)
-        behind = np.empty_like(ahead)
+        behind, blocks = np.empty_like(ahead), coupling.laws[coupling.law_start[k] : coupling.law_start[k + 1]]
         if c_q != 0.0:
-            add_slopes(laws, k, drives[laws.clock, 0], numbers, x, v, x, c_q, ahead, behind, curvature)
+            add_slopes(laws, k, drives[laws.clock, 0], numbers, x, v, x, c_q, ahead, behind, blocks, curvature)
         if c_v != 0.0:
-            add_slopes(laws, k, drives[laws.clock, 0], numbers, x, v, v, c_v, ahead, behind, curvature)
+            add_slopes(laws, k, drives[laws.clock, 0], numbers, x, v, v, c_v, ahead, behind, blocks, curvature)
 
 
 @part
-def add_slopes(laws, k, t, numbers, x, v, varied, c, ahead, behind, curvature):
+def add_slopes(laws, k, t, numbers, x, v, varied, c, ahead, behind, blocks, curvature):
     """curvature -= c times the derivative of the forces of law k in `varied`, which is x or v, by central differences."""
-    first = laws.parts[k, 1]
-    for j in range(x.shape[0]):
-        q, step = laws.points[first + j], STEP * laws.sizes[first + j]
-        for e in range(2 if q >= 0 else 0):
+    first, count = laws.parts[k, 1], x.shape[0]
+    for j in range(count):
+        step = STEP * laws.sizes[first + j]
+        for e in range(2 if laws.points[first + j] >= 0 else 0):
             middle = varied[j, e]
             varied[j, e] = middle + step
             evaluate(laws, k, t, numbers, x, v, ahead)
             varied[j, e] = middle - step
             evaluate(laws, k, t, numbers, x, v, behind)
             varied[j, e] = middle
-            for i in range(x.shape[0]):
-                p = laws.points[first + i]
-                for a in range(2 if p >= 0 else 0):
-                    curvature[2 * p + a, 2 * q + e] -= c * (ahead[i, a] - behind[i, a]) / (2.0 * step)
+            for i in range(count):
+                block = blocks[i * count + j]
+                for a in range(2 if block >= 0 else 0):
+                    curvature[block, a, e] -= c * (ahead[i, a] - behind[i, a]) / (2.0 * step)

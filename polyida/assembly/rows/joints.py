@@ -103,6 +103,16 @@ def along_row(s, k, z):
     return total
 
 
+@part
+def along(s, slopes, k, z):
+    """Row k of phi_z, in slopes, on z (points, 2)."""
+    total = 0.0
+    for e in range(s.row_start[k], s.row_start[k + 1]):
+        i = s.row_columns[e]
+        total += slopes[e] * z[i // 2, i % 2]
+    return total
+
+
 @leaf
 def cosine(ex, ey, fx, fy):
     """Of the angle between E turned back by a right angle and F: of a `cross` between its two vectors."""
@@ -165,28 +175,31 @@ def joint_jacobian(s, drives, dz, slopes):
 
 @entry
 def joint_curvature(s, drives, lam, curvature):
-    """curvature += d(phi_z^T lam)/dz, (2 points, 2 points): `lam W_i^T R^T W_j` between the points of E and those of F."""
+    """Blocks of the coupling += d(phi_z^T lam)/dz: `lam W_i^T R^T W_j` between the points of E and those of F."""
+    at = 0
     for p in range(s.product_row.shape[0]):
         e, f = s.product_first[p], s.product_second[p]
         if s.vector_start[e] == s.vector_start[e + 1] or s.vector_start[f] == s.vector_start[f + 1]:
             continue
         c, n, _, _ = turn(s, p, drives)
         for i in range(s.vector_start[e], s.vector_start[e + 1]):
-            a, (x, y) = s.vector_points[i], rotated(c, n, s.vector_weights[i, 0], s.vector_weights[i, 1])
+            x, y = rotated(c, n, s.vector_weights[i, 0], s.vector_weights[i, 1])
             for j in range(s.vector_start[f], s.vector_start[f + 1]):
-                b = s.vector_points[j]
                 x1, y1 = rotated(x, -y, s.vector_weights[j, 0], s.vector_weights[j, 1])
-                _couple(2 * a, 2 * b, lam[s.product_row[p]] * x1, lam[s.product_row[p]] * y1, curvature)
+                x1, y1 = lam[s.product_row[p]] * x1, lam[s.product_row[p]] * y1
+                block = s.coupling.products[at]
+                _couple(block, x1, -y1, curvature)
+                _couple(s.coupling.mirror[block], x1, y1, curvature)
+                at += 1
 
 
-@part
-def _couple(a, b, x, y, curvature):
-    """Add the matrix ((x, -y), (y, x)) at (a, b), and its transpose at (b, a)."""
-    block = ((x, -y), (y, x))
-    for i in range(2):
-        for e in range(2):
-            curvature[a + i, b + e] += block[i][e]
-            curvature[b + e, a + i] += block[i][e]
+@leaf
+def _couple(block, x, y, curvature):
+    """Add the matrix ((x, y), (-y, x)) to a block."""
+    curvature[block, 0, 0] += x
+    curvature[block, 0, 1] += y
+    curvature[block, 1, 0] -= y
+    curvature[block, 1, 1] += x
 
 
 @entry

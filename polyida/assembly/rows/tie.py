@@ -4,24 +4,22 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly.border import Border, BorderRoom, body_blocks, body_of_points, border, border_room, put_slopes, solve_border
 from polyida.assembly.rows import joints
-from polyida.assembly.rows.mass_system import point_columns
 from polyida.jit import pack, part
-from polyida.linear.dense import solve_small
 
 
 @pack
 class Tie(NamedTuple):
-    """M^-1 A^T, real parts (pairs, points) of complex numbers and imaginary ones, (0, points) where there are none, A M^-1 A^T
-    (2 points, 2 points), and scratch; slip (pairs, 2): what eta has added to q in a step.
+    """Columns M^-1 A^T, complex numbers (., 2), of each point those of the pairs from `place` (points, 3) on: first and last pair, and where
+    they begin; the pattern of phi_q M^-1 phi_q^T, and scratch; slip (pairs, 2): what eta has added to q in a step.
     """
 
     reach: np.ndarray
-    across: np.ndarray
-    g: np.ndarray
-    matrix: np.ndarray
+    place: np.ndarray
+    border: Border
+    room: BorderRoom
     eta: np.ndarray
-    last: np.ndarray
     rate: np.ndarray
     bias: np.ndarray
     slopes: np.ndarray
@@ -33,10 +31,40 @@ class Tie(NamedTuple):
 def tie(model):
     """The Tie of a scene."""
     points, m = model.n_points, model.m
-    shapes = ((m, m), m, m, m, len(model.arrays.links.row_columns), (points, 2), (points, 2))
-    matrix, eta, rate, bias, slopes, vz, pull = map(np.empty, shapes)
-    slip = np.zeros((model.n_nodes, 2))
-    return Tie(*model.once(point_columns), matrix, eta, np.empty(m, np.int64), rate, bias, slopes, vz, pull, slip)
+    shapes = (m, m, len(model.arrays.links.row_columns), (points, 2), (points, 2))
+    rate, bias, slopes, vz, pull = map(np.empty, shapes)
+    pattern, (reach, place, blocks) = model.once(border_of_rows, of_shape=True), model.once(point_columns)
+    numbers = border_room(model, pattern)
+    numbers.blocks[:] = blocks
+    return Tie(reach, place, pattern, numbers, numbers.x, rate, bias, slopes, vz, pull, np.zeros((model.n_nodes, 2)))
+
+
+def border_of_rows(model):
+    """The Border of a scene with nothing but lam."""
+    return border(model, active=False)
+
+
+def point_columns(model):
+    """`M^-1 A^T` as (., 2) and where its columns are, and `A M^-1 A^T` body by body; columns of different bodies are found together."""
+    from scipy.sparse import csc_array
+
+    pattern, weights, bodies = model.once(border_of_rows, of_shape=True), model.point_weights, body_of_points(model)
+    local = np.empty(model.n_points, np.int64)
+    for first, end in zip(pattern.point_start, pattern.point_start[1:]):
+        local[pattern.points[first:end]] = np.arange(end - first)
+    together = np.zeros((model.n_nodes, int(local.max(initial=-1)) + 1), complex)
+    entries = weights.tocoo()
+    together[entries.coords[1], local[entries.coords[0]]] = entries.data.conj()
+    both = np.stack([together.real, together.imag], axis=1).reshape(model.n, -1)
+    found = model.mass_inverse(both).reshape(model.n_nodes, 2, -1)
+    first, end = model.first_pairs[bodies], model.first_pairs[bodies + 1]
+    begin = np.concatenate([[0], np.cumsum(end - first)]).astype(np.int64)
+    pairs = np.concatenate([*map(np.arange, first, end), np.zeros(0, np.int64)]).astype(np.int64)
+    owner = np.repeat(np.arange(model.n_points), end - first)
+    reach = np.ascontiguousarray(found[pairs, :, local[owner]])
+    columns = csc_array((reach @ (1, 1j), pairs, begin), (model.n_nodes, model.n_points))
+    place = np.stack([first, end, begin[:-1]], axis=1).astype(np.int64).reshape(-1, 3)
+    return reach, place, body_blocks(pattern, weights, columns)
 
 
 @part
@@ -50,30 +78,22 @@ def velocity_rate(s, drives, dz, v, t):
 @part
 def project(s, t, wanted, x):
     """x -= M^-1 phi_q^T eta with `phi_q M^-1 phi_q^T eta = wanted`. False where that is singular."""
-    m = wanted.shape[0]
-    for i in range(m):
-        t.eta[i] = wanted[i]
-        for j in range(m):
-            t.matrix[i, j] = 0.0
-            for e in range(s.row_start[i], s.row_start[i + 1]):
-                p = s.row_columns[e]
-                for o in range(s.row_start[j], s.row_start[j + 1]):
-                    q = s.row_columns[o]
-                    t.matrix[i, j] += t.slopes[e] * t.g[p, q] * t.slopes[o]
-    if not solve_small(t.matrix, t.eta, t.last):
+    put_slopes(t.room, t.slopes, 0)
+    for i in range(wanted.shape[0]):
+        t.room.right[i] = wanted[i]
+    if not solve_border(t.border, t.room):
         return False
     t.pull[:] = 0.0
-    for i in range(m):
+    for i in range(wanted.shape[0]):
         for e in range(s.row_start[i], s.row_start[i + 1]):
             p = s.row_columns[e]
             t.pull[p // 2, p % 2] += t.slopes[e] * t.eta[i]
     for f in range(t.pull.shape[0]):
         px, py = t.pull[f, 0], t.pull[f, 1]
         if px != 0.0 or py != 0.0:
-            for i in range(x.shape[0]):
-                x[i, 0] -= t.reach[i, f] * px
-                x[i, 1] -= t.reach[i, f] * py
-            for i in range(t.across.shape[0]):
-                x[i, 0] += t.across[i, f] * py
-                x[i, 1] -= t.across[i, f] * px
+            first, at = t.place[f, 0], t.place[f, 2]
+            for i in range(first, t.place[f, 1]):
+                re, im = t.reach[at + i - first, 0], t.reach[at + i - first, 1]
+                x[i, 0] -= re * px - im * py
+                x[i, 1] -= re * py + im * px
     return True

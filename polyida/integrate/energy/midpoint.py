@@ -195,4 +195,4 @@ class Midpoint(Steps):
         except NotFactorable as error:
             raise StepFailure("singular", str(error), t) from None
         self.scratch = corotated.room(model, self.system)
-        self.counts.solves += 2 * model.n_points
+        self.counts.solves += corotated.columns_together(self.system.border)

@@ -1,0 +1,211 @@
+"""Elimination along a graph: sparse systems of one pattern, real or complex, whose order is found once and whose numbers change often.
+
+The pattern is given by groups of unknowns that are all coupled to each other, like the bodies of a mechanism. Unknowns of the same groups
+are eliminated together, those with the fewest neighbours first (minimum degree). Each elimination works on a small dense matrix, its front:
+the unknowns that it eliminates, then their neighbours, and a column for the right-hand side. What is left of it is added to the front of
+the neighbour that is next (Duff and Reid 1983). There is no pivoting: a pivot that is small beside the diagonal ends the elimination.
+"""
+
+import heapq
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.jit import entry, pack, part
+
+SMALL = 1e-10  # of a diagonal number: a pivot that is smaller has lost most of its digits
+
+
+@pack
+class Elimination(NamedTuple):
+    """The fronts in their order, by number: how many unknowns each eliminates and how many it has, its first number in the values (rows of
+    `size + 1` numbers), its first entry in `unknowns`, and its parent, -1 without one.
+
+    unknowns: of all fronts, those that are eliminated first. into: the place of each in the parent's front, behind the eliminated ones.
+    diagonal, right: where the values of each unknown's diagonal number and right-hand side are.
+    """
+
+    pivots: np.ndarray
+    size: np.ndarray
+    start: np.ndarray
+    first: np.ndarray
+    parent: np.ndarray
+    unknowns: np.ndarray
+    into: np.ndarray
+    diagonal: np.ndarray
+    right: np.ndarray
+
+
+def elimination(count, groups):
+    """The Elimination of `count` unknowns that are coupled within groups, sequences of their numbers."""
+    fronts = _merged(_fronts(_alike(count, groups)))
+    pivots, size = (np.array([len(part) for part in parts], np.int64) for parts in (zip(*fronts) if fronts else ((), ())))
+    size = size + pivots
+    start, first = (np.concatenate([[0], np.cumsum(numbers)]).astype(np.int64) for numbers in (size * (size + 1), size))
+    unknowns = np.array([u for front in fronts for part in front for u in part], np.int64)
+    made = Elimination(
+        pivots, size, start, first, -np.ones_like(pivots), unknowns, np.zeros_like(unknowns), *np.zeros((2, count), np.int64)
+    )
+    front, place = _own(made, count)
+    made.diagonal[:] = start[front] + place * (size[front] + 2)
+    made.right[:] = start[front] + place * (size[front] + 1) + size[front]
+    for f, (_, border) in enumerate(fronts):
+        if border:
+            made.parent[f] = front[border].min()
+            made.into[first[f] + pivots[f] : first[f + 1]] = _places(made, np.full(len(border), made.parent[f]), np.array(border))
+    return made
+
+
+def positions(e, rows, columns):
+    """Where the values of the entries (rows, columns), arrays of unknowns that share a group, are."""
+    front, _ = _own(e, len(e.right))
+    of = np.minimum(front[rows], front[columns])
+    return e.start[of] + _places(e, of, rows) * (e.size[of] + 1) + _places(e, of, columns)
+
+
+def _alike(count, groups):
+    """[(unknowns, the groups that they are in)]: those of the same groups together, each unknown once."""
+    of = [[] for _ in range(count)]
+    for number, group in enumerate(groups):
+        for unknown in group:
+            of[unknown].append(number)
+    found = {}
+    for unknown, numbers in enumerate(of):
+        found.setdefault(tuple(numbers) or ("alone", unknown), []).append(unknown)
+    return [(unknowns, set(numbers)) for numbers, unknowns in found.items()]
+
+
+def _fronts(alike):
+    """[(unknowns eliminated, their neighbours)] in the order of least degree, neighbours in the order in which they are eliminated."""
+    members, groups = [unknowns for unknowns, _ in alike], {}
+    for number, (_, of) in enumerate(alike):
+        for group in of:
+            groups.setdefault(group, set()).add(number)
+    of = [set(numbers) for _, numbers in alike]
+
+    def degree(number):
+        return sum(len(members[other]) for other in set().union(*(groups[group] for group in of[number])))
+
+    waiting, order, borders = [(degree(number), number) for number in range(len(alike))], {}, []
+    heapq.heapify(waiting)
+    known = {number: size for size, number in waiting}
+    while waiting:
+        size, number = heapq.heappop(waiting)
+        if number in order or size != known[number]:
+            continue
+        order[number] = len(order)
+        gone, border = of[number], set().union(*(groups[group] for group in of[number])) - {number}
+        for group in gone:
+            del groups[group]
+        borders.append((number, border))
+        groups[name := ("made", number)] = border
+        for other in border:
+            of[other] = (of[other] - gone) | {name}
+        for other in border:
+            known[other] = degree(other)
+            heapq.heappush(waiting, (known[other], other))
+    return [(list(members[number]), [u for other in sorted(border, key=order.get) for u in members[other]]) for number, border in borders]
+
+
+def _merged(fronts):
+    """The fronts with those taken into their parents that have all of its unknowns as neighbours."""
+    front_of, gone = {u: f for f, (own, _) in enumerate(fronts) for u in own}, {}
+    for f, (own, border) in enumerate(fronts):
+        if border:
+            parent = front_of[border[0]]
+            if len(border) == sum(map(len, fronts[parent])):
+                fronts[parent] = (own + fronts[parent][0], fronts[parent][1])
+                gone[f] = parent
+                for u in own:
+                    front_of[u] = parent
+    return [front for f, front in enumerate(fronts) if f not in gone]
+
+
+def _own(e, count):
+    """The front in which each unknown is eliminated, and its place there."""
+    front, place = np.zeros((2, count), np.int64)
+    for f, (at, pivots) in enumerate(zip(e.first[:-1], e.pivots)):
+        front[e.unknowns[at : at + pivots]], place[e.unknowns[at : at + pivots]] = f, np.arange(pivots)
+    return front, place
+
+
+def _places(e, fronts, unknowns):
+    """The place of each unknown in a front that has it."""
+    count = len(e.right)
+    keys = np.repeat(np.arange(len(e.size)), e.size) * count + e.unknowns
+    order = np.argsort(keys)
+    at = order[np.searchsorted(keys, fronts * count + unknowns, sorter=order)]
+    return at - e.first[fronts]
+
+
+@part
+def magnitude(x):
+    """|Re x| + |Im x|."""
+    return abs(x.real) + abs(x.imag)
+
+
+@entry
+def eliminate(e, values, x):
+    """Fill x with the solution of the system that `values` holds, which are overwritten. False where a pivot is too small."""
+    for u in range(x.shape[0]):
+        x[u] = values[e.diagonal[u]]
+    for f in range(e.size.shape[0]):
+        n, at = e.size[f], e.start[f]
+        wide = n + 1
+        for k in range(e.pivots[f]):
+            top = at + k * wide
+            pivot = values[top + k]
+            if not magnitude(pivot) > SMALL * magnitude(x[e.unknowns[e.first[f] + k]]):
+                return False
+            pivot = 1.0 / pivot
+            values[top + k] = pivot
+            for i in range(k + 1, n):
+                row = at + i * wide
+                if values[row + k] != 0.0:
+                    factor = values[row + k] * pivot
+                    for j in range(k + 1, wide):
+                        values[row + j] -= factor * values[top + j]
+        if e.parent[f] >= 0:
+            hand_on(e, values, f)
+    substitute(e, values, x)
+    return True
+
+
+@part
+def hand_on(e, values, f):
+    """Add what is left of front f to its parent."""
+    n, at, above, first = e.size[f], e.start[f], e.start[e.parent[f]], e.first[f]
+    wide, last = n + 1, e.size[e.parent[f]]
+    for i in range(e.pivots[f], n):
+        row, to = at + i * wide, above + e.into[first + i] * (last + 1)
+        for j in range(e.pivots[f], n):
+            values[to + e.into[first + j]] += values[row + j]
+        values[to + last] += values[row + n]
+
+
+@part
+def substitute(e, values, x):
+    """Fill x from the last front to the first; the diagonal holds the reciprocals of the pivots."""
+    for f in range(e.size.shape[0] - 1, -1, -1):
+        n, at, first = e.size[f], e.start[f], e.first[f]
+        for k in range(e.pivots[f] - 1, -1, -1):
+            row = at + k * (n + 1)
+            total = values[row + n]
+            for j in range(k + 1, n):
+                total -= values[row + j] * x[e.unknowns[first + j]]
+            x[e.unknowns[first + k]] = total * values[row + k]
+
+
+@entry
+def expand(e, values, matrix, b):
+    """Fill the dense matrix and right-hand side of the system that `values` holds."""
+    for i in range(matrix.shape[0]):
+        b[i] = values[e.right[i]]
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+    for f in range(e.size.shape[0]):
+        n, at, first = e.size[f], e.start[f], e.first[f]
+        for i in range(n):
+            for j in range(n):
+                if i < e.pivots[f] or j < e.pivots[f]:
+                    matrix[e.unknowns[first + i], e.unknowns[first + j]] = values[at + i * (n + 1) + j]

@@ -1,0 +1,162 @@
+"""A step of rigid mechanisms: generalized-alpha beside exudyn's own, Radau IIA and the energy-momentum method beside generalized-alpha."""
+
+import time
+
+import numpy as np
+
+import polyida as pi
+from polyida.cli.study import main
+from polyida.problems.mechanisms.n_four_bar import n_four_bar
+from polyida.study.drawing import curves, drawn, legend, look, panels
+from polyida.study.rows import pick
+from polyida.study.sweeps.harness import Study
+from small_systems.in_exudyn import SETTINGS, SPARSE, Bodies
+
+H = 1e-3  # s
+STEPS = {"chain": 1000, "four-bar": 300}  # of a run of generalized-alpha; the four-bars are level after 0.7 s
+LEAST = 30  # steps of any run
+INTEGRATORS = {
+    "alpha": (lambda: pi.GeneralizedAlpha(h=H), 1),
+    "radau": (lambda: pi.RadauIIA(h=H), 4),
+    "energy": (lambda: pi.EnergyMomentum(h=H), 4),
+}  # and of how many of alpha's steps one is timed
+PAIRS = {"alpha_over_exudyn": ("alpha", "exudyn"), "radau_over_alpha": ("radau", "alpha"), "energy_over_alpha": ("energy", "alpha")}
+AIMS = {
+    **{f"alpha_over_exudyn_chain_{n}": 0.5 for n in (2, 5, 10)},
+    **{f"alpha_over_exudyn_four_bar_{n}": 0.5 for n in (10, 20, 40, 200)},
+    **{f"radau_over_alpha_chain_{n}": 6.0 for n in (2, 5, 10)},
+    **{f"radau_over_alpha_four_bar_{n}": 6.0 for n in (10, 20, 40, 200)},
+    **{f"energy_over_alpha_chain_{n}": 2.0 for n in (2, 5, 10)},
+    "growth_from_40_to_200": 1.15,
+}
+
+
+def chain(count):
+    """Bars of 1 m, one behind the other, level and at rest, held by a pin at their left end."""
+    scene, before = pi.Scene(gravity=(0.0, -9.81)), None
+    for k in range(count):
+        bar = scene.add(pi.RigidBody.bar(1.0, 1.0, (k, 0.0), name=f"bar {k}"))
+        scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)) if before is None else before.at("right"), bar.at("left"), name=f"pin {k}"))
+        before = bar
+    return scene
+
+
+SCENES = {"chain": chain, "four-bar": n_four_bar}
+
+
+def tasks(quick):
+    """Chains of bars, and ladders of four-bars."""
+    sizes = {"chain": (2, 5, 10), "four-bar": (10, 40) if quick else (10, 20, 40, 200)}
+    return [{"scene": scene, "size": size, "rounds": 3 if quick else 7} for scene, all_of in sizes.items() for size in all_of]
+
+
+def run(scene, size, rounds):
+    """Microseconds of a step, medians of rounds in which all take turns, and medians of the rounds' ratios."""
+    made = SCENES[scene](size)
+    model, steps = made.build(), STEPS[scene]
+    peer = Peer(made, steps, SPARSE if scene == "four-bar" else SETTINGS)
+    for name in INTEGRATORS:
+        stepped(model, name, LEAST)
+    found = [{name: stepped(model, name, steps) for name in INTEGRATORS} | peer.once() for _ in range(rounds)]
+    row = {"n": model.n, "m": model.m, "exudyn": peer.said}
+    row |= {f"{name}_us": float(np.median([each[name] for each in found])) for name in found[0]}
+    for name, (one, other) in PAIRS.items():
+        if other in found[0]:
+            row[name] = float(np.median([each[one] / each[other] for each in found]))
+    return row | peer.apart(model, steps)
+
+
+def stepped(model, name, steps):
+    """Microseconds of CPU that a step takes: what a run of `steps` takes beyond one of a fifth of them."""
+    make, share = INTEGRATORS[name]
+    long = max(LEAST, steps // share)
+    ends, used = (long // 5, long), []
+    for end in ends:
+        begin = time.process_time()
+        done = pi.solve(model, end * H, make(), every=10**9)
+        used.append(time.process_time() - begin)
+        if not done.success:
+            raise RuntimeError(f"{name}: {done.message}")
+    return 1e6 * (used[1] - used[0]) / (ends[1] - ends[0])
+
+
+class Peer:
+    """exudyn with the fastest of its settings, or nothing where it is not installed; said: which."""
+
+    def __init__(self, scene, steps, settings):
+        self.steps, self.setting, self.said = steps, None, "not installed"
+        try:
+            self.make = lambda: Bodies(scene)
+            times = {setting: self._stepped(setting) for setting in settings}
+        except ImportError:
+            return
+        self.setting = min(times, key=times.get)
+        self.said = ", ".join(self.setting) + " Newton"
+
+    def _stepped(self, setting):
+        ends = self.steps // 5, self.steps
+        used = [self.make().run(H, end, setting)[0] for end in ends]
+        return 1e6 * (used[1] - used[0]) / (ends[1] - ends[0])
+
+    def once(self):
+        """{"exudyn": microseconds of a step}."""
+        return {} if self.setting is None else {"exudyn": self._stepped(self.setting)}
+
+    def apart(self, model, steps):
+        """{"apart_m": how far apart the last body's centres are at the end}: that both move the same."""
+        if self.setting is None:
+            return {}
+        q = pi.solve(model, steps * H, INTEGRATORS["alpha"][0](), every=10**9).q[-1].reshape(-1, 2)
+        centre = (model.reference + q)[model.few[-1].pairs.start]
+        return {"apart_m": float(np.abs(centre - self.make().run(H, steps, self.setting)[1]).max())}
+
+
+def figures(rows):
+    """The ratios by scene and size, and the exponent with which a step of generalized-alpha grows."""
+    found, alpha = {}, {}
+    for row in pick(rows):
+        label = f"{row['scene'].replace('-', '_')}_{row['size']}"
+        found |= {f"{name}_{label}": row[name] for name in PAIRS if name in row}
+        alpha[row["scene"], row["size"]] = row["alpha_us"]
+    small, large = (alpha.get(("four-bar", size)) for size in (40, 200))
+    if small and large:
+        found["growth_from_40_to_200"] = float(np.log(large / small) / np.log(5))
+    return found
+
+
+def notes(rows):
+    """Aims that are not reached."""
+    found = figures(rows)
+    return [f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in AIMS.items() if name in found and not found[name] <= aim]
+
+
+@drawn
+def draw(rows):
+    """CPU time of a step against the number of coordinates."""
+    scenes = [scene for scene in SCENES if pick(rows, scene=scene)]
+    made, axes = panels(len(scenes), width=9.0, height=3.4)
+    for axis, scene in zip(axes, scenes):
+        own = sorted(pick(rows, scene=scene), key=lambda row: row["n"])
+        for i, name in enumerate((*INTEGRATORS, "exudyn")):
+            known = [row for row in own if f"{name}_us" in row]
+            if known:
+                axis.plot([row["n"] for row in known], [row[f"{name}_us"] for row in known], label=name, **look(i))
+        axis.set(xscale="log", yscale="log", xlabel=f"coordinates, {scene}", ylabel="CPU time of a step, us")
+    legend(made, axes)
+    return curves(made, "small-systems")
+
+
+study = Study(
+    "small_systems",
+    "A step of rigid mechanisms",
+    tasks,
+    run,
+    figures,
+    draw,
+    notes=notes,
+    headline=tuple(AIMS),
+    columns=("scene", "size", "n", "m", "alpha_us", "exudyn_us", "radau_us", "energy_us", *PAIRS, "exudyn", "apart_m"),
+)
+
+if __name__ == "__main__":
+    main(study)
