@@ -152,9 +152,6 @@ class Constraints(NamedPoints):
         rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), blocks)
         return bsr_array((blocks, coupling.columns, coupling.start), (2 * self.n_points,) * 2)
 
-    def _curvature(self, t, lam):
-        return self._sparse_curvature(t, lam).toarray()
-
     def _flipped(self, t, q):
         """Name of a joint whose angle error is beyond a quarter turn."""
         row = rows.flipped(self.arrays.links, self.drives(t), self.dz(q))

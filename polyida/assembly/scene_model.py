@@ -222,7 +222,7 @@ class SceneModel(Masses):
         if self.own_forces:
             result += dense(self.own_forces.slopes(t, q, v, 0.0, 1.0))
         if self.needs.phi_q_varies:
-            result += self._small_points.T @ self._curvature(t, lam) @ self._small_points
+            result += self._small_points.T @ self._sparse_curvature(t, lam) @ self._small_points
         return result
 
     def mass_system(self, t, q):
