@@ -103,7 +103,7 @@ class Steps:
 
     def _method(self):
         s, model, sizes = self.settings, self.model, self.sizes
-        rtol = s.relative(sizes)
+        rtol, atol = (s.relative(sizes), s.absolute(sizes)) if s.adaptive else (0.0, 0.0)
         return Method(
             tied=self.tied,
             carries=bool(model.carries),
@@ -118,7 +118,7 @@ class Steps:
             tolerance=float(s.tolerance or 0.0),
             share=min(SHARE, rtol**0.6) if s.adaptive else 0.0,
             rtol=rtol,
-            atol=s.absolute(sizes),
+            atol=atol,
             length=float(sizes[0]),
         )
 
