@@ -11,8 +11,8 @@ from polyida.integrate.ida import whole as of_ida
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau import whole as of_radau
-from polyida.integrate.radau.plain import Rows, lift
 from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.integrate.radau.rows import Rows, lift
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.sizes import weights
 from polyida.integrate.start import require_state

@@ -17,9 +17,13 @@ from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RES
 
 MOST = 50  # coordinates and constraints of a model that is solved so
 # constants of compiled code
-MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q = range(12)
-FUNCTIONS = "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q"
-MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT = range(6)  # of Dense.flags; KEPT: the factors are of the S and B of now
+MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, BIAS = range(13)
+FUNCTIONS = (
+    "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_bias",
+)  # fmt: skip
+MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT, HELD = range(7)  # of Dense.flags
+# KEPT: the factors are of the S and B of now; HELD: B is that of the state already
+FLAGS = 7
 REACH = FIRST_ORDER_STEP
 INNER, END = range(2)  # of Dense.t: within the step beside a kink at its end, and the end itself
 
@@ -113,7 +117,7 @@ def take(w, instant, q, v):
 @part
 def take_rows(w):
     """B at the state, where it changes."""
-    if w.lam.shape[0] and w.flags[BENT]:
+    if w.lam.shape[0] and w.flags[BENT] and not w.flags[HELD]:
         w.flags[KEPT] = 0
         return ask(w, PHI_Q, INNER, w.B)
     return DONE
@@ -382,6 +386,6 @@ def accept(w, instant, q, b, c, d, e, f):
 @cache
 def addresses():
     """Of all functions, for every Dense."""
-    example = workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * 6)
+    example = workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * FLAGS)
     made = {RESIDUAL: residual, HOLD: hold, CLOSE: close, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
     return {number: c_address(function, typeof(example)) for number, function in made.items()}

@@ -30,6 +30,7 @@ SHAPES = {  # of what the functions return, in n and m
     "force_v": "nn",
     "mass_a_q": "nn",
     "reaction_q": "nn",
+    "phi_bias": "m",
 }
 
 

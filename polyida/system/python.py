@@ -159,7 +159,7 @@ class DenseTable(PythonTable):
     def _fill(self):
         model, needs = self.model, self.model.needs
         functions, bent = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = needs.mass_varies, needs.velocity_forces, needs.driven, bent, needs.phi_q_varies, 0
+        flags = needs.mass_varies, needs.velocity_forces, needs.driven, bent, needs.phi_q_varies, 0, 0
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for number, function in enumerate(self._functions(w).values()):
             functions[number] = self._address(function) if function else 0

@@ -8,7 +8,7 @@ import pytest
 import polyida as pi
 from polyida import problems
 from polyida.integrate.radau.matrices import Matrices
-from polyida.integrate.radau.plain import Rows
+from polyida.integrate.radau.rows import Rows
 from polyida.integrate.radau.tableau import radau, through, through_zero
 from polyida.integrate.radau.whole import WholeModes
 from polyida.linear.kkt import SCALINGS
@@ -251,7 +251,9 @@ def test_corrections_solve_the_whole_system_of_all_stages(stages, tied, kind):
     lift = np.array([0.4, 1.6])
     system.surround(Rows(model, t, q, v, lift if tied else None), pi.Counts())
     residuals = [random.normal(size=(stages, size)) for size in (2, 1, int(tied))]
-    found = system.stages(*residuals)
+    modes = enumerate(tableau.modes)
+    parts = [[mode.back(x) for x in system.corrections(k, *(mode.row @ part for part in residuals))] for k, mode in modes]
+    found = [sum(shares) for shares in zip(*parts)]
     B, H, one, D = system.rows.B, system.rows.H, np.eye(stages), tableau.W / h
     K = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0)
     mu = (B * lift).T if tied else np.zeros((2, 0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.radau import steps
+from polyida.integrate.radau import accepted
 from polyida.problems import plates
 
 
@@ -78,6 +78,6 @@ def test_a_run_that_becomes_singular_ends_with_what_its_last_stage_had(monkeypat
     def singular(*at):
         raise pi.InputError("singular")
 
-    monkeypatch.setattr(steps, "consistent_acceleration", singular)
+    monkeypatch.setattr(accepted, "consistent_acceleration", singular)
     run = pi.solve(plates.double_plate(cells=6).build(), 0.01, pi.RadauIIA(h=1e-3), every=100)
     assert run.success and np.array_equal(run.a[-1], run.restart.state.memory["a_end"])

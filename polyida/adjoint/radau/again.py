@@ -19,5 +19,5 @@ class RadauAgain(Again):
         for piece in self.course.pieces:
             state, t = begun(model, states[-1]), times(piece.first + 1)
             engine.limits = within(model, state.t, t)
-            states.append(engine.step(state, t - state.t, t)[0])
+            states.append(engine.step(state, t - state.t, t))
         return states

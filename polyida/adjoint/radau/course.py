@@ -47,5 +47,5 @@ def _parts(settings, model, state, end):
     engine.begin(state)
     engine.limits = within(model, state.t, end.t)
     for k in range(1, parts.count):
-        state, _ = engine.step(state, parts.h, parts.time(k))
+        state = engine.step(state, parts.h, parts.time(k))
         yield state

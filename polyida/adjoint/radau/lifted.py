@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.adjoint.parameters.work import Work
-from polyida.integrate.radau.plain import NOTHING
+from polyida.integrate.radau.rows import NOTHING
 from polyida.model.differences import jacobian
 
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from polyida.adjoint.radau.equations import Linearised
 from polyida.integrate.kinks import at_kink, beside, inner_side
-from polyida.integrate.radau.newton import Newton
-from polyida.integrate.radau.plain import PlainSystem, lift
-from polyida.integrate.radau.radau_iia import EXACT, restarted
+from polyida.integrate.radau.loop import EXACT
+from polyida.integrate.radau.radau_iia import restarted
+from polyida.integrate.radau.rows import lift
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.sizes import extent, typical_sizes
 from polyida.integrate.start import far_side
@@ -42,18 +42,17 @@ class StagesAgain:
 
     def __init__(self, model, settings, first, t_end, counts):
         self.model, self.engine = model, exact_steps(model, settings, first, t_end, counts)
-        system, self.tableau = self.engine.system, self.engine.tableau
-        self.engine.newton = self.newton = Between(system, self.tableau, MOST)
+        self.tableau, self.tied, self.engine.guess = self.engine.tableau, self.engine.tied, self._between
         bent = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
-        self.tied, self.moves_v = system.tied, bent and settings.form == "index3" and settings.project
-        self.lifts = isinstance(system, PlainSystem) and system.tied and not model.alike
+        self.moves_v = bent and settings.form == "index3" and settings.project
+        self.lifts = self.tied and not model.alike
         self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
 
     def of(self, state, end):
         """The Stages of the step from a state to another. Raises StepFailure."""
         h = end.t - state.t
         self.engine.limits = within(self.model, state.t, end.t)
-        self.newton.end = end
+        self.end = end
         try:
             self.engine.step(state, h, end.t)
         except StepFailure as failure:
@@ -62,8 +61,8 @@ class StagesAgain:
 
     def _fully(self, state, h, failure):
         """The same by Newton's full method, where the simplified one, from between the step's ends, does not get there as the run did."""
-        self.newton._guess(state, h)
-        x, full = self.engine.system.trial, Linearised(self.model, self.tableau, self.lift, self.tied, self.engine.counts)
+        self._between(state, h)
+        x, full = self.engine.trial, Linearised(self.model, self.tableau, self.lift, self.tied, self.engine.counts)
         for _ in range(MOST):
             full.at(self._stages(state, h))
             changes = full.newton()
@@ -73,9 +72,17 @@ class StagesAgain:
                 return self._stages(state, h)
         raise failure
 
+    def _between(self, state, h):
+        """Stages to begin with, between the two ends of a step, both of which are known: on the cubic through q and v of both, lam on lines."""
+        x, end, c = self.engine.trial, self.end, self.tableau.c[:, None]
+        way, turn = end.q - state.q - h * state.v, h * (end.v - state.v)
+        x.e[:] = c**2 * (3 * way - turn) + c**3 * (turn - 2 * way)
+        x.lam[:] = (1 - c) * state.lam + c * end.lam
+        x.mu[:] = 0.0
+
     def _stages(self, state, h):
         """Those of the unknowns that are on trial."""
-        x, W, model = self.engine.system.trial, self.tableau.W, self.model
+        x, W, model = self.engine.trial, self.tableau.W, self.model
         e, lam, mu = x.e.copy(), x.lam.copy(), x.mu.copy()
         t = np.array([self.engine.clamp(state.t + c * h) for c in self.tableau.c])
         q = state.q + self.tableau.c[:, None] * h * state.v + e
@@ -92,18 +99,6 @@ def exact_steps(model, settings, first, t_end, counts):
     engine.begin(first)
     engine.looks = False
     return engine
-
-
-class Between(Newton):
-    """A Newton that begins between the two ends of a step, both of which are known: `end`, a State, is the second."""
-
-    def _guess(self, state, h):
-        """On the cubic through q and v of both, and on straight lines of lam."""
-        x, end, c = self.system.trial, self.end, self.tableau.c[:, None]
-        way, turn = end.q - state.q - h * state.v, h * (end.v - state.v)
-        x.e[:] = c**2 * (3 * way - turn) + c**3 * (turn - 2 * way)
-        x.lam[:] = (1 - c) * state.lam + c * end.lam
-        x.mu[:] = 0.0
 
 
 def within(model, begin, end):

@@ -3,13 +3,12 @@
 import numpy as np
 
 from polyida.integrate.kinks import PULSE, enough_steps
-from polyida.integrate.radau.control import CUT, Ladder
+from polyida.integrate.radau.control import cut
+from polyida.integrate.radau.loop import FAILED, RUNG, STEP, Control
+from polyida.integrate.radau.steps import at
 from polyida.integrate.state import State, StepFailure
 from polyida.integrate.stepping.grid import Grid, grid_of
 from polyida.integrate.stepping.rest import held
-
-FAILURES = 20  # in a row
-SHORT = 16  # times that a step is apart, at least
 
 
 def march(engine, settings, model, state, begin, end, most, counts):
@@ -17,23 +16,23 @@ def march(engine, settings, model, state, begin, end, most, counts):
     grid = _grid(model, state, begin, end, most)
     for state in held(model, state, grid, counts):
         grid = grid._replace(done=grid.done + 1)
-        state.memory.update(radau_grid=grid.after(grid.done), sizes=engine.sizes)
+        state.memory.update(radau_grid=grid.after(grid.done), **engine.of_run)
         counts.steps += 1
         yield state
     if "rest" in state.memory:  # what is known of steps before is not in it
         engine.begin(state)
-    engine.expect(grid)
     while grid.done < grid.count:
-        t = grid.time(grid.done + 1)
         try:
-            state, _ = engine.step(state, grid.h, t)
+            for state in engine.equal(state, grid):
+                grid = grid._replace(done=grid.done + 1)
+                yield state
         except StepFailure as failure:
             counts.rejected += 1
             state = _in_parts(engine, settings, state, grid, failure, counts)
-        counts.steps += 1
-        grid = grid._replace(done=grid.done + 1)
-        state.memory.update(radau_grid=grid.after(grid.done), sizes=engine.sizes)
-        yield state
+            counts.steps += 1
+            grid = grid._replace(done=grid.done + 1)
+            state.memory.update(radau_grid=grid.after(grid.done))
+            yield state
 
 
 def _grid(model, state, begin, end, most):
@@ -52,7 +51,7 @@ def _in_parts(engine, settings, state, grid, first, counts):
         parts, found = Grid(grid.time(grid.done), grid.time(grid.done + 1), 2**level), state
         try:
             for k in range(parts.count):
-                found, _ = engine.step(found, parts.h, parts.time(k + 1))
+                found = engine.step(found, parts.h, parts.time(k + 1))
             return found
         except StepFailure as failure:
             counts.rejected += 1
@@ -62,33 +61,38 @@ def _in_parts(engine, settings, state, grid, first, counts):
 
 
 def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most_steps):
-    """Yield states from begin to end, the step as the local error allows and not above `most`. Raises StepFailure."""
-    most, t, failures = _most(model, state, begin, end, most), begin, []
-    while t < end:
-        ladder.below(most)
-        h, goes_to = _next(t, end, ladder.h, float(state.memory.get("step", ladder.h)))
-        _require_progress(t, h, settings, counts, most_steps, failures)
-        allowed = settings.allowed(state.q, engine.shares, engine.sizes)
+    """Yield states from begin to end, the step as the local error allows and not above `most`. Raises StepFailure.
+
+    ladder: [first step, rung].
+    """
+    first, most, failures = float(ladder[0]), _most(model, state, begin, end, most), []
+    control = Control(True, 0.0, first, most, end, float(most_steps), at(begin, ladder[1]))
+    now = control.now
+    place = lambda taken, k, rung: {"ladder": np.array([first, rung]), "radau_piece": np.array([end, most])}  # noqa: E731
+    while state.t < end:
         try:
-            found, error = engine.step(state, h, goes_to, allowed)
+            for state in engine.adaptive(state, control, place):
+                failures, ladder[1] = [], now[RUNG]
+                yield state
         except StepFailure as failure:
+            rejected = int(now[FAILED]) - len(failures)
+            failures += [StepFailure("step size", "the local error stays above rtol and atol", state.t)] * rejected
+            if failure.status == "stuck":
+                raise _with_history(failures, now[STEP]) from None
+            if failure.status == "too many steps":
+                reason = f"more than {settings.max_num_steps} steps (max_num_steps)"
+                raise StepFailure(failure.status, reason, state.t, step=float(now[STEP])) from None
             failures.append(failure)
             counts.rejected += 1
-            ladder.below(h)
-            ladder.rung -= CUT
-            continue
-        if found is None or h >= ladder.h * (1 - 1e-9):
-            ladder.below(h)
-            ladder.follow(error / allowed, settings.stages + 1)
-        if found is None:
-            counts.rejected += 1
-            failures.append(StepFailure("step size", "the local error stays above rtol and atol", t))
-            continue
-        failures, t = [], goes_to
-        state = found
-        state.memory.update(ladder=np.array([ladder.first, ladder.rung]), radau_piece=np.array([end, most]), sizes=engine.sizes)
-        counts.steps += 1
-        yield state
+            now[FAILED] += 1
+            now[RUNG] = cut(first, now[RUNG], now[STEP])
+
+
+def _with_history(failures, h):
+    """The first failure, and what came of it."""
+    first, last = failures[0], failures[-1]
+    reason = first.reason if last is first else f"{first.reason}; down to steps of {h:.3g} s, at last: {last.reason}"
+    return StepFailure(first.status, reason, first.t, **last.seen)
 
 
 def _most(model, state, begin, end, most):
@@ -99,27 +103,7 @@ def _most(model, state, begin, end, most):
     return (end - begin) / enough_steps(model, state, begin, end, min(most, end - begin))
 
 
-def _next(t, end, h, last):
-    """(step, where it ends): the last two before the end are equal, and equal to one that there are factors for up to round-off of t."""
-    rest = end - t
-    for known in (h, min(h, last)):
-        if abs(rest - known) <= 1e-9 * known:
-            return known, end
-    if rest < h:
-        return rest, end
-    return (0.5 * rest, t + 0.5 * rest) if rest < 2 * h * (1 - 1e-9) else (h, t + h)
-
-
-def _require_progress(t, h, settings, counts, most_steps, failures):
-    if failures and (h < SHORT * np.spacing(abs(t)) or len(failures) >= FAILURES):
-        first, last = failures[0], failures[-1]
-        reason = first.reason if last is first else f"{first.reason}; down to steps of {h:.3g} s, at last: {last.reason}"
-        raise StepFailure(first.status, reason, first.t, **last.seen)
-    if counts.steps + counts.rejected >= most_steps:
-        raise StepFailure("too many steps", f"more than {settings.max_num_steps} steps (max_num_steps)", t, step=h)
-
-
 def ladder_of(state, first):
-    """The Ladder that the state was on, or one that begins with `first`, s."""
+    """[first step, rung] that the state was on, or one that begins with `first`, s."""
     stored = state.memory.get("ladder")
-    return Ladder(first) if stored is None else Ladder(float(stored[0]), int(stored[1]))
+    return [float(first), 0.0] if stored is None else [float(stored[0]), float(stored[1])]

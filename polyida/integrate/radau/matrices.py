@@ -1,6 +1,5 @@
 """The factored step matrices of a step of any model, one for each mode of the tableau, and what its systems need around them."""
 
-import math
 from functools import partial
 
 import numpy as np
@@ -17,7 +16,7 @@ class Matrices:
 
     def __init__(self, model, modes, h, made_at, linear="auto"):
         self.linear = linear
-        self.model, self.modes, self.made_at, self.price, self.least = model, modes, made_at, 0.0, math.inf
+        self.model, self.modes, self.made_at = model, modes, made_at
         self.c = [mode.value / h for mode in modes]
         self.factors = self.borders = None
         self.backend = ""
@@ -37,9 +36,8 @@ class Matrices:
     def _evaluated(self):
         """(t, q, v, a, lam) of where they are made, with M and the slopes of there."""
         model, at = self.model, (float(self.made_at[0]), *np.split(self.made_at[1:], np.cumsum([self.model.n] * 3)))
-        self.M, damped = model.mass(at[1]), model.needs.velocity_forces
-        C = model.force_v(*at[:3]) if damped else None
-        self.slopes = [c * self.M + C if damped else c * self.M for c in self.c]
+        self.M, self.C = model.mass(at[1]), model.force_v(*at[:3]) if model.needs.velocity_forces else None
+        self.slopes = [c * self.M if self.C is None else c * self.M + self.C for c in self.c]
         return at
 
     def _hold(self, B):
@@ -63,20 +61,13 @@ class Matrices:
             columns = np.hstack([rows.B.T, slope @ rows.G.T]) if rows.tied else rows.B.T
             self.borders.append(Border(self._free(k, columns)))
 
-    def stages(self, r, r3, r4):
-        """(dq, dlam, dmu) of all stages, each (s, ...), from their residuals, each (s, ...). Raises SingularSystem."""
-        total = None
-        for k, mode in enumerate(self.modes):
-            share = [mode.back(x) for x in self._solve(k, *(mode.row @ part for part in (r, r3, r4)))]
-            total = share if total is None else [x + y for x, y in zip(total, share)]
-        return total
+    def off(self, v, a):
+        """(C v + M a, M v)."""
+        force = self.M @ a
+        return force if self.C is None else force + self.C @ v, self.M @ v
 
-    def smooth(self, off_v, off_a):
-        """Real part of `S^-1 ((c M + C) off_v + M off_a)` of the first mode, with B times it zero."""
-        y = self._free(0, self.slopes[0] @ off_v + self.M @ off_a)
-        return self.borders[0].solve(y, self.rows.both, np.zeros(len(self.rows.both)), self.corner)[0].real
-
-    def _solve(self, k, r, r3, r4):
+    def corrections(self, k, r, r3, r4):
+        """(dq, dlam, dmu) of mode k from its residuals. Raises SingularSystem."""
         m = len(self.rows.B)
         dq, w = self.borders[k].solve(-self._free(k, r), self.rows.both, self.rows.below(self.c[k], r3, r4), self.corner)
         return dq, w[:m] - self.added * r3, w[m:]

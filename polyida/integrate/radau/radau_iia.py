@@ -20,9 +20,6 @@ from polyida.model import Model
 
 FORMS = ("ggl", "index3")
 LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
-SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
-EXACT = 1e-15  # of the model's length: what it may leave in a fixed step that none went before, as good as nothing
-NOTHING = 1e-20  # the same behind a step without any error
 AIM, WAYS = 1e-5, 30.0  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
 EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
 
@@ -107,20 +104,9 @@ class RadauIIA:
         """rtol, or that of a run of these sizes, (length, speed, time, ways)."""
         return relative_tolerance(AIM, WAYS, float(sizes[3])) if self.rtol is None else self.rtol
 
-    def allowed(self, q: np.ndarray, shares: np.ndarray, sizes: np.ndarray) -> float:
-        """The local error that is allowed at q: `atol + rtol |q|`."""
-        rtol = self.relative(sizes)
-        atol = rtol * float(sizes[0]) if self.atol is None else self.atol
-        return atol + rtol * float(np.sqrt(shares @ q**2))
-
-    def left(self, state: State, shares: np.ndarray, sizes: np.ndarray) -> float:
-        """What Newton may leave of q in a step from the state."""
-        if self.tolerance is not None:
-            return self.tolerance
-        if self.adaptive:
-            return min(SHARE, self.relative(sizes) ** 0.6) * self.allowed(state.q, shares, sizes)
-        error, length = state.memory.get("error"), float(sizes[0])
-        return EXACT * length if error is None else max(NOTHING * length, SHARE * (error / length) ** 0.75 * error)
+    def absolute(self, sizes: np.ndarray) -> float:
+        """atol, or that of a run of these sizes."""
+        return self.relative(sizes) * float(sizes[0]) if self.atol is None else self.atol
 
     def told(self, memory: dict) -> str:
         """What a summary says of the tolerances that a run took from its model; memory of one of its states."""
@@ -136,7 +122,7 @@ class RadauIIA:
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
         """
         sizes, run = sizes_of_run(model, state, t_end), run_of(state, t_end)
-        engine, most_steps = Steps(self, model, counts, sizes), counts.steps + counts.rejected + self.max_num_steps
+        engine, most_steps = Steps(self, model, counts, sizes, run), counts.steps + counts.rejected + self.max_num_steps
         ladder, longest = ladder_of(state, self._first(sizes, t_end - state.t)), self.h or self.max_step or np.inf
         state = state if np.shape(state.memory.get("stages_e", ())) == (self.stages, model.n) else restarted(state)
         engine.begin(state)
@@ -151,7 +137,6 @@ class RadauIIA:
             else:
                 piece = adapt(engine, self, model, state, begin, end, min(longest, most), counts, ladder, most_steps)
             for state in piece:
-                state.memory["run"] = run
                 yield state
 
     def _first(self, sizes, span):

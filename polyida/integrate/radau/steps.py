@@ -1,195 +1,243 @@
-"""Steps of Radau IIA on one model: factors by step size, a step tried, its end made a state on the constraints."""
+"""Steps of Radau IIA on one model: stretches of the compiled loop, factors where it asks for some, states from what it leaves."""
 
-import math
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
-from polyida.errors import InputError
-from polyida.integrate.radau.dense import Collocation
+from polyida.integrate.radau import loop
+from polyida.integrate.radau.accepted import Accepted, Stretch
+from polyida.integrate.radau.loop import GOES, LEAST, LEFT, PRICE, READY, STEP, TIME, USED, Control, H, keep, record, stretch
 from polyida.integrate.radau.matrices import Matrices
-from polyida.integrate.radau.newton import UNKNOWN, Failed, Newton
-from polyida.integrate.radau.plain import PlainSystem
+from polyida.integrate.radau.rows import lift
+from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, FACTORS, LAST, MOVED, SHARES, SPEED, UNKNOWN, A, Method, Q, V, empty, way
 from polyida.integrate.radau.tableau import radau
+from polyida.integrate.radau.tables.entries import ACCELERATION, STEPS
+from polyida.integrate.radau.tables.python import table_of
 from polyida.integrate.radau.whole import WholeModes
 from polyida.integrate.sizes import ROUND_OFF, weights
-from polyida.integrate.start import consistent_acceleration, start_values
-from polyida.integrate.state import State, StepFailure
-from polyida.integrate.stepping.kept import Kept
+from polyida.integrate.start import start_values
+from polyida.integrate.state import StepFailure
+from polyida.integrate.stepping.ended import DONE, REFACTOR
 from polyida.linear.lu import SingularSystem
 
-PAIR = 20.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
-NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only
+CHUNK = 4_000_000  # bytes that the steps of a stretch leave
+SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
+
+
+def _nowhere(taken, k, rung):
+    return {}
+
+
+def _on_grid(grid, taken, k, rung):
+    return {"radau_grid": grid.after(grid.done + taken + k + 1)}
+
+
+def at(t, rung=0.0):
+    """Control.now at a time."""
+    return np.array([rung, t, 0.0, 0.0, 0.0, 0.0])
 
 
 class Steps:
-    """`begin` takes a state up, `step` tries one from it; `limits`: the model's times are held to them, beside a kink.
+    """`begin` takes a state up, `step`, `equal` and `adaptive` go on from one; `limits`: the model's times are held to them, beside a kink.
 
-    sizes: the model's (length, speed), of which tolerances are a share.
+    sizes: the model's (length, speed), of which tolerances are a share; run: as the memory of states has it. looks: whether the local error is
+    asked for; guess: a function (state, h) that fills `trial` with the stages to begin with, or None: by the last step's polynomial.
     """
 
-    def __init__(self, settings, model, counts, sizes):
-        self.settings, self.model, self.counts, self.sizes = settings, model, counts, sizes
-        self.tableau, self.limits = radau(settings.stages), (-np.inf, np.inf)
-        tied = settings.form == "ggl"
-        self.system = _system(settings, model)(model, self.tableau, tied, tied or settings.project, counts)
-        self.newton = Newton(self.system, self.tableau, settings.max_iterations)
+    def __init__(self, settings, model, counts, sizes, run=None):
+        self.settings, self.model, self.counts, self.sizes, self.run = settings, model, counts, sizes, run
+        self.tableau, self.limits, self.guess = radau(settings.stages), (-np.inf, np.inf), None
+        needs, form = model.needs, settings.form
+        bent = model.m > 0 and (needs.phi_q_varies or needs.driven)
+        self.tied = form == "ggl" and bent
+        self.moves_v = (form == "ggl" or settings.project) and (bent or (model.compiled and model.m > 0))
         self.looks = settings.adaptive or settings.tolerance is None
-        self.kept, self.shares, self.stacked = Kept(), None, None
+        self.table = _table(settings, model, self.tableau, self.tied)
+        self.way = way(self.tableau)
+        self.memory, self.trial, self.room = empty(settings.stages, model.n, model.m, self.tied)
+        self.kept, self.at = loop.kept(model.n, model.m), None
+        self.done = np.zeros(loop.COUNTS, np.int64)
+        most = CHUNK // (8 * max(1, (3 * settings.stages + 5) * model.n))
+        self.longest = max(1, min(STEPS, most, 1 if model.switching else self.table.longest))
+
+    @property
+    def shares(self):
+        """(n,), of the coordinates in the mass."""
+        return self.memory.past[SHARES]
 
     def begin(self, state):
         """Take up what a state of this method holds, and nothing else: the norm's weights, Newton's contraction, the factors."""
-        self.kept, self.stacked, self.newton.marks = Kept(), None, UNKNOWN.copy()
-        memory, model = state.memory, self.model
+        memory, model, table = state.memory, self.model, self.kept.table
         given = memory.get("radau_shares")
-        self.shares = weights(model, state.q) if given is None else np.array(given, float)
-        self.system.weigh(self.shares)
-        if "newton" not in memory:
-            return
-        self.newton.marks, self.stacked = np.array(memory["newton"], float), np.array(memory["factored"], float)
-        for row in self.stacked:
-            self.kept.keep(float(row[0]), self.system.matrices(float(row[0]), row[1:]))
-        for h, price, least in np.reshape(memory["prices"], (-1, 3)):
-            self.kept.factors[float(h)].price, self.kept.factors[float(h)].least = float(price), float(least)
+        self.memory.past[SHARES] = weights(model, state.q) if given is None else given
+        if self.tied:
+            self.table.weigh(lift(model, self.shares))
+        self.table.hold_constant(state.t, state.q)
+        table[:], self.at, self.made = 0.0, None, None
+        self.memory.marks[[CONTRACTION, AGE]] = memory.get("newton", UNKNOWN)
+        if "newton" in memory:
+            for slot, (row, price) in enumerate(zip(memory["factored"], np.reshape(memory["prices"], (-1, 3)))):
+                table[[H, PRICE, LEAST, USED], slot] = [*price, slot + 1.0]
+                self.kept.made[slot] = row[1:]
 
     def clamp(self, t):
         """t held to `limits`."""
         return float(min(max(t, self.limits[0]), self.limits[1]))
 
-    def expect(self, grid):
-        """Be told that the rest of a grid's steps comes next."""
-        self.system.expect(grid, lambda times: np.clip(times, *self.limits))
+    def _take(self, state):
+        """Go on from a state, where it is not the one that was reached last."""
+        if state is self.at:
+            return
+        y, memory, model = self.memory, state.memory, self.model
+        known = "stages_e" in memory
+        y.past[Q], y.past[V] = state.q, state.v
+        last = memory.get("a_end")
+        y.past[A] = state.a if last is None else last  # which may not be made yet
+        y.lam[:] = memory["stages_lam"][-1] if "stages_lam" in memory else state.lam
+        if known:
+            y.stages_v[:], y.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
+        y.marks[LAST], y.marks[ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
+        if model.carries:
+            y.closed[:] = start_values(model, state, self.clamp(state.t))
+        self.at = state
 
-    def step(self, state, h, t, allowed=np.inf):
-        """(the State at t = state.t + h, or None where the local error is not `allowed`; local error). Raises StepFailure."""
-        closed = start_values(self.model, state, self.clamp(state.t)) if self.model.carries else None
-        self.system.begin(state, h, [self.clamp(state.t + c * h) for c in self.tableau.c], closed)
+    def _method(self):
+        s, model, sizes = self.settings, self.model, self.sizes
+        rtol, atol = (s.relative(sizes), s.absolute(sizes)) if s.adaptive else (0.0, 0.0)
+        return Method(
+            tied=self.tied,
+            carries=bool(model.carries),
+            moves_v=self.moves_v,
+            looks=self.looks,
+            guessed=self.guess is not None,
+            max_iterations=s.max_iterations,
+            low=float(self.limits[0]),
+            high=float(self.limits[1]),
+            extent=float(model.extent or 1.0),
+            least=ROUND_OFF * float(sizes[0]),
+            tolerance=float(s.tolerance or 0.0),
+            share=min(SHARE, rtol**0.6) if s.adaptive else 0.0,
+            rtol=rtol,
+            atol=atol,
+            length=float(sizes[0]),
+        )
+
+    def step(self, state, h, t):
+        """The State at t, a step of h on. Raises StepFailure."""
+        control = Control(False, h, h, np.inf, np.inf, np.inf, at(state.t))
+        return next(self._states(state, control, np.array([t])))
+
+    def equal(self, state, grid):
+        """Yield the states at the ends of the rest of a grid's steps. Raises StepFailure."""
+        while grid.done < grid.count:
+            ends = np.array([grid.time(k + 1) for k in range(grid.done, min(grid.done + self.longest, grid.count))])
+            control = Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, at(state.t))
+            for state in self._states(state, control, ends, partial(_on_grid, grid)):
+                grid = grid._replace(done=grid.done + 1)
+                self.counts.steps += 1
+                yield state
+
+    def adaptive(self, state, control, place):
+        """Yield states as the control has them; place(taken, k, rung): what their memory has besides, `taken` steps and k on. Raises StepFailure."""
+        while state.t < control.end:
+            for state in self._states(state, control, np.zeros(0), place):
+                self.counts.steps += 1
+                yield state
+
+    def _states(self, state, control, ends, place=_nowhere):
+        """The states of one stretch, in one piece or in several between which factors are made. Raises StepFailure."""
+        p, y, fresh, taken = self._method(), self.memory, False, 0
+        self._take(state)
+        if self.guess is not None:
+            self.guess(state, control.h)
+        count = len(ends) or self.longest
+        first = self.table.prepare(self, state, control, ends)
+        while True:
+            o = record(count, self.settings.stages, self.model.n, self.model.m)
+            self.done[:], begin = 0, (state.t, state.q, state.v)
+            control.now[LEFT] = control.most_steps - self.counts.steps - self.counts.rejected
+            called, held = (self.table.functions, self.table.workspace, first), (control, self.kept, fresh)
+            found, ended = stretch(*called, p, self.way, *held, y, self.trial, self.room, self.done, ends[taken:], o)
+            if self.done[FACTORS]:
+                self.made = None
+            self.at, before = None, vars(self.counts).copy()
+            if found:
+                self.made = self.kept.made.copy() if self.made is None else self.made
+                s = Stretch(
+                    o, begin, self.tableau.c, self.made, bool(self.model.carries), self._shared(), partial(place, taken), self._motion()
+                )
+            for k in range(found):
+                self._count(before, o.counts[k])
+                state = Accepted(s, k)
+                if k == found - 1:
+                    self.at = state
+                yield state
+            self._count(before, self.done)
+            self.at = self.at or state
+            taken, count, first = taken + found, count - found, first + found * (self.settings.stages + 1) * self.table.prepared
+            self.table.raise_left()
+            if ended in (loop.MAKE, loop.AGAIN):
+                fresh = ended == loop.MAKE
+                self._make(control, fresh)
+            elif ended == loop.PAUSE:
+                fresh = False
+            elif ended != DONE:
+                raise self._failure(ended, control)
+            elif not count or control.adaptive:
+                return
+
+    def _count(self, before, done):
+        """Counts at a step."""
+        counts, (residuals, iterations, solves, factors, rejected) = self.counts, map(int, done)
+        counts.residuals, counts.newton_iterations = before["residuals"] + residuals, before["newton_iterations"] + iterations
+        counts.solves, counts.rejected = before["solves"] + solves, before["rejected"] + rejected
+        counts.tangents = before["tangents"] + factors
+        counts.factorizations = before["factorizations"] + factors * len(self.tableau.modes)
+
+    @property
+    def of_run(self):
+        """What all states of a run have in memory."""
+        return {"sizes": self.sizes} | ({} if self.run is None else {"run": self.run})
+
+    def _shared(self):
+        return self.of_run | ({"radau_shares": self.shares.copy()} if self.model.needs.mass_varies else {})
+
+    def _motion(self):
+        """What makes a and lam of the states, or None where the loop has."""
+        return None if self.table.functions[ACCELERATION] else (self.model, self.clamp)
+
+    def _make(self, control, new):
+        """Make factors for the step that is tried: new ones, or those that are kept of it again."""
+        h, t, table, y = float(control.now[STEP]), self.clamp(control.now[TIME]), self.kept.table, self.memory
+        slot = int(np.argmax(table[H] == h))
+        if new:
+            slot, self.made = keep(self.kept, h, t, y), None
+            self.counts.tangents += 1
+            self.counts.factorizations += len(self.tableau.modes) if self.settings.linear != "kkt" else 0  # whole ones are with their rows
         try:
-            matrices = self._solved(state, h)
-            closed = self.system.close()
-            error = self.system.error(matrices, _last_a(state)) if self.looks else 0.0
-        except Failed as failed:
-            raise StepFailure(failed.status, failed.reason, t, **failed.seen) from None
-        return self._state(state, h, t, closed, error) if error <= allowed else None, error
-
-    def _solved(self, state, h):
-        """The Matrices that the stages were solved with: those kept for this h, unless their price has grown beyond that of new ones."""
-        matrices = self.kept.take(h)
-        if matrices is not None and matrices.price <= PAIR:
-            try:
-                self._charge(matrices, self._iterate(matrices, state, h))
-                return matrices
-            except Failed as failed:
-                if failed.status == "not finite":
-                    raise
-        matrices = self._factored(state, h)
-        self._charge(matrices, self._iterate(matrices, state, h))
-        return matrices
-
-    @staticmethod
-    def _charge(matrices, iterations):
-        """Note what a step with the matrices took."""
-        matrices.least = min(matrices.least, iterations)
-        matrices.price += max(0, iterations - matrices.least)
-
-    def _iterate(self, matrices, state, h):
-        try:
-            matrices.make()
+            self.table.make(slot, h, self.kept.made[slot].copy(), self.counts)
         except SingularSystem as error:
-            raise Failed("singular", str(error)) from None
-        self.counts.backend = matrices.backend
-        left = self.settings.left(state, self.shares, self.sizes)
-        return self.newton.solve(matrices, state, h, left, self.shares, ROUND_OFF * float(self.sizes[0]))
+            table[H, slot] = table[USED, slot] = 0.0
+            raise StepFailure("singular", str(error), float(control.now[GOES])) from None
+        if self.table.single:
+            table[READY] = 0.0
+        table[READY, slot] = 1.0
 
-    def _factored(self, state, h):
-        """New Matrices at a state, with what its last stage was rather than a and lam that ring."""
-        lam = state.memory["stages_lam"][-1] if "stages_lam" in state.memory else state.lam
-        made = self.system.matrices(h, np.concatenate([[self.clamp(state.t)], state.q, state.v, _last_a(state), lam]))
-        self.counts.tangents += 1
-        self.counts.factorizations += len(made.modes) if self.settings.linear != "kkt" else 0  # whole ones are with their rows
-        self.kept.keep(h, made)
-        self.stacked, self.newton.marks = None, UNKNOWN.copy()
-        return made
-
-    def _state(self, state, h, t, closed, error):
-        """The accepted State: q and v on their constraints to round-off."""
-        at, model, (e, dv, a, lam, _) = self.clamp(t), self.model, map(np.copy, self.system.trial)
-        q, v = state.q + (h * state.v + e[-1]), state.v + dv[-1]
-        if not math.isfinite(q.dot(v)):
-            raise StepFailure("not finite", "the motion is not finite", t)
-        memory = {"stages_e": e, "stages_v": dv, "a_end": a[-1], "stages_lam": lam, "step": h, "error": error}
-        if closed is not None:
-            memory |= dict(zip(("phi", "rate"), closed))
-        within = Collocation(state.t, h, state.q, state.v, self.tableau.c, (e, dv, a, lam))
-        accepted = Accepted(model, at, State(t, q, v, a[-1], lam[-1], memory | self._memory(), within=within))
-        if self.system.asks:
-            _require_good(model, at, accepted)
-        return accepted
-
-    def _memory(self):
-        kept = self.kept.factors
-        if self.stacked is None or [row[0] for row in self.stacked] != list(kept):
-            self.stacked = np.array([np.concatenate([[h], matrices.made_at]) for h, matrices in kept.items()])
-        prices = np.array([(h, matrices.price, min(matrices.least, NEVER)) for h, matrices in kept.items()])
-        memory = {"newton": self.newton.marks, "factored": self.stacked, "prices": prices}
-        return memory | {"radau_shares": self.shares} if self.model.needs.mass_varies else memory
+    def _failure(self, ended, control):
+        """The StepFailure of the step that was tried."""
+        t, seen = float(control.now[GOES]), {}
+        if ended in (loop.STUCK, loop.MANY):
+            return StepFailure({loop.STUCK: "stuck", loop.MANY: "too many steps"}[ended], "", float(control.now[TIME]))
+        if ended == REFACTOR:
+            seen = {"last |dq|": float(self.room.seen[MOVED]), "contraction": float(self.room.seen[SPEED])}
+        return StepFailure(*self.table.told(ended, self, control), t, **seen)
 
 
-def _require_good(model, at, state):
-    """Raise StepFailure where a or lam is not finite, or the model objects: a shorter step may be taken then."""
-    if not (np.isfinite(state.a).all() and np.isfinite(state.lam).all()):
-        raise StepFailure("not finite", "the motion is not finite", state.t)
-    if objection := model.objection(at, state.q):
-        raise StepFailure("objection", objection, state.t)
+def _table(settings, model, tableau, tied):
+    """The table of a model, by the settings' linear algebra."""
+    if model.compiled and settings.linear != "kkt":
+        from polyida.integrate.radau.tables.scene import SceneStages
 
-
-class Accepted(State):
-    """A State whose a and lam, `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)` at its q and v, are made when they are first asked for.
-
-    They have the order of q and v; those of the last stage, which it is given and which stand where that is singular, have one of s only.
-    """
-
-    def __init__(self, model, at, stage):
-        hidden = {"_model": model, "_at": at, "_stage": stage}
-        vars(self).update({name: value for name, value in vars(stage).items() if name not in ("a", "lam")} | hidden)
-
-    @cached_property
-    def _rest(self):
-        try:
-            return consistent_acceleration(self._model, self._at, self.q, self.v)
-        except (InputError, np.linalg.LinAlgError):  # constraints that have become dependent, where the run is about to end
-            return self._stage.a, self._stage.lam
-
-    @property
-    def a(self):
-        """q'', (n,)."""
-        return self._rest[0]
-
-    @property
-    def lam(self):
-        """The multipliers, (m,)."""
-        return self._rest[1]
-
-    def finite(self):
-        """Whether q and v, and what the last stage had, are finite."""
-        return self._stage.finite()
-
-    def __reduce__(self):
-        return State, (self.t, self.q, self.v, self.a, self.lam, self.memory, self.restart, self.within)
-
-
-def _last_a(state):
-    """v' of the last stage, or the state's own, which may not be made yet."""
-    found = state.memory.get("a_end")
-    return state.a if found is None else found
-
-
-def _system(settings, model):
-    """The system of a scene, or of any model, by the settings' linear algebra."""
-    if settings.linear == "kkt":
-        return partial(PlainSystem, kind=partial(WholeModes, scaling=settings.scaling))
-    if model.compiled:
-        from polyida.integrate.radau.scene.system import SceneSystem
-
-        return partial(SceneSystem, linear=settings.linear)
-    return partial(PlainSystem, kind=partial(Matrices, linear=settings.linear))
+        return SceneStages(model, tableau, tied, settings.linear)
+    kind = partial(WholeModes, scaling=settings.scaling) if settings.linear == "kkt" else partial(Matrices, linear=settings.linear)
+    return table_of(model, settings.linear, tableau, tied, kind)

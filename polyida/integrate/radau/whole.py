@@ -1,6 +1,6 @@
 """The system of one mode of Radau IIA as a whole, its rows and columns divided by characteristic sizes or raw.
 
-c = l/h, l an eigenvalue of `W = A^-1`, real or complex (radau/tableau.py), `G = B D^-1`, `H = d(B v + phi_t)/dq` (radau/plain.py):
+c = l/h, l an eigenvalue of `W = A^-1`, real or complex (radau/tableau.py), `G = B D^-1`, `H = d(B v + phi_t)/dq` (radau/step.py):
 
     |  c I    -I             G^T |  |dq  |     q' - v + G^T mu
     |  K     c M + C   B^T       |  |dv  |     M v' + g + B^T lam
@@ -55,11 +55,8 @@ class WholeModes(Matrices):
         counts.factorizations += len(self.modes)
         self.rows, self.borders = rows, [None] * len(self.modes)
 
-    def smooth(self, off_v, off_a):
+    def corrections(self, k, r, r3, r4):
         """As of Matrices."""
-        return self._whole(0, self.slopes[0] @ off_v + self.M @ off_a, np.zeros(len(self.rows.both)))[: self.model.n].real
-
-    def _solve(self, k, r, r3, r4):
         n, m = self.model.n, self.model.m
         x = -self._whole(k, r, r3, r4)
         return x[:n], x[2 * n : 2 * n + m], x[2 * n + m :]

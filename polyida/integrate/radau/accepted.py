@@ -1,0 +1,91 @@
+"""The states at the ends of steps, as the compiled loop left them."""
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.integrate.radau.dense import Collocation
+from polyida.integrate.radau.loop import LEAST, PRICE, USED, H, Record
+from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST
+from polyida.integrate.start import consistent_acceleration
+from polyida.integrate.state import State
+
+
+class Stretch(NamedTuple):
+    """What the States of a stretch have in common: its Record, the state (t, q, v) that it began from, c, where its factors were made, and the rest of their memory."""
+
+    record: Record
+    begin: tuple
+    c: np.ndarray
+    made: np.ndarray
+    carries: bool
+    memory: dict
+    place: Any
+    motion: Any
+
+
+class Accepted(State):
+    """The State at the end of step k; its memory and what is known within the step are put together when they are asked for."""
+
+    def __init__(self, s, k):
+        r = s.record
+        vars(self).update(t=float(r.t[k]), q=r.q[k], v=r.v[k], _stretch=s, _k=k)
+        if s.motion is None:
+            vars(self).update(a=r.a[k], lam=r.lam[k])
+
+    @cached_property
+    def _rest(self):
+        """a and lam, `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`; those of the last stage where that is singular, of order s only."""
+        model, at = self._stretch.motion
+        try:
+            return consistent_acceleration(model, at(self.t), self.q, self.v)
+        except (InputError, np.linalg.LinAlgError):  # constraints that have become dependent, where the run is about to end
+            return self._stretch.record.stages_a[self._k, -1], self._stretch.record.stages_lam[self._k, -1]
+
+    @cached_property
+    def a(self):
+        """q'', (n,)."""
+        return self._rest[0]
+
+    @cached_property
+    def lam(self):
+        """The multipliers, (m,)."""
+        return self._rest[1]
+
+    @cached_property
+    def memory(self):
+        """What a run goes on from."""
+        s, k = self._stretch, self._k
+        r, marks, slots = s.record, s.record.marks[k], s.record.kept[k]
+        order = [slot for slot in np.argsort(slots[USED], kind="stable") if slots[H, slot]]
+        memory = {
+            "stages_e": r.e[k],
+            "stages_v": r.dv[k],
+            "a_end": r.stages_a[k, -1],
+            "stages_lam": r.stages_lam[k],
+            "step": float(marks[LAST]),
+            "error": float(marks[ERROR]),
+            "newton": marks[[CONTRACTION, AGE]],
+            "factored": np.array([np.concatenate([[slots[H, slot]], s.made[slot]]) for slot in order]),
+            "prices": slots[[H, PRICE, LEAST]][:, order].T.copy(),
+        }
+        if s.carries:
+            memory |= {"phi": r.closed[k, 0], "rate": r.closed[k, 1]}
+        return memory | s.memory | s.place(k, r.rung[k])
+
+    @cached_property
+    def within(self):
+        """The collocation polynomial of the step."""
+        s, k = self._stretch, self._k
+        r = s.record
+        t, q, v = (float(r.t[k - 1]), r.q[k - 1], r.v[k - 1]) if k else s.begin
+        return Collocation(t, float(r.marks[k, LAST]), q, v, s.c, (r.e[k], r.dv[k], r.stages_a[k], r.stages_lam[k]))
+
+    def finite(self):
+        """Whether q and v are finite, which the loop has looked at."""
+        return True
+
+    def __reduce__(self):
+        return State, (self.t, self.q, self.v, self.a, self.lam, self.memory, self.restart, self.within)

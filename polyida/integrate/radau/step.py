@@ -1,0 +1,539 @@
+"""A step of Radau IIA in compiled code, of any model through its table (tables/entries.py).
+
+With `q_i = q_0 + c_i h v_0 + e_i` the unknowns of the stages are e, lam and mu; v and v' follow from them,
+
+    v_i = q_i' + D^-1 B^T mu_i,   q_i' = v_0 + sum_j W_ij e_j / h,   v_i' = sum_j W_ij (v_j - v_0) / h
+
+and at each node `r(t, q, v, v', lam) = 0`, phi = 0 and, in the form "ggl", `B v + phi_t = 0`; "index3" has neither that nor mu.
+D, the diagonal of M over its mean, makes it the same in all units. Where phi is linear in q and not driven, mu is zero and the two
+forms are one: v = q' is on its constraint with q. In a simplified Newton iteration the transformed stages of each mode of the tableau, with
+c = l/h, l its eigenvalue, solve
+
+    |  S    B^T  (c M + C) G^T |  |dq  |     |r |     M v' + g + B^T lam           S = K + c C + c^2 M
+    |  B                       |  |dlam| = - |r3|     phi                          G = B D^-1
+    |  c B + H         B G^T   |  |dmu |     |r4|     phi' = B v + phi_t           H = d phi'/dq
+
+v follows q and mu, dv = c dq + G^T dmu; B, H and G are those of the middle stage.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.integrate.radau.tables.entries import (
+    ACCELERATION,
+    ACCEPT,
+    CLOSE,
+    HOLD,
+    OFF,
+    PAIR,
+    PROJECT,
+    RATE,
+    REACTION,
+    REAL,
+    RESIDUAL,
+    ROWS,
+    TURN,
+)  # fmt: skip
+from polyida.integrate.sizes import ROUND_OFF
+from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REFACTOR, SINGULAR
+from polyida.jit import pack, part
+from polyida.system.table import address, call
+
+SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
+ROUND = 1e-11
+CARRIED = 10.0  # steps in which the contraction of an earlier one is taken for that of the first iteration
+UNKNOWN = np.array([1.0, CARRIED])  # the marks of a Newton that has none
+FAR = 4.0  # steps longer than the last by more begin from q_0 + c h v_0: its polynomial leads nowhere there
+MOVES = 3  # of q onto phi = 0, at most
+AGAIN = 1e-9  # of the model's size: |phi| beyond which the constraints' system is made anew where q has moved to
+Q, V, A, SHARES = range(4)  # rows of Memory.past
+CONTRACTION, AGE, LAST, ERROR = range(4)  # of Memory.marks
+MOVED, SPEED = range(2)  # of Room.seen
+RESIDUALS, ITERATIONS, SOLVES, FACTORS = range(4)  # of the counts
+PHI, PHI_RATE = range(2)  # of rows
+
+
+@pack
+class Method(NamedTuple):
+    """Numbers of the method.
+
+    tied: whether there is mu; carries: whether phi is carried by increments; moves_v: whether the step's end is moved onto phi' = 0; looks:
+    whether the local error is asked for; guessed: whether the stages to begin with are on trial. low, high: the model's times are held to
+    them. extent: of the model, m; least: round-off of q = 0. tolerance: what Newton may leave of q, 0: `share` of atol + rtol |q|, or where
+    share is 0 by the error of the step before, with the length of the model.
+    """
+
+    tied: bool
+    carries: bool
+    moves_v: bool
+    looks: bool
+    guessed: bool
+    max_iterations: int
+    low: float
+    high: float
+    extent: float
+    least: float
+    tolerance: float
+    share: float
+    rtol: float
+    atol: float
+    length: float
+
+
+@pack
+class Way(NamedTuple):
+    """A tableau for compiled code: c, A, W, `start`, rows and columns of the real mode (s,), or none of them, and of the complex pair.
+
+    values: of the real mode, real and imaginary part of the complex one.
+    """
+
+    c: np.ndarray
+    A: np.ndarray
+    W: np.ndarray
+    start: np.ndarray
+    real_row: np.ndarray
+    real_column: np.ndarray
+    pair_row: np.ndarray
+    pair_column: np.ndarray
+    values: np.ndarray
+
+
+@pack
+class Memory(NamedTuple):
+    """What goes from step to step.
+
+    past (4, n): q, v, v' of the last stage, the shares of the coordinates in the mass; lam (m,): of the last stage; stages_v (s, n),
+    stages_lam (s, m): of the last step; closed (2, m): phi and phi' as they are carried. marks: the CONTRACTION of an earlier step and its
+    AGE in steps, so that a step may end after one iteration; LAST: the step before, s, 0 where none is known; its ERROR, -1 where unknown.
+    """
+
+    past: np.ndarray
+    lam: np.ndarray
+    stages_v: np.ndarray
+    stages_lam: np.ndarray
+    closed: np.ndarray
+    marks: np.ndarray
+
+
+@pack
+class Trial(NamedTuple):
+    """What Newton works on: e, v - v_0 and v' of the stages (s, n), their multipliers lam (s, m) and mu (s, m), or (s, 0) without."""
+
+    e: np.ndarray
+    dv: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    mu: np.ndarray
+
+
+@pack
+class Room(NamedTuple):
+    """Scratch: times (s + 6): h, t and times of the instants, and what SELECT is given; q, v, a, lam of a state; r (s, n); rows (2, s, m): phi and phi'; of the modes right-hand sides, rows, dq and multipliers."""
+
+    times: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+    spare: np.ndarray
+    off: np.ndarray
+    r: np.ndarray
+    rows: np.ndarray
+    weights: np.ndarray
+    seen: np.ndarray
+    right: np.ndarray
+    dq: np.ndarray
+    closing: np.ndarray
+    multipliers: np.ndarray
+    right_pair: np.ndarray
+    dq_pair: np.ndarray
+    closing_pair: np.ndarray
+    multipliers_pair: np.ndarray
+
+
+def way(tableau):
+    """The Way of a Tableau."""
+    modes = {mode.paired: mode for mode in tableau.modes}
+    real, pair = modes.get(False), modes[True]
+    rows = (np.zeros(0), np.zeros(0)) if real is None else (real.row.copy(), real.column.copy())
+    values = np.array([0.0 if real is None else real.value, pair.value.real, pair.value.imag])
+    return Way(tableau.c, tableau.A, tableau.W, tableau.start, *rows, pair.row.copy(), pair.column.copy(), values)
+
+
+def empty(stages, n, m, tied):
+    """(Memory, Trial, Room) for n coordinates and m constraints."""
+    shapes = (4, n), (m,), (stages, n), (stages, m), (2, m), (4,)
+    memory, (e, dv, a) = Memory(*map(np.zeros, shapes)), np.zeros((3, stages, n))
+    trial = Trial(e, dv, a, np.zeros((stages, m)), np.zeros((stages, m if tied else 0)))
+    shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), (stages, n), (2, stages, m), (2, stages, stages), (2,)
+    modal = (n,), (n,), (2, m), (2, m)
+    return memory, trial, Room(*map(np.zeros, (*shapes, *modal)), *(np.zeros(shape, complex) for shape in modal))
+
+
+@part
+def mean_square(shares, x):
+    """The sum of shares x^2."""
+    total = 0.0
+    for i in range(x.shape[0]):
+        total += shares[i] * x[i] * x[i]
+    return total
+
+
+@part
+def largest(x):
+    """max |x|."""
+    found = 0.0
+    for i in range(x.shape[0]):
+        found = max(found, abs(x[i]))
+    return found
+
+
+@part
+def through(W, h, x, rates):
+    """rates = W x / h, (s, n) each."""
+    for k in range(x.shape[0]):
+        row, first, weight = rates[k], x[0], W[k, 0] / h
+        for i in range(row.shape[0]):
+            row[i] = weight * first[i]
+        for j in range(1, x.shape[0]):
+            other, weight = x[j], W[k, j] / h
+            for i in range(row.shape[0]):
+                row[i] += weight * other[i]
+
+
+@part
+def combined(weights, x, out):
+    """out = weights x, (s, k) each."""
+    for k in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            out[k, i] = weights[k, 0] * x[0, i]
+        for j in range(1, x.shape[0]):
+            for i in range(x.shape[1]):
+                out[k, i] += weights[k, j] * x[j, i]
+
+
+@part
+def predict(t, h, y, x, z):
+    """Stages to begin with: on the last step's polynomial, shifted through the state; at a run's start along v.
+
+    The polynomial of v, integrated, is nearer than that of q.
+    """
+    stages, last, ahead, to_e = x.e.shape[0], y.marks[LAST], z.weights[0], z.weights[1]
+    for k in range(stages):
+        for i in range(x.mu.shape[1]):
+            x.mu[k, i] = 0.0
+    if last == 0.0 or h > FAR * last:
+        for k in range(stages):
+            for i in range(x.e.shape[1]):
+                x.e[k, i] = 0.0
+            for i in range(x.lam.shape[1]):
+                x.lam[k, i] = y.lam[i]
+        return
+    for k in range(stages):
+        at = 1.0 + t.c[k] * (h / last)
+        for j in range(stages):
+            ahead[k, j] = 1.0
+            for o in range(stages):
+                if o != j:
+                    ahead[k, j] *= (at - t.c[o]) / (t.c[j] - t.c[o])
+    combined(ahead, y.stages_lam, x.lam)
+    for k in range(stages):
+        at = 1.0 + t.c[k] * (h / last)
+        for j in range(stages):
+            ahead[k, j] *= at / t.c[j]
+        ahead[k, stages - 1] -= 1.0
+    for k in range(stages):
+        for j in range(stages):
+            to_e[k, j] = 0.0
+            for o in range(stages):
+                to_e[k, j] += h * t.A[k, o] * ahead[o, j]
+    combined(to_e, y.stages_v, x.e)
+
+
+@part
+def place(t, h, y, x, z, k):
+    """q and v of stage k, in z."""
+    c, past = t.c[k] * h, y.past
+    for i in range(z.q.shape[0]):
+        z.q[i] = past[Q, i] + (c * past[V, i] + x.e[k, i])
+        z.v[i] = past[V, i] + x.dv[k, i]
+
+
+@part
+def follow(f, w, first, t, h, y, x, z):
+    """v and v' of the stages from e and mu."""
+    through(t.W, h, x.e, x.dv)
+    if x.mu.shape[1]:
+        for k in range(x.e.shape[0]):
+            place(t, h, y, x, z, k)
+            ended = call(f[REACTION], w, first + 1 + k, address(z.q), address(x.mu[k]), address(x.dv[k]), 0, 0, 0)
+            if ended != DONE:
+                return ended
+    through(t.W, h, x.dv, x.a)
+    return DONE
+
+
+@part
+def closed_rows(f, w, first, y, x, z, k):
+    """phi, and phi' where it is carried, of stage k; z.q is there."""
+    phi, rate = z.rows[PHI, k], z.rows[PHI_RATE, k]
+    for i in range(phi.shape[0]):
+        phi[i], rate[i] = y.closed[PHI, i], y.closed[PHI_RATE, i]
+    return call(f[CLOSE], w, first + 1 + k, address(z.q), address(x.e[k]), address(x.dv[k]), address(phi), address(rate), 0)
+
+
+@part
+def residuals(f, w, first, p, t, h, y, x, z):
+    """r, phi and phi' of all stages."""
+    ended = follow(f, w, first, t, h, y, x, z)
+    for k in range(x.e.shape[0]):
+        if ended != DONE:
+            return ended
+        place(t, h, y, x, z, k)
+        state = address(z.q), address(z.v), address(x.a[k]), address(x.lam[k])
+        ended = call(f[RESIDUAL], w, first + 1 + k, state[0], state[1], state[2], state[3], address(z.r[k]), address(z.rows[PHI, k]))
+        if ended == DONE and p.carries:
+            ended = closed_rows(f, w, first, y, x, z, k)
+        elif ended == DONE and p.tied:
+            ended = call(f[RATE], w, first + 1 + k, state[0], state[1], address(z.rows[PHI_RATE, k]), 1, 0, 0)
+    return ended
+
+
+@part
+def into_modes(t, z):
+    """The residuals of the modes."""
+    stages, real = z.r.shape[0], t.real_row.shape[0] > 0
+    for i in range(z.right.shape[0]):
+        one, pair = 0.0, 0.0j
+        for k in range(stages):
+            if real:
+                one += t.real_row[k] * z.r[k, i]
+            pair += t.pair_row[k] * z.r[k, i]
+        z.right[i], z.right_pair[i] = one, pair
+    for g in range(2):
+        for e in range(z.closing.shape[1]):
+            one, pair = 0.0, 0.0j
+            for k in range(stages):
+                if real:
+                    one += t.real_row[k] * z.rows[g, k, e]
+                pair += t.pair_row[k] * z.rows[g, k, e]
+            z.closing[g, e], z.closing_pair[g, e] = one, pair
+
+
+@part
+def add_multipliers(t, z, g, lam):
+    """Add the modes' multipliers of one kind to those of the stages."""
+    for k in range(lam.shape[0]):
+        for e in range(lam.shape[1]):
+            lam[k, e] += 2.0 * (t.pair_column[k] * z.multipliers_pair[g, e]).real
+            if t.real_row.shape[0]:
+                lam[k, e] += t.real_column[k] * z.multipliers[g, e]
+
+
+@part
+def solve_real(f, w, middle, lam, z):
+    """The correction of the real mode."""
+    return call(f[REAL], w, middle, address(z.right), address(z.closing), address(lam), address(z.dq), address(z.multipliers), 0)
+
+
+@part
+def solve_pair(f, w, middle, lam, z):
+    """That of the complex mode."""
+    given = address(z.right_pair), address(z.closing_pair), address(lam), address(z.dq_pair), address(z.multipliers_pair)
+    return call(f[PAIR], w, middle, given[0], given[1], given[2], given[3], given[4], 0)
+
+
+@part
+def iterate(f, w, first, p, t, h, y, x, z):
+    """One Newton iteration: (how it ended, |dq|, |dv| h with it, root mean square by mass)."""
+    ended = residuals(f, w, first, p, t, h, y, x, z)
+    if ended != DONE:
+        return ended, 0.0
+    stages, n = x.e.shape
+    middle, lam = first + 1 + stages // 2, x.lam[stages // 2]
+    if f[TURN]:
+        call(f[TURN], w, first, address(z.r), 0, 0, 0, 0, 0)
+    into_modes(t, z)
+    if t.real_row.shape[0]:
+        ended = solve_real(f, w, middle, lam, z)
+    if ended == DONE:
+        ended = solve_pair(f, w, middle, lam, z)
+    if ended != DONE:
+        return ended, 0.0
+    for k in range(stages):
+        real, pair = t.real_column[k] if t.real_row.shape[0] else 0.0, 2.0 * t.pair_column[k]
+        for i in range(n):
+            z.r[k, i] = real * z.dq[i] + (pair * z.dq_pair[i]).real
+    if f[TURN]:
+        call(f[TURN], w, first, address(z.r), 1, 0, 0, 0, 0)
+    through(t.W, 1.0, z.r, x.dv)
+    total = 0.0
+    for k in range(stages):
+        for i in range(n):
+            x.e[k, i] += z.r[k, i]
+        total += mean_square(y.past[SHARES], z.r[k]) + mean_square(y.past[SHARES], x.dv[k])
+    add_multipliers(t, z, 0, x.lam)
+    add_multipliers(t, z, 1, x.mu)
+    return DONE, np.sqrt(total / stages)
+
+
+@part
+def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
+    """Iterations until they leave `allowed` of q: (how it ended, their number); the stages are in x."""
+    size = np.sqrt(mean_square(y.past[SHARES], y.past[Q])) + h * np.sqrt(mean_square(y.past[SHARES], y.past[V]))
+    contraction = min(2.0 * y.marks[CONTRACTION], 1.0) if y.marks[AGE] < CARRIED else 1.0
+    last, worst, round_off = np.inf, 0.0, max(ROUND * size, p.least)
+    for iteration in range(1, p.max_iterations + 1):
+        counts[RESIDUALS] += x.e.shape[0]
+        counts[ITERATIONS] += 1
+        counts[SOLVES] += 1 + (t.real_row.shape[0] > 0)
+        ended, moved = iterate(f, w, first, p, t, h, y, x, z)
+        if ended != DONE or not np.isfinite(moved):
+            return (NOT_FINITE if ended == DONE else ended), iteration
+        if iteration > 1:
+            contraction = moved / last
+            worst = max(worst, contraction)
+        z.seen[MOVED], z.seen[SPEED] = moved, contraction
+        left = contraction / (1.0 - contraction) * moved if contraction < 1.0 else np.inf
+        spent, stalled = iteration == p.max_iterations, iteration > 1 and contraction > SLOW
+        if left <= allowed or moved == 0.0 or (moved <= round_off and (stalled or spent)):
+            if iteration > 1:
+                y.marks[CONTRACTION], y.marks[AGE] = worst, 0.0
+            else:
+                y.marks[AGE] += 1.0
+            return DONE, iteration
+        if iteration > 1 and contraction ** (p.max_iterations - iteration) * left > max(allowed, round_off):
+            break
+        last = moved
+    return REFACTOR, iteration
+
+
+@part
+def stages(f, w, first, p, t, h, y, x, z, allowed, counts):
+    """The stages of a step from y: (how it ended, iterations)."""
+    ended = call(f[HOLD], w, first, address(y.past[Q]), address(y.past[V]), address(z.times), 0, 0, 0)
+    if ended != DONE:
+        return ended, 0
+    if not p.guessed:
+        predict(t, h, y, x, z)
+    through(t.W, h, x.e, x.dv)
+    k = x.e.shape[0] // 2
+    place(t, h, y, x, z, k)
+    ended = call(f[ROWS], w, first + 1 + k, address(z.q), address(z.v), 0, 0, 0, 0)
+    if ended != DONE:
+        return ended, 0
+    return newton(f, w, first, p, t, h, y, x, z, allowed, counts)
+
+
+@part
+def close(f, w, first, p, t, h, y, x, z):
+    """Bring v and v' up to the last correction, and the step's end onto its constraints, along M^-1 B^T."""
+    ended = follow(f, w, first, t, h, y, x, z)
+    if not x.lam.shape[1] or ended != DONE:
+        return ended
+    k = x.e.shape[0] - 1
+    size, at = p.extent + largest(y.past[Q]), first + 1 + k
+    phi, rate, made = z.rows[PHI, k], z.rows[PHI_RATE, k], False
+    place(t, h, y, x, z, k)
+    ended = closed_rows(f, w, first, y, x, z, k)
+    for _ in range(MOVES):
+        worst = largest(phi)
+        if ended != DONE or worst <= ROUND_OFF * size:
+            break
+        if not made:
+            ended = call(f[RATE], w, at, address(z.q), address(z.v), address(z.spare), 0, 0, 0)
+        if ended == DONE:
+            ended = call(f[PROJECT], w, at, address(phi), address(x.e[k]), 0, 0, 0, 0)
+        if ended != DONE:
+            break
+        place(t, h, y, x, z, k)
+        made = worst <= AGAIN * size
+        ended = closed_rows(f, w, first, y, x, z, k)
+    if ended != DONE or not p.moves_v:
+        return ended
+    if not (p.carries and made):
+        given = z.spare if p.carries else rate
+        ended = call(f[RATE], w, at, address(z.q), address(z.v), address(given), 0, 0, 0)
+    if ended == DONE and largest(rate) > 0.0:
+        ended = call(f[PROJECT], w, at, address(rate), address(x.dv[k]), 0, 0, 0, 0)
+        if ended == DONE and p.carries:
+            ended = closed_rows(f, w, first, y, x, z, k)
+    return ended
+
+
+@part
+def local_error(f, w, first, t, h, y, x, z, counts):
+    """(how it ended, |q_ - q| of the step's end against a method of order s).
+
+    It is what v_0 and v' at the last step's end are off the stages' polynomial, freed by a solve of what no step resolves.
+    """
+    count, n = x.e.shape
+    middle, lam, real = first + 1 + count // 2, x.lam[count // 2], t.real_row.shape[0] > 0
+    for i in range(n):
+        v, a = 0.0, y.past[A, i]
+        for k in range(count):
+            v += t.start[k] * x.e[k, i] / h
+            a += t.start[k] * x.dv[k, i] / h
+        z.off[0, i], z.off[1, i] = -v, -a
+    ended = call(f[OFF], w, middle, address(z.off[0]), address(z.off[1]), address(z.off[2]), address(z.off[3]), address(y.past[Q]), 0)
+    if ended != DONE:
+        return ended, 0.0
+    counts[SOLVES] += 1
+    total, c = 0.0, complex(t.values[1], t.values[2]) / h
+    for i in range(n):
+        if real:
+            z.right[i] = z.off[2, i] + t.values[0] / h * z.off[3, i]
+        else:
+            z.right_pair[i] = z.off[2, i] + c * z.off[3, i]
+    for g in range(2):
+        for e in range(z.closing.shape[1]):
+            z.closing[g, e], z.closing_pair[g, e] = 0.0, 0.0
+    ended = solve_real(f, w, middle, lam, z) if real else solve_pair(f, w, middle, lam, z)
+    for i in range(n):
+        dq = z.dq[i] if real else z.dq_pair[i].real
+        total += y.past[SHARES, i] * dq * dq
+    return ended, np.sqrt(total)
+
+
+@part
+def end(f, w, first, h, y, x, z):
+    """The state at the step's end in z, with a and lam of the equations of motion, or of the last stage where these are singular."""
+    k, n = x.e.shape[0] - 1, x.e.shape[1]
+    total = 0.0
+    for i in range(n):
+        z.q[i], z.v[i], z.a[i] = y.past[Q, i] + (h * y.past[V, i] + x.e[k, i]), y.past[V, i] + x.dv[k, i], x.a[k, i]
+        total += z.q[i] * z.v[i]
+    for e in range(z.lam.shape[0]):
+        z.lam[e] = x.lam[k, e]
+    if not np.isfinite(total):
+        return NOT_FINITE
+    if f[ACCEPT]:
+        ended = call(f[ACCEPT], w, first + 1 + k, address(z.q), 0, 0, 0, 0, 0)
+        if ended != DONE:
+            return ended
+    if f[ACCELERATION]:
+        ended = call(f[ACCELERATION], w, first + 1 + k, address(z.q), address(z.v), address(z.a), address(z.lam), 0, 0)
+        if ended != DONE and ended != SINGULAR:
+            return ended
+        for i in range(n):
+            total += z.a[i] * 0.0
+        for e in range(z.lam.shape[0]):
+            total += z.lam[e] * 0.0
+    return DONE if np.isfinite(total) else NOT_FINITE
+
+
+@part
+def take(h, error, y, x, z):
+    """Go on from the step's end."""
+    k = x.e.shape[0] - 1
+    for i in range(z.q.shape[0]):
+        y.past[Q, i], y.past[V, i], y.past[A, i] = z.q[i], z.v[i], x.a[k, i]
+        for j in range(k + 1):
+            y.stages_v[j, i] = x.dv[j, i]
+    for e in range(z.lam.shape[0]):
+        y.lam[e] = x.lam[k, e]
+        y.closed[PHI, e], y.closed[PHI_RATE, e] = z.rows[PHI, k, e], z.rows[PHI_RATE, k, e]
+        for j in range(k + 1):
+            y.stages_lam[j, e] = x.lam[j, e]
+    y.marks[LAST], y.marks[ERROR] = h, error

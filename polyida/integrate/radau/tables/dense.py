@@ -1,0 +1,424 @@
+"""The table of a small model with dense matrices: compiled code around its functions, C functions or Python ones (system/dense.py)."""
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray, typeof, types
+from numba.extending import intrinsic
+
+from polyida.integrate.radau.tables.entries import SLOTS
+from polyida.integrate.stepping.ended import DONE, NO_MATRIX, SINGULAR
+from polyida.jit import pack, part
+from polyida.linear import dense as lu
+from polyida.system import dense
+from polyida.system.dense import (
+    BENT,
+    BIAS,
+    END,
+    FLAGS,
+    FORCE,
+    FORCE_V,
+    FUNCTIONS,
+    HELD,
+    INNER,
+    MASS,
+    MASS_VARIES,
+    PHI_Q,
+    REACH,
+    TANGENT,
+    VELOCITY,
+    add_slope,
+    add_slopes,
+    ask,
+    bordered,
+    finite,
+    take,
+    take_rows,
+    typical,
+    vector,
+)
+from polyida.system.table import address, c_address, c_entry
+
+CHOSEN, MADE, TIED = range(
+    3
+)  # of DenseStages.state: the slot in use, whether its matrices are made with the rows at hand, and whether there is mu
+
+
+@intrinsic
+def complex_pointer(typing, number):
+    """An address as a pointer to complex128."""
+
+    def made(context, builder, sig, args):
+        return builder.inttoptr(args[0], context.get_value_type(sig.return_type))
+
+    return types.CPointer(types.complex128)(types.int64), made
+
+
+@pack
+class DenseStages(NamedTuple):
+    """The workspace of a model: a Dense; of the slots K, C, M (slots, n, n) and the typical size of S; the rows of the middle stage.
+
+    rows (s, m, n): B of the stages; D (n,): D^-1; c (3,): as SELECT has it; B, H, G (m, n); real, pair (N, N): the factored matrices of the modes.
+    """
+
+    dense: dense.Dense
+    K: np.ndarray
+    C: np.ndarray
+    M: np.ndarray
+    state: np.ndarray
+    c: np.ndarray
+    D: np.ndarray
+    rows: np.ndarray
+    B: np.ndarray
+    H: np.ndarray
+    G: np.ndarray
+    near: np.ndarray
+    sizes: np.ndarray
+    pivots: np.ndarray
+    real: np.ndarray
+    x: np.ndarray
+    pair: np.ndarray
+    x_pair: np.ndarray
+
+
+def workspace(d, stages, tied):
+    """A DenseStages around a Dense."""
+    n, m = len(d.q), len(d.lam)
+    N = n + (1 + tied) * m
+    kept, few = [np.zeros((SLOTS, n, n)) for _ in range(3)], [np.zeros((m, n)) for _ in range(4)]
+    return DenseStages(
+        d, *kept, np.array([0, 0, int(tied)]), np.zeros(3), np.ones(n), np.zeros((stages, m, n)), *few, np.zeros(2),
+        np.zeros((2, N), np.int64), np.zeros((N, N)), np.zeros(N), np.zeros((N, N), complex), np.zeros(N, complex),
+    )  # fmt: skip
+
+
+@part
+def complex_vector(at, size):
+    """The array (size,) of complex numbers at an address."""
+    return carray(complex_pointer(at), (size,))
+
+
+@part
+def copy(source, target):
+    """target becomes source, (k, n) each."""
+    for k in range(source.shape[0]):
+        for i in range(source.shape[1]):
+            target[k, i] = source[k, i]
+
+
+@c_entry
+def prepare(w, first, times, b, c, d, e, f):
+    """Take the times of a step."""
+    given = vector(times, 3 + w.rows.shape[0])
+    for i in range(1 + w.rows.shape[0]):
+        w.dense.times[first + i, INNER] = w.dense.times[first + i, END] = given[2 + i]
+    return DONE
+
+
+@c_entry
+def reaction(w, instant, q, mu, dv, d, e, f):
+    """dv += D^-1 B^T mu; B is kept for the residual there."""
+    k = (instant - 1) % (w.rows.shape[0] + 1)
+    take(w.dense, instant, q, address(w.dense.v))
+    ended, B = take_rows(w.dense), w.dense.B
+    given, moved = vector(mu, B.shape[0]), vector(dv, B.shape[1])
+    for i in range(B.shape[1]):
+        total = 0.0
+        for e in range(B.shape[0]):
+            total += B[e, i] * given[e]
+        moved[i] += w.D[i] * total
+    copy(B, w.rows[k])
+    return ended
+
+
+@part
+def hold_rows(w, instant):
+    """Go on with B of a stage."""
+    if w.state[TIED]:
+        copy(w.rows[(instant - 1) % (w.rows.shape[0] + 1)], w.dense.B)
+        w.dense.flags[HELD] = 1
+
+
+@c_entry
+def residual(w, instant, q, v, a, lam, r, phi):
+    """r and phi."""
+    hold_rows(w, instant)
+    ended = dense.residual(w.dense, instant, q, v, a, lam, r, phi)
+    w.dense.flags[HELD] = 0
+    return ended
+
+
+@c_entry
+def hold(w, instant, q, v, c, d, e, f):
+    """Nothing: phi is taken from positions."""
+    return DONE
+
+
+@c_entry
+def close(w, instant, q, dd, dv, phi, rate, f):
+    """phi at a state."""
+    return dense.close(w.dense, instant, q, dd, dv, phi, rate, f)
+
+
+@c_entry
+def rate(w, instant, q, v, found, known, e, f):
+    """phi_q v + phi_t; known: at the q of the last REACTION there."""
+    if known:
+        hold_rows(w, instant)
+    ended = dense.rate(w.dense, instant, q, v, found, 0, 0, 0)
+    w.dense.flags[HELD] = 0
+    return ended
+
+
+@c_entry
+def project(w, instant, rows, x, anew, d, e, f):
+    """As of system/dense.py."""
+    return dense.project(w.dense, instant, rows, x, anew, 0, 0, 0)
+
+
+@c_entry
+def accept(w, instant, q, b, c, d, e, f):
+    """What the model says of the state."""
+    return dense.accept(w.dense, instant, q, 0, 0, 0, 0, 0)
+
+
+@part
+def reach(d):
+    """The s over which q + s v moves by its own size, and by 1 where q is less; at most 1."""
+    size = pace = 0.0
+    for i in range(d.q.shape[0]):
+        size, pace = max(size, abs(d.q[i])), max(pace, abs(d.v[i]))
+    return (1.0 + size) / pace if pace > 1.0 + size else 1.0
+
+
+@part
+def along(w, q):
+    """w.H = d/ds B(t + s, q + s v) of the state at hand, of fourth order (model/differences.py)."""
+    d, step, at = w.dense, REACH * reach(w.dense), vector(q, w.dense.q.shape[0])
+    t, ended = d.t[INNER], DONE
+    for k in range(w.H.shape[0]):
+        for i in range(w.H.shape[1]):
+            w.H[k, i] = 0.0
+    for e in range(4):
+        s, weight = (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
+        for i in range(d.q.shape[0]):
+            d.q[i] = at[i] + s * d.v[i]
+        d.t[INNER] = t + s
+        if ended == DONE:
+            ended = ask(d, PHI_Q, INNER, d.B)
+        for k in range(w.H.shape[0]):
+            for i in range(w.H.shape[1]):
+                w.H[k, i] += weight * d.B[k, i]
+    d.t[INNER] = t
+    for i in range(d.q.shape[0]):
+        d.q[i] = at[i]
+    return ended
+
+
+@part
+def whole(A, w, c, size):
+    """A: the matrix of a mode, with lam in units of the typical size of S, mu in those of |c|, their rows alike."""
+    k, n, m, scale = w.state[CHOSEN], w.K.shape[1], w.B.shape[0], abs(c)
+    K, C, M = w.K[k], w.C[k], w.M[k]
+    for i in range(n):
+        for j in range(n):
+            A[i, j] = (K[i, j] + c * (C[i, j] + c * M[i, j])) / size
+    for e in range(m):
+        for i in range(n):
+            A[i, n + e] = A[n + e, i] = w.B[e, i]
+        for o in range(m):
+            A[n + e, n + o] = 0.0
+    if w.state[TIED]:
+        for e in range(m):
+            for i in range(n):
+                total = 0.0 * c
+                for j in range(n):
+                    total += (C[i, j] + c * M[i, j]) * w.G[e, j]
+                A[i, n + m + e] = total * (scale / size)
+                A[n + m + e, i] = (c * w.B[e, i] + w.H[e, i]) / scale
+            for o in range(m):
+                A[n + e, n + m + o] = A[n + m + e, n + o] = 0.0
+                total = 0.0 * c
+                for j in range(n):
+                    total += w.B[e, j] * w.G[o, j]
+                A[n + m + e, n + m + o] = total
+
+
+@part
+def factored(w, c, number, A):
+    """The factors of a mode. False where they are singular."""
+    k, total = w.state[CHOSEN], 0.0
+    for i in range(w.K.shape[1]):
+        total += abs(w.K[k, i, i] + c * (w.C[k, i, i] + c * w.M[k, i, i]))
+    w.sizes[number] = total / w.K.shape[1] if total > 0.0 else 1.0
+    whole(A, w, c, w.sizes[number])
+    return lu.factor(A, w.pivots[number])
+
+
+@c_entry
+def rows(w, instant, q, v, c, d, e, f):
+    """B, G and H of the middle stage, and the factors with them."""
+    m, own = w.B.shape[0], w.dense
+    if w.state[MADE] and not (m and own.flags[BENT]):
+        return DONE
+    if m:
+        take(own, instant, q, v)
+        ended = take_rows(own)
+        if ended != DONE:
+            return ended
+        copy(own.B, w.B)
+        if w.state[TIED]:
+            ended = along(w, q)
+            for k in range(m):
+                for i in range(w.B.shape[1]):
+                    w.G[k, i] = w.B[k, i] * w.D[i]
+            if ended != DONE:
+                return ended
+    w.state[MADE] = 1
+    if w.c[0] != 0.0 and not factored(w, w.c[0], 0, w.real):
+        return SINGULAR
+    return DONE if factored(w, complex(w.c[1], w.c[2]), 1, w.pair) else SINGULAR
+
+
+@part
+def corrected(w, A, number, scale, x, r, closing, dq, multipliers):
+    """The correction of a mode."""
+    n, m, size = w.K.shape[1], w.B.shape[0], w.sizes[number]
+    for i in range(n):
+        x[i] = -r[i] / size
+    for e in range(m):
+        x[n + e] = -closing[e]
+        if w.state[TIED]:
+            x[n + m + e] = -closing[m + e] / scale
+    lu.solve(A, w.pivots[number], x)
+    for i in range(n):
+        dq[i] = x[i]
+    for e in range(m):
+        multipliers[e] = size * x[n + e]
+        multipliers[m + e] = scale * x[n + m + e] if w.state[TIED] else 0.0 * x[0]
+
+
+@c_entry
+def real(w, instant, r, closing, lam, dq, multipliers, f):
+    """The correction of the real mode."""
+    n, m = w.K.shape[1], w.B.shape[0]
+    given = vector(r, n), vector(closing, 2 * m), vector(dq, n), vector(multipliers, 2 * m)
+    corrected(w, w.real, 0, abs(w.c[0]), w.x, given[0], given[1], given[2], given[3])
+    return DONE
+
+
+@c_entry
+def pair(w, instant, r, closing, lam, dq, multipliers, f):
+    """The correction of the complex mode."""
+    n, m = w.K.shape[1], w.B.shape[0]
+    given = complex_vector(r, n), complex_vector(closing, 2 * m), complex_vector(dq, n), complex_vector(multipliers, 2 * m)
+    corrected(w, w.pair, 1, abs(complex(w.c[1], w.c[2])), w.x_pair, given[0], given[1], given[2], given[3])
+    return DONE
+
+
+@c_entry
+def off(w, instant, v, a, r, p, e, f):
+    """r = C v + M a, p = M v."""
+    k, n = w.state[CHOSEN], w.K.shape[1]
+    slow, fast, force, momentum = vector(v, n), vector(a, n), vector(r, n), vector(p, n)
+    for i in range(n):
+        force[i] = momentum[i] = 0.0
+        for j in range(n):
+            force[i] += w.C[k, i, j] * slow[j] + w.M[k, i, j] * fast[j]
+            momentum[i] += w.M[k, i, j] * slow[j]
+    return DONE
+
+
+@c_entry
+def acceleration(w, instant, q, v, a, lam, e, f):
+    """a and lam of the equations of motion."""
+    d, n, m = w.dense, w.K.shape[1], w.B.shape[0]
+    take(d, instant, q, v)
+    ended = ask(d, MASS, INNER, d.M) if d.flags[MASS_VARIES] else DONE
+    if ended == DONE:
+        ended = ask(d, FORCE, INNER, d.g)
+    if ended != DONE:
+        return ended
+    size = typical(d.M)
+    for k in range(m):
+        d.x[n + k] = 0.0
+    if m and d.flags[BENT]:
+        if d.functions[BIAS]:
+            ended = ask(d, BIAS, INNER, d.phi)
+            for k in range(m):
+                d.x[n + k] = -size * d.phi[k]
+        else:
+            ended = along(w, q)
+            for k in range(m):
+                for i in range(n):
+                    d.x[n + k] -= size * w.H[k, i] * d.v[i]
+        if ended == DONE:
+            ended = take_rows(d)
+        if ended != DONE:
+            return ended
+    bordered(d.masses, d, d.M, size)
+    if not lu.factor(d.masses, d.mass_pivots):
+        return SINGULAR
+    for i in range(n):
+        d.x[i] = -d.g[i]
+    lu.solve(d.masses, d.mass_pivots, d.x)
+    found, multipliers = vector(a, n), vector(lam, m)
+    for i in range(n):
+        found[i] = d.x[i]
+    for k in range(m):
+        multipliers[k] = size * d.x[n + k]
+    return DONE
+
+
+@c_entry
+def factor(w, instant, q, v, a, lam, slot, f):
+    """K, C and M of a state."""
+    d, n, m = w.dense, w.K.shape[1], w.B.shape[0]
+    K, C, M = w.K[slot], w.C[slot], w.M[slot]
+    take(d, instant, q, v)
+    given_a, given_lam = vector(a, n), vector(lam, m)
+    for i in range(n):
+        d.a[i] = given_a[i]
+    for k in range(m):
+        d.lam[k] = given_lam[k]
+    ended = DONE
+    if d.flags[VELOCITY]:
+        lu.clear(d.S)
+        ended = add_slope(d, FORCE_V, FORCE, d.v, 1.0)
+        copy(d.S, C)
+    if ended == DONE and d.flags[MASS_VARIES]:
+        ended = ask(d, MASS, INNER, d.M)
+    if ended != DONE:
+        return ended
+    copy(d.M, M)
+    d.c[0] = d.c[1] = 0.0
+    ended = ask(d, TANGENT, INNER, d.S) if d.functions[TANGENT] else add_slopes(d)
+    copy(d.S, K)
+    w.state[MADE] = 0
+    good = finite(K.reshape(n * n)) and finite(C.reshape(n * n)) and finite(M.reshape(n * n))
+    return ended if ended != DONE or good else NO_MATRIX
+
+
+@c_entry
+def select(w, slot, c, b, d, e, f, g):
+    """Go on with the matrices of a slot."""
+    given = vector(c, 3)
+    same = w.state[CHOSEN] == slot
+    for i in range(3):
+        value = given[i]
+        same = same and w.c[i] == value
+        w.c[i] = value
+    if not same:
+        w.state[CHOSEN], w.state[MADE] = slot, 0
+    return DONE
+
+
+@cache
+def addresses():
+    """Of all functions, for every DenseStages."""
+    example = workspace(dense.workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * FLAGS), 3, False)
+    functions = (
+        prepare, hold, reaction, residual, close, rate, project, accept, rows, None, real, pair, off, acceleration, factor, select,
+    )  # fmt: skip
+    return [c_address(function, typeof(example)) if function else 0 for function in functions]

@@ -1,0 +1,250 @@
+"""Tables of models that are written in Python, or whose matrices are made there: callbacks, which keep an exception for the caller."""
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.integrate.kinks import inner_side
+from polyida.integrate.radau.rows import Rows
+from polyida.integrate.radau.tables import dense as small
+from polyida.integrate.radau.tables import entries as of
+from polyida.integrate.start import consistent_acceleration
+from polyida.integrate.state import StepFailure
+from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REASONS, SINGULAR
+from polyida.linear.lu import SingularSystem
+from polyida.linear.matrix import dense
+from polyida.model.guarded import writes
+from polyida.system.dense import BIAS, FORCE_V, FUNCTIONS, MOST
+from polyida.system.python import CompiledTable, DenseTable, PythonTable
+
+
+class PythonStages(PythonTable):
+    """The table of any model, and its matrices: `kind(model, modes, h, made_at)`; each entry is a callback.
+
+    lift (n,): D^-1. longest: steps of a stretch.
+    """
+
+    prepared, single = False, False  # whether a stretch's instants are known before, whether the matrices of one slot are at hand only
+
+    def __init__(self, model, tableau, tied, kind):
+        self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
+        super().__init__(model, False)
+        self.functions = np.zeros(of.ENTRIES, np.int64)
+        self._fill_stages()
+
+    def _fill(self):
+        """Nothing: the entries are others."""
+
+    def _fill_stages(self):
+        entries = {of.PREPARE: self._prepare, of.HOLD: self._hold, of.REACTION: self._reaction, of.RESIDUAL: self._residual}
+        entries |= {of.CLOSE: self._close, of.RATE: self._rate, of.PROJECT: self._project, of.ACCEPT: self._accept, of.ROWS: self._rows}
+        entries |= {of.REAL: self._real, of.PAIR: self._pair, of.OFF: self._off, of.ACCELERATION: self._acceleration}
+        for number, function in (entries | {of.SELECT: self._select}).items():
+            self.functions[number] = self._address(function)
+
+    def weigh(self, lift):
+        """Take D^-1."""
+        self.lift = lift
+
+    def hold_constant(self, t, q):
+        """Nothing: every call is one of the model."""
+
+    def prepare(self, engine, state, control, ends):
+        """The instant at which a stretch begins: its times are told step by step."""
+        return 0
+
+    def make(self, slot, h, made_at, counts):
+        """Make the matrices of a slot. Raises SingularSystem."""
+        self.slots[slot] = matrices = self.kind(self.model, self.tableau.modes, h, made_at)
+        matrices.make()
+        self.counts, counts.backend = counts, matrices.backend
+
+    def told(self, ended, engine, control):
+        """(status, reason) of how a step ended."""
+        status, reason = REASONS[ended]
+        return status, self.reason if ended == SINGULAR and self.reason else reason
+
+    def _prepare(self, first, times, *_):
+        self.h, self.t, *rest = self._array(times, 3 + self.tableau.stages)
+        self.at = [float(t) for t in rest]
+
+    def _stage(self, instant):
+        return (instant - 1) % (self.tableau.stages + 1)
+
+    def _state(self, instant, q):
+        return self.at[self._stage(instant) + 1], self._array(q, self.model.n).copy()
+
+    def _hold(self, instant, q, v, *_):
+        self.increments, model = None, self.model
+        if model.carries:
+            q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
+            begin = inner_side(model, self.t, -self.h)
+            steps = zip(self.at[1:], self.tableau.c * self.h)
+            self.increments = [model.increments(self.t, t, (begin, t), step, q, v) for t, step in steps]
+        self.B = [None] * self.tableau.stages
+
+    def _reaction(self, instant, q, mu, dv, *_):
+        model, k = self.model, self._stage(instant)
+        self.B[k] = dense(model.phi_q(*self._state(instant, q)))
+        self._array(dv, model.n)[:] += self.lift * (self.B[k].T @ self._array(mu, model.m))
+
+    def _residual(self, instant, q, v, a, lam, r, phi):
+        model, (t, q) = self.model, self._state(instant, q)
+        v, a = (self._array(at, model.n).copy() for at in (v, a))
+        rows, found = self._array(phi, model.m), self._array(r, model.n)
+        found[:] = model.residual(t, q, v, a, self._array(lam, model.m).copy())
+        if self.increments is None and model.m:
+            rows[:] = model.phi(t, q)
+        return DONE if np.isfinite(found).all() and np.isfinite(rows).all() else NOT_FINITE
+
+    def _close(self, instant, q, e, dv, phi, rate, _):
+        model = self.model
+        rows, rates = self._array(phi, model.m), self._array(rate, model.m)
+        if self.increments is None:
+            rows[:] = model.phi(*self._state(instant, q))
+        else:
+            change = self.increments[self._stage(instant)]
+            rows[:], rates[:] = change(self._array(e, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
+
+    def _rate(self, instant, q, v, rate, known, *_):
+        model, self.closed = self.model, self._state(instant, q)
+        v = self._array(v, model.n).copy()
+        if known:
+            found = self.B[self._stage(instant)] @ v + model.phi_t(*self.closed)
+        else:
+            found, self.system = model.phi_rate(*self.closed, v), None
+        self._array(rate, model.m)[:] = found
+
+    def _project(self, instant, rows, x, *_):
+        model, x = self.model, self._array(x, self.model.n)
+        try:
+            self.system = self.system or model.mass_system(*self.closed)
+            x += self.system.solve(np.zeros(model.n), self._array(rows, model.m).copy())[0]
+        except (InputError, np.linalg.LinAlgError) as error:
+            self.reason = str(error)
+            return SINGULAR
+        return DONE
+
+    def _accept(self, instant, q, *_):
+        t, q = self._state(instant, q)
+        if objection := self.model.objection(t, q):
+            raise StepFailure("objection", objection, t)
+
+    def _rows(self, instant, q, v, *_):
+        needs, matrices = self.model.needs, self.factored
+        if matrices.borders is None or needs.phi_q_varies or needs.driven:
+            at = *self._state(instant, q), self._array(v, self.model.n).copy()
+            return self._tried(lambda: matrices.surround(Rows(self.model, *at, self.lift if self.tied else None), self.counts))
+        return DONE
+
+    def _tried(self, act):
+        try:
+            act()
+        except SingularSystem as error:
+            self.reason = str(error)
+            return SINGULAR
+        return DONE
+
+    def _real(self, instant, *given):
+        return self._correct(0, float, *given)
+
+    def _pair(self, instant, *given):
+        return self._correct(len(self.tableau.modes) - 1, complex, *given)
+
+    def _correct(self, mode, kind, r, closing, lam, dq, multipliers, _):
+        n, m = self.model.n, self.model.m
+        r, dq, closing, multipliers = (
+            self._array(at, size * (1 + (kind is complex))).view(kind)
+            for at, size in ((r, n), (dq, n), (closing, 2 * m), (multipliers, 2 * m))
+        )
+
+        def solve():
+            tied = m if self.tied else 0
+            found = self.factored.corrections(mode, r.copy(), closing[:m].copy(), closing[m : m + tied].copy())
+            dq[:], multipliers[:m], multipliers[m : m + tied] = found
+
+        return self._tried(solve)
+
+    def _off(self, instant, v, a, r, p, *_):
+        v, a, r, p = (self._array(at, self.model.n) for at in (v, a, r, p))
+        r[:], p[:] = self.factored.off(v.copy(), a.copy())
+
+    def _acceleration(self, instant, q, v, a, lam, *_):
+        model = self.model
+        try:
+            found = consistent_acceleration(model, *self._state(instant, q), self._array(v, model.n).copy())
+        except (InputError, np.linalg.LinAlgError):  # constraints that have become dependent, where the run is about to end
+            return SINGULAR
+        self._array(a, model.n)[:], self._array(lam, model.m)[:] = found
+        return DONE
+
+    def _select(self, slot, *_):
+        self.factored = self.slots[slot]
+
+
+class DenseStages(DenseTable):
+    """The table of a small model: compiled code, which calls the model's functions back."""
+
+    prepared, single = False, False
+
+    def __init__(self, model, tableau, tied):
+        super().__init__(model, False)
+        self._take(tableau, tied)
+
+    def _take(self, tableau, tied):
+        model, functions = self.model, self.w.functions
+        bias = lambda: model.phi_bias(float(self.w.t[small.INNER]), self.w.q.copy(), self.w.v.copy())  # noqa: E731
+        damping = lambda: model.force_v(float(self.w.t[small.INNER]), self.w.q.copy(), self.w.v.copy())  # noqa: E731
+        for number, function, out in ((BIAS, bias, self.w.phi), (FORCE_V, damping, self.w.slope)):
+            if not functions[number]:
+                functions[number] = self._address(lambda *_, f=function, out=out: out.__setitem__(..., dense(f())))
+        self.stages = small.workspace(self.w, tableau.stages, tied)
+        self.functions, self.workspace = np.array(small.addresses(), np.int64), self.stages.address
+
+    def weigh(self, lift):
+        """Take D^-1, and what does not change."""
+        self.stages.D[:] = lift
+        self.made = False
+
+    def make(self, slot, h, made_at, counts):
+        """Make K, C and M of a slot anew."""
+        w, n = self.stages, self.model.n
+        self.hold_constant(float(made_at[0]), made_at[1 : 1 + n])
+        self.times[0] = made_at[0]
+        q, v, a, lam = (np.ascontiguousarray(x) for x in np.split(made_at[1:], np.cumsum([n] * 3)))
+        ended = small.factor(w, 0, q.ctypes.data, v.ctypes.data, a.ctypes.data, lam.ctypes.data, slot, 0)
+        self.raise_left()
+        if ended != DONE:
+            raise SingularSystem(REASONS[ended][1])
+
+    def prepare(self, engine, state, control, ends):
+        """As of PythonStages."""
+        return 0
+
+    def hold_constant(self, t, q):
+        """M and B where they do not change."""
+        self._hold_constant(t, q)
+
+    def told(self, ended, engine, control):
+        """(status, reason) of how a step ended."""
+        return REASONS[ended]
+
+
+class CompiledStages(CompiledTable, DenseStages):
+    """The table of a small model whose functions numba compiled."""
+
+    def _take(self, tableau, tied):
+        needs, functions = self.model.needs, self.w.functions
+        super()._take(tableau, tied)
+        own = getattr(self.model, "user", self.model)
+        for number, asked in ((BIAS, needs.driven), (FORCE_V, False)):
+            if not writes(own, FUNCTIONS[number]) and not asked:
+                functions[number] = 0
+
+
+def table_of(model, linear, tableau, tied, kind):
+    """The table of a model. linear: as the integrator has it; kind: makes its matrices where no compiled code does."""
+    own = getattr(model, "user", model)
+    plain = not any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")) and not model.is_scene
+    if linear == "kkt" or not plain or model.n + model.m > MOST:
+        return PythonStages(model, tableau, tied, kind)
+    return (CompiledStages if own.by_numba else DenseStages)(model, tableau, tied)

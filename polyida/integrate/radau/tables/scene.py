@@ -1,0 +1,396 @@
+"""The table of a scene: its compiled kernels as C functions, one real and one complex solve for the corrections of all stages.
+
+The factors are made in the frame of the nodes, and each stage has a frame of its own: its residual is turned from there to the middle
+stage's, R(q_k) R(q_i)^T node by node, and the correction that comes back is turned the other way.
+"""
+
+import ctypes
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numba import carray, typeof
+
+from polyida.assembly import corotated
+from polyida.assembly import equilibrium as kernels
+from polyida.assembly.bodies.damping import symmetric_parts
+from polyida.assembly.own.laws import Laws
+from polyida.assembly.rows import joints
+from polyida.assembly.rows.increments import stage_tables
+from polyida.assembly.rows.tie import Tie, tie
+from polyida.assembly.rows.tie import project as project_rows
+from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
+from polyida.integrate.kinks import inner_side
+from polyida.integrate.radau.loop import STEP, TIME
+from polyida.integrate.radau.step import Q, V
+from polyida.integrate.radau.tables import entries as of
+from polyida.integrate.radau.tables.dense import complex_pointer
+from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
+from polyida.jit import pack, part
+from polyida.linear.dense import clear
+from polyida.system.scene import add_forces
+from polyida.system.table import CALLBACK, c_address, c_entry, pointer
+
+START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
+fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
+
+
+@pack
+class Solver(NamedTuple):
+    """What kernels take of the factored matrix of a mode; c (1,): its own; massive, border: of the border with mu, or None."""
+
+    c: np.ndarray
+    factored: corotated.Corotated
+    room: corotated.Room
+    massive: corotated.Corotated | None
+    border: StabilisedRoom | None
+
+
+@pack
+class SceneWork(NamedTuple):
+    """The workspace of a scene and s stages: its arrays, the factors of the modes (real: None where there is no real mode) and scratch.
+
+    damp, laws, tie: None where there is nothing of the kind. drives, gains (instants, profiles, 3): of the profiles, at each instant and from
+    the step's beginning to it; rotation, turn (s, nodes, 2); points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle
+    stage; c: the tableau's; h (1,).
+    """
+
+    scene: tuple
+    real: Solver | None
+    pair: Solver
+    tie: Tie | None
+    damp: np.ndarray | None
+    laws: Laws | None
+    drives: np.ndarray
+    gains: np.ndarray
+    rotation: np.ndarray
+    turn: np.ndarray
+    points: np.ndarray
+    forces: np.ndarray
+    vz: np.ndarray
+    dz: np.ndarray
+    level: np.ndarray
+    c: np.ndarray
+    h: np.ndarray
+
+
+@part
+def pairs(w, at):
+    """The coordinates at an address as (nodes, 2)."""
+    return carray(pointer(at), w.turn.shape[1:])
+
+
+@part
+def complex_pairs(w, at):
+    """The same of complex numbers."""
+    return carray(complex_pointer(at), w.turn.shape[1:])
+
+
+@part
+def rows(w, at):
+    """The array (m,) at an address."""
+    return carray(pointer(at), w.level.shape)
+
+
+@part
+def stage(w, instant):
+    """Number of the stage of an instant."""
+    return (instant - 1) % (w.c.shape[0] + 1)
+
+
+@c_entry
+def hold(w, first, q, v, times, d, e, f):
+    """Take up h, and the points where a step begins."""
+    w.h[0] = carray(pointer(times), (1,))[0]
+    joints.point_values(w.scene.links, pairs(w, q), w.points[START])
+    joints.point_values(w.scene.links, pairs(w, v), w.points[VX])
+    return DONE
+
+
+@c_entry
+def reaction(w, instant, q, mu, dv, d, e, f):
+    """dv += B^T mu."""
+    s, dz = w.scene.links, w.dz[stage(w, instant)]
+    joints.point_values(s, pairs(w, q), dz)
+    clear(w.forces)
+    joints.joint_forces(s, w.drives[instant], dz, rows(w, mu), w.level, w.forces)
+    joints.spread(s, w.forces, pairs(w, dv))
+    return DONE
+
+
+@c_entry
+def residual(w, instant, q, v, a, lam, r, phi):
+    """r and phi, from positions."""
+    s, k, drives, u, speed, out = w.scene, stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), pairs(w, r)
+    det, cosine = kernels.equilibrium(s, drives, u, pairs(w, a), rows(w, lam), out, rows(w, phi), w.rotation[k], w.dz[k], w.forces)
+    if not det > 0.0:
+        return INVERTED if det <= 0.0 else NOT_FINITE
+    if not cosine > 0.0:
+        return HALF_TURN
+    add_forces(s, w.damp, w.laws, drives, u, speed, out)
+    if k == w.c.shape[0] // 2:
+        joints.point_values(s.links, speed, w.vz)
+    return DONE
+
+
+@c_entry
+def close(w, instant, q, dd, dv, phi, rate, f):
+    """phi and its rate, by what the step adds to those where it begins."""
+    s, k, points = w.scene.links, stage(w, instant), w.points
+    joints.point_values(s, pairs(w, dd), points[DX])
+    joints.point_values(s, pairs(w, dv), points[DV])
+    begin, gains, given = w.drives[instant - 1 - k], w.gains[instant], (rows(w, phi), rows(w, rate))
+    joints.joint_change(s, begin, gains, w.c[k] * w.h[0], points[START], points[VX], points[DX], points[DV], given[0], given[1])
+    return DONE
+
+
+@c_entry
+def rate(w, instant, q, v, found, known, e, f):
+    """The slopes of the rows, for `project`; the rate is carried."""
+    s, dz = w.scene.links, w.dz[stage(w, instant)]
+    joints.point_values(s, pairs(w, q), dz)
+    take_slopes(s, w.tie, w.drives[instant], dz)
+    return DONE
+
+
+@part
+def take_slopes(s, t, drives, dz):
+    """What is None is not compiled."""
+    if t is not None:
+        joints.joint_jacobian(s, drives, dz, t.slopes)
+
+
+@c_entry
+def project(w, instant, wanted, x, anew, d, e, f):
+    """B x falls by rows, by a change of x of the least M-norm."""
+    return DONE if moved(w.scene.links, w.tie, rows(w, wanted), pairs(w, x)) else SINGULAR
+
+
+@part
+def moved(s, t, wanted, x):
+    """The same with the slopes in t. False if it is singular."""
+    return True if t is None else project_rows(s, t, wanted, x)
+
+
+@c_entry
+def middle_rows(w, instant, q, v, c, d, e, f):
+    """Nothing: the rows of the constraints are made in each iteration."""
+    return DONE
+
+
+@c_entry
+def turn(w, first, r, back, c, d, e, f):
+    """Turn residuals into the frame of the middle stage, or corrections back."""
+    r = carray(pointer(r), w.turn.shape)
+    for k in range(r.shape[0]):
+        if back:
+            turn_back(w.turn[k], r[k])
+        else:
+            turn_to(w.rotation[k], w.rotation[r.shape[0] // 2], w.turn[k], r[k])
+    return DONE
+
+
+@fast
+def turn_to(own, middle, turn, r):
+    """turn (nodes, 2): cosine and sine of the nodes' way from their rotation in a stage to that in the middle one; r goes it."""
+    for i in range(r.shape[0]):
+        mx, my, x, y = middle[i, 0], middle[i, 1], own[i, 0], own[i, 1]
+        size = 1.0 / np.sqrt((mx * mx + my * my) * (x * x + y * y))
+        c, n = (mx * x + my * y) * size, (my * x - mx * y) * size
+        p, q = r[i, 0], r[i, 1]
+        turn[i, 0], turn[i, 1] = c, n
+        r[i, 0], r[i, 1] = c * p - n * q, n * p + c * q
+
+
+@fast
+def turn_back(turn, dq):
+    """dq goes that way back."""
+    for i in range(dq.shape[0]):
+        p, q, c, n = dq[i, 0], dq[i, 1], turn[i, 0], turn[i, 1]
+        dq[i, 0], dq[i, 1] = c * p + n * q, c * q - n * p
+
+
+@part
+def solve_mode(w, instant, mode, r, closing, lam, dq, multipliers):
+    """dq and multipliers of one mode, rows and curvature those of the middle stage. Returns how it ended."""
+    if mode is None:
+        return DONE
+    return solve_border(w, instant, mode, mode.massive, mode.border, r, closing, lam, dq, multipliers)
+
+
+@part
+def solve_border(w, instant, mode, massive, border, r, closing, lam, dq, multipliers):
+    """The same; what is None is not compiled."""
+    k, s, drives, c_v = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
+    c, room, rotation, dz = mode.factored, mode.room, w.rotation[k], w.dz[k]
+    if massive is None:
+        good = corotated.solve(s, c, room, drives, rotation, dz, lam, r, closing[0], c_v * c_v, dq, multipliers[0])
+        return DONE if good else SINGULAR
+    corotated.solve_plates(s, c, room, rotation, r, dq)
+    for i in range(dq.shape[0]):
+        dq[i, 0], dq[i, 1] = -dq[i, 0], -dq[i, 1]
+    for f in range(2):
+        for e in range(closing.shape[1]):
+            closing[f, e] = -closing[f, e]
+    good = stabilised_border(
+        s, c, massive, room, border, drives, dz, w.vz, lam, c_v, dq, None, closing[0], closing[1], multipliers[0], multipliers[1]
+    )
+    return DONE if good else SINGULAR
+
+
+@c_entry
+def real(w, instant, r, closing, lam, dq, multipliers, f):
+    """The correction of the real mode."""
+    shape = (2, w.level.shape[0])
+    given = pairs(w, r), carray(pointer(closing), shape), rows(w, lam), pairs(w, dq), carray(pointer(multipliers), shape)
+    return solve_mode(w, instant, w.real, given[0], given[1], given[2], given[3], given[4])
+
+
+@c_entry
+def pair(w, instant, r, closing, lam, dq, multipliers, f):
+    """The correction of the complex mode."""
+    shape = (2, w.level.shape[0])
+    given = complex_pairs(w, r), carray(complex_pointer(closing), shape), complex_pairs(w, dq), carray(complex_pointer(multipliers), shape)
+    return solve_mode(w, instant, w.pair, given[0], given[1], rows(w, lam), given[2], given[3])
+
+
+@part
+def momentum(w, b, r):
+    """r += M b."""
+    kernels.momentum(w.scene, b, r)
+    s = w.scene.links
+    joints.point_values(s, b, w.points[DX])
+    for f in range(w.forces.shape[0]):
+        w.forces[f, 0] = s.point_mass[f] * w.points[DX, f, 0]
+        w.forces[f, 1] = s.point_mass[f] * w.points[DX, f, 1]
+    joints.spread(s, w.forces, r)
+
+
+@c_entry
+def off(w, instant, v, a, r, p, q, f):
+    """r = C v + M a, p = M v, C of the plates at q."""
+    slow, force, impulse = pairs(w, v), pairs(w, r), pairs(w, p)
+    clear(force)
+    clear(impulse)
+    momentum(w, pairs(w, a), force)
+    momentum(w, slow, impulse)
+    add_forces(w.scene, w.damp, None, w.drives[instant], pairs(w, q), slow, force)
+    return DONE
+
+
+FUNCTIONS = {
+    of.HOLD: hold, of.REACTION: reaction, of.RESIDUAL: residual, of.CLOSE: close, of.RATE: rate, of.PROJECT: project, of.ROWS: middle_rows,
+    of.TURN: turn, of.REAL: real, of.PAIR: pair, of.OFF: off,
+}  # fmt: skip
+
+
+class SceneStages:
+    """The table of a scene without Python in it."""
+
+    longest, single = of.STEPS, True
+
+    def __init__(self, model, tableau, tied, linear):
+        self.model, self.tableau, self.tied, self.linear, s = model, tableau, tied, linear, tableau.stages
+        nodes, points, instants = (model.n_nodes, 2), (model.n_points, 2), (of.STEPS * (s + 1), len(model.profiles), 3)
+        self.w = {
+            "scene": model.arrays,
+            "tie": tie(model) if model.m else None,
+            "damp": np.zeros(nodes) if model.damped else None,
+            "laws": model.laws,
+            "drives": np.zeros(instants),
+            "gains": np.zeros(instants),
+            "rotation": np.zeros((s, *nodes)),
+            "turn": np.zeros((s, *nodes)),
+            "points": np.zeros((4, *points)),
+            "forces": np.zeros(points),
+            "vz": np.zeros(points),
+            "dz": np.zeros((s, *points)),
+            "level": np.zeros(model.m),
+            "c": tableau.c,
+            "h": np.zeros(1),
+        }
+        self.functions, self.kind, self.work, self.workspace, self.slots = np.zeros(of.ENTRIES, np.int64), None, None, 0, {}
+        self.callback, self.prepared, self.raised = CALLBACK(self._prepare), False, None
+
+    def weigh(self, lift):
+        """Nothing: all coordinates are alike."""
+
+    def hold_constant(self, t, q):
+        """Nothing."""
+
+    def prepare(self, engine, state, control, ends):
+        """Get ready for steps of a stretch, in which loads and motors are looked at before where it is known which are to come."""
+        if not self.model.profiles:
+            return 0
+        self.prepared, self.clamp = not control.adaptive, engine.clamp
+        self.functions[of.PREPARE] = 0 if self.prepared else ctypes.cast(self.callback, ctypes.c_void_p).value
+        if self.prepared:
+            starts = np.concatenate([[state.t], ends[:-1]])
+            times = np.clip(np.column_stack([starts[:, None] + self.tableau.c[:-1] * control.h, ends]), *engine.limits)
+            self._take_loads(starts, times, control.h)
+        return 0
+
+    def _prepare(self, model, first, times, *_):
+        try:
+            h, t, _, *at = (ctypes.c_double * (3 + self.tableau.stages)).from_address(times)
+            self._take_loads(np.array([t]), np.array([at]), h)
+        except BaseException as error:  # noqa: BLE001 it is raised when the loop has returned
+            self.raised = error
+            return RAISED
+        return DONE
+
+    def _take_loads(self, starts, times, h):
+        drives, gains = stage_tables(self.model, starts, times, inner_side(self.model, starts[0], -h), self.tableau.c * h)
+        shape = drives.shape
+        self.w["drives"][: shape[0] * shape[1]].reshape(shape)[:] = drives
+        self.w["gains"][: shape[0] * shape[1]].reshape(shape)[:, 1:] = gains
+
+    def make(self, slot, h, made_at, counts):
+        """Make the factors of a slot, where they are not those, and go on with them. Raises SingularSystem."""
+        known = self.slots.get(slot)
+        if known is None or known.h != h or not np.array_equal(known.made_at, made_at):
+            known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied, self.linear)
+        counts.backend = known.backend
+        self.work = SceneWork(real=known.real, pair=known.pair, **self.w)
+        self.workspace, kind = self.work.address, typeof(self.work)
+        if kind != self.kind:
+            self.kind = kind
+            for number, function in FUNCTIONS.items():
+                self.functions[number] = c_address(function, kind)
+
+    def told(self, ended, engine, control):
+        """(status, reason) of how a step ended: what the model objects to at the first stage that it objects to, with the names of what is there."""
+        status, reason = REASONS[ended]
+        if ended not in (INVERTED, HALF_TURN):
+            return status, reason
+        (q, v), steps, t = engine.memory.past[[Q, V]], self.tableau.c * control.now[STEP], control.now[TIME]
+        stages = ((engine.clamp(t + step), q + (step * v + e)) for step, e in zip(steps, engine.trial.e))
+        return status, next(filter(None, (self.model.objection(*at) for at in stages)), None) or reason
+
+    def raise_left(self):
+        """Raise what a profile raised."""
+        error, self.raised = self.raised, None
+        if error is not None:
+            raise error
+
+
+class SceneMatrices:
+    """The co-rotated factors of both modes for steps of h, made at t, q, v, a and lam in one array; real, pair: their Solver, or None."""
+
+    def __init__(self, model, modes, h, made_at, tied, linear):
+        self.h, self.made_at, self.real = h, made_at, None
+        at = (float(made_at[0]), *np.split(made_at[1:], np.cumsum([model.n] * 3)))
+        parts = symmetric_parts(model, at[1].reshape(-1, 2))
+        for mode in modes:
+            c, step = mode.value / h, model.step_matrix(linear)
+            step.factor(*at, c * c, c, parts)
+            self.backend, solver = step.backend, Solver(np.array([c]), step.corotated, step.room, *_border(model, step, c, at, tied))
+            self.real, self.pair = (self.real, solver) if mode.paired else (solver, None)
+
+
+def _border(model, step, c, at, tied):
+    if not tied:
+        return None, None
+    t, q, v = at[:3]
+    damping = model.force_v(t, q, np.zeros_like(v)) / c if model.damped else None
+    return massive(model, step.corotated, damping), stabilised_room(model, type(c))
