@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from polyida.body.material import number, positive
 from polyida.errors import InputError
-from polyida.force.force_element import ForceElement
+from polyida.force.force_element import ForceElement, by_energy
 from polyida.given import settle
 from polyida.jit import entry, part
 from polyida.joint.attachment import require_sides
@@ -23,6 +23,32 @@ def hunt_crossley(depth, rate, data):
     return max(0.0, data[0] * depth ** data[2] * (1.0 + 1.5 * data[1] * rate))
 
 
+@part
+def stored(depth, data):
+    """`k depth^(n + 1) / (n + 1)`, zero where there is no contact."""
+    return data[0] * max(0.0, depth) ** (data[2] + 1.0) / (data[2] + 1.0)
+
+
+@part
+def depth_in_line(x):
+    """How deep the first side is in the half-plane of the others."""
+    wx, wy, dx, dy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1], x[2, 0], x[2, 1]
+    return (wx * dy - wy * dx) / np.sqrt(dx * dx + dy * dy)
+
+
+@entry
+def line_energy(x, data):
+    """Of a contact with a line."""
+    return stored(depth_in_line(x), data)
+
+
+@entry
+def circle_energy(x, data):
+    """Of a contact with a circle."""
+    wx, wy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1]
+    return stored(data[3] - np.sqrt(wx * wx + wy * wy), data)
+
+
 @entry
 def on_line(t, x, v, data, f):
     """`n F` on the point, the first side, and what that is on the line's point and direction d, the others; n = i d/|d|.
@@ -30,9 +56,8 @@ def on_line(t, x, v, data, f):
     With w from the line's point to the point: depth `delta = -w . n`, and `F d(delta)/dd = F (i w - delta d/|d|) / |d|` is minus the force on d.
     """
     wx, wy, dx, dy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1], x[2, 0], x[2, 1]
-    size = np.sqrt(dx * dx + dy * dy)
+    size, depth = np.sqrt(dx * dx + dy * dy), depth_in_line(x)
     nx, ny = -dy / size, dx / size
-    depth = -(wx * nx + wy * ny)
     ax, ay = (-wy - depth * dx / size) / size, (wx - depth * dy / size) / size
     rate = -((v[0, 0] - v[1, 0]) * nx + (v[0, 1] - v[1, 1]) * ny) + ax * v[2, 0] + ay * v[2, 1]
     force = hunt_crossley(depth, rate, data)
@@ -97,6 +122,11 @@ class Contact(ForceElement):
         """Against a line or a circle."""
         return on_line if self.radius is None else on_circle
 
+    @property
+    def compiled_energy(self) -> Any:
+        """Of the same."""
+        return line_energy if self.radius is None else circle_energy
+
     def sides(self) -> tuple:
         """The point, the point of the line or circle, and the line's direction."""
         return (self.a, self.b, self.b.d) if self.radius is None else (self.a, self.b)
@@ -118,7 +148,7 @@ class Contact(ForceElement):
 
     def energy(self, x: NDArray) -> float:
         """`k delta^(n + 1) / (n + 1)`, J."""
-        return self.stiffness * max(0.0, self.depth(x)) ** (self.exponent + 1.0) / (self.exponent + 1.0)
+        return by_energy(self, x)
 
     def undefined(self, x: NDArray) -> str:
         """Where its point is at the centre of its circle, from where no direction leads out."""

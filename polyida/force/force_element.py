@@ -25,7 +25,8 @@ class ForceElement(OwnPart):
     which its summaries say.
     Instead of `forces` it may have `law`, a function decorated with `numba.njit`: `law(t, x, v, data, f)` fills f (sides, 2), N, where
     data are the element's `numbers()`. Kernels call it by its address, and take its slopes by differences; where all force elements of
-    a scene have one, generalized-alpha, Radau IIA and IDA keep their compiled loops.
+    a scene have one, integrators keep their compiled loops; the energy-momentum method does where those with an energy give it as a
+    `compiled_energy` too.
     A force that acts only in a part of space gives a `gap`; without one it may be stepped over, and nothing in the result shows it.
     dissipates: whether what its forces do beyond its energy is reported as dissipated, and not as work. works: whether they do more than
     its energy says where nothing moves, as of a spring with an actuator; else `forces` at v = 0 must be the falling slope of an `energy`
@@ -40,6 +41,14 @@ class ForceElement(OwnPart):
     def compiled_law(self) -> Any:
         """The law that kernels call, None where its forces are Python. A class with a law and `forces` says by it which of them holds."""
         return type(self).law
+
+    @property
+    def compiled_energy(self) -> Any:
+        """The energy that kernels call, `energy(x, data)`, decorated with `numba.njit`; None where it is Python or there is none.
+
+        `law` at v = 0 must be its falling slope, whatever the time.
+        """
+        return None
 
     def sides(self) -> Sequence:
         """What it acts on: attachments, places of the ground (`ground.at`), directions of both (`.d`)."""
@@ -109,6 +118,11 @@ def by_law(law, element, t, x, v):
     f = np.full(x.shape, np.nan)
     law(float(t), np.array(x), np.array(v), data_at(element, t), f)
     return f
+
+
+def by_energy(element, x):
+    """What a `compiled_energy` gives with the numbers of its element, J."""
+    return float(element.compiled_energy(np.array(x), data_at(element, 0.0)))
 
 
 def numbers_of(element):

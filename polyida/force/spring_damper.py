@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from polyida.body.material import number
 from polyida.errors import InputError
-from polyida.force.force_element import ForceElement, by_law
+from polyida.force.force_element import ForceElement, by_energy, by_law
 from polyida.force.of_state import answer
 from polyida.given import settle
 from polyida.jit import entry
@@ -27,6 +27,13 @@ def spring(t, x, v, data, f):
     pull = data[0] * (length - data[2]) + data[1] * rate + data[3]
     f[0, 0], f[0, 1] = pull * ux, pull * uy
     f[1, 0], f[1, 1] = -f[0, 0], -f[0, 1]
+
+
+@entry
+def spring_energy(x, data):
+    """`k e^2/2 + N0 e`, e = l - l0."""
+    e = np.sqrt((x[1, 0] - x[0, 0]) ** 2 + (x[1, 1] - x[0, 1]) ** 2) - data[2]
+    return 0.5 * data[0] * e * e + data[3] * e
 
 
 @named_keywords
@@ -77,6 +84,11 @@ class SpringDamper(ForceElement):
         """None where a further force is Python."""
         return None if self.force else spring
 
+    @property
+    def compiled_energy(self) -> Any:
+        """Without that of a further force, which is Python."""
+        return spring_energy
+
     def sides(self) -> tuple:
         """Its two points."""
         return self.a, self.b
@@ -99,10 +111,9 @@ class SpringDamper(ForceElement):
 
     def energy(self, x: NDArray) -> float:
         """`k e^2/2 + N0 e` and the integral of `force(e, 0)`, J."""
-        e, further = self._elongation(x), self.force
-        energy = 0.5 * self.stiffness * e * e + self.preload * e
+        further = self.force
         if not further:
-            return energy
+            return by_energy(self, x)
         from scipy.integrate import quad
 
-        return energy + quad(lambda s: further(s, 0.0), 0.0, e)[0]
+        return by_energy(self, x) + quad(lambda s: further(s, 0.0), 0.0, self._elongation(x))[0]

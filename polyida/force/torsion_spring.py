@@ -8,14 +8,21 @@ from numpy.typing import NDArray
 
 from polyida.body.material import number
 from polyida.errors import InputError
-from polyida.force.force_element import ForceElement
+from polyida.force.force_element import ForceElement, by_energy
 from polyida.given import settle
-from polyida.jit import entry
+from polyida.jit import entry, part
 from polyida.joint.attachment import Ground, require_sides
 from polyida.keywords import named_keywords
 
 # constants of compiled code
 FURTHEST = 0.95 * np.pi  # rad: where the angle is taken to be lost soon
+
+
+@part
+def turned(x, data):
+    """The angle by which the second direction has turned against the first."""
+    ex, ey = data[3] * x[0, 0] - data[4] * x[0, 1], data[4] * x[0, 0] + data[3] * x[0, 1]
+    return np.arctan2(ex * x[1, 1] - ey * x[1, 0], ex * x[1, 0] + ey * x[1, 1])
 
 
 @entry
@@ -24,15 +31,18 @@ def torsion(t, x, v, data, f):
 
     data: k, c, angle0, and the turn of the first at rest onto the second.
     """
-    c, n = data[3], data[4]
-    ex, ey = c * x[0, 0] - n * x[0, 1], n * x[0, 0] + c * x[0, 1]
-    dx, dy = x[1, 0], x[1, 1]
-    angle = np.arctan2(ex * dy - ey * dx, ex * dx + ey * dy)
+    dx, dy, angle = x[1, 0], x[1, 1], turned(x, data)
     first, second = x[0, 0] * x[0, 0] + x[0, 1] * x[0, 1], dx * dx + dy * dy
     rate = (dx * v[1, 1] - dy * v[1, 0]) / second - (x[0, 0] * v[0, 1] - x[0, 1] * v[0, 0]) / first
     moment = data[0] * (angle - data[2]) + data[1] * rate if abs(angle) < FURTHEST else np.nan
     f[0, 0], f[0, 1] = -moment * x[0, 1] / first, moment * x[0, 0] / first
     f[1, 0], f[1, 1] = moment * dy / second, -moment * dx / second
+
+
+@entry
+def torsion_energy(x, data):
+    """`k (angle - angle0)^2 / 2`."""
+    return 0.5 * data[0] * (turned(x, data) - data[2]) ** 2
 
 
 @named_keywords
@@ -68,6 +78,11 @@ class TorsionSpring(ForceElement):
             angle=number(self.label, "angle", self.angle, "rad"),
         )
 
+    @property
+    def compiled_energy(self) -> Any:
+        """That of its angle."""
+        return torsion_energy
+
     def sides(self) -> tuple:
         """Its two directions."""
         a, b = (side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a)))
@@ -86,7 +101,7 @@ class TorsionSpring(ForceElement):
 
     def energy(self, x: NDArray) -> float:
         """`k (angle - angle0)^2 / 2`, J."""
-        return 0.5 * self.stiffness * (self._angle(x) - self.angle) ** 2
+        return by_energy(self, x)
 
     def undefined(self, x: NDArray) -> str:
         """Where it is turned too far."""

@@ -8,6 +8,7 @@ from numba import carray, typeof
 
 from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
+from polyida.assembly.bodies.compact import Compact
 from polyida.assembly.bodies.damping import add_damping
 from polyida.assembly.own.laws import Laws, add_own_forces
 from polyida.assembly.rows import joints
@@ -26,6 +27,16 @@ SHARED = 20_000  # coordinates from which on the threads that are asked for shar
 # constants of compiled code
 DZ, FORCES, START, VX, DX, DV = range(6)  # rows of SceneWork.points: displacements and forces; what a step begins from and adds
 H, TO_A, COSINE, INCREMENTAL = range(4)  # of SceneWork.numbers
+
+
+@pack
+class Solid(NamedTuple):
+    """Bodies' masses and the inverses of these, those at their points included, in the form of Compact; scratch (nodes, 2), and zeros."""
+
+    mass: Compact
+    inverse: Compact
+    r: np.ndarray
+    still: np.ndarray
 
 
 @pack
@@ -48,6 +59,7 @@ class SceneWork(NamedTuple):
     points: np.ndarray
     numbers: np.ndarray
     level: np.ndarray
+    solid: Solid | None
 
 
 @part
@@ -170,6 +182,7 @@ class SceneTable:
     """The table of a scene without Python in it, its solves by several threads where it has `SHARED` coordinates and these are asked for."""
 
     longest = steady = INSTANTS
+    entries = FUNCTIONS
 
     def __init__(self, model, tied, incremental):
         self.model, links = model, model.arrays.links
@@ -186,6 +199,7 @@ class SceneTable:
             "points": np.zeros((6, model.n_points, 2)),
             "numbers": np.array([0.0, 0.0, 1.0, float(incremental)]),
             "level": np.zeros(len(links.row_constant)),
+            "solid": None,
         }
         self.functions = self.work = None
 
@@ -219,7 +233,7 @@ class SceneTable:
         kind = typeof(work)
         if self.work is None or kind != typeof(self.work):
             self.functions = np.zeros(ENTRIES, np.int64)
-            for number, function in FUNCTIONS.items():
+            for number, function in self.entries.items():
                 self.functions[number] = c_address(function, kind)
         self.work = work
 

@@ -13,6 +13,9 @@ instants that were prepared, and addresses of contiguous float64 arrays. It retu
 | RATE | q, v, rate | `phi_q v + phi_t` |
 | PROJECT | rows, x, anew | B x falls by rows, and the change of x has the least M-norm; anew: from x = 0 to `B x = B x_before - rows`; B of the last RATE |
 | ACCEPT | q | whether the model accepts a state |
+| MIDDLE | states, lam, r, phi | r in the middle of a step by the energy-momentum method, phi at its end; states: q_0, q_1, q, v, a of the middle |
+| KINETIC | v, energy | `v^T M v` |
+| ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; 0, like KINETIC, where they are made when they are asked for |
 """
 
 import ctypes
@@ -28,8 +31,8 @@ INSTANTS = 256  # that are prepared at once, at most
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 WORD = ir.IntType(64)
 # constants of compiled code
-RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT = range(8)
-ENTRIES = 8
+RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, MIDDLE, KINETIC, ACCELERATION = range(11)
+ENTRIES = 11
 
 
 @intrinsic

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.start import on_velocity
+from polyida.integrate.energy.general import WithForces
+from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.results.balance import unbalanced
 
 ENERGY = 1e-9  # of the energy exchanged, for Newton's tolerance
@@ -149,13 +150,84 @@ def test_velocities_of_frames_that_are_not_kept_are_not_made(monkeypatch):
     assert runs[1].velocity_drift.max() < 1e-12
 
 
+def elements():
+    """{name: a function that adds an element to a scene with two bars}; the first is beside its bar, with a direction."""
+    at = pi.ground.at
+    return {
+        "spring": lambda a, b: pi.SpringDamper(at((0.5, 0.5)), b.at("right"), stiffness=60.0, preload=2.0),
+        "torsion": lambda a, b: pi.TorsionSpring(a.at("right"), b.at("left"), stiffness=8.0, angle=0.1),
+        "line": lambda a, b: pi.Contact(b.at("right"), at((0.0, -0.4)), stiffness=2e4),
+        "circle": lambda a, b: pi.Contact(b.at("right"), at((1.2, -1.0)), stiffness=2e4, radius=0.5),
+    }
+
+
+def two_bars(element):
+    """Two hinged bars that fall, with one force element."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    points = {"left": (-0.5, 0.0), "right": (0.5, 0.0)}
+    a, b = (scene.add(pi.RigidBody(1.0, 0.1, points=points, origin=(x, 0.0), name=f"bar{x}")) for x in (0.5, 1.5))
+    scene.add(pi.Revolute(pi.ground, a.at("left")))
+    scene.add(pi.Revolute(a.at("right"), b.at("left")))
+    scene.add(element(a, b))
+    return scene.build()
+
+
+@pytest.mark.parametrize("name", elements())
+def test_ready_made_elements_keep_their_energy_without_a_new_factor(name):
+    model = two_bars(elements()[name])
+    run = pi.solve(model, 0.5, pi.EnergyMomentum(h=1e-3, tolerance=1e-12))
+    assert run.success, run.message
+    exchanged = np.ptp([model.own_forces.energy(q, strain=False) for q in run.q])
+    assert exchanged > 0.1  # the element acts
+    assert np.ptp(run.energy.total) < ENERGY * np.ptp(run.energy.kinetic)
+    assert model.switching or run.counts.factorizations == 1
+    assert "each step" not in run.summary()
+
+
+@pytest.mark.parametrize("name", ["spring", "torsion", "line", "damper", "torque"])
+def test_compiled_elements_move_as_the_same_ones_in_python(name, monkeypatch):
+    """Those of functions in Python have the discrete derivative of Gonzalez by another path."""
+    more = {
+        "damper": lambda a, b: pi.SpringDamper(pi.ground.at((0.5, 0.5)), b.at("right"), stiffness=60.0, damping=3.0),
+        "torque": lambda a, b: pi.Torque(b.at("right"), pi.profile.sine(2.0, 3.0)),
+    }
+    model, integrator = two_bars((elements() | more)[name]), pi.EnergyMomentum(h=2e-3, tolerance=1e-13)
+    fast = pi.solve(model, 0.3, integrator)
+    monkeypatch.setattr("polyida.integrate.energy.energy_momentum.Midpoint", WithForces)
+    slow = pi.solve(model, 0.3, integrator)
+    assert slow.counts.factorizations >= 100 > fast.counts.factorizations or model.switching
+    assert slow.success and np.abs(fast.q[-1] - slow.q[-1]).max() < 1e-9
+
+
+def test_frames_of_rigid_bodies_are_consistent_with_their_positions_and_velocities():
+    """v, a and lam that the compiled loop makes are those of the model's own functions; also behind the steps of a motor."""
+    for drive in (None, pi.profile.ramp(0.0, 0.6, duration=0.25)):
+        scene = pi.Scene(gravity=(0.0, -9.81))
+        points = {"left": (-0.5, 0.0), "right": (0.5, 0.0)}
+        a, b = (scene.add(pi.RigidBody(1.0, 0.1, points=points, origin=(x, 0.0), name=f"bar{x}")) for x in (0.5, 1.5))
+        scene.add(pi.AngleMotor(pi.ground, a.at("left"), angle=drive) if drive else pi.Revolute(pi.ground, a.at("left")))
+        if drive:
+            scene.add(pi.Revolute(pi.ground, a.at("left")))
+        scene.add(pi.Revolute(a.at("right"), b.at("left")))
+        scene.add(pi.PointMass(b.at("right"), 0.3))
+        scene.add(pi.SpringDamper(pi.ground.at((0.5, 0.5)), b.at("right"), stiffness=60.0, damping=1.0))
+        model = scene.build()
+        run = pi.solve(model, 0.2, pi.EnergyMomentum(h=1e-3))
+        assert run.success and run.velocity_drift.max() < 1e-12
+        for k in (1, 100, -1):
+            a, lam = consistent_acceleration(model, run.t[k], run.q[k], run.v[k])
+            assert np.abs(run.a[k] - a).max() < 1e-9 * np.abs(a).max() and np.abs(run.lam[k] - lam).max() < 1e-9 * np.abs(lam).max()
+
+
 def test_the_summary_says_which_part_makes_each_step_factorize():
     scene = pi.Scene(gravity=(0.0, -9.81))
     bar = scene.add(pi.RigidBody(1.0, 0.1, {"left": (-0.5, 0.0), "right": (0.5, 0.0)}, origin=(0.5, 0.0), name="bar"))
     scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
     alone = pi.solve(scene.build(), 0.01, pi.EnergyMomentum(h=1e-3))
     assert alone.counts.factorizations < alone.steps and "in each step" not in alone.summary()
-    scene.add(pi.SpringDamper(pi.ground.at((0.0, 1.0)), bar.at("right"), stiffness=50.0, name="spring"))
+    further = lambda e, rate: 10.0 * e**3  # noqa: E731
+    scene.add(pi.SpringDamper(pi.ground.at((0.0, 1.0)), bar.at("right"), stiffness=50.0, force=further, name="spring"))
+    scene.add(pi.TorsionSpring(pi.ground, bar.at("left"), stiffness=5.0, name="torsion"))
     with_spring = pi.solve(scene.build(), 0.01, pi.EnergyMomentum(h=1e-3))
     assert with_spring.counts.factorizations >= with_spring.steps
     assert "a new factorization in each step, because of 'spring'" in with_spring.summary()

@@ -76,6 +76,12 @@ class OwnForce:
         return float(value)
 
     @property
+    def python(self):
+        """Whether its forces or its energy are Python."""
+        element = self.element
+        return not element.compiled_law or (not element.compiled_energy and writes(element, ForceElement, "energy"))
+
+    @property
     def switches(self):
         """Whether it declares switches."""
         return writes(self.element, ForceElement, "gap")

@@ -16,6 +16,8 @@ from polyida.jit import entry, pack, part
 
 NUMBERS = types.CPointer(types.float64)
 CALLED = types.void(types.float64, NUMBERS, NUMBERS, NUMBERS, NUMBERS, types.int64, types.int64)  # t, x, v, data, f, sides, len(data)
+NO_ENERGY = -1
+NOISE = 32 * 2.0**-52  # of an energy: a difference of less is none
 STEP = 1e-7  # of the size of what is varied, in central differences: short, for forces of contact change within little
 
 
@@ -24,23 +26,24 @@ class Laws(NamedTuple):
     """A scene's force elements by number: address, first side and first of its `numbers`, (laws + 1, 3), the last row the ends.
 
     points: the point of links of each side, -1 where it stays with the ground; rest: places of the sides, (sides, 2), m; sizes: of what
-    each says, (sides,). driven: which of the numbers are a drive's value, and which drive, (values, 2). clock: the drive that is the time.
+    each says, (sides,). energies: address of each law's energy, (laws,), 0 where it has none, NO_ENERGY where that is Python. driven: which of the numbers are a drive's value, and which drive, (values, 2). clock: the drive that is the time.
     """
 
     parts: np.ndarray
     points: np.ndarray
     rest: np.ndarray
     sizes: np.ndarray
+    energies: np.ndarray
     numbers: np.ndarray
     driven: np.ndarray
     clock: int
 
 
 @cache
-def callback_of(law):
+def callback_of(law, template=None):
     """`law(t, x, v, data, f)`, a function of numba's, as a C function; kept, for its address is in use, polyida's own in files too."""
     own, at = law.py_func.__module__.startswith("polyida."), law.py_func.__code__
-    code = _called.__code__.replace(co_filename=at.co_filename, co_firstlineno=at.co_firstlineno)
+    code = (template or _called).__code__.replace(co_filename=at.co_filename, co_firstlineno=at.co_firstlineno)
     called = update_wrapper(FunctionType(code, {"law": law, "numba": numba, "np": np}), law.py_func)
     del called.__wrapped__
     with kernel_cache.kept() as cached:
@@ -54,6 +57,20 @@ def _called(t, x, v, data, f, sides, count):
         law(t, numba.carray(x, shape).copy(), numba.carray(v, shape).copy(), numba.carray(data, (count,)).copy(), forces)  # noqa: F821
     except Exception:  # noqa: BLE001 which kernels cannot hand on: the motion is not finite
         forces[:] = np.nan
+
+
+def energy_callback(energy):
+    """`energy(x, data)` as a C function of the same signature, which fills the first of f."""
+    return callback_of(energy, _called_energy)
+
+
+def _called_energy(t, x, v, data, f, sides, count):
+    shape = (sides, 2)
+    found = numba.carray(f, (1,))
+    try:
+        found[0] = law(numba.carray(x, shape).copy(), numba.carray(data, (count,)).copy())  # noqa: F821
+    except Exception:  # noqa: BLE001 as above
+        found[0] = np.nan
 
 
 @intrinsic
@@ -85,9 +102,21 @@ def numbers_at(laws, drives):
 def evaluate(laws, k, t, numbers, x, v, f):
     """Fill f (sides, 2), N, with the forces of law k at the places x and velocities v; nan where it writes nothing."""
     f[:] = np.nan
-    call(
-        laws.parts[k, 0], t, x, v, numbers[laws.parts[k, 2] : laws.parts[k + 1, 2]], f, x.shape[0], laws.parts[k + 1, 2] - laws.parts[k, 2]
-    )
+    ask(laws, k, laws.parts[k, 0], t, numbers, x, v, f)
+
+
+@part
+def ask(laws, k, function, t, numbers, x, v, f):
+    """Call a C function of law k."""
+    first, end = laws.parts[k, 2], laws.parts[k + 1, 2]
+    call(function, t, x, v, numbers[first:end], f, x.shape[0], end - first)
+
+
+@part
+def energy_at(laws, k, numbers, x, f):
+    """The energy of law k at places x; f is scratch."""
+    ask(laws, k, laws.energies[k], 0.0, numbers, x, x, f)
+    return f[0, 0]
 
 
 @part
@@ -114,12 +143,46 @@ def add_own_forces(laws, links, drives, u, v, r):
     for k in range(laws.parts.shape[0] - 1):
         x, speeds, f = place(laws, k, dz, vz)
         evaluate(laws, k, drives[laws.clock, 0], numbers, x, speeds, f)
-        for i in range(f.shape[0]):
-            p = laws.points[laws.parts[k, 1] + i]
-            if p >= 0:
-                forces[p, 0] -= f[i, 0]
-                forces[p, 1] -= f[i, 1]
+        take_sides(laws, k, f, forces)
     spread(links, forces, r)
+
+
+@part
+def take_missing(laws, k, t, numbers, x0, x1, middle, f):
+    """f -= `[V_1 - V_0 - V'] dx / (dx^T dx)`, with which the work of f from x0 to x1 is that of law k's energy V (Gonzalez 1996).
+
+    V' is what the forces at the middle do where nothing moves. What is no more than round-off of V is none.
+    """
+    dx, held = x1 - x0, np.empty_like(f)
+    first, last = energy_at(laws, k, numbers, x0, held), energy_at(laws, k, numbers, x1, held)
+    evaluate(laws, k, t, numbers, middle, np.zeros_like(f), held)
+    size, bracket = np.sum(dx * dx), last - first + np.sum(held * dx)
+    if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
+        f -= bracket / size * dx
+
+
+@part
+def take_midpoint_forces(laws, drives, dz0, dz1, vz, forces):
+    """forces (points, 2) -= those of all laws at the middle of a step from displacements dz0 of the points to dz1, by the discrete derivative."""
+    numbers, t = numbers_at(laws, drives), drives[laws.clock, 0]
+    for k in range(laws.parts.shape[0] - 1):
+        x0, v, f = place(laws, k, dz0, vz)
+        x1, _, _ = place(laws, k, dz1, vz)
+        middle = 0.5 * (x0 + x1)
+        evaluate(laws, k, t, numbers, middle, v, f)
+        if laws.energies[k] != 0:
+            take_missing(laws, k, t, numbers, x0, x1, middle, f)
+        take_sides(laws, k, f, forces)
+
+
+@part
+def take_sides(laws, k, f, forces):
+    """forces -= f at the points of law k's sides."""
+    for i in range(f.shape[0]):
+        p = laws.points[laws.parts[k, 1] + i]
+        if p >= 0:
+            forces[p, 0] -= f[i, 0]
+            forces[p, 1] -= f[i, 1]
 
 
 @entry

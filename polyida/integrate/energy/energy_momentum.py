@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from polyida.assembly.own.laws import NO_ENERGY
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.integrate.energy.general import General, WithForces, require_general
@@ -29,14 +31,15 @@ class EnergyMomentum:
     `M (v_1 - v_0)/h + f_int + B^T lam = f_ext(t_m)`, `q_1 - q_0 = h (v_0 + v_1)/2`, `phi(q_1, t_1) = 0`. The stress is that of the mean
     of the strains at both ends on the mean F, B the constraint Jacobian of the mean q and mean time: without moving motors and damping
     the energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Velocities of the frames are
-    on their constraint. Second order in q, v, a and lam; a and lam of a frame follow from its q and v, which costs half to two
-    thirds of a step for each frame that is kept (integrate/energy/at_end.py). Damping enters at the middle of the step and only takes energy.
+    on their constraint. Second order in q, v, a and lam; a and lam of a frame follow from its q and v: in the loop where no
+    body is a plate, else for each frame that is kept, which costs half to two thirds of a step (integrate/energy/at_end.py). Damping enters at the middle of the step and only takes energy.
 
     It takes every scene, force elements and bodies of one's own by the discrete derivative of their energy, and every model of one's own that gives
     `potential`, with a constant mass and phi at most quadratic in q (integrate/energy/general.py). Other forces act at the middle. That
     the energy is kept where phi_q varies needs `Needs(driven=False)`: else phi may do work, and v is put on its constraint at the cost of it.
 
-    With force elements, bodies of one's own or a model of one's own each step makes a new factorization, which the run's summary says.
+    Scenes of plates, bodies, joints, loads and compiled force elements go through a compiled loop, which keeps its factor. With force elements
+    or bodies in Python, or a model of one's own, each step makes a new factorization, which the run's summary says.
 
     h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
     the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the
@@ -48,6 +51,8 @@ class EnergyMomentum:
     h: float
     tolerance: float = 1e-10
     max_iterations: int = 40
+
+    writes_rows = True  # into the places of a run's frames
 
     def __post_init__(self):
         for name, good, want in (
@@ -68,15 +73,15 @@ class EnergyMomentum:
         require_energies(guard(model), 0.0, np.zeros(model.n))
 
     def cost(self, model: Model) -> str:
-        """What a summary says of steps that cost more than those of a scene of plates, rigid bodies, joints and loads; empty for these."""
+        """What a summary says of steps that cost more than those of a scene without Python; empty for these."""
         kind = _kind(model)
         if kind is Midpoint:
             return ""
-        parts = [own.name for own in model.own_forces.each] if kind is WithForces else []
+        parts = [own.name for own in model.own_forces.each if own.python] if kind is WithForces else []
         return f"a new factorization in each step, because of {', '.join(map(repr, parts)) or 'functions in Python'}"
 
-    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
-        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts, rows: Any = None) -> Iterator[State]:
+        """Accepted states after `state` up to t_end, one a step; rows: of a run's frames, see Steps. Raises StepFailure."""
         kind = _kind(model)
         for begin, end, most in stretches(model, state.t, t_end, self.h):
             state = _ready(model, state, begin)
@@ -87,15 +92,17 @@ class EnergyMomentum:
                 counts.steps += 1
                 yield state
             stepper = kind(self, model, grid.h, counts, beside(end, -1) if at_kink(model, end) else end, 0 if model.switching else HALVINGS)
-            for k in range(grid.done + 1, count + 1):
-                state = stepper.step(state, grid.time(k))
+            stepper.rows = rows or stepper.rows
+            for state in stepper.run(state, grid):
                 counts.steps += 1
                 yield state
 
 
 def _kind(model):
     """The kind of steps that a model takes."""
-    return General if not model.is_scene else Midpoint if model.compiled and not model.own_forces else WithForces
+    if not model.is_scene:
+        return General
+    return Midpoint if model.compiled and (model.laws is None or NO_ENERGY not in model.laws.energies) else WithForces
 
 
 def _ready(model, state, begin):

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from polyida.assembly.own.laws import NOISE
 from polyida.errors import InputError
 from polyida.integrate.energy.steps import SLOW, Steps
 from polyida.integrate.state import StepFailure
@@ -24,7 +25,7 @@ from polyida.model.guarded import guard, require_constraints
 
 EPS = np.finfo(float).eps
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off
-NOISE = 32 * EPS  # of V, in V_1 - V_0 - V': less is none
+
 SAME = 1e-9  # of its size, by which what ought to be equal may differ
 
 
@@ -51,8 +52,7 @@ class General(Steps):
         n, m = self.model.n, self.model.m
         return SimpleNamespace(u0=np.zeros(n), v0=np.zeros(n), u1=np.zeros(n), lam=np.zeros(m), phi=np.zeros(m))
 
-    def _solve(self, state, t):
-        self._begin(state)
+    def _solve(self, t):
         middle, end = (min(s, self.until) for s in (t - self.h / 2, t))
         w, before, self.fresh = self.room, 0.0, self.system is None
         for iteration in range(self.settings.max_iterations):
@@ -113,21 +113,27 @@ class General(Steps):
 
 class WithForces(General):
     """Steps of a scene with force elements or bodies of one's own: plates, loads, masses and joints by the exact form of
-    `midpoint.middle`, each force element and elastic body by the discrete derivative of its own energy on its own places.
+    `scene.equilibrium`, each force element and elastic body by the discrete derivative of its own energy on its own places.
     """
 
     def _room(self):
-        from polyida.integrate.energy.midpoint import room
-
-        self.extent = self.model.extent
-        return room(self.model)
+        model = self.model
+        self.extent, lam = model.extent, np.zeros(model.m)
+        states, (r, rotation, v0) = np.zeros((5, model.n_nodes, 2)), np.zeros((3, model.n_nodes, 2))
+        u0, u1, um, vm, a = states
+        points = dict(zip(("dz", "forces"), np.zeros((2, model.n_points, 2))))
+        return SimpleNamespace(
+            states=states, u0=u0, u1=u1, um=um, vm=vm, a=a, v0=v0, lam=lam, phi=lam.copy(), r=r, rotation=rotation, **points
+        )
 
     def _residual(self, t):
         """(how it ended, r) at the middle."""
-        from polyida.integrate.energy.midpoint import middle
+        from polyida.integrate.energy.scene import equilibrium
 
-        w, model = self.room, self.model
-        det = middle(model.arrays, model.drives(t), self.h, w)
+        w, h, model = self.room, self.h, self.model
+        w.vm[:] = (w.u1 - w.u0) / h
+        w.a[:], w.um[:] = 2.0 * (w.vm - w.v0) / h, 0.5 * (w.u0 + w.u1)
+        det = equilibrium(model.arrays, model.drives(t), h, w.states, w.lam, w.phi, w.dz, w.forces, w.r, w.rotation)
         r = w.r.ravel().copy() if model.uneven_mass is None else w.r.ravel() + model.uneven_mass @ w.a.ravel()
         if model.uneven_drag is not None:
             r += model.uneven_drag @ w.vm.ravel()

@@ -23,21 +23,37 @@ HALVINGS = 6  # of a step that fails
 class Steps:
     """Steps at one h; holds the matrix between them. until: the time that motors and loads are held to, before a kink.
 
-    A kind of them says what `_room()` they need and how to `_solve(state, t)`: (how it ended, last |dq|), the step being left in
-    u0, v0, u1, lam and phi of the room, and `fresh`, whether the matrix was made in it.
+    A kind of them says what `_room()` they need and how to `_solve(t)`: (how it ended, last |dq|), the step being left in
+    u0, v0, u1, lam and phi of the room, and `fresh`, whether the matrix was made in it; or how to `run` otherwise. rows: a function of a count that
+    gives the places of so many frames, [q, v, a (count, n), lam (count, m)], or None; of use where a loop makes frames.
     """
+
+    rows = staticmethod(lambda count: None)
 
     def __init__(self, settings, model, h, counts, until=np.inf, halvings=HALVINGS):
         self.until, self.halvings = until, halvings
         self.settings, self.model, self.h, self.counts = settings, model, h, counts
         self.room, self.system = self._room(), None
 
+    def run(self, state, grid):
+        """Yield the states at the ends of the grid's steps. Raises StepFailure."""
+        for k in range(grid.done + 1, grid.count + 1):
+            state = self.step(state, grid.time(k))
+            yield state
+
+    @property
+    def phi(self):
+        """phi where the last step ended."""
+        return self.room.phi
+
     def step(self, state, t):
         """The accepted state at t. Raises StepFailure where Newton does not converge with a fresh matrix."""
-        ended, moved = self._solve(state, t)
+        self._begin(state)
+        ended, moved = self._solve(t)
         if ended not in (DONE, HALF_TURN) and not self.fresh:
             self.system = None
-            ended, moved = self._solve(state, t)
+            self._begin(state)
+            ended, moved = self._solve(t)
         w = self.room
         if ended != DONE:
             return self._halved(state, t, ended, moved)
@@ -46,8 +62,9 @@ class Steps:
         if self.model.needs.driven:
             v = on_velocity(self.model, at, q, v)
         elif self.model.needs.phi_q_varies:  # else it is there: phi is linear, and its mean rate over the step is zero
-            memory["v_free"], v = v, None
-        return AtEnd(self.model, float(t), q, v, memory, at)
+            memory["v_free"] = v
+            return AtEnd(self.model, float(t), q, None, v, memory, at)
+        return AtEnd(self.model, float(t), q, v, None, memory, at)
 
     def _begin(self, state):
         """Put the state's q and v, and where they lead, into the room."""
@@ -72,7 +89,7 @@ class Steps:
         """The state at t by two steps of half the size, each keeping energy by itself."""
         if not self.halvings:
             status, reason = REASONS[ended]
-            seen = {"last |dq|": float(moved), "|phi|": float(np.abs(self.room.phi).max(initial=0.0)), "step": self.h}
+            seen = {"last |dq|": float(moved), "|phi|": float(np.abs(self.phi).max(initial=0.0)), "step": self.h}
             raise StepFailure(status, f"{reason}; the step in 2 to 64 parts fails too", t, **seen)
         self.system = None
         self.counts.rejected += 1

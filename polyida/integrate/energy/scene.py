@@ -1,0 +1,199 @@
+"""The table of a scene for the energy-momentum method: its forces at the middle of a step, constraints at the end."""
+
+import numpy as np
+from numba import carray
+
+from polyida.assembly import equilibrium as kernels
+from polyida.assembly.bodies import compact
+from polyida.assembly.own.laws import take_midpoint_forces
+from polyida.assembly.rows import joints
+from polyida.assembly.rows.increments import drive_table
+from polyida.assembly.rows.tie import velocity_rate
+from polyida.element import kernels as elements
+from polyida.element import stabilisation
+from polyida.element.paired import two_states
+from polyida.integrate.kinks import inner_side
+from polyida.integrate.stepping.ended import DONE, INVERTED, NOT_FINITE, SINGULAR
+from polyida.jit import entry, part
+from polyida.linear.dense import clear
+from polyida.system.scene import (
+    COSINE,
+    DV,
+    DX,
+    DZ,
+    FORCES,
+    FUNCTIONS,
+    START,
+    VX,
+    H,
+    SceneTable,
+    Solid,
+    add_forces,
+    along,
+    pairs,
+    project_rows,
+    rows,
+)  # fmt: skip
+from polyida.system.table import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE, c_entry, pointer
+
+
+@c_entry
+def middle(w, instant, states, lam, r, phi, e, f):
+    """r at the middle of a step, whose time is that before the instant of its end, and phi there."""
+    links, out, points, drives = w.scene.links, pairs(w, r), w.points, w.drives[instant]
+    given = carray(pointer(states), (5, out.shape[0], 2))
+    least = equilibrium(w.scene, drives, w.numbers[H], given, rows(w, lam), rows(w, phi), points[DX], points[FORCES], out, w.rotation)
+    if not least > 0.0:
+        return INVERTED if least <= 0.0 else NOT_FINITE
+    joints.point_values(links, given[1], points[DZ])
+    add_elements(links, w.laws, drives, given, points, out)
+    w.numbers[COSINE] = joints.joint_forces(links, w.drives[instant + 1], points[DZ], w.level, rows(w, phi), points[DV])
+    return DONE
+
+
+@part
+def add_elements(links, laws, drives, states, points, r):
+    """Force elements into r; what is None is not compiled."""
+    if laws is not None:
+        joints.point_values(links, states[0], points[START])
+        joints.point_values(links, states[3], points[VX])
+        clear(points[FORCES])
+        take_midpoint_forces(laws, drives, points[START], points[DZ], points[VX], points[FORCES])
+        joints.spread(links, points[FORCES], r)
+
+
+@entry
+def equilibrium(scene, drives, h, states, lam, phi, dz, forces, r, rotation):
+    """Fill r (nodes, 2) with all but force elements; returns the least det F at the end.
+
+    states (5, nodes, 2): displacements at both ends, and at the middle with their velocities and accelerations. phi (m,), dz and forces
+    (points, 2) are scratch; rotation (nodes, 2) as of the equilibrium of a state.
+    """
+    s, links, u0, u1, um, vm, a = scene.plates, scene.links, states[0], states[1], states[2], states[3], states[4]
+    for i in range(r.shape[0]):
+        r[i, 0], r[i, 1] = -s.weight[i, 0], -s.weight[i, 1]
+    clear(rotation)
+    few = compact.forces_middle(scene.compact, h, u0, u1, um, vm, a, r, rotation)
+    least = compact.lesser(plates_middle(s, h, u0, u1, um, vm, a, r, rotation), few)
+    for k in range(s.load_drive.shape[0]):
+        factor = drives[s.load_drive[k], 0]
+        for i in range(s.load_ptr[k], s.load_ptr[k + 1]):
+            r[s.load_nodes[i], 0] -= factor * s.load_values[i, 0]
+            r[s.load_nodes[i], 1] -= factor * s.load_values[i, 1]
+    joints.point_values(links, a, dz)
+    for p in range(dz.shape[0]):
+        for k in range(2):
+            forces[p, k] = links.point_mass[p] * (dz[p, k] - links.gravity[k])
+    joints.point_values(links, um, dz)
+    joints.joint_forces(links, drives, dz, lam, phi, forces)
+    joints.spread(links, forces, r)
+    return least
+
+
+@part
+def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
+    """Inner, inertia and damping forces of all plates into r."""
+    least = 1e300
+    for b in range(s.body_operator.shape[0]):
+        o, n0 = s.body_operator[b], s.body_node[b]
+        p, e = s.at[o], s.at[o + 1]
+        indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
+        det = two_states.internal_force_midpoint(
+            s.layout[p[0] : e[0]],
+            s.corners[p[1] : e[1]],
+            s.gradients[p[2] : e[2]],
+            s.weights[p[3] : e[3]],
+            n0,
+            s.body_c1[b],
+            s.body_nu[b],
+            s.body_viscosity[b] / h,
+            u0,
+            u1,
+            r,
+            rotation,
+        )
+        least = compact.lesser(least, det)
+        elements.mass_product(indptr, indices, mass, s.body_density[b], n0, a, r)
+        if s.body_drag[b] != 0.0:
+            elements.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, vm, r)
+        if s.body_stabilisation[b] != 0.0:
+            stabilisation.force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, um, r)
+    return least
+
+
+@c_entry
+def kinetic(w, instant, v, energy, c, d, e, f):
+    """v^T M v."""
+    s, given, total = w.solid, pairs(w, v), 0.0
+    clear(s.r)
+    compact.momentum(s.mass, given, s.r)
+    for i in range(given.shape[0]):
+        total += given[i, 0] * s.r[i, 0] + given[i, 1] * s.r[i, 1]
+    carray(pointer(energy), (1,))[0] = total
+    return DONE
+
+
+@c_entry
+def acceleration(w, instant, q, v, a, lam, e, f):
+    """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
+    s, links, drives, out, found = w.solid, w.scene.links, w.drives[instant + 1], pairs(w, a), rows(w, lam)
+    u, speed = pairs(w, q), pairs(w, v)
+    kernels.equilibrium(w.scene, drives, u, s.still, w.level, s.r, found, w.rotation, w.points[DZ], w.points[FORCES])
+    add_forces(w.scene, w.damp, w.laws, drives, u, speed, s.r)
+    for i in range(out.shape[0]):
+        s.r[i, 0], s.r[i, 1] = -s.r[i, 0], -s.r[i, 1]
+    clear(out)
+    compact.momentum(s.inverse, s.r, out)
+    return DONE if hold_on(links, w.tie, drives, w.points[DZ], speed, out, found) else SINGULAR
+
+
+@part
+def hold_on(links, t, drives, dz, v, a, lam):
+    """a, that of the forces without constraints, as these let it be, and lam; False where that is singular."""
+    if t is None:
+        return True
+    velocity_rate(links, drives, dz, v, t)
+    joints.point_values(links, a, t.vz)
+    for k in range(lam.shape[0]):
+        t.bias[k] += along(links, t.slopes, k, t.vz)
+    good = project_rows(links, t, t.bias, a)
+    for k in range(lam.shape[0]):
+        lam[k] = t.eta[k]
+    return good
+
+
+class EnergyTable(SceneTable):
+    """The same table with what the energy-momentum method needs; a and lam of frames where no body is a plate."""
+
+    longest = (INSTANTS - 1) // 2
+    entries = {number: FUNCTIONS[number] for number in (SOLVE, RATE, PROJECT, ACCEPT)} | {MIDDLE: middle}
+
+    def __init__(self, model):
+        super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven), False)
+        if not model.bodies:
+            self.entries = self.entries | {KINETIC: kinetic, ACCELERATION: acceleration}
+            self.w["solid"] = Solid(*model.once(masses), *np.zeros((2, model.n_nodes, 2)))
+
+    @property
+    def complete(self):
+        """Whether it makes v, a and lam of frames."""
+        return ACCELERATION in self.entries
+
+    def prepare(self, times, h):
+        """Get ready for steps between the times."""
+        at = np.repeat(times, 2)[1:]
+        at[1::2] = times[1:] - 0.5 * h
+        ends = inner_side(self.model, times[0], -h), inner_side(self.model, times[-1], h)
+        self.w["drives"][: len(at)] = drive_table(self.model, at, ends)
+        self.w["numbers"][H] = h
+
+
+def masses(model):
+    """Masses of the bodies of a scene without plates, and their inverses."""
+    each = [model._even_mass[placed.pairs, placed.pairs].toarray() for placed in model.few]
+    return _compact(model, each), _compact(model, [np.linalg.inv(mass) for mass in each])
+
+
+def _compact(model, each):
+    flat = np.concatenate([mass.ravel() for mass in each])
+    return model.arrays.compact._replace(mass=np.stack([flat.real, flat.imag], axis=1))
