@@ -17,8 +17,11 @@ from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RES
 
 MOST = 50  # coordinates and constraints of a model that is solved so
 # constants of compiled code
-MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q = range(12)
-FUNCTIONS = "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q"
+MASS, FORCE, PHI, PHI_Q, PHI_T, PHI_BIAS, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q = range(13)
+FUNCTIONS = (
+    *("mass", "force", "phi", "phi_q", "phi_t", "phi_bias", "residual", "objection"),
+    *("tangent", "force_q", "force_v", "mass_a_q", "reaction_q"),
+)
 MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT = range(6)  # of Dense.flags; KEPT: the factors are of the S and B of now
 REACH = FIRST_ORDER_STEP
 INNER, END = range(2)  # of Dense.t: within the step beside a kink at its end, and the end itself
@@ -46,6 +49,7 @@ class Dense(NamedTuple):
     phi: np.ndarray
     B: np.ndarray
     phi_t: np.ndarray
+    phi_bias: np.ndarray
     c: np.ndarray
     S: np.ndarray
     made: np.ndarray
@@ -73,6 +77,7 @@ def workspace(n, m, functions, data, flags):
             (n,),
             (m,),
             (m, n),
+            (m,),
             (m,),
             (2,),
             (n, n),
@@ -128,25 +133,10 @@ def finite(x):
     return total == 0.0
 
 
-@c_entry
-def residual(w, instant, q, v, a, lam, r, phi):
-    """r at the state within the step, phi at its end."""
+@part
+def equilibrium(w, found):
+    """`M a + g + B^T lam` at w.t, w.q, w.v, w.a, w.lam with w.B."""
     n, m = w.q.shape[0], w.lam.shape[0]
-    take(w, instant, q, v)
-    given_a, given_lam, found, rows = vector(a, n), vector(lam, m), vector(r, n), vector(phi, m)
-    for i in range(n):
-        w.a[i] = given_a[i]
-    for k in range(m):
-        w.lam[k] = given_lam[k]
-    if m:
-        ended = ask(w, PHI, END, w.phi)
-        if ended != DONE:
-            return ended
-        for k in range(m):
-            rows[k] = w.phi[k]
-        ended = take_rows(w)
-        if ended != DONE:
-            return ended
     if w.functions[WHOLE]:
         ended = ask(w, WHOLE, INNER, w.g)
         if ended != DONE:
@@ -168,6 +158,31 @@ def residual(w, instant, q, v, a, lam, r, phi):
             for k in range(m):
                 total += w.B[k, i] * w.lam[k]
             found[i] = total
+    return DONE
+
+
+@c_entry
+def residual(w, instant, q, v, a, lam, r, phi):
+    """r at the state within the step, phi at its end."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    take(w, instant, q, v)
+    given_a, given_lam, found, rows = vector(a, n), vector(lam, m), vector(r, n), vector(phi, m)
+    for i in range(n):
+        w.a[i] = given_a[i]
+    for k in range(m):
+        w.lam[k] = given_lam[k]
+    if m:
+        ended = ask(w, PHI, END, w.phi)
+        if ended != DONE:
+            return ended
+        for k in range(m):
+            rows[k] = w.phi[k]
+        ended = take_rows(w)
+        if ended != DONE:
+            return ended
+    ended = equilibrium(w, found)
+    if ended != DONE:
+        return ended
     return DONE if finite(found) and finite(rows) else NOT_FINITE
 
 

@@ -23,6 +23,7 @@ SHAPES = {  # of what the functions return, in n and m
     "phi": "m",
     "phi_q": "mn",
     "phi_t": "m",
+    "phi_bias": "m",
     "residual": "n",
     "force_q": "nn",
     "force_v": "nn",
