@@ -6,7 +6,7 @@ from against_peers import peers
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, picture
 from polyida.study.sweeps.harness import Study
-from step_cost import beside_alpha, frames, threads, waits
+from step_cost import beside_alpha, frames, threads, told_cj, waits
 from step_cost import measure as cost
 from step_cost.against import against
 from step_cost.pair import BACKENDS, pair_row
@@ -42,6 +42,7 @@ RUNS = {
     "floor": cost.floor_row,
     "pair": pair_row,
     "beside alpha": beside_alpha.ratio_row,
+    "told cj": told_cj.told_row,
     "sparse": cost.sparse_row,
     "memory": cost.memory_row,
     "frames": frames.frames_row,
@@ -71,6 +72,7 @@ def tasks(quick):
         for part, names in (("pair", BACKENDS), ("floor", backends)):
             made += [{"part": part, "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
     made += [{"part": "beside alpha", "dof": dof, "repeats": (3 if dof > 50_000 else 7) // few} for dof in DECADES.values()]
+    made += told_cj.tasks(quick)
     made += frames.tasks(quick)
     spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
     made += [{"part": "sparse", "dof": dof, "t_end": span, "repeats": 1 if quick else 3} for dof, span in spans.items()]
@@ -130,6 +132,7 @@ def figures(rows):
         found["growth_exponent"] = np.polyfit(np.log([row["n"] for row in alpha]), np.log([row["ms_per_step"] for row in alpha]), 1)[0]
     found |= {f"ida_speedup_over_sparse_{name}": row["speedup"] for name, dof in SPARSE.items() for row in only(rows, "sparse", dof=dof)}
     found |= {f"ida_over_alpha_step_{name}": row["ratio"] for name, dof in DECADES.items() for row in only(rows, "beside alpha", dof=dof)}
+    found |= {f"ida_told_cj_over_guessed_{row['case']}": row["ratio"] for row in only(rows, "told cj")}
     found |= frames.figures(rows)
     for row in only(rows, "memory"):
         found[f"{'' if row['integrator'] == 'alpha' else row['integrator'] + '_'}bytes_per_dof_1e5"] = row["bytes_per_dof"]
@@ -169,6 +172,10 @@ def step_notes(rows):
 
 def ida_notes(rows):
     return beside_alpha.notes(only(rows, "beside alpha"))
+
+
+def told_notes(rows):
+    return told_cj.notes(only(rows, "told cj"))
 
 
 def radau_notes(rows):
@@ -265,7 +272,7 @@ study = Study(
     run,
     figures,
     (cost_figure, parts_figure),
-    notes=(aim_notes, step_notes, ida_notes, radau_notes, memory_notes, frames.notes, thread_notes, start_notes, waits.notes),
+    notes=(aim_notes, step_notes, ida_notes, told_notes, radau_notes, memory_notes, frames.notes, thread_notes, start_notes, waits.notes),
     headline=HEADLINE,
     options={"against": ("a commit of this clone: only the steps of this package over that one's", against)},
     columns=(

@@ -50,6 +50,7 @@ class Dense(NamedTuple):
     phi: np.ndarray
     B: np.ndarray
     phi_t: np.ndarray
+    phi_bias: np.ndarray
     c: np.ndarray
     S: np.ndarray
     made: np.ndarray
@@ -77,6 +78,7 @@ def workspace(n, m, functions, data, flags):
             (n,),
             (m,),
             (m, n),
+            (m,),
             (m,),
             (2,),
             (n, n),
@@ -132,25 +134,10 @@ def finite(x):
     return total == 0.0
 
 
-@c_entry
-def residual(w, instant, q, v, a, lam, r, phi):
-    """r at the state within the step, phi at its end."""
+@part
+def equilibrium(w, found):
+    """`M a + g + B^T lam` at w.t, w.q, w.v, w.a, w.lam with w.B."""
     n, m = w.q.shape[0], w.lam.shape[0]
-    take(w, instant, q, v)
-    given_a, given_lam, found, rows = vector(a, n), vector(lam, m), vector(r, n), vector(phi, m)
-    for i in range(n):
-        w.a[i] = given_a[i]
-    for k in range(m):
-        w.lam[k] = given_lam[k]
-    if m:
-        ended = ask(w, PHI, END, w.phi)
-        if ended != DONE:
-            return ended
-        for k in range(m):
-            rows[k] = w.phi[k]
-        ended = take_rows(w)
-        if ended != DONE:
-            return ended
     if w.functions[WHOLE]:
         ended = ask(w, WHOLE, INNER, w.g)
         if ended != DONE:
@@ -172,6 +159,31 @@ def residual(w, instant, q, v, a, lam, r, phi):
             for k in range(m):
                 total += w.B[k, i] * w.lam[k]
             found[i] = total
+    return DONE
+
+
+@c_entry
+def residual(w, instant, q, v, a, lam, r, phi):
+    """r at the state within the step, phi at its end."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    take(w, instant, q, v)
+    given_a, given_lam, found, rows = vector(a, n), vector(lam, m), vector(r, n), vector(phi, m)
+    for i in range(n):
+        w.a[i] = given_a[i]
+    for k in range(m):
+        w.lam[k] = given_lam[k]
+    if m:
+        ended = ask(w, PHI, END, w.phi)
+        if ended != DONE:
+            return ended
+        for k in range(m):
+            rows[k] = w.phi[k]
+        ended = take_rows(w)
+        if ended != DONE:
+            return ended
+    ended = equilibrium(w, found)
+    if ended != DONE:
+        return ended
     return DONE if finite(found) and finite(rows) else NOT_FINITE
 
 

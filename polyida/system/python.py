@@ -161,8 +161,8 @@ class DenseTable(PythonTable):
         functions, bent = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
         flags = needs.mass_varies, needs.velocity_forces, needs.driven, bent, needs.phi_q_varies, 0, 0
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
-        for number, function in enumerate(self._functions(w).values()):
-            functions[number] = self._address(function) if function else 0
+        for name, function in self._functions(w).items():
+            functions[small.FUNCTIONS.index(name)] = self._address(function) if function else 0
         for number, at in small.addresses().items():
             self.functions[number] = at
         self.workspace, self.factored, self.made = w.address, None, False
@@ -192,9 +192,11 @@ class DenseTable(PythonTable):
             "phi": fill(w.phi, model.phi, end, q),
             "phi_q": fill(w.B, model.phi_q, inner, q),
             "phi_t": fill(w.phi_t, model.phi_t, inner, q),
+            "phi_bias": fill(w.phi_bias, model.phi_bias, inner, q, v),
             "residual": fill(w.g, model.residual, inner, q, v, a, lam) if whole else None,
             "objection": accepted if asks else None,
             "tangent": fill(w.S, model.tangent, inner, q, v, a, lam, lambda: float(w.c[0]), lambda: float(w.c[1]), lambda: 1.0),
+            "force_v": fill(w.slope, model.force_v, inner, q, v),
         }
 
     def system(self, settings):
@@ -212,14 +214,14 @@ class DenseTable(PythonTable):
     def make(self, t, q, v, a, lam, c_m, c_v):
         """Make S at a state in the workspace."""
         w, self.w.times[0] = self.w, t
-        self._hold_constant(t, q)
+        self.hold_constant(t, q)
         places = [np.ascontiguousarray(x, float) for x in (q, v, a, lam, (c_m, c_v))]
         ended = small.factor(w, 0, *(x.ctypes.data for x in places), 0)
         self.raise_left()
         if ended != DONE:
             raise StepFailure(*REASONS[ended], t)
 
-    def _hold_constant(self, t, q):
+    def hold_constant(self, t, q):
         """M and B where they do not change."""
         if not self.made:
             self.made = True
@@ -261,7 +263,7 @@ class CompiledTable(DenseTable):
     def _fill(self):
         super()._fill()
         self.compiled, functions = Compiled(getattr(self.model, "user", self.model)), self.w.functions
-        functions[small.TANGENT] = 0
+        functions[[small.TANGENT, small.FORCE_V]] = 0
         for name, at in self.compiled.addresses.items():
             functions[small.FUNCTIONS.index(name)] = at
         self.w = self.w._replace(data=self.compiled.data)
@@ -274,8 +276,12 @@ def table_of(model, linear, tied, incremental):
         from polyida.system.scene import SceneTable
 
         return SceneTable(model, tied, incremental)
+    return (None if linear == "kkt" else small_table(model, incremental)) or PythonTable(model, incremental)
+
+
+def small_table(model, incremental=False):
+    """The table of a model that is solved with dense matrices, or None: of a scene, a large one, and of one that solves by itself."""
     own = getattr(model, "user", model)
-    plain = not any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")) and not model.is_scene
-    if linear == "kkt" or not plain or model.n + model.m > small.MOST:
-        return PythonTable(model, incremental)
+    if model.is_scene or model.n + model.m > small.MOST or any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")):
+        return None
     return (CompiledTable if own.by_numba else DenseTable)(model, incremental)

@@ -9,6 +9,7 @@ from scipy.interpolate import BarycentricInterpolator
 import polyida as pi
 from polyida import problems
 from polyida.errors import InputError
+from polyida.integrate.ida.dense import DenseSolve
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.linear import ReducedSolve
@@ -17,7 +18,9 @@ from polyida.integrate.ida.whole import WholeSolve, whole_matrix
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts, State, StepFailure
 from polyida.model import Model, Needs
+from polyida.model.guarded import guard
 from polyida.problems import plates
+from polyida.system.python import small_table
 
 
 def run(model, settings, t_end, q0=None, v0=None):
@@ -134,6 +137,50 @@ def test_order_follows_the_model():
     flexible = Oscillator()
     flexible.flexible = True
     assert (IDA().order(Oscillator()), IDA().order(flexible), IDA(max_order=4).order(flexible)) == (5, 2, 4)
+
+
+class Swung(Model):
+    """A mass on a rod whose end is driven along x, with friction; its inertia changes on the way."""
+
+    n, m, shift = 2, 1, 0.3
+    needs = Needs(driven=True)
+
+    def mass(self, q):
+        return np.array([[2.0 + 0.3 * q[0] ** 2, 0.1], [0.1, 1.0]])
+
+    def force(self, t, q, v):
+        return np.array([0.5 * v[0] * q[1], 9.81 + 0.2 * v[1] ** 2])
+
+    def phi(self, t, q):
+        return np.array([((q[0] - self.shift * np.sin(3.0 * t)) ** 2 + q[1] ** 2 - 1.0) / 2.0])
+
+    def phi_q(self, t, q):
+        return np.array([[q[0] - self.shift * np.sin(3.0 * t), q[1]]])
+
+
+OWN = {"swung": Swung, "swung compiled": type("SwungCompiled", (Swung,), {"by_numba": True})}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", ["pendulum", "car-axis", "andrews", *OWN])
+def test_the_compiled_call_is_the_general_residual_and_correction(name, form):
+    """In every form, with a factor of this state, and at the next iterate with the same one."""
+    model, random, cj = guard(OWN[name]() if name in OWN else problems.get(name).model), np.random.default_rng(3), 40.0
+    system, n, m = System(model, form, rate=5.0), model.n, model.m
+    y, yp = system.pack(State(0.3, random.standard_normal(n), *(random.standard_normal(k) for k in (n, n, m))))
+    general, small = ReducedSolve(system, Counts(), 5), DenseSolve(system, Counts(), 5, small_table(model))
+    for linear in (general, small):
+        linear.begin(0.3 - 1 / cj, y)
+    right, found, F = (np.empty(system.size) for _ in range(3))
+    for k in range(2):
+        at, r = y + 1e-3 * k, 1e-6 * random.standard_normal(system.size)
+        assert general.residual(0.3, at, yp, right) and small.residual(0.3, at, yp, found)
+        system.residual(0.3, at, yp, F)
+        assert np.abs(small.room.r - F).max() <= 1e-13 * np.abs(F).max()
+        general.reduced(0.3, at, yp, r, right), small.reduced(0.3, at, yp, r, found)
+        for part in np.split(np.arange(system.size), [n, 2 * n]):
+            assert np.abs(found - right)[part].max() <= 1e-9 * np.abs(right[part]).max()
+    assert general.counts == small.counts
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -17,7 +17,7 @@ from polyida.integrate.ida.scene import SceneSystem
 from polyida.integrate.solve import solve
 from polyida.problems import plates
 from skip import savings
-from step_cost import against, frames, measure, pair, waits
+from step_cost import against, frames, measure, pair, told_cj, waits
 
 SMALL = 120
 
@@ -41,6 +41,13 @@ def model():
 @pytest.mark.parametrize("dof", [1_000, 9_000])
 def test_meshes_have_the_size_asked_for(dof):
     assert measure.model_of("scene 1", dof).n == pytest.approx(dof, rel=0.05)
+
+
+@pytest.mark.parametrize("case", ["chain_2", "pendulum", "andrews"])
+def test_ida_takes_the_same_steps_whether_cj_is_told_or_guessed(case):
+    row = told_cj.told_row(case, 1)
+    assert all(row[key] == row[f"told_{key}"] for key in ("steps", "residuals", "factorizations", "rejected"))
+    assert row["apart"] < 1e-8
 
 
 @pytest.mark.parametrize("integrator", ["alpha", "ida", "radau"])

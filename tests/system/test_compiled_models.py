@@ -90,6 +90,8 @@ METHODS = {
     "stabilised": pi.GeneralizedAlpha(h=2e-3, form="stabilised"),
     "extrapolated": pi.GeneralizedAlpha(h=2e-3, extrapolate=True),
     "whole matrix": pi.GeneralizedAlpha(h=2e-3, linear="kkt"),
+    "IDA": pi.IDA(rtol=1e-6),
+    "IDA, index 1": pi.IDA(rtol=1e-6, form="index1"),
 }
 
 
@@ -173,9 +175,10 @@ class Divides(Free):
         return np.array([9.0 * q[0] ** 3, 4.0 * q[1] - 1.0 / late])
 
 
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-2), pi.IDA(max_step=1e-2)], ids=["alpha", "IDA"])
 @pytest.mark.parametrize("kind, words", [(Raises, "exception"), (Grows, "shape"), (Divides, "not finite")])
-def test_a_function_that_fails_ends_the_run_at_its_time(kind, words):
-    run = pi.solve(by_numba(kind)(), 0.3, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.5])
+def test_a_function_that_fails_ends_the_run_at_its_time(kind, words, method):
+    run = pi.solve(by_numba(kind)(), 0.3, method, q0=[1.0, 0.5])
     assert not run.success and words in run.message
     assert 0.08 < run.t[-1] < 0.11 and np.isfinite(run.q).all()
 

@@ -29,7 +29,6 @@ from polyida.system.scene import (
     SceneTable,
     Solid,
     add_forces,
-    along,
     pairs,
     project_rows,
     rows,
@@ -155,7 +154,7 @@ def hold_on(links, t, drives, dz, v, a, lam):
     velocity_rate(links, drives, dz, v, t)
     joints.point_values(links, a, t.vz)
     for k in range(lam.shape[0]):
-        t.bias[k] += along(links, t.slopes, k, t.vz)
+        t.bias[k] += joints.along(links, t.slopes, k, t.vz)
     good = project_rows(links, t, t.bias, a)
     for k in range(lam.shape[0]):
         lam[k] = t.eta[k]

@@ -7,6 +7,7 @@ import threading
 _ERROR = re.compile(r"\[IDA\w*, Error: -?\d+\] (.*)", re.DOTALL)
 _lock = threading.Lock()
 _open: list = []  # the filter in place and, as often as it is in use, a further entry
+_last: list = []  # the last filter: making one would cost as much as a step of a small model
 
 
 class _Filter:
@@ -43,8 +44,10 @@ class error_lines_kept:  # noqa: N801, used as a function; a generator would cos
     def __enter__(self):
         with _lock:
             if not _open:
-                _open.append(_Filter(sys.stdout))
-                sys.stdout = _open[0]
+                if not _last or _last[0].stream is not sys.stdout:
+                    _last[:] = [_Filter(sys.stdout)]
+                sys.stdout = _last[0]
+                _open.append(_last[0])
             _open.append(_open[0])
             _open[0].message = ""
             return _open[0]

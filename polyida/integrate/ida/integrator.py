@@ -20,6 +20,7 @@ from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State, StepFailure
 from polyida.keywords import named_keywords
 from polyida.model import Model
+from polyida.system.python import small_table
 
 LINEAR = ("auto", "kkt", "whole")
 AIM, WAYS, FLEXIBLE_WAYS = (
@@ -62,8 +63,8 @@ class IDA:
     imaginary axis, where their mesh modes lie; only with all of them well damped is 5 the faster) and 5 elsewhere.
     form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
     are in integrate/ida/forms.py. index3 is there to be studied: it is slow, and fails on many models.
-    linear: "auto" takes a scene's compiled callbacks, "kkt" the general ones that any model has, both through S = K + cj C
-    + cj^2 M and a border; "whole" factors the whole matrix of (q, v, multipliers). scaling: rows and columns of the whole
+    linear: "auto" takes compiled callbacks for a scene and for a model with n + m <= 50, "kkt" the general ones that any model has, all
+    through S = K + cj C + cj^2 M and a border; "whole" factors the whole matrix of (q, v, multipliers). scaling: rows and columns of the whole
     matrix divided by "characteristic" sizes (integrate/ida/whole.py) or "none"; the other two do not depend on it.
     nonholonomic: the rows `phi_rate(t, q, v) = 0`, linear in v with the slope phi_q, need not be the derivative of phi; only with form
     "index2" or "index1", which hold these and not phi. A run refuses a phi_rate, or phi_bias, that is not the derivative of phi otherwise.
@@ -184,7 +185,7 @@ def _check(name, value, right, wanted):
 
 
 def _callbacks(settings, model, counts):
-    """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form."""
+    """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form and for small models of a user's own."""
     order = settings.order(model)
     if model.compiled and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
         from polyida.integrate.ida.scene import SceneSolve, SceneSystem
@@ -192,8 +193,13 @@ def _callbacks(settings, model, counts):
         system = SceneSystem(model, settings.form, settings.rate)
         return system, SceneSolve(system, counts, order)
     system = System(model, settings.form, settings.rate)
-    whole = settings.linear == "whole"
-    return system, WholeSolve(system, counts, order, settings.scaling) if whole else ReducedSolve(system, counts, order)
+    if settings.linear == "whole":
+        return system, WholeSolve(system, counts, order, settings.scaling)
+    if settings.linear == "auto" and (table := small_table(model)):
+        from polyida.integrate.ida.dense import DenseSolve
+
+        return system, DenseSolve(system, counts, order, table)
+    return system, ReducedSolve(system, counts, order)
 
 
 def _top_heavy(model):
@@ -213,7 +219,6 @@ class _Run:
         self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
         self.memory |= {} if settings.atol else {"tolerances": np.array([rtol, *atol])}
         self.system, self.linear = _callbacks(settings, model, counts)
-        self.right = np.empty(self.system.size)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
         self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
@@ -233,13 +238,9 @@ class _Run:
         self.counts.residuals += 1
         if t != self.tried:
             self.attempts, self.tried = self.attempts + 1, t
-        r = self.right
-        self.system.residual(t, y, yp, r)
-        if math.isfinite(r.dot(r)) or np.isfinite(r).all():
-            self.linear.correct(t, y, yp, r, res)
-            return
-        res[:] = math.nan
-        self.refused, self.blamed = (t, np.array(y[: self.model.n])), self.model.not_finite
+        if not self.linear.residual(t, y, yp, res):
+            res[:] = math.nan
+            self.refused, self.blamed = (t, np.array(y[: self.model.n])), self.model.not_finite
 
     def piece(self, state, begin, times, limits):
         """Accepted States on the smooth piece from begin to the last of `times`, all of which it hits.

@@ -1,0 +1,164 @@
+"""IDA with its solve as preconditioner, which is told cj, over IDA as it is, whose residual holds the solve at a guessed cj: runs in turn."""
+
+import math
+from functools import partial
+
+import numpy as np
+
+import polyida as pi
+from polyida.integrate.ida import dense, integrator
+from polyida.integrate.solve import solve
+from polyida.integrate.stepping.ended import DONE
+from polyida.jit import entry
+from polyida.problems import get, plates
+from polyida.system.own import compiled
+from step_cost.side import NO_FRAMES, cells_for, cpu
+
+LENGTH = 1.0  # m, of a bar
+
+
+def chain(bars):
+    """A chain of rigid bars that falls."""
+    scene, before = pi.Scene(gravity=(0.0, -9.81)), pi.ground
+    for k in range(bars):
+        ends = {"A": (-LENGTH / 2, 0.0), "B": (LENGTH / 2, 0.0)}
+        bar = scene.add(pi.RigidBody(mass=1.0, inertia=0.1, points=ends, origin=((k + 0.5) * LENGTH, 0.0)))
+        scene.add(pi.Revolute(before, bar.at("A")))
+        before = bar.at("B")
+    return scene.build()
+
+
+def own(name, by_numba=False):
+    """A problem with equations of its own: (model, t_end, start)."""
+    problem = get(name)
+    if by_numba:
+        kind = type(problem.model)
+        problem.model.__class__ = compiled(type(kind.__name__, (kind,), {}))
+    return problem.model, problem.t_end, {"q0": problem.q0, "v0": problem.v0}
+
+
+CASES = {  # name: (what makes model, t_end in s and start, rtol)
+    "plates_1e3": (lambda: (plates.double_plate(cells_for(1_000)).build(), 0.5, {}), 1e-5),
+    "plates_1e4": (lambda: (plates.double_plate(cells_for(10_000)).build(), 0.15, {}), 1e-5),
+    "chain_2": (lambda: (chain(2), 1.0, {}), 1e-6),
+    "chain_5": (lambda: (chain(5), 1.0, {}), 1e-6),
+    "andrews": (partial(own, "andrews"), 1e-6),
+    "car_axis": (partial(own, "car-axis"), 1e-6),
+    "pendulum": (partial(own, "pendulum"), 1e-6),
+    "pendulum_compiled": (partial(own, "pendulum", True), 1e-6),
+}
+
+
+def tasks(quick):
+    """Every case, the small ones quickly."""
+    return [{"part": "told cj", "case": case, "pairs": 3 if quick else 7} for case in CASES if not (quick and case == "plates_1e4")]
+
+
+@entry
+def evaluate(w, f, t, y, yp):
+    """F of a small model."""
+    return dense.evaluate(w, f, t, y, yp)
+
+
+@entry
+def correct(w, f, cj, anew, z):
+    """`J^-1 F` of a small model behind `evaluate`."""
+    ended = dense.factor(w, f, cj) if anew else DONE
+    return dense.solve(w, f, f.r, z) if ended == DONE else ended
+
+
+class Handed:
+    """In place of `Predicted`: the cj that IDA told last."""
+
+    def begin(self, t, q):
+        """Nothing."""
+
+    accept = begin
+
+    def cj(self, t, q):
+        """The same, whatever the state."""
+        return self.value
+
+
+class Told(integrator._Run):
+    """A run whose preconditioner solves at its first call behind a residual, and hands the vector through at the next, as the product does."""
+
+    def __init__(self, settings, model, sizes, counts):
+        from sksundae.ida import IDA, IDAJacTimes, IDAPrecond
+
+        super().__init__(settings, model, sizes, counts)
+        rtol, *atol = settings.tolerances(model, sizes)
+        self.linear.predicted, self.fresh = Handed(), False
+        self.small = isinstance(self.linear, dense.DenseSolve)
+        self.evaluate, self.correct = evaluate.typed(), correct.typed()
+        self.solver = IDA(
+            self._told_residual,
+            rtol=rtol,
+            atol=self.system.tolerances(*atol),
+            max_order=settings.order(model),
+            linsolver="gmres",
+            krylov_dim=5,
+            precond=IDAPrecond(None, self._solve),
+            jactimes=IDAJacTimes(None, self._product),
+        )
+
+    def _told_residual(self, t, y, yp, res):
+        self.counts.residuals += 1
+        if t != self.tried:
+            self.attempts, self.tried = self.attempts + 1, t
+        self.fresh, linear = True, self.linear
+        if self.small:
+            self.evaluate(linear.table.w, linear.room, self.system.clamp(t), y, yp)
+            linear.table.raise_left()
+            res[:] = linear.room.r
+        else:
+            self.system.residual(t, y, yp, res)
+        if not (math.isfinite(res.dot(res)) or np.isfinite(res).all()):
+            self.refused = t, np.array(y[: self.model.n])
+
+    def _product(self, t, y, yp, res, vector, result, cj):
+        result[:] = vector
+
+    def _solve(self, t, y, yp, res, r, z, cj, delta):
+        if not self.fresh:
+            z[:] = r
+            return
+        self.fresh, linear, linear.predicted.value = False, self.linear, cj
+        if self.small:
+            self.counts.factorizations += (anew := linear.due(t, y))
+            self.correct(linear.table.w, linear.room, cj, anew, z)
+            linear.table.raise_left()
+        else:
+            linear.correct(t, y, yp, res, z)
+        np.negative(z, out=z)
+
+
+def told_row(case, pairs):
+    """Medians over pairs of runs: CPU seconds as it is and told, and told over as it is; what both did, and how far apart they end."""
+    make, rtol = CASES[case]
+    model, t_end, start = make()
+    kinds, row, times = {"": integrator._Run, "told_": Told}, {"n": model.n}, {"": [], "told_": []}
+    ends = {}
+    for k in range(-1, pairs):
+        for name in sorted(kinds, reverse=bool(k % 2)):
+            integrator._Run = kinds[name]
+            try:
+                seconds, run = cpu(lambda: solve(model, t_end, pi.IDA(rtol=rtol), every=NO_FRAMES, **start))
+            finally:
+                integrator._Run = kinds[""]
+            times[name] += [seconds] * (k >= 0)
+            ends[name] = run.q[-1]
+            row |= {f"{name}{key}": getattr(run.counts, key) for key in ("steps", "residuals", "factorizations", "rejected")}
+    row |= {f"{name}cpu_s": float(np.median(found)) for name, found in times.items()}
+    ratio = np.array(times["told_"]) / times[""]
+    return row | {"ratio": float(np.median(ratio)), "apart": float(np.abs(ends[""] - ends["told_"]).max())}
+
+
+def notes(rows):
+    """One line a case."""
+    return [
+        f"IDA told cj over IDA that guesses it, {row['case']}: CPU time {row['ratio']:.2f} of {row['cpu_s']:.3g} s; steps {row['told_steps']} over "
+        f"{row['steps']}, residuals {row['told_residuals']} over {row['residuals']}, factorizations {row['told_factorizations']} over "
+        f"{row['factorizations']}; ends {row['apart']:.1e} apart"
+        for row in rows
+    ]
