@@ -220,10 +220,6 @@ class DenseStages(DenseTable):
         """As of PythonStages."""
         return 0
 
-    def hold_constant(self, t, q):
-        """M and B where they do not change."""
-        self._hold_constant(t, q)
-
     def told(self, ended, engine, control):
         """(status, reason) of how a step ended."""
         return REASONS[ended]
