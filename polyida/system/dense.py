@@ -17,7 +17,7 @@ from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RES
 
 MOST = 50  # coordinates and constraints of a model that is solved so
 # constants of compiled code
-MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, BIAS = range(13)
+MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS = range(13)
 FUNCTIONS = (
     "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_bias",
 )  # fmt: skip

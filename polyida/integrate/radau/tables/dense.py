@@ -14,7 +14,6 @@ from polyida.linear import dense as lu
 from polyida.system import dense
 from polyida.system.dense import (
     BENT,
-    BIAS,
     END,
     FLAGS,
     FORCE,
@@ -24,6 +23,7 @@ from polyida.system.dense import (
     INNER,
     MASS,
     MASS_VARIES,
+    PHI_BIAS,
     PHI_Q,
     REACH,
     TANGENT,
@@ -344,8 +344,8 @@ def acceleration(w, instant, q, v, a, lam, e, f):
     for k in range(m):
         d.x[n + k] = 0.0
     if m and d.flags[BENT]:
-        if d.functions[BIAS]:
-            ended = ask(d, BIAS, INNER, d.phi)
+        if d.functions[PHI_BIAS]:
+            ended = ask(d, PHI_BIAS, INNER, d.phi)
             for k in range(m):
                 d.x[n + k] = -size * d.phi[k]
         else:

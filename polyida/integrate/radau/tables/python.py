@@ -13,7 +13,7 @@ from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REASONS, SINGULAR
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.model.guarded import writes
-from polyida.system.dense import BIAS, FORCE_V, FUNCTIONS, MOST
+from polyida.system.dense import FORCE_V, FUNCTIONS, MOST, PHI_BIAS
 from polyida.system.python import CompiledTable, DenseTable, PythonTable
 
 
@@ -194,7 +194,7 @@ class DenseStages(DenseTable):
         model, functions = self.model, self.w.functions
         bias = lambda: model.phi_bias(float(self.w.t[small.INNER]), self.w.q.copy(), self.w.v.copy())  # noqa: E731
         damping = lambda: model.force_v(float(self.w.t[small.INNER]), self.w.q.copy(), self.w.v.copy())  # noqa: E731
-        for number, function, out in ((BIAS, bias, self.w.phi), (FORCE_V, damping, self.w.slope)):
+        for number, function, out in ((PHI_BIAS, bias, self.w.phi), (FORCE_V, damping, self.w.slope)):
             if not functions[number]:
                 functions[number] = self._address(lambda *_, f=function, out=out: out.__setitem__(..., dense(f())))
         self.stages = small.workspace(self.w, tableau.stages, tied)
@@ -232,7 +232,7 @@ class CompiledStages(CompiledTable, DenseStages):
         needs, functions = self.model.needs, self.w.functions
         super()._take(tableau, tied)
         own = getattr(self.model, "user", self.model)
-        for number, asked in ((BIAS, needs.driven), (FORCE_V, False)):
+        for number, asked in ((PHI_BIAS, needs.driven), (FORCE_V, False)):
             if not writes(own, FUNCTIONS[number]) and not asked:
                 functions[number] = 0
 
