@@ -17,8 +17,22 @@ from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RES
 
 MOST = 50  # coordinates and constraints of a model that is solved so
 # constants of compiled code
-MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q = range(12)
-FUNCTIONS = "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q"
+MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, POTENTIAL = range(13)
+FUNCTIONS = (
+    "mass",
+    "force",
+    "phi",
+    "phi_q",
+    "phi_t",
+    "residual",
+    "objection",
+    "tangent",
+    "force_q",
+    "force_v",
+    "mass_a_q",
+    "reaction_q",
+    "potential",
+)
 MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT = range(6)  # of Dense.flags; KEPT: the factors are of the S and B of now
 REACH = FIRST_ORDER_STEP
 INNER, END = range(2)  # of Dense.t: within the step beside a kink at its end, and the end itself

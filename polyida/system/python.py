@@ -12,7 +12,7 @@ from polyida.linear.matrix import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import writes
 from polyida.system import dense as small
-from polyida.system.own import Compiled
+from polyida.system.own import OF_STEPS, Compiled
 from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
 
@@ -238,15 +238,23 @@ class CompiledTable(DenseTable):
     """The table of a small model whose functions numba compiled; what it does not write is asked of it in Python, or is a difference."""
 
     longest = INSTANTS
+    names = OF_STEPS
 
     def _fill(self):
         super()._fill()
-        self.compiled, functions = Compiled(getattr(self.model, "user", self.model)), self.w.functions
+        self.compiled, functions = Compiled(getattr(self.model, "user", self.model), self.names), self.w.functions
         functions[small.TANGENT] = 0
         for name, at in self.compiled.addresses.items():
             functions[small.FUNCTIONS.index(name)] = at
         self.w = self.w._replace(data=self.compiled.data)
         self.workspace = self.w.address
+
+
+def small_own(model):
+    """Whether a model is one's own, and small, and leaves its systems to the package."""
+    own = getattr(model, "user", model)
+    written = any(writes(own, name) for name in ("step_matrix", "mass_system", "increments"))
+    return not (written or model.is_scene or model.n + model.m > small.MOST)
 
 
 def table_of(model, linear, tied, incremental):
@@ -255,8 +263,6 @@ def table_of(model, linear, tied, incremental):
         from polyida.system.scene import SceneTable
 
         return SceneTable(model, tied, incremental)
-    own = getattr(model, "user", model)
-    plain = not any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")) and not model.is_scene
-    if linear == "kkt" or not plain or model.n + model.m > small.MOST:
+    if linear == "kkt" or not small_own(model):
         return PythonTable(model, incremental)
-    return (CompiledTable if own.by_numba else DenseTable)(model, incremental)
+    return (CompiledTable if getattr(model, "user", model).by_numba else DenseTable)(model, incremental)
