@@ -25,11 +25,12 @@ from polyida.keywords import named_keywords
 from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
 from polyida.model.check import require_declared
-from polyida.model.guarded import guard, require_functions
+from polyida.model.guarded import guard, require_functions, unguarded
 from polyida.sensor import Sensor
 
 if TYPE_CHECKING:
-    from polyida.trajectory import Trajectory
+    from polyida.system.own import Compiled
+from polyida.trajectory import Trajectory
 
 MOST_STEPS = 1e12
 SHORTEST = 1e-15  # s: what is divided by the squares of its steps is still a number in single precision
@@ -118,6 +119,8 @@ def _first(model, t0, state, q0, v0, t_end, nonholonomic):
         t0, q, v = state.t, state.q, state.v
     else:
         q, v = given(known, "q0", q0), given(known, "v0", v0)
+    if not known.is_scene and unguarded(known).by_numba:
+        Compiled(unguarded(known))
     require_functions(known, float(t0), q, v)
     require_declared(known, float(t0), q, v, float(t_end), nonholonomic)
     if state is None:

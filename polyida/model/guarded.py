@@ -42,10 +42,6 @@ def require_functions(model, t, q, v):
     if model.compiled and not model.own_forces:
         return
     require_constraints(model)
-    if not model.is_scene and model.user.by_numba:
-        from polyida.system.own import Compiled
-
-        Compiled(model.user)
     try:
         model.call_all(t, q, v)
     except NotImplementedError as error:

@@ -17,9 +17,10 @@ from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RES
 
 MOST = 50  # coordinates and constraints of a model that is solved so
 # constants of compiled code
-MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS = range(13)
+MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
 FUNCTIONS = (
     "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_bias",
+    "potential",
 )  # fmt: skip
 MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT, HELD = range(7)  # of Dense.flags
 # KEPT: the factors are of the S and B of now; HELD: B is that of the state already

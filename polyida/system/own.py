@@ -31,7 +31,9 @@ SHAPES = {  # of what the functions return, in n and m
     "mass_a_q": "nn",
     "reaction_q": "nn",
     "phi_bias": "m",
+    "potential": "",
 }
+OF_STEPS = tuple(name for name in SHAPES if name != "potential")  # which only the energy-momentum method asks for
 
 
 def compiled(cls: type[M]) -> type[M]:
@@ -78,8 +80,8 @@ def compiled(cls: type[M]) -> type[M]:
 class Compiled:
     """The C functions that a model writes, {name: address}, and what they read as self; kept as long as this. Raises InputError."""
 
-    def __init__(self, model):
-        names = [name for name in SHAPES if writes(model, name) and (model.m or name not in OF_CONSTRAINTS)]
+    def __init__(self, model, wanted=OF_STEPS):
+        names = [name for name in wanted if writes(model, name) and (model.m or name not in OF_CONSTRAINTS)]
         self.values = _values(model, names)
         own = numba.from_dtype(self.values.dtype)
         self.addresses = {name: _c_function(model, name, own).address for name in names}
@@ -130,8 +132,18 @@ def _made(function, name, own, n, m):
         text = " ".join(str(error).split())
         raise InputError(f"{label} cannot be compiled by numba: {text:.600}; leave out @polyida.jit, or write it as numba wants") from None
     found = inner.overloads[kinds].signature.return_type
+    if not shape and isinstance(found, types.Float | types.Integer):
+        return _c_entry(inner, own, given, sizes, "", "filled = carray(pointer(out), (1,))\n    filled[0] = found")
+    if not shape:
+        raise InputError(f"{label} must return a number, not {found}")
     if not (isinstance(found, types.Array) and found.ndim == len(shape) and isinstance(found.dtype, types.Float | types.Integer)):
         raise InputError(f"{label} must return an array of {len(shape)} dimension{'s' * (len(shape) > 1)} of real numbers, not {found}")
+    checked = f"if found.shape != {shape}:\n        return WRONG_SHAPE\n    "
+    return _c_entry(inner, own, given, sizes, checked, f"filled = carray(pointer(out), {shape})\n    filled[...] = found")
+
+
+def _c_entry(inner, own, given, sizes, checked, filled):
+    """The C function around a compiled one."""
     places = {
         "t": "carray(pointer(t), (1,))[0]",
         **{x: f"carray(pointer({x}), ({sizes[s]},))" for x, s in zip(("q", "v", "a", "lam"), "nnnm")},
@@ -142,14 +154,11 @@ def _made(function, name, own, n, m):
         found = inner(own, {", ".join(places[argument] for argument in given)})
     except Exception:
         return RAISED
-    if found.shape != shape:
-        return WRONG_SHAPE
-    filled = carray(pointer(out), shape)
-    filled[...] = found
+    {checked}{filled}
     return DONE
 """
     made: dict = {}
-    names = {"carray": carray, "pointer": pointer, "record": _record_pointer(own), "inner": inner, "shape": shape}
+    names = {"carray": carray, "pointer": pointer, "record": _record_pointer(own), "inner": inner}
     exec(source, names | {"RAISED": RAISED, "WRONG_SHAPE": WRONG_SHAPE, "DONE": DONE}, made)
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(made["called"])
 

@@ -13,7 +13,7 @@ from polyida.linear.matrix import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import writes
 from polyida.system import dense as small
-from polyida.system.own import Compiled
+from polyida.system.own import OF_STEPS, Compiled
 from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
 SHORT, LONG = 5e-3, 20e-3  # s
@@ -259,15 +259,23 @@ class CompiledTable(DenseTable):
     """The table of a small model whose functions numba compiled; what it does not write is asked of it in Python, or is a difference."""
 
     longest = steady = INSTANTS
+    names = OF_STEPS
 
     def _fill(self):
         super()._fill()
-        self.compiled, functions = Compiled(getattr(self.model, "user", self.model)), self.w.functions
+        self.compiled, functions = Compiled(getattr(self.model, "user", self.model), self.names), self.w.functions
         functions[[small.TANGENT, small.FORCE_V]] = 0
         for name, at in self.compiled.addresses.items():
             functions[small.FUNCTIONS.index(name)] = at
         self.w = self.w._replace(data=self.compiled.data)
         self.workspace = self.w.address
+
+
+def small_own(model):
+    """Whether a model is one's own, and small, and leaves its systems to the package."""
+    own = getattr(model, "user", model)
+    written = any(writes(own, name) for name in ("step_matrix", "mass_system", "increments"))
+    return not (written or model.is_scene or model.n + model.m > small.MOST)
 
 
 def table_of(model, linear, tied, incremental):
@@ -280,8 +288,7 @@ def table_of(model, linear, tied, incremental):
 
 
 def small_table(model, incremental=False):
-    """The table of a model that is solved with dense matrices, or None: of a scene, a large one, and of one that solves by itself."""
-    own = getattr(model, "user", model)
-    if model.is_scene or model.n + model.m > small.MOST or any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")):
+    """The table of a model that is solved with dense matrices, or None where it is not."""
+    if not small_own(model):
         return None
-    return (CompiledTable if own.by_numba else DenseTable)(model, incremental)
+    return (CompiledTable if getattr(model, "user", model).by_numba else DenseTable)(model, incremental)

@@ -213,3 +213,75 @@ def test_what_cannot_be_compiled_is_refused_before_the_run(kind):
 def test_only_models_are_compiled():
     with pytest.raises(pi.InputError, match="subclass of polyida.Model"):
         compiled(dict)
+
+
+class Swing(pi.Model):
+    """A point on a rod of 1 m that a quartic spring pulls: a constant M, not declared, and phi quadratic in q."""
+
+    n, m, needs = 2, 1, pi.Needs(driven=False)
+    stiffness, drag = 30.0, 0.0
+
+    def mass(self, q):
+        return np.array([[2.0, 0.0], [0.0, 2.0]])
+
+    def force(self, t, q, v):
+        return np.array([self.stiffness * (q[0] + q[0] ** 3), 19.62]) + self.drag * v
+
+    def potential(self, q):
+        return self.stiffness * (q[0] ** 2 / 2 + q[0] ** 4 / 4) + 19.62 * q[1]
+
+    def phi(self, t, q):
+        return np.array([q @ q - 1.0])
+
+    def phi_q(self, t, q):
+        return np.array([[2.0 * q[0], 2.0 * q[1]]])
+
+
+class Springs(Free):
+    """Two quartic springs without a constraint."""
+
+    def force(self, t, q, v):
+        return np.array([q[0] + 40.0 * q[0] ** 3, 3.0 * q[1]])
+
+    def potential(self, q):
+        return q[0] ** 2 / 2 + 10.0 * q[0] ** 4 + 1.5 * q[1] ** 2
+
+
+class Carried(Swing):
+    """The same, at the end of a rod whose foot moves."""
+
+    needs = pi.Needs(mass_varies=False)
+
+    def phi(self, t, q):
+        return np.array([(q[0] - 0.1 * np.sin(t)) ** 2 + q[1] ** 2 - 1.0])
+
+    def phi_q(self, t, q):
+        return np.array([[2.0 * (q[0] - 0.1 * np.sin(t)), 2.0 * q[1]]])
+
+    def phi_t(self, t, q):
+        return np.array([-0.2 * np.cos(t) * (q[0] - 0.1 * np.sin(t))])
+
+
+@pytest.mark.parametrize("kind, start", [(Swing, {"q0": [1.0, 0.0]}), (Springs, {"v0": [1.0, -1.0]}), (Carried, {"q0": [1.0, 0.0]})])
+def test_energy_momentum_is_the_same_compiled(kind, start):
+    """Both by the discrete derivative; the compiled one keeps its matrix, and energy where nothing drives."""
+    fast = compiled(type("Fast", (kind,), {}))()
+    runs = [pi.solve(model, 1.0, pi.EnergyMomentum(h=4e-3, tolerance=1e-13), **start) for model in (kind(), fast)]
+    assert all(run.success for run in runs), runs[1].message
+    for name in ("q", "v", "a", "lam"):
+        one, other = (getattr(run, name) for run in runs)
+        assert np.abs(one - other).max(initial=0.0) < 1e-8 * max(1.0, np.abs(one).max(initial=0.0)), name
+    assert runs[0].counts.factorizations >= 250 > 2 * runs[1].counts.factorizations and "each step" not in runs[1].summary()
+    if not kind.needs.driven:
+        assert np.ptp(runs[1].energy.total) < 1e-10 * np.ptp(runs[1].energy.kinetic)
+
+
+def test_only_the_energy_momentum_method_compiles_the_potential():
+    class Odd(Springs):
+        def potential(self, q):
+            return float(repr(float(Springs.potential(self, q))))  # which numba does not take
+
+    odd = compiled(Odd)()
+    assert pi.solve(odd, 0.02, pi.GeneralizedAlpha(h=1e-2)).success
+    with pytest.raises(pi.InputError, match=r"Odd\.potential cannot be compiled"):
+        pi.solve(odd, 0.02, pi.EnergyMomentum(h=1e-2))

@@ -21,6 +21,7 @@ from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.check import require_energies
 from polyida.model.guarded import guard
+from polyida.system.python import small_own
 
 
 @named_keywords
@@ -38,8 +39,8 @@ class EnergyMomentum:
     `potential`, with a constant mass and phi at most quadratic in q (integrate/energy/general.py). Other forces act at the middle. That
     the energy is kept where phi_q varies needs `Needs(driven=False)`: else phi may do work, and v is put on its constraint at the cost of it.
 
-    Scenes of plates, bodies, joints, loads and compiled force elements go through a compiled loop, which keeps its factor. With force elements
-    or bodies in Python, or a model of one's own, each step makes a new factorization, which the run's summary says.
+    Scenes of plates, bodies, joints, loads and compiled force elements, and small models of one's own that numba compiles, go through a compiled
+    loop, which keeps its factor. With other force elements, bodies and models each step makes a new factorization, which the run's summary says.
 
     h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
     the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the
@@ -101,7 +102,7 @@ class EnergyMomentum:
 def _kind(model):
     """The kind of steps that a model takes."""
     if not model.is_scene:
-        return General
+        return Midpoint if small_own(model) and getattr(model, "user", model).by_numba else General
     return Midpoint if model.compiled and (model.laws is None or NO_ENERGY not in model.laws.energies) else WithForces
 
 

@@ -25,7 +25,6 @@ from polyida.model.guarded import guard, require_constraints
 
 EPS = np.finfo(float).eps
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off
-
 SAME = 1e-9  # of its size, by which what ought to be equal may differ
 
 

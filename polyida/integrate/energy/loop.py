@@ -133,11 +133,11 @@ def finish(f, w, instant, h, kind, now, rows, energies, q, v, a, lam):
 
 
 @entry
-def stretch(f, w, first, h, tolerance, most, extent, kind, now, rows, counts, qs, vs, accelerations, lams):
+def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, counts, qs, vs, accelerations, lams):
     """Steps until the frames or the factor's use end: (steps, how it ended, last |dq|).
 
-    f, w: addresses of the table's functions and of the model's workspace; first: number of the first step. counts (2,): of residuals and
-    solves. Frames go to qs, vs, accelerations (steps, n), lams (steps, m); the last two are of no length where they are made when they are asked for,
+    f, w: addresses of the table's functions and of the model's workspace; first: number of the first step; c (2,): 4/h^2 and 2/h. counts (3,): of residuals,
+    solves and matrices made. Frames go to qs, vs, accelerations (steps, n), lams (steps, m); the last two are of no length where they are made when they are asked for,
     vs then holds what the next step begins with.
     """
     moved, energies = 0.0, np.zeros(2)
@@ -145,6 +145,14 @@ def stretch(f, w, first, h, tolerance, most, extent, kind, now, rows, counts, qs
         instant = 2 * (first + k) + 1
         predict(h, now, rows)
         ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, counts)
+        if f[table.FACTOR] and ended in (REFACTOR, NOT_FINITE):
+            predict(h, now, rows)
+            fill_middle(h, now)
+            places = address(now[QM]), address(now[VM]), address(now[AM]), address(rows[LAM]), address(c)
+            ended = call(f[table.FACTOR], w, instant - 1, places[0], places[1], places[2], places[3], places[4], 0)
+            counts[2] += 1
+            if ended == DONE:
+                ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, counts)
         if ended != DONE:
             return k, ended, moved
         j = min(k, lams.shape[0] - 1)

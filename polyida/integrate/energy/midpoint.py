@@ -1,9 +1,10 @@
-"""Steps of the energy-momentum method on scenes without Python: stretches of a compiled loop, factors where it asks for one."""
+"""Steps of the energy-momentum method without Python: stretches of a compiled loop, factors where it asks for one."""
 
 import numpy as np
 
 from polyida.integrate.energy import loop
 from polyida.integrate.energy.at_end import AtEnd
+from polyida.integrate.energy.dense import EnergyOfOwn
 from polyida.integrate.energy.scene import EnergyTable
 from polyida.integrate.energy.steps import Steps
 from polyida.integrate.kinks import inner_side
@@ -17,16 +18,23 @@ CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 
 
 class Midpoint(Steps):
-    """Steps of a scene whose forces are all compiled."""
+    """Steps of a scene whose forces are all compiled, or of a small model of one's own that is."""
 
     def _room(self):
         model = self.model
-        self.table, self.pause = EnergyTable(model), 0
-        self.extent = float(np.ptp(model.reference, axis=0).max())
+        self.pause, self.c = 0, np.array([4.0 / self.h**2, 2.0 / self.h])
+        if model.is_scene:
+            self.table, self.extent = EnergyTable(model), float(np.ptp(model.reference, axis=0).max())
+        else:
+            self.table, self.extent = EnergyOfOwn(model), 0.0
         self.now, self.lams = np.zeros((loop.NOW, model.n)), np.zeros((loop.ROWS, model.m))
         turning = model.m and model.needs.phi_q_varies
         self.kind = loop.DRIVEN if model.needs.driven else loop.TURNING if turning else loop.FREE
         self.longest = 1 if model.switching else max(1, min(self.table.longest, CHUNK_BYTES // (48 * model.n)))
+
+    def step_matrix(self, model):
+        """The model's own."""
+        return model.step_matrix()
 
     def run(self, state, grid):
         """Yield the states at the ends of the grid's steps. Raises StepFailure."""
@@ -79,14 +87,19 @@ class Midpoint(Steps):
 
     def _steps(self, first, frames):
         """(steps, how it ended, last |dq|) of the compiled loop."""
-        counts, s = np.zeros(2, np.int64), self.settings
-        settings = self.h, s.tolerance, s.max_iterations, self.extent, self.kind
+        counts, s = np.zeros(3, np.int64), self.settings
+        settings = self.c, self.h, s.tolerance, s.max_iterations, self.extent, self.kind
         left = [values[first:] if len(values) > first else values for values in frames]
         with self.table.at_work(self.system) as (functions, workspace):
             ended = loop.stretch(functions, workspace, first, *settings, self.now, self.lams, counts, *left)
         self.counts.residuals += int(counts[0])
         self.counts.solves += int(counts[1])
         self.counts.newton_iterations += int(counts[1])
+        self.table.raise_left()
+        if counts[2]:
+            self.system.read()
+            self.counts.tangents += int(counts[2])
+            self.counts.factorizations += int(counts[2])
         return ended
 
     def _state(self, t, frame, whole):
@@ -111,12 +124,12 @@ class Midpoint(Steps):
         """A new factor for the step that ends at t."""
         h, now, counts = self.h, self.now, self.counts
         q = now[loop.Q0] + 0.5 * h * now[loop.V0] + 0.25 * h * h * now[loop.GUESS]
-        self.system, lam = self.model.step_matrix(), self.lams[loop.KNOWN].copy()
+        self.system, lam = self.table.system(self), self.lams[loop.KNOWN].copy()
         counts.tangents += 1
         counts.factorizations += 1
         counts.residuals += 1
         try:
-            self.system.factor(t - 0.5 * h, q, now[loop.V0].copy(), now[loop.GUESS].copy(), lam, 4.0 / (h * h), 2.0 / h)
+            self.system.factor(t - 0.5 * h, q, now[loop.V0].copy(), now[loop.GUESS].copy(), lam, *self.c)
         except SingularSystem as error:
             raise StepFailure("singular", str(error), t) from None
         counts.backend = self.system.backend
