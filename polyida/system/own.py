@@ -116,8 +116,8 @@ def _made(function, name, own, n, m):
     inner = numba.njit(error_model="numpy")(_with_compiled_globals(function))
     try:
         inner.compile(kinds)
-    except NumbaError as error:
-        text = " ".join(str(error).split())
+    except (NumbaError, KeyError) as error:
+        text = " ".join(str(error).split()) if isinstance(error, NumbaError) else f"self.{error.args[0]} is neither a number nor an array"
         raise InputError(
             f"{label} cannot be compiled by numba: {text:.600}; leave out @polyida.compiled, or write it as numba wants"
         ) from None
