@@ -128,9 +128,11 @@ def _made(function, name, own, n, m):
     inner = numba.njit(error_model="numpy")(_with_compiled_globals(function))
     try:
         inner.compile(kinds)
-    except NumbaError as error:
-        text = " ".join(str(error).split())
-        raise InputError(f"{label} cannot be compiled by numba: {text:.600}; leave out @polyida.jit, or write it as numba wants") from None
+    except (NumbaError, KeyError) as error:
+        text = " ".join(str(error).split()) if isinstance(error, NumbaError) else f"self.{error.args[0]} is neither a number nor an array"
+        raise InputError(
+            f"{label} cannot be compiled by numba: {text:.600}; leave out @polyida.compiled, or write it as numba wants"
+        ) from None
     found = inner.overloads[kinds].signature.return_type
     if not shape and isinstance(found, types.Float | types.Integer):
         return _c_entry(inner, own, given, sizes, "", "filled = carray(pointer(out), (1,))\n    filled[0] = found")

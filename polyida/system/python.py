@@ -163,8 +163,6 @@ class DenseTable(PythonTable):
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for name, function in self._functions(w).items():
             functions[small.FUNCTIONS.index(name)] = self._address(function) if function else 0
-        for number, at in small.addresses().items():
-            self.functions[number] = at
         self.workspace, self.factored, self.made = w.address, None, False
 
     def _functions(self, w):
@@ -172,7 +170,7 @@ class DenseTable(PythonTable):
 
         def fill(out, function, *arguments):
             def called(*_):
-                found = function(*(given() for given in arguments))
+                found = function(*[given() for given in arguments])
                 out[...] = found if type(found) is np.ndarray else dense(found)
 
             return called
@@ -206,6 +204,8 @@ class DenseTable(PythonTable):
     @contextmanager
     def at_work(self, system):
         """As of any table; S is in the workspace."""
+        for number, at in () if self.functions[RESIDUAL] else small.addresses().items():
+            self.functions[number] = at
         if system is not self.factored:
             self.factored, self.w.S[...], self.w.flags[small.KEPT] = system, system.S, 0
         with self._timed():

@@ -204,7 +204,15 @@ class Unknown(Free):
         return np.array(eval("[0.0, 1.0]"))
 
 
-@pytest.mark.parametrize("kind", [Complex, Number, Writes, Unknown])
+class Asks(Free):
+    def pull(self, q):
+        return 4.0 * q
+
+    def force(self, t, q, v):
+        return self.pull(q)
+
+
+@pytest.mark.parametrize("kind", [Complex, Number, Writes, Unknown, Asks])
 def test_what_cannot_be_compiled_is_refused_before_the_run(kind):
     with pytest.raises(pi.InputError, match=f"{kind.__name__}.(mass|force)"):
         pi.solve(by_numba(kind)(), 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.5])

@@ -3,7 +3,8 @@
 import numpy as np
 
 MOST = 5  # order of a backward differentiation formula, at most
-LEADS = np.cumsum(1 / np.arange(1, MOST + 1))  # cj h of the orders, whatever the steps before
+LEADS = np.cumsum(1 / np.arange(1, MOST + 1)).tolist()  # cj h of the orders, whatever the steps before
+SHORTEST = float(np.finfo(float).tiny)  # s
 
 
 class Predicted:
@@ -41,4 +42,4 @@ class Predicted:
 
     def cj(self, t, q):
         """The cj of a step to t."""
-        return LEADS[self.order(t, q) - 1] / max(t - self.times[0], np.finfo(float).tiny)
+        return LEADS[self.order(t, q) - 1] / max(t - self.times[0], SHORTEST)
