@@ -10,10 +10,13 @@ from polyida import problems
 from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.rows import Rows
 from polyida.integrate.radau.tableau import radau, through, through_zero
+from polyida.integrate.radau.tables.scene import FEW
 from polyida.integrate.radau.whole import WholeModes
+from polyida.integrate.start import consistent_acceleration
 from polyida.linear.kkt import SCALINGS
 from polyida.model import differences
 from polyida.problems.plates import double_plate, double_plate_motors
+from polyida.system.own import compiled
 
 FIELDS = ("t", "q", "v", "a", "lam")
 
@@ -419,6 +422,65 @@ def test_a_damped_scene(scenes):
     model = scene.build()
     run, other = pi.solve(model, 0.1, pi.RadauIIA(rtol=1e-6)), pi.solve(model, 0.1, pi.GeneralizedAlpha(h=2e-4))
     assert run.success and np.abs(run.q[-1] - other.q[-1]).max() < 2e-5
+
+
+def mixed():
+    """A driven rigid body off its center of mass, a damped plate of 20 nodes on it, and a damped spring."""
+    scene = pi.Scene(gravity=(0.0, -9.81))
+    bar = scene.add(pi.RigidBody(1.0, 0.1, center=(0.3, 0.1), points={"a": (0.0, 0.0), "b": (1.0, 0.0)}, name="bar"))
+    soft = pi.Material(E=1e6, nu=0.3, rho=1100.0, viscosity=1e-3)
+    plate = pi.Plate(pi.mesh.rectangle(1.0, 0.3, cells=6, seed=1, origin=(1.0, 0.0)), soft, thickness=0.01, name="plate")
+    scene.add(plate)
+    scene.add(pi.AngleMotor(pi.ground, bar.at("a"), pi.profile.quintic(0.0, 0.6, duration=0.5), name="motor"))
+    scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), bar.at("a"), name="pin"))
+    scene.add(pi.Revolute(bar.at("b"), plate.section("left"), name="hinge"))
+    scene.add(pi.SpringDamper(pi.ground.at((0.0, 1.0)), plate.section("right"), 30.0, 2.0, name="spring"))
+    return scene.build()
+
+
+def test_a_and_lam_of_small_scenes_are_those_of_the_equations_of_motion():
+    """They are made in the loop, by a full M^-1; of large scenes when they are asked for."""
+    model = mixed()
+    assert model.compiled and model.n_nodes <= FEW
+    for settings in ({"rtol": 1e-5}, {"h": 5e-3}, {"h": 5e-3, "stages": 2}):
+        run = pi.solve(model, 0.1, pi.RadauIIA(**settings))
+        for t, q, v, a, lam in list(zip(run.t, run.q, run.v, run.a, run.lam))[1:]:
+            exact = consistent_acceleration(model, t, q, v)
+            assert np.abs(a - exact[0]).max() < 1e-9 * np.abs(exact[0]).max()
+            assert np.abs(lam - exact[1]).max() < 1e-9 * np.abs(exact[1]).max()
+
+
+class Pair(pi.Model):
+    """Two masses on a rod that a damper slows; M and phi_q vary, phi_bias is a difference."""
+
+    n, m = 3, 1
+
+    def mass(self, q):
+        return np.diag(np.array([1.0, 2.0, 1.0 + q[0] ** 2]))
+
+    def force(self, t, q, v):
+        return np.array([0.3 * v[0] + q[0] * v[2] ** 2, 9.81, 0.1 * v[2] * q[0]])
+
+    def phi(self, t, q):
+        return np.array([q[0] * q[0] + q[1] * q[1] + 0.3 * np.sin(q[2]) - 1.0])
+
+    def phi_q(self, t, q):
+        return np.array([[2.0 * q[0], 2.0 * q[1], 0.3 * np.cos(q[2])]])
+
+
+@pytest.mark.parametrize("kind", [Pair, compiled(type("Compiled", (Pair,), {"needs": pi.Needs(driven=False)}))])
+@pytest.mark.parametrize("settings", [{"rtol": 1e-8}, {"h": 0.01}, {"h": 0.01, "stages": 2}, {"rtol": 1e-6, "form": "index3"}], ids=str)
+def test_small_models_of_ones_own_go_the_way_of_the_whole_matrix(kind, settings):
+    """In compiled code with the functions called back or compiled, and in plain code with `linear="kkt"`."""
+    start = {"q0": [1.0, 0.0, 0.0], "v0": [0.0, 0.0, 0.0]}
+    one, other = (
+        pi.solve(model, 1.0, pi.RadauIIA(**settings | more), **start) for model, more in ((kind(), {}), (Pair(), {"linear": "kkt"}))
+    )
+    assert one.success and other.success and one.counts.steps == other.counts.steps
+    assert np.abs(one.q - other.q).max() < 1e-7 and np.abs(one.q[-1] - other.q[-1]).max() < 1e-8
+    for t, q, v, a, lam in list(zip(one.t, one.q, one.v, one.a, one.lam))[::20]:
+        exact = consistent_acceleration(Pair(), t, q, v)
+        assert np.abs(a - exact[0]).max() < 1e-7 and np.abs(lam - exact[1]).max() < 1e-7
 
 
 class Oscillator(pi.Model):

@@ -22,12 +22,14 @@ def march(engine, settings, model, state, begin, end, most, counts):
     if "rest" in state.memory:  # what is known of steps before is not in it
         engine.begin(state)
     while grid.done < grid.count:
+        done = grid.done
         try:
             for state in engine.equal(state, grid):
-                grid = grid._replace(done=grid.done + 1)
+                done += 1
                 yield state
+            return
         except StepFailure as failure:
-            counts.rejected += 1
+            counts.rejected, grid = counts.rejected + 1, grid._replace(done=done)
             state = _in_parts(engine, settings, state, grid, failure, counts)
             counts.steps += 1
             grid = grid._replace(done=grid.done + 1)

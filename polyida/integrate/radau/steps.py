@@ -1,5 +1,6 @@
 """Steps of Radau IIA on one model: stretches of the compiled loop, factors where it asks for some, states from what it leaves."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -133,9 +134,9 @@ class Steps:
             ends = np.array([grid.time(k + 1) for k in range(grid.done, min(grid.done + self.longest, grid.count))])
             control = Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, at(state.t))
             for state in self._states(state, control, ends, partial(_on_grid, grid)):
-                grid = grid._replace(done=grid.done + 1)
                 self.counts.steps += 1
                 yield state
+            grid = grid._replace(done=grid.done + len(ends))
 
     def adaptive(self, state, control, place):
         """Yield states as the control has them; place(taken, k, rung): what their memory has besides, `taken` steps and k on. Raises StepFailure."""
@@ -160,19 +161,19 @@ class Steps:
             found, ended = stretch(*called, p, self.way, *held, y, self.trial, self.room, self.done, ends[taken:], o)
             if self.done[FACTORS]:
                 self.made = None
-            self.at, before = None, vars(self.counts).copy()
+            self.at, before = None, replace(self.counts)
             if found:
                 self.made = self.kept.made.copy() if self.made is None else self.made
                 s = Stretch(
                     o, begin, self.tableau.c, self.made, bool(self.model.carries), self._shared(), partial(place, taken), self._motion()
                 )
-            for k in range(found):
-                self._count(before, o.counts[k])
+            for k, done in enumerate(o.counts[:found].astype(int).tolist()):
+                self._count(before, done)
                 state = Accepted(s, k)
                 if k == found - 1:
                     self.at = state
                 yield state
-            self._count(before, self.done)
+            self._count(before, self.done.tolist())
             self.at = self.at or state
             taken, count, first = taken + found, count - found, first + found * (self.settings.stages + 1) * self.table.prepared
             self.table.raise_left()
@@ -188,11 +189,10 @@ class Steps:
 
     def _count(self, before, done):
         """Counts at a step."""
-        counts, (residuals, iterations, solves, factors, rejected) = self.counts, map(int, done)
-        counts.residuals, counts.newton_iterations = before["residuals"] + residuals, before["newton_iterations"] + iterations
-        counts.solves, counts.rejected = before["solves"] + solves, before["rejected"] + rejected
-        counts.tangents = before["tangents"] + factors
-        counts.factorizations = before["factorizations"] + factors * len(self.tableau.modes)
+        counts, (residuals, iterations, solves, factors, rejected) = self.counts, done
+        counts.residuals, counts.newton_iterations = before.residuals + residuals, before.newton_iterations + iterations
+        counts.solves, counts.rejected = before.solves + solves, before.rejected + rejected
+        counts.tangents, counts.factorizations = before.tangents + factors, before.factorizations + factors * len(self.tableau.modes)
 
     @property
     def of_run(self):

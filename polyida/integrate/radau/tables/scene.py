@@ -17,7 +17,7 @@ from polyida.assembly.bodies.damping import symmetric_parts
 from polyida.assembly.own.laws import Laws
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import stage_tables
-from polyida.assembly.rows.tie import Tie, tie
+from polyida.assembly.rows.tie import Tie, tie, velocity_rate
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.integrate.kinks import inner_side
@@ -28,10 +28,11 @@ from polyida.integrate.radau.tables.dense import complex_pointer
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.jit import pack, part
 from polyida.linear.dense import clear
-from polyida.system.scene import add_forces
+from polyida.system.scene import add_forces, along
 from polyida.system.table import CALLBACK, c_address, c_entry, pointer
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
+FEW = 40  # nodes of a scene whose M^-1 is a full matrix
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
 
@@ -52,7 +53,7 @@ class SceneWork(NamedTuple):
 
     damp, laws, tie: None where there is nothing of the kind. drives, gains (instants, profiles, 3): of the profiles, at each instant and from
     the step's beginning to it; rotation, turn (s, nodes, 2); points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle
-    stage; c: the tableau's; h (1,).
+    stage; c: the tableau's; h (1,); still (nodes, 2), level (m,): zero; inverse (nodes, nodes): of M, complex, or (0, 0).
     """
 
     scene: tuple
@@ -70,8 +71,12 @@ class SceneWork(NamedTuple):
     vz: np.ndarray
     dz: np.ndarray
     level: np.ndarray
+    spare: np.ndarray
     c: np.ndarray
     h: np.ndarray
+    still: np.ndarray
+    r: np.ndarray
+    inverse: np.ndarray
 
 
 @part
@@ -113,7 +118,7 @@ def reaction(w, instant, q, mu, dv, d, e, f):
     s, dz = w.scene.links, w.dz[stage(w, instant)]
     joints.point_values(s, pairs(w, q), dz)
     clear(w.forces)
-    joints.joint_forces(s, w.drives[instant], dz, rows(w, mu), w.level, w.forces)
+    joints.joint_forces(s, w.drives[instant], dz, rows(w, mu), w.spare, w.forces)
     joints.spread(s, w.forces, pairs(w, dv))
     return DONE
 
@@ -278,10 +283,52 @@ def off(w, instant, v, a, r, p, q, f):
     return DONE
 
 
+@c_entry
+def acceleration(w, instant, q, v, a, lam, e, f):
+    """a and lam of the equations of motion."""
+    k, drives, u, speed, found = stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), w.turn[0]
+    kernels.equilibrium(w.scene, drives, u, w.still, w.level, found, w.spare, w.rotation[k], w.dz[k], w.forces)
+    add_forces(w.scene, w.damp, w.laws, drives, u, speed, found)
+    out = pairs(w, a)
+    for i in range(out.shape[0]):
+        total = 0.0j
+        for j in range(out.shape[0]):
+            total -= w.inverse[i, j] * complex(found[j, 0], found[j, 1])
+        w.r[i, 0], w.r[i, 1] = total.real, total.imag
+    ended = constrained(w.scene.links, w.tie, drives, w.dz[k], speed, w.spare, w.r, rows(w, lam))
+    if ended == DONE:
+        for i in range(out.shape[0]):
+            out[i, 0], out[i, 1] = w.r[i, 0], w.r[i, 1]
+    return ended
+
+
+@part
+def constrained(s, t, drives, dz, v, wanted, a, lam):
+    """Take lam out of a, so that phi_q a + phi_bias = 0; what is None is not compiled."""
+    if t is None:
+        return DONE
+    velocity_rate(s, drives, dz, v, t)
+    joints.point_values(s, a, t.vz)
+    for k in range(wanted.shape[0]):
+        wanted[k] = t.bias[k] + along(s, t.slopes, k, t.vz)
+    if not project_rows(s, t, wanted, a):
+        return SINGULAR
+    for k in range(wanted.shape[0]):
+        lam[k] = t.eta[k]
+    return DONE
+
+
 FUNCTIONS = {
     of.HOLD: hold, of.REACTION: reaction, of.RESIDUAL: residual, of.CLOSE: close, of.RATE: rate, of.PROJECT: project, of.ROWS: middle_rows,
     of.TURN: turn, of.REAL: real, of.PAIR: pair, of.OFF: off,
 }  # fmt: skip
+
+
+def inverse_mass(model):
+    """M^-1 of a scene, (nodes, nodes), complex."""
+    real = np.stack([np.eye(model.n_nodes), np.zeros((model.n_nodes, model.n_nodes))], axis=1)
+    found = model.mass_inverse(real.reshape(model.n, model.n_nodes)).reshape(model.n_nodes, 2, model.n_nodes)
+    return np.ascontiguousarray(found[:, 0] + 1j * found[:, 1])
 
 
 class SceneStages:
@@ -292,6 +339,8 @@ class SceneStages:
     def __init__(self, model, tableau, tied, linear):
         self.model, self.tableau, self.tied, self.linear, s = model, tableau, tied, linear, tableau.stages
         nodes, points, instants = (model.n_nodes, 2), (model.n_points, 2), (of.STEPS * (s + 1), len(model.profiles), 3)
+        small = model.n_nodes <= FEW
+        self.entries = FUNCTIONS | ({of.ACCELERATION: acceleration} if small else {})
         self.w = {
             "scene": model.arrays,
             "tie": tie(model) if model.m else None,
@@ -306,8 +355,12 @@ class SceneStages:
             "vz": np.zeros(points),
             "dz": np.zeros((s, *points)),
             "level": np.zeros(model.m),
+            "spare": np.zeros(model.m),
             "c": tableau.c,
             "h": np.zeros(1),
+            "still": np.zeros(nodes),
+            "r": np.zeros(nodes),
+            "inverse": inverse_mass(model) if small else np.zeros((0, 0), complex),
         }
         self.functions, self.kind, self.work, self.workspace, self.slots = np.zeros(of.ENTRIES, np.int64), None, None, 0, {}
         self.callback, self.prepared, self.raised = CALLBACK(self._prepare), False, None
@@ -355,7 +408,7 @@ class SceneStages:
         self.workspace, kind = self.work.address, typeof(self.work)
         if kind != self.kind:
             self.kind = kind
-            for number, function in FUNCTIONS.items():
+            for number, function in self.entries.items():
                 self.functions[number] = c_address(function, kind)
 
     def told(self, ended, engine, control):
