@@ -28,7 +28,7 @@ from polyida.integrate.radau.tables.dense import complex_pointer
 from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.jit import pack, part
 from polyida.linear.dense import clear
-from polyida.system.scene import add_forces, along
+from polyida.system.scene import add_forces
 from polyida.system.table import CALLBACK, c_address, c_entry, pointer
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
@@ -310,7 +310,7 @@ def constrained(s, t, drives, dz, v, wanted, a, lam):
     velocity_rate(s, drives, dz, v, t)
     joints.point_values(s, a, t.vz)
     for k in range(wanted.shape[0]):
-        wanted[k] = t.bias[k] + along(s, t.slopes, k, t.vz)
+        wanted[k] = t.bias[k] + joints.along(s, t.slopes, k, t.vz)
     if not project_rows(s, t, wanted, a):
         return SINGULAR
     for k in range(wanted.shape[0]):
