@@ -18,15 +18,10 @@ from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard
-from polyida.results.angle import angle_of
 from polyida.results.energy import Energy, energy_of, grown
-from polyida.results.momentum import momenta_of
-from polyida.results.motion import Motion
-from polyida.results.reaction import reaction_of
+from polyida.results.motion import Motion, angle_of, momenta_of, reaction_of, strains, von_mises
 from polyida.results.section_forces import SectionForces, section_forces
 from polyida.results.sensors import Sensors
-from polyida.results.strain import strains
-from polyida.results.stress import von_mises
 from polyida.results.tables import dataframe, dataset
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ import numpy as np
 
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.run import gradient_of_run
-from polyida.adjoint.still.modal import gradient_of_modes
-from polyida.adjoint.still.static import gradient_of_static
+from polyida.adjoint.still import gradient_of_modes, gradient_of_static
 from polyida.bar import over_time, require_progress
 from polyida.errors import InputError
 from polyida.integrate.statics.loading import Equilibrium

@@ -8,11 +8,30 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_whole
+from polyida.integrate.directions import Direction, direction, known_inputs
 from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
 from polyida.modal import eigen
 from polyida.modal.modes import Modes, normalised
 from polyida.modal.system import NO_MASS
+
+
+def inputs_of(part, model, state, given):
+    """A list of Direction with labels, of what a user gives: None (all profiles), one, a list or a dictionary {label: one}.
+
+    Raises InputError in the name of `part`.
+    """
+    if given is None:
+        given = [name for name in known_inputs(model) if name]
+    if not isinstance(given, (list, dict)):
+        given = [given]
+    named = given.items() if isinstance(given, dict) else ((None, one) for one in given)
+    return [_labelled(direction(part, model, state, one), label, k) for k, (label, one) in enumerate(named)]
+
+
+def _labelled(pushed, label, number):
+    return Direction(str(label or pushed.label or f"input {number}"), pushed.force, pushed.row)
+
 
 OFF = 1e-6  # of |B| |x|: modes that leave the constraints by more are none of this state
 MOST = 2000  # coordinates that are taken without modes

@@ -14,9 +14,28 @@ from polyida.integrate.state import State
 from polyida.integrate.statics.loading import Equilibrium
 from polyida.keywords import named_keywords
 from polyida.modal import eigen
-from polyida.modal.participation import effective_masses
 from polyida.modal.system import linear_system
 from polyida.model import Model
+
+
+def effective_masses(model, M, X):
+    """`|x^H M r|^2`, (count, 2), kg, of mass-normalised shapes X (n, count), r the unit translations along x and y; and `r^T M r`, kg.
+
+    None and nan of a model that has no bodies.
+    """
+    r = translations(model)
+    if r is None:
+        return None, float("nan")
+    return np.abs(X.conj().T @ (M @ r)) ** 2, float(r[:, 0] @ (M @ r[:, 0]))
+
+
+def translations(model):
+    """Columns (n, 2): how q moves where all bodies move by 1 m along x, and along y; None where the model has no bodies."""
+    if not model.is_scene:
+        return None
+    T = model.translation
+    return np.stack([T.view(float), (1j * T).view(float)], axis=1)
+
 
 LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
 FLUTTER = 1e-9  # of |s|: a root to the right of the imaginary axis by no more is on it

@@ -12,8 +12,7 @@ from polyida.given import floats
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem
-from polyida.modal.coordinates import Coordinates
-from polyida.modal.inputs import inputs_of
+from polyida.modal.coordinates import Coordinates, inputs_of
 from polyida.modal.modes import Modes
 from polyida.modal.outputs import along, labels_of, outputs_of
 from polyida.modal.system import linear_system

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.brief import brief
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
-from polyida.modal.coordinates import Coordinates
-from polyida.modal.inputs import inputs_of
+from polyida.modal.coordinates import Coordinates, inputs_of
 from polyida.modal.modes import Modes
 from polyida.modal.outputs import along, labels_of, outputs_of
 from polyida.modal.system import linear_system

@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.html.blocks import shown
@@ -49,7 +51,7 @@ class Result:
 
         Raises InputError where xarray is not installed.
         """
-        from polyida.study.histories import dataset
+        from polyida.study.result import dataset
 
         return dataset(self.histories) if self.histories else self.to_dataframe().rename_axis("row").to_xarray()
 
@@ -128,3 +130,27 @@ def cell(value, form="{}"):
 def _aligned(text, width, column):
     """The first column to the left, the others to the right."""
     return text.ljust(width) if column == 0 else text.rjust(width)
+
+
+def dataset(histories):
+    """{label: {"t": (frames,), name: (frames,)}} as an xarray.Dataset over (run, frame), t a coordinate, NaN behind a run's last frame.
+
+    Raises InputError where xarray is not installed.
+    """
+    try:
+        from xarray import Dataset
+    except ImportError:
+        raise InputError("to_xarray: xarray is not installed; pip install 'polyida[xarray]'") from None
+    names = list(dict.fromkeys(name for found in histories.values() for name in found if name != "t"))
+    count = max(len(found["t"]) for found in histories.values())
+    columns = {
+        name: (["run", "frame"], np.array([_padded(found.get(name), count) for found in histories.values()])) for name in ["t", *names]
+    }
+    return Dataset(columns, coords={"run": list(histories)}).set_coords("t")
+
+
+def _padded(values, count):
+    full = np.full(count, np.nan)
+    if values is not None:
+        full[: len(values)] = values
+    return full

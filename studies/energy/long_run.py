@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Revolute
 from polyida.problems import plates
 from polyida.scene import Scene
 from polyida.study.kinds.energy import energy

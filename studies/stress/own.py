@@ -17,8 +17,7 @@ from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
 from polyida.joint.formula import cross
 from polyida.joint.joint import Joint
-from polyida.joint.revolute import Revolute
-from polyida.joint.slot import Slot
+from polyida.joint.joints import Revolute, Slot
 from polyida.modal.modes import modes
 from polyida.model import Model, Needs
 from polyida.model.check import check_derivatives

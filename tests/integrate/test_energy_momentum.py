@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.start import on_velocity
-from polyida.results.balance import unbalanced
+from polyida.results.motion import unbalanced
 
 ENERGY = 1e-9  # of the energy exchanged, for Newton's tolerance
 

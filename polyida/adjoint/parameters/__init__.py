@@ -11,7 +11,7 @@ from polyida.adjoint.parameters.motions import of_motions
 from polyida.adjoint.parameters.own import of_own
 from polyida.adjoint.parameters.parameter import Parameter
 from polyida.adjoint.parameters.plates import of_plates
-from polyida.adjoint.parameters.shared import Shared
+from polyida.adjoint.parameters.work import Shared
 from polyida.assembly.bodies.motion import moves_at
 from polyida.assembly.bodies.motion_slopes import motion_slopes
 

@@ -1,6 +1,8 @@
 """What a parameter's slope is summed over: times and states of a run with the multipliers of its equations there."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,3 +31,17 @@ def stacked(entries):
     if not entries:
         return None
     return Work(np.array([entry.t for entry in entries]), *(np.stack(column) for column in list(zip(*entries))[1:]))
+
+
+@dataclass(eq=False)
+class Shared:
+    """`make(model, work)`, kept for the last Work that it was asked for."""
+
+    make: Callable[[Any, Any], Any]
+    model: Any
+    _last: tuple = field(default=(None, None), init=False)
+
+    def __call__(self, work):
+        if self._last[0] is not work:
+            self._last = work, self.make(self.model, work)
+        return self._last[1]

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from polyida.adjoint.radau.stages import begun, within
+from polyida.adjoint.alpha.again import Again
+from polyida.adjoint.radau.stages import begun, exact_steps, within
 from polyida.adjoint.steps.course import Course, every_step, reader, taken_again
 from polyida.adjoint.steps.recorded import Piece
 from polyida.integrate.radau.steps import Steps
@@ -49,3 +50,20 @@ def _parts(settings, model, state, end):
     for k in range(1, parts.count):
         state, _ = engine.step(state, parts.h, parts.time(k))
         yield state
+
+
+class RadauAgain(Again):
+    """As Again, each step solved to round-off."""
+
+    course_of = staticmethod(course_of)
+
+    def _exact(self, settings):
+        return settings
+
+    def _taken(self, model, state, times):
+        states, engine = [state], exact_steps(model, self.settings, state, float(self.run.t[-1]), Counts())
+        for piece in self.course.pieces:
+            state, t = begun(model, states[-1]), times(piece.first + 1)
+            engine.limits = within(model, state.t, t)
+            states.append(engine.step(state, t - state.t, t)[0])
+        return states

@@ -12,8 +12,7 @@ from polyida.given import complex_of_pairs, floats
 from polyida.joint.attachment import Attachment
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
-from polyida.objective.means.bodies import named
-from polyida.objective.means.time_mean import TimeMean, rates
+from polyida.objective.means.time_mean import TimeMean, named, rates
 from polyida.objective.slopes import Slopes
 
 

@@ -10,8 +10,7 @@ from polyida.given import complex_of_pairs, is_one_of, pairs_of, settle
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
-from polyida.objective.means.bodies import named
-from polyida.objective.means.time_mean import TimeMean, power
+from polyida.objective.means.time_mean import TimeMean, named, power
 from polyida.objective.slopes import Slopes
 from polyida.results.tables import components
 

@@ -10,10 +10,9 @@ from polyida.element.lanes import LANES
 from polyida.given import settle
 from polyida.keywords import named_keywords
 from polyida.objective.means import kernels
-from polyida.objective.means.bodies import chosen, deforming, named
-from polyida.objective.means.time_mean import TimeMean, power, power_mean, relative
+from polyida.objective.means.time_mean import TimeMean, chosen, deforming, named, power, power_mean, relative
 from polyida.objective.slopes import Slopes
-from polyida.results.stress import von_mises
+from polyida.results.motion import von_mises
 
 
 @named_keywords

@@ -10,8 +10,7 @@ from polyida.assembly.build import compact_of
 from polyida.assembly.factors.shares import Shares
 from polyida.keywords import named_keywords
 from polyida.objective.means import kernels
-from polyida.objective.means.bodies import chosen, deforming, named
-from polyida.objective.means.time_mean import TimeMean
+from polyida.objective.means.time_mean import TimeMean, chosen, deforming, named
 from polyida.objective.slopes import Slopes
 
 

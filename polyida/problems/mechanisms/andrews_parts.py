@@ -14,7 +14,7 @@ from polyida.body.rigid_body import RigidBody
 from polyida.force.spring_damper import SpringDamper
 from polyida.force.torque import Torque
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Revolute
 from polyida.problems import Problem
 from polyida.problems import andrews as given
 from polyida.problems.about import ABOUT

@@ -19,7 +19,7 @@ from polyida.show.style import on_axes, plain
 from polyida.study.drawing import look
 from polyida.study.progress import teller
 from polyida.study.result import Result
-from polyida.study.slopes import fitted
+from polyida.study.rows import fitted
 from polyida.study.subject import require_labels, studied
 
 DECADES = tuple(10.0**-k for k in range(1, 10))

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
-from polyida.results.balance import unbalanced
+from polyida.results.motion import unbalanced
 from polyida.study.kinds.kept import Kept, kept
 from polyida.study.progress import teller
 from polyida.study.subject import members, subject
