@@ -8,7 +8,7 @@ _PLACES = {
     "ReductionWarning": "errors",
     "Model": "model",
     "Needs": "model",
-    "check_derivatives": "model.check",
+    "check_derivatives": "model.derivatives",
     "Material": "body.material",
     "Plate": "body.plate",
     "PointMass": "body.point_mass",

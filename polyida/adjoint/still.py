@@ -22,6 +22,8 @@ from polyida.modal.modes import Modes, modes
 from polyida.model.guarded import guard
 from polyida.objective.along import along_way
 
+TOLERANCE = 1e-13  # of Newton's method, in what differences are made of
+
 
 def gradient_of_static(equilibrium, objective, names=None):
     """The Gradient of an objective of an Equilibrium. Raises StepFailure where the structure can move freely."""
@@ -67,9 +69,6 @@ def gradient_of_modes(modes, objective, names=None):
         for work in adjoint_of_static(modes.state, own, counts):
             totals.work(work)
     return Gradient(objective(modes), totals.slopes(), counts, totals.left_out)
-
-
-TOLERANCE = 1e-13  # of Newton's method, in what differences are made of
 
 
 class StillAgain:

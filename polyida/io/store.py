@@ -16,6 +16,8 @@ from polyida.io.memory import LAZY, room
 
 BLOCK = 1 << 20  # bytes that are written at once
 WINDOW = 1 << 24  # bytes after which the system is told that those before will not be read soon
+SMALL = 1 << 20  # bytes of a run's frames that are not worth a piece of memory of their own
+PART = 8  # times an array must be in that piece to be left there: one that is less, and kept for long, would keep all of it
 
 
 class Spill:
@@ -64,10 +66,6 @@ def _mapped(file, values, count):
         return np.empty((count, *values.shape[1:]), values.dtype)
     mapping = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_COPY)
     return np.frombuffer(mapping, values.dtype).reshape(count, *values.shape[1:])
-
-
-SMALL = 1 << 20  # bytes of a run's frames that are not worth a piece of memory of their own
-PART = 8  # times an array must be in that piece to be left there: one that is less, and kept for long, would keep all of it
 
 
 class FrameStore:

@@ -15,6 +15,9 @@ from polyida.modal import eigen
 from polyida.modal.modes import Modes, normalised
 from polyida.modal.system import NO_MASS
 
+OFF = 1e-6  # of |B| |x|: modes that leave the constraints by more are none of this state
+MOST = 2000  # coordinates that are taken without modes
+
 
 def inputs_of(part, model, state, given):
     """A list of Direction with labels, of what a user gives: None (all profiles), one, a list or a dictionary {label: one}.
@@ -31,10 +34,6 @@ def inputs_of(part, model, state, given):
 
 def _labelled(pushed, label, number):
     return Direction(str(label or pushed.label or f"input {number}"), pushed.force, pushed.row)
-
-
-OFF = 1e-6  # of |B| |x|: modes that leave the constraints by more are none of this state
-MOST = 2000  # coordinates that are taken without modes
 
 
 class Coordinates:

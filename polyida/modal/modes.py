@@ -17,6 +17,9 @@ from polyida.modal import eigen
 from polyida.modal.system import linear_system
 from polyida.model import Model
 
+LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
+FLUTTER = 1e-9  # of |s|: a root to the right of the imaginary axis by no more is on it
+
 
 def effective_masses(model, M, X):
     """`|x^H M r|^2`, (count, 2), kg, of mass-normalised shapes X (n, count), r the unit translations along x and y; and `r^T M r`, kg.
@@ -35,10 +38,6 @@ def translations(model):
         return None
     T = model.translation
     return np.stack([T.view(float), (1j * T).view(float)], axis=1)
-
-
-LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
-FLUTTER = 1e-9  # of |s|: a root to the right of the imaginary axis by no more is on it
 
 
 @named_keywords

@@ -18,6 +18,9 @@ from polyida.integrate.state import Counts, State
 from polyida.model.differences import jacobian
 from polyida.model.guarded import guard
 
+TOGETHER = 64  # steps whose multipliers are summed up at once, at most
+CHUNK = 4_000_000  # bytes of stages that are held at once
+
 
 def lift_bars(model, state, lift, bar):
     """(the bar of q, (n,), entries for parameters' slopes) of a state where D^-1, `lift`, was made, from the bar of that, (n,).
@@ -35,10 +38,6 @@ def lift_bars(model, state, lift, bar):
         for a, w in ((unit, slope * unit), (zero, -slope * unit)):
             entries.append(Work(state.t, state.q, zero, a, rows, w, rows, rows, rows))
     return jacobian(at, state.q, 1)[0] if model.needs.mass_varies else zero, entries
-
-
-TOGETHER = 64  # steps whose multipliers are summed up at once, at most
-CHUNK = 4_000_000  # bytes of stages that are held at once
 
 
 class RadauBackward:

@@ -7,6 +7,7 @@ from polyida.io.file.layout import chunk_of, frames_at_once, width_of
 
 LANE, SECOND, THIRD, FOURTH = np.uint64(0xFFFF), np.uint64(16), np.uint64(32), np.uint64(48)
 TWO, THREE, FOUR = np.uint64(2), np.uint64(3), np.uint64(4)
+CHECK = 4  # bytes of a chunk's checksum
 
 
 def fletcher32(values):
@@ -35,9 +36,6 @@ def _sums(quads):
         p2 += a2
         p3 += a3
     return a0 + a1 + a2 + a3, FOUR * (p0 + p1 + p2 + p3) - a1 - TWO * a2 - THREE * a3
-
-
-CHECK = 4  # bytes of a chunk's checksum
 
 
 class Table:

@@ -24,6 +24,9 @@ from polyida.objective.objective import Objective
 from polyida.objective.slopes import Slopes
 from polyida.objective.still import run_of
 
+NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
+FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
+
 
 def chosen(part, model, given, known):
     """The bodies meant among `known`, {name: one placed}: by name or itself, or all for None. Raises InputError in the name of `part`."""
@@ -115,10 +118,6 @@ class TimeMean(Objective):
 
 def _span(run):
     return float(np.ptp(run.t)) / max(1, len(run.t) - 1)
-
-
-NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
-FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
 
 
 def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:

@@ -21,6 +21,11 @@ COLOURS = {  # of a figure -> of the page, which has them light and dark
     "#0072b2": "blue",
     "#56b4e9": "sky",
 }
+WITHIN = 2_000_000  # bytes of CSV that the page itself holds
+SHOWN = 60, 12  # rows and columns of numbers that the page shows as a table
+MANY = 10  # columns, beyond which a table is smaller on paper
+LONG = 60  # letters, from which a cell is a sentence
+DASH = "\N{EN DASH}"
 
 
 def inline(text, name, label):
@@ -38,13 +43,6 @@ def inline(text, name, label):
 def _coloured(found):
     kind, colour = found.groups()
     return f"{kind}: var(--{COLOURS[colour.lower()]})" if colour.lower() in COLOURS else found[0]
-
-
-WITHIN = 2_000_000  # bytes of CSV that the page itself holds
-SHOWN = 60, 12  # rows and columns of numbers that the page shows as a table
-MANY = 10  # columns, beyond which a table is smaller on paper
-LONG = 60  # letters, from which a cell is a sentence
-DASH = "\N{EN DASH}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from polyida.study.subject import PARTS, kind_of, setting
 
 FINER = 1.5  # times the steps: of two runs that tell how far one moves
 STANDS = 10.0  # times nearer to each other than to the reference, and beyond what is known of it: two runs that do not come to it
+ABOVE = 10.0  # times what is known of the reference: errors above it are fitted
 
 
 def short(reference):
@@ -46,9 +47,6 @@ def _standing(label, pairs, reference):
                 "the reference: it follows another motion, or the reference has stepped over something short that no kink of the model announces"
             ]
     return []
-
-
-ABOVE = 10.0  # times what is known of the reference: errors above it are fitted
 
 
 class Precision(Result):
