@@ -11,7 +11,7 @@ from typing import Any
 parts: dict[str, Any] = {
     "Plate": "polyida.body.plate:Plate",
     "RigidBody": "polyida.body.rigid_body:RigidBody",
-    "Rigid": "polyida.body.rigid:Rigid",
+    "Rigid": "polyida.body.rigid_body:Rigid",
     "Reduced": "polyida.body.reduced:Reduced",
     "PointMass": "polyida.body.point_mass:PointMass",
     "PointLoad": "polyida.force.loads:PointLoad",
@@ -24,10 +24,10 @@ parts: dict[str, Any] = {
     "Distance": "polyida.joint.joints:Distance",
     "Weld": "polyida.joint.joints:Weld",
     "Path": "polyida.joint.joints:Path",
-    "SpringDamper": "polyida.force.spring_damper:SpringDamper",
-    "TorsionSpring": "polyida.force.torsion_spring:TorsionSpring",
-    "Torque": "polyida.force.torque:Torque",
-    "Force": "polyida.force.force:Force",
+    "SpringDamper": "polyida.force.elements:SpringDamper",
+    "TorsionSpring": "polyida.force.elements:TorsionSpring",
+    "Torque": "polyida.force.elements:Torque",
+    "Force": "polyida.force.elements:Force",
     "Contact": "polyida.force.contact:Contact",
 }
 integrators: dict[str, Any] = {

@@ -247,23 +247,16 @@ class Trajectory:
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         cost, model = getattr(self.integrator, "cost", lambda model: ""), self.model
-        of_model = (
-            () if model is None else (model.remark, cost(model), hint(model, self.q, self.integrator), self._left_out(), self._grown())
-        )
+        of_model = []
+        if model is not None:
+            of_model = [model.remark, cost(model), hint(model, self.q, self.integrator)]
+            of_model += [left_out.hint(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
         unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
         told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
             f"; {self.message}" if self.message else ""
         )
-
-    def _left_out(self):
-        """What is said of reduced plates whose modes leave much out."""
-        return left_out.hint(self.model, self.t, self.q, self.a) if self.model.few else ""
-
-    def _grown(self):
-        """What is said of energy that comes from nowhere."""
-        return grown(self._motion("summary"))
 
     def __repr__(self):
         return f"<Trajectory: {self._told()}>"

@@ -20,7 +20,7 @@ from polyida.linear.kkt import KKT, scaling_factors
 from polyida.linear.lu import SingularSystem
 from polyida.modal.modes import Modes, modes
 from polyida.model.guarded import guard
-from polyida.objective.along import along_way
+from polyida.objective.slopes import along_way
 
 TOLERANCE = 1e-13  # of Newton's method, in what differences are made of
 

@@ -54,7 +54,8 @@ def main(study, arguments=None, command=None):
         with writable(), document(options.json) as answer:
             answer(data)
             _print(study, rows, found, [out / "figures.json", page])
-            _print_age(other, rows)
+            if other:
+                print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
     except InputError as error:
         print(f"error: {error}; the figures are in {out}", file=sys.stderr)
         sys.exit(2)
@@ -77,11 +78,6 @@ def _meant(study, options):
     for name, value in _given(study, options).items():
         meant, command = study.options[name][1](value), f"{command} --{name} {value}"
     return meant, command
-
-
-def _print_age(other, rows):
-    if other:
-        print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
 
 
 def _results(study, options, out, progress):

@@ -11,7 +11,7 @@ from polyida.compiled import entry, part
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.given import settle
-from polyida.joint.attachment import require_sides
+from polyida.joint.attachment import require_places, require_sides
 from polyida.keywords import named_keywords
 
 
@@ -79,9 +79,7 @@ class Contact(ForceElement):
 
     def __post_init__(self):
         require_sides(self.label, self.a, self.b)
-        for side in (self.a, self.b):
-            if side.point is None:
-                raise InputError(f"{self.label}: ground has no place by itself; use ground.at(point)")
+        require_places(self.label, self.a, self.b)
         if self.radius is None and not self.b.has_direction:
             raise InputError(f"{self.label}: {self.b!r} has no direction, and there is no radius; give a radius, or {self.b.advice}")
         settle(

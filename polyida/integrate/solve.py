@@ -25,7 +25,7 @@ from polyida.keywords import named_keywords
 from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
 from polyida.model.check import require_declared
-from polyida.model.guarded import guard, require_functions
+from polyida.model.guarded import guard
 from polyida.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -118,7 +118,6 @@ def _first(model, t0, state, q0, v0, t_end, nonholonomic):
         t0, q, v = state.t, state.q, state.v
     else:
         q, v = given(known, "q0", q0), given(known, "v0", v0)
-    require_functions(known, float(t0), q, v)
     require_declared(known, float(t0), q, v, float(t_end), nonholonomic)
     if state is None:
         return consistent_state(model, t0, q0, v0)

@@ -34,7 +34,7 @@ class Spill:
     def append(self, block):
         """Append frames, a list of arrays. Safe to be interrupted and called again."""
         with taken(self.shown):
-            self._files += [_nameless() for _ in block[len(self._files) :]]
+            self._files += [tempfile.TemporaryFile(buffering=0) for _ in block[len(self._files) :]]  # noqa: SIM115, they stay open
             for file, values in zip(self._files, block):
                 _write(file, values.reshape(-1).view(np.uint8), self.count * values[:1].nbytes)
         self.count += len(block[0])
@@ -47,10 +47,6 @@ class Spill:
     def arrays(self, block):
         """The frames as arrays, of the shapes and dtypes of a block; what is written into them later is not in the file."""
         return [_mapped(file, values, self.count) for file, values in zip(self._files, block)]
-
-
-def _nameless():
-    return tempfile.TemporaryFile(buffering=0)
 
 
 def _write(file, values, at):

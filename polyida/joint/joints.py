@@ -9,7 +9,7 @@ import numpy as np
 from polyida.body.material import positive
 from polyida.errors import InputError
 from polyida.given import is_number, settle
-from polyida.joint.attachment import Attachment, Ground, ground, labelled, require_attachment
+from polyida.joint.attachment import Attachment, Ground, ground, labelled, require_attachment, require_places
 from polyida.joint.formula import Row, Vector, along, cross, dot
 from polyida.joint.joint import FORCE, Joint
 from polyida.keywords import named_keywords
@@ -173,8 +173,7 @@ class Distance(Joint):
     def __post_init__(self):
         super().__post_init__()
         label = labelled("Distance", self.name)
-        if self.a.point is None or self.b.point is None:
-            raise InputError(f"{label}: ground has no place by itself; use ground.at(point)")
+        require_places(label, self.a, self.b)
         drawn = float(np.linalg.norm(self.b.point - self.a.point))
         settle(self, length=positive(label, "length", drawn if self.length is None else self.length, "metres"))
 

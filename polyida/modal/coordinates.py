@@ -4,11 +4,13 @@ Columns of T are normal (`B T = 0`, `T^T M T = 1`). G is what inputs that move c
 their accelerations move no y: `y'' = T^T M x''`.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_whole
-from polyida.integrate.directions import Direction, direction, known_inputs
+from polyida.integrate.directions import direction, known_inputs
 from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
 from polyida.modal import eigen
@@ -29,11 +31,8 @@ def inputs_of(part, model, state, given):
     if not isinstance(given, (list, dict)):
         given = [given]
     named = given.items() if isinstance(given, dict) else ((None, one) for one in given)
-    return [_labelled(direction(part, model, state, one), label, k) for k, (label, one) in enumerate(named)]
-
-
-def _labelled(pushed, label, number):
-    return Direction(str(label or pushed.label or f"input {number}"), pushed.force, pushed.row)
+    found = [(label, direction(part, model, state, one)) for label, one in named]
+    return [replace(one, label=str(label or one.label or f"input {k}")) for k, (label, one) in enumerate(found)]
 
 
 class Coordinates:

@@ -264,7 +264,7 @@ class Model:
         columns = []
         for unit in np.eye(value.size).reshape(value.size, *value.shape):
             size = float(np.abs(value[unit == 1.0]).item()) or 1.0
-            columns.append(differences.along(lambda s, unit=unit: function(self.replaced(name, _like(value + s * unit))), size, room))
+            columns.append(differences.along(lambda s, unit=unit: function(self.replaced(name, (value + s * unit)[()])), size, room))
         return np.stack(columns, axis=-1).reshape(len(columns[0]), *value.shape)
 
     def _room(self, name, value, t):
@@ -298,11 +298,6 @@ class Model:
             return KKT(self.mass(q), self.phi_q(t, q))
         except SingularSystem:
             raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None
-
-
-def _like(value):
-    """A number as a float, an array as it is."""
-    return value if value.ndim else float(value)
 
 
 def require_model(part, model):

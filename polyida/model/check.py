@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.model import differences
-from polyida.model.guarded import SAME, writes
+from polyida.model.guarded import SAME, require_functions, writes
 
 REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: how far from the start a state is drawn, the first where phi is finite
 SCALES = (1.0, 1e-2, 1e-4)  # of a difference's step: where two of them agree, the difference is known
@@ -74,12 +74,14 @@ def _wrong_slope(energy, forces, x, sizes, random):
 
 
 def require_declared(model, t, q, v, t_end=None, nonholonomic=False):
-    """Raise InputError where a model of one's own breaks a promise of its `needs`, or writes a wrong derivative of phi.
+    """Raise InputError where a function of a model gives what is wrong or not finite at (t, q, v), where the model breaks a promise of its
+    `needs`, and where it writes a wrong derivative of phi.
 
-    It is looked at at two states drawn at random near q and v (n,), at times between t and t_end. What is not finite there, or raises, is
+    The last two are looked at at two states drawn at random near q and v (n,), at times between t and t_end. What is not finite there, or raises, is
     passed over, and so is a derivative where differences of unlike steps disagree, as beside a kink. nonholonomic: phi_rate is a
     constraint of its own, linear in v with the slope phi_q; only that, and phi_bias, are compared then.
     """
+    require_functions(model, t, q, v)
     if model.is_scene:
         require_energies(model, t, q, strain_only=True)
         return

@@ -9,9 +9,8 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.keywords import named_keywords
-from polyida.objective.objective import Objective
+from polyida.objective.objective import Objective, asked, run_of
 from polyida.objective.slopes import FRAMES, Slopes
-from polyida.objective.still import run_of
 
 
 @named_keywords
@@ -63,14 +62,7 @@ class Own(Objective):
 
 
 def _asked(name, function, run):
-    """What a user's function of a run gives. Raises InputError, in its name, where it raises."""
-    try:
-        return function(run)
-    except InputError:
-        raise
-    except Exception as error:
-        called = getattr(function, "__name__", type(function).__name__)
-        raise InputError(f"Own: {name}(run), the function {called}, raised {type(error).__name__}: {error}") from error
+    return asked(f"Own: {name}(run), the function {getattr(function, '__name__', type(function).__name__)},", function, run)
 
 
 def _checked(name, value, shape=None):

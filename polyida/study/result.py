@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from polyida.brief import cut
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.html.blocks import shown
@@ -36,6 +37,11 @@ class Result:
         self.rows, self.notes, self.histories = list(rows), list(notes), histories or {}
 
     @property
+    def labels(self) -> list[str]:
+        """The labels of the integrators that rows are of."""
+        return list(dict.fromkeys(row["integrator"] for row in self.rows if "integrator" in row))
+
+    @property
     def figures(self) -> dict[str, float]:
         """{name: number}: what the rows come to."""
         return {}
@@ -51,8 +57,6 @@ class Result:
 
         Raises InputError where xarray is not installed.
         """
-        from polyida.study.result import dataset
-
         return dataset(self.histories) if self.histories else self.to_dataframe().rename_axis("row").to_xarray()
 
     def plot(self, *what: Any, **options: Any) -> Any:
@@ -123,8 +127,7 @@ class Result:
 
 def cell(value, form="{}"):
     """A value as a cell of a printed table: a dash for what is missing or not finite, long texts cut."""
-    text = shown(value, form, "-")
-    return text if len(text) <= CELL else f"{text[: CELL - 1]}…"
+    return cut(shown(value, form, "-"), CELL)
 
 
 def _aligned(text, width, column):

@@ -7,7 +7,7 @@ import numpy as np
 from polyida.joint.joints import Revolute
 from polyida.problems import plates
 from polyida.scene import Scene
-from polyida.study.kinds.energy import energy
+from polyida.study.kinds.kept import energy
 from polyida.study.members import by_tolerance, integrator
 
 WEIGHTS_FALL = 9.81 * (

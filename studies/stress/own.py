@@ -9,9 +9,8 @@ import numpy as np
 from polyida.body.body import Body
 from polyida.body.rigid_body import RigidBody
 from polyida.errors import InputError
+from polyida.force.elements import SpringDamper, Torque
 from polyida.force.force_element import ForceElement
-from polyida.force.spring_damper import SpringDamper
-from polyida.force.torque import Torque
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import Any
 
-from polyida.adjoint.parameters.elements import element_work
+from polyida.adjoint.parameters.driven.times import element_work
 from polyida.adjoint.parameters.parameter import Parameter, total
 from polyida.adjoint.parameters.rebuilt import changed, with_part
 from polyida.assembly.bodies.motion import moves_at

@@ -17,7 +17,7 @@ from polyida.integrate.statics.static import whole_load
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.check import require_declared
-from polyida.model.guarded import guard, require_functions
+from polyida.model.guarded import guard
 
 WANTED = 4  # iterations of a step of the right length
 LONGEST = 64.0  # times the first step
@@ -110,7 +110,6 @@ def equilibrium_path(
     loading = whole_load("equilibrium_path", guarded, t, tolerance, max_iterations)
     _require(first, until, start, count)
     q = given(guarded, "q0", q0)
-    require_functions(guarded, loading.t, q, np.zeros(guarded.n))
     require_declared(guarded, loading.t, q, np.zeros(guarded.n))
     if load is not None:
         loading = _beside(loading, q, load)

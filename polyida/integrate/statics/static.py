@@ -13,7 +13,7 @@ from polyida.integrate.statics.loading import Equilibrium, Loading
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.check import require_declared
-from polyida.model.guarded import guard, require_functions
+from polyida.model.guarded import guard
 
 HALVINGS = 10  # of a part of the load, at most, in a row
 ATTEMPTS = 200  # at parts, at most, beyond those that were asked for
@@ -46,7 +46,6 @@ def static(
     if not is_flag(linear):
         raise InputError(f"static: linear = {linear!r} must be True or False")
     q = given(model, "q0", q0)
-    require_functions(model, loading.t, q, np.zeros(model.n))
     require_declared(model, loading.t, q, np.zeros(model.n))
     if linear:
         return loading.small()

@@ -105,7 +105,7 @@ class Told:
     def by_time(self, toward):
         """`dR/dt^T toward` at fixed coordinates and multipliers, (frames,)."""
         turned = lambda profile: along(lambda s: self._at(ahead=(profile, s)))  # noqa: E731
-        rates = [(turned(profile), [profile.d1(t) for t in self.t.tolist()]) for profile in self.of.profiles]
+        rates = [(turned(profile), profile.over(self.t, 1)) for profile in self.of.profiles]
         return sum((np.sum(slope * toward, axis=1) * rate for slope, rate in rates), np.zeros(len(toward)))
 
     def _at(self, lam=None, moved=(None, 0.0), ahead=(None, 0.0)):

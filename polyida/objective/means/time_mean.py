@@ -20,9 +20,8 @@ from polyida.given import is_number, is_one_of
 from polyida.io.file.layout import frames_at_once
 from polyida.model.differences import along, around
 from polyida.model.guarded import guard, unguarded
-from polyida.objective.objective import Objective
+from polyida.objective.objective import Objective, run_of
 from polyida.objective.slopes import Slopes
-from polyida.objective.still import run_of
 
 NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
 FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that

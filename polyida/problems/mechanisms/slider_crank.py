@@ -11,7 +11,7 @@ from polyida import profile
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
-from polyida.force.torque import Torque
+from polyida.force.elements import Torque
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute, Slot
 from polyida.problems.mechanisms.levels import body_at, problem_of

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import polyida
+from polyida.bar import teller
 from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.keywords import named_keywords
 from polyida.show.style import on_axes
 from polyida.show.style import plain as plain_text
 from polyida.study.drawing import look
-from polyida.study.progress import teller
 from polyida.study.result import Result
 from polyida.study.sweeps.code import mark_of
 from polyida.study.sweeps.harness import Shelf, collected, package_mark
