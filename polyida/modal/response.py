@@ -70,23 +70,15 @@ def frequency_response(
     given = floats(frequencies)
     if given is None or given.ndim > 1 or not given.size:
         raise InputError(f"frequency_response: frequencies = {str(frequencies)[:80]} must be finite numbers in Hz, at least one")
-    (pushed,) = _one(inputs_of("frequency_response", system.model, system.state, _single(input)))
+    inputs = inputs_of("frequency_response", system.model, system.state, input if isinstance(input, dict) else [input])
+    if len(inputs) != 1:
+        raise InputError(f"frequency_response: {len(inputs)} inputs were given; it takes one")
+    (pushed,) = inputs
     outputs = outputs_of("frequency_response", system.model, system.state, output)
     solve = _whole(system, pushed) if modes is None else _modal(system, pushed, modes)
     frequencies = np.atleast_1d(given)
     values = [_look(outputs, solve, 2 * np.pi * f) for f in frequencies]
     return FrequencyResponse(frequencies, np.array(values), pushed.label, labels_of(outputs))
-
-
-def _single(given):
-    """One input as a list."""
-    return given if isinstance(given, dict) else [given]
-
-
-def _one(given):
-    if len(given) != 1:
-        raise InputError(f"frequency_response: {len(given)} inputs were given; it takes one")
-    return given
 
 
 def _look(outputs, solve, omega):
