@@ -10,7 +10,7 @@ from polyida.adjoint.run import gradient_of_run
 from polyida.adjoint.still import gradient_of_modes, gradient_of_static
 from polyida.bar import over_time, require_progress
 from polyida.errors import InputError
-from polyida.integrate.statics.loading import Equilibrium
+from polyida.integrate.statics.static import Equilibrium
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.keywords import named_keywords
 from polyida.machine import one_blas_thread

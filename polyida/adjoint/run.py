@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.adjoint.alpha.backward import Backward
 from polyida.adjoint.alpha.forward import beginning, first
-from polyida.adjoint.parameters.work import Work, stacked
+from polyida.adjoint.parameters.parameter import Work, stacked
 from polyida.adjoint.radau.backward import RadauBackward
 from polyida.adjoint.result import Gradient
 from polyida.errors import InputError

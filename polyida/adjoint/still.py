@@ -9,13 +9,12 @@ K, B, r and phi are those at the equilibrium; of one for small displacements tho
 
 import numpy as np
 
-from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.parameters.parameter import Work
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.totals import Totals
 from polyida.integrate.start import VIOLATION
 from polyida.integrate.state import Counts, StepFailure
-from polyida.integrate.statics.loading import FREE, Equilibrium
-from polyida.integrate.statics.static import static
+from polyida.integrate.statics.static import FREE, Equilibrium, static
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.linear.lu import SingularSystem
 from polyida.modal.modes import Modes, modes

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.parameters.parameter import Work
 from polyida.errors import InputError
 from polyida.given import is_one_of
 from polyida.objective.slopes import Slopes

@@ -1,6 +1,5 @@
 """Area integrals of a mesh, exact for its polygons."""
 
-
 from polyida.mesh import topology
 
 

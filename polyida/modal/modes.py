@@ -11,7 +11,7 @@ from polyida.brief import brief
 from polyida.errors import InputError
 from polyida.given import is_flag, is_number, is_whole
 from polyida.integrate.state import State
-from polyida.integrate.statics.loading import Equilibrium
+from polyida.integrate.statics.static import Equilibrium
 from polyida.keywords import named_keywords
 from polyida.modal import eigen
 from polyida.modal.system import linear_system

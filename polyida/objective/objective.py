@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.given import is_number
-from polyida.integrate.statics.loading import Equilibrium
+from polyida.integrate.statics.static import Equilibrium
 from polyida.objective.slopes import Slopes
 
 

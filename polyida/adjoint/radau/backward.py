@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.adjoint.alpha.moving import Moving
 from polyida.adjoint.alpha.plain import Sent
-from polyida.adjoint.parameters.work import Work, stacked
+from polyida.adjoint.parameters.parameter import Work, stacked
 from polyida.adjoint.radau.course import course_of
 from polyida.adjoint.radau.equations import Linearised
 from polyida.adjoint.radau.stages import StagesAgain, begun

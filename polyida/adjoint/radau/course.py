@@ -4,8 +4,7 @@ import numpy as np
 
 from polyida.adjoint.alpha.again import Again
 from polyida.adjoint.radau.stages import begun, exact_steps, within
-from polyida.adjoint.steps.course import Course, every_step, reader, taken_again
-from polyida.adjoint.steps.recorded import Piece
+from polyida.adjoint.steps.course import Course, Piece, every_step, reader, taken_again
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.state import Counts, State
 from polyida.integrate.stepping.grid import Grid

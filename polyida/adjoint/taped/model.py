@@ -6,7 +6,7 @@ parameters is left as an entry of `entries`: what multiplies r, phi, its rate an
 
 import numpy as np
 
-from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.parameters.parameter import Work
 from polyida.adjoint.taped.tape import add_to, value_of
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate

@@ -8,8 +8,8 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
 from polyida.mesh.drawings import dxf, svg
+from polyida.mesh.files.raw import MeshWarning, hint, scale_of
 from polyida.mesh.files.read_write import existing
-from polyida.mesh.files.units import MeshWarning, hint, scale_of
 from polyida.mesh.make.outline import Outline
 from polyida.mesh.sections import signed_area
 

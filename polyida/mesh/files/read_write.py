@@ -13,9 +13,8 @@ from polyida.given import is_flag, is_number
 from polyida.keywords import named_keywords
 from polyida.mesh import sections
 from polyida.mesh.files import abaqus, gmsh, meshio_files, polymesher
-from polyida.mesh.files.raw import RawMesh
+from polyida.mesh.files.raw import MeshWarning, RawMesh, hint, metres, scale_of
 from polyida.mesh.files.repair import repaired
-from polyida.mesh.files.units import MeshWarning, hint, metres, scale_of
 from polyida.mesh.polygon_mesh import PolygonMesh
 
 
