@@ -145,8 +145,8 @@ class Trajectory:
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name: str) -> NDArray:
-        """What a joint, one's own too, does to its side b, (frames, k): the force, N, in the axes x and y of the scene, and the moment about the
-        point of b, N m, counter-clockwise, where the joint holds b otherwise than by its point.
+        """What a joint, one's own too, does to its side b, (frames, k): the force, N, in the axes x and y of the scene, and the moment
+        about the point of b, N m, counter-clockwise, where the joint holds b otherwise than by its point.
 
         It is what the force `-phi_q^T lam` of the joint's rows does on the body of b, or on the ground, by virtual work. Components that
         the rows never have are left out: a revolute joint has (fx, fy), a weld (fx, fy, m), a motor (m,), a Path those that it leads, the

@@ -30,9 +30,9 @@ class RigidBody(Body):
     lies, m. angle: turn of its axes about it, rad. center: the centre of mass in its own axes, m. velocity of the centre of mass, m/s, and
     spin, rad/s: at the start.
 
-    q holds the displacements of c and z from rest, m; M = mass times the identity is constant, and `phi = (|z|^2 - s^2) / (2 s)` (1 row, m) keeps z
-    of its length, so that there are no gyroscopic terms. `body.at(name)` is a point, with the body's x axis
-    as its direction or the one that is given. Raises InputError for a mass or inertia that is not positive, and for what is no point.
+    q holds the displacements of c and z from rest, m; M = mass times the identity is constant, and `phi = (|z|^2 - s^2) / (2 s)` (1 row, m)
+    keeps z of its length, so that there are no gyroscopic terms. `body.at(name)` is a point, with the body's x axis as its direction or the
+    one that is given. Raises InputError for a mass or inertia that is not positive, and for what is no point.
     """
 
     mass: float

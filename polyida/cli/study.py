@@ -23,7 +23,8 @@ MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table kee
 
 
 def main(study, arguments=None, command=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`. command: what was typed, of a study that is no script.
+    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`. command: what was typed, of a study that is no
+    script.
 
     Prints the table, writes figures.json and report.html with its pictures. Failed tasks are rows and lines; figures that need them are
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is

@@ -57,10 +57,9 @@ class SpringDamper(ForceElement):
     """A spring and a damper along the line between two points: `N = k (l - l0) + c l' + N0`, N, pulls a and b together where N > 0.
 
     a, b: attachments or places of the ground. stiffness k, N/m; damping c, N s/m; length l0, m, at which the spring rests, that of the
-    drawing where it is None; preload N0, N. Energy `k e^2/2 + N0 e`, e = l - l0; the damper dissipates `c l'^2`.
-    force: a further force `force(e, l')`, N, e.g. `lambda e, rate: 1e4 * e**3`, whose energy is the integral of `force(e, 0)`; it is Python,
-    and no file holds it. Where l = 0 the line has no direction and there is no force.
-    Raises InputError for wrong values.
+    drawing where it is None; preload N0, N. Energy `k e^2/2 + N0 e`, e = l - l0; the damper dissipates `c l'^2`. force: a further force
+    `force(e, l')`, N, e.g. `lambda e, rate: 1e4 * e**3`, whose energy is the integral of `force(e, 0)`; it is Python, and no file holds it.
+    Where l = 0 the line has no direction and there is no force. Raises InputError for wrong values.
     """
 
     a: Any

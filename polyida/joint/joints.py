@@ -91,10 +91,9 @@ class Prismatic(Joint):
 class Weld(Joint):
     """Point and direction of two attachments, or of one and the ground, move as one; what else is of a section stays free.
 
-    `phi = (x_A - x_B, d_A - Q d_B)` (4 rows, m and without unit), Q the rotation between the directions at rest; where one side is of a body
-    that keeps the length of its directions by itself, as rigid ones do, `phi = (x_A - x_B, Q d_A x d_B)` (3 rows).
-    Reaction on b, (3,): force, N, and moment about its point, N m, counter-clockwise.
-    Raises InputError for a side without a direction.
+    `phi = (x_A - x_B, d_A - Q d_B)` (4 rows, m and without unit), Q the rotation between the directions at rest; where one side is of a
+    body that keeps the length of its directions by itself, as rigid ones do, `phi = (x_A - x_B, Q d_A x d_B)` (3 rows). Reaction on b,
+    (3,): force, N, and moment about its point, N m, counter-clockwise. Raises InputError for a side without a direction.
     """
 
     def __post_init__(self):
@@ -117,11 +116,10 @@ def welded(a, b):
 class Clamp(Joint):
     """A section held fast.
 
-    A plate's, to ground: every node of the section keeps its place, `phi = x_i - X_i` (2 rows a node, m).
-    Between bodies, and of bodies of few coordinates, whose nodes do not move one by one: point and direction of both sides move as one, the rows
-    of a Weld.
-    Reaction on b: of a plate held to ground the force on each node, (2 nodes,), N, else force, N, and moment about the point of b, N m, (3,),
-    as of a Weld. Raises InputError where a side of these has no direction, and for a place of the ground other than where the section is.
+    A plate's, to ground: every node of the section keeps its place, `phi = x_i - X_i` (2 rows a node, m). Between bodies, and of bodies of
+    few coordinates, whose nodes do not move one by one: point and direction of both sides move as one, the rows of a Weld. Reaction on b:
+    of a plate held to ground the force on each node, (2 nodes,), N, else force, N, and moment about the point of b, N m, (3,), as of a
+    Weld. Raises InputError where a side of these has no direction, and for a place of the ground other than where the section is.
     """
 
     b: Any = ground

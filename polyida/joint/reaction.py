@@ -1,7 +1,8 @@
 """What a joint does to its side b, from its rows by virtual work.
 
-The force of a joint on the coordinates is `-phi_q^T lam`. Where the body of b, or the ground, moves by dx and turns by dphi about the point of b,
-its work is `f . dx + m dphi`: f is the sum of the forces on the points of b in the rows, m that of their moments and of those on its directions.
+The force of a joint on the coordinates is `-phi_q^T lam`. Where the body of b, or the ground, moves by dx and turns by dphi about the point
+of b, its work is `f . dx + m dphi`: f is the sum of the forces on the points of b in the rows, m that of their moments and of those on its
+directions.
 """
 
 from collections.abc import Callable
@@ -22,7 +23,8 @@ Place = tuple[Any, str]  # an attachment or a place of the ground, and "point" o
 class Reaction:
     """The reaction of a joint as a function of its multipliers and of the places in its rows.
 
-    whole: force and moment, whatever the components of the joint. components: (axis, unit) of each. needed: the Places of bodies that it depends on. profiles: those that turn vectors in the rows.
+    whole: force and moment, whatever the components of the joint. components: (axis, unit) of each. needed: the Places of bodies that it
+    depends on. profiles: those that turn vectors in the rows.
     """
 
     def __init__(self, joint: Joint, whole: bool = False):

@@ -1,7 +1,7 @@
 """Independent coordinates y of small motions, `x = T y + G u`, and what accelerates them.
 
-Columns of T are normal (`B T = 0`, `T^T M T = 1`). G is what inputs that move constraints do at once, `B G = -rows`, normal to T in M, so that
-their accelerations move no y: `y'' = T^T M x''`.
+Columns of T are normal (`B T = 0`, `T^T M T = 1`). G is what inputs that move constraints do at once, `B G = -rows`, normal to T in M, so
+that their accelerations move no y: `y'' = T^T M x''`.
 """
 
 from dataclasses import replace

@@ -78,8 +78,8 @@ class Modes:
 
     @property
     def damping(self) -> NDArray:
-        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, negative of modes that grow; of real roots 1 where they fade and -1
-        where they grow.
+        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, negative of modes that grow; of real roots 1 where they fade and
+        -1 where they grow.
         """
         return -self.roots.real / np.where(self.roots == 0, 1.0, np.abs(self.roots))
 
@@ -133,8 +133,8 @@ class Modes:
 
 @named_keywords
 def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
-    """Modes about a state: of `s^2 M x + K x + B^T mu = 0`, `B x = 0`, those of least s^2, K = d(g + B^T lam)/dq, B = phi_q; with damping of
-    `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, those of least |s|.
+    """Modes about a state: of `s^2 M x + K x + B^T mu = 0`, `B x = 0`, those of least s^2, K = d(g + B^T lam)/dq, B = phi_q; with damping
+    of `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, those of least |s|.
 
     state: one of `pi.static`, or any other with its lam; by default q = 0 at t = 0 as it is drawn, without loads (lam = 0). count: how many
     modes, or all where these are fewer. Without damping there are n - m, each a pair +-s. damped: the 2 (n - m) roots s of the linearised

@@ -21,8 +21,8 @@ from polyida.model import Model
 class StateSpace:
     """`x' = A x + B u`, `y = C x + D u`, all of them changes from a state; what `pi.linearise` gives.
 
-    x = (z, z', value and rate of each motor): z (d,) independent coordinates with unit mass, d their number. inputs, outputs: names of u and
-    y. motors: those of the inputs that are motors, whose u is the second derivative of the profile's value (rad/s^2 of an angle): so
+    x = (z, z', value and rate of each motor): z (d,) independent coordinates with unit mass, d their number. inputs, outputs: names of u
+    and y. motors: those of the inputs that are motors, whose u is the second derivative of the profile's value (rad/s^2 of an angle): so
     velocities and reactions depend on u alone. shapes: (d + motors, n), how q moves with z and with the motors' values.
     """
 

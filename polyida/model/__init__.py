@@ -40,10 +40,10 @@ class Needs:
 class Model:
     """A constrained mechanical system `r = M(q) a + g(t, q, v) + phi_q^T lam = 0`, `phi(t, q) = 0` (index 3).
 
-    A model of one's own sets `n` and `m` and writes `mass`, `force`, `phi` and `phi_q`; all other derivatives have right
-    defaults by fourth-order differences. Override them where the exact form is known, and check the override with
-    `check_derivatives`. A model whose forces act only in a part of the motion, like those of contacts, writes `gaps` too: without it steps may
-    pass over them unseen. Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
+    A model of one's own sets `n` and `m` and writes `mass`, `force`, `phi` and `phi_q`; all other derivatives have right defaults by
+    fourth-order differences. Override them where the exact form is known, and check the override with `check_derivatives`. A model whose
+    forces act only in a part of the motion, like those of contacts, writes `gaps` too: without it steps may pass over them unseen. Shapes:
+    q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
 
     The attributes below it are what else is asked of every model; these are the values of one that has nothing of the kind.
     """

@@ -77,8 +77,8 @@ def require_declared(model, t, q, v, t_end=None, nonholonomic=False):
     """Raise InputError where a function of a model gives what is wrong or not finite at (t, q, v), where the model breaks a promise of its
     `needs`, and where it writes a wrong derivative of phi.
 
-    The last two are looked at at two states drawn at random near q and v (n,), at times between t and t_end. What is not finite there, or raises, is
-    passed over, and so is a derivative where differences of unlike steps disagree, as beside a kink. nonholonomic: phi_rate is a
+    The last two are looked at at two states drawn at random near q and v (n,), at times between t and t_end. What is not finite there, or
+    raises, is passed over, and so is a derivative where differences of unlike steps disagree, as beside a kink. nonholonomic: phi_rate is a
     constraint of its own, linear in v with the slope phi_q; only that, and phi_bias, are compared then.
     """
     require_functions(model, t, q, v)

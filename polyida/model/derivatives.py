@@ -31,8 +31,8 @@ def check_derivatives(
 ) -> dict[str, float]:
     """Compare every derivative of a model with differences of what it is the derivative of.
 
-    States that are not given are drawn at random (q of size 1, v of size 1), where forces are finite. Returns {name: relative error}, the largest
-    deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong. What round-off of the
+    States that are not given are drawn at random (q of size 1, v of size 1), where forces are finite. Returns {name: relative error}, the
+    largest deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong. What round-off of the
     force leaves of its differences is none: where forces are large, as of plates bent at random, small slopes are seen less sharply.
     """
     model = guard(model, "check_derivatives")

@@ -20,8 +20,8 @@ class Own(Objective):
     value(run) -> J. slopes(run) -> {"q": dJ/dq (frames, n), "v", "a": alike, "lam": (frames, m), "t": (frames,)} in all frames; what is not
     there is zero. Where J depends on a parameter by itself, its slope at the same frames stands there too, by the parameter's name:
     "arm.mass"; without any such name, slopes of that kind in parameters that `pi.gradient` is asked for by name (`body.inertia`) are
-    differences of value(run). Frame 0's v is that before the integrator's start and has no slope. Raises InputError where they are no functions, and of a
-    run for other names and shapes, and numbers that are not finite.
+    differences of value(run). Frame 0's v is that before the integrator's start and has no slope. Raises InputError where they are no
+    functions, and of a run for other names and shapes, and numbers that are not finite.
     """
 
     def __init__(self, value: Callable[[Any], float], slopes: Callable[[Any], Mapping[str, Any]]) -> None:

@@ -109,10 +109,10 @@ def _told(found):
 class Cut:
     """A straight cut across a plate.
 
-    The cells that are ahead for the most part are a plate of their own; what r = M a + g of that one leaves at the nodes that it
-    shares with the others is what these do to it. Slivers between there and the line are put on their side with their inertia,
-    weight and damping. So the forces are in exact equilibrium with what accelerates the part ahead and what acts on it. Raises InputError where
-    nothing is parted.
+    The cells that are ahead for the most part are a plate of their own; what r = M a + g of that one leaves at the nodes that it shares
+    with the others is what these do to it. Slivers between there and the line are put on their side with their inertia, weight and damping.
+    So the forces are in exact equilibrium with what accelerates the part ahead and what acts on it. Raises InputError where nothing is
+    parted.
     """
 
     def __init__(self, model, body, at, normal):

@@ -25,9 +25,9 @@ KEPT = ("status", "error")  # columns that are shown only where something failed
 class Result:
     """Rows of plain values, and what follows from them.
 
-    rows: [{column: value}], one a run or a case. figures: {name: number}. notes: lines on what failed and what the numbers mean.
-    title: of the report; lead: a paragraph below it. columns: {name: (heading, format)} of the tables, in their order; those that no row has are left out.
-    histories: {label: {"t": (frames,), name: (frames,)}}, of studies that look at whole runs.
+    rows: [{column: value}], one a run or a case. figures: {name: number}. notes: lines on what failed and what the numbers mean. title: of
+    the report; lead: a paragraph below it. columns: {name: (heading, format)} of the tables, in their order; those that no row has are left
+    out. histories: {label: {"t": (frames,), name: (frames,)}}, of studies that look at whole runs.
     """
 
     title, lead = "study", ""
@@ -53,7 +53,8 @@ class Result:
         return DataFrame(self.rows, columns=self._names() or None)
 
     def to_xarray(self) -> "Dataset":
-        """The histories as an xarray.Dataset over (run, frame), NaN behind the last frame of each; the rows, over row, where there are none.
+        """The histories as an xarray.Dataset over (run, frame), NaN behind the last frame of each; the rows, over row, where there are
+        none.
 
         Raises InputError where xarray is not installed.
         """

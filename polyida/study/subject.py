@@ -57,7 +57,8 @@ def kind_of(integrator):
 
 
 def subject(study, model, t_end, q0=None, v0=None):
-    """The Subject of what a user gives: a Model, a Scene, a Problem, or the name of one, whose start and end are its own where none are given.
+    """The Subject of what a user gives: a Model, a Scene, a Problem, or the name of one, whose start and end are its own where none are
+    given.
 
     Raises InputError for anything else, for a name that is unknown, and for a time or a start that cannot be.
     """

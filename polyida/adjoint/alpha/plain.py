@@ -88,8 +88,8 @@ class Sent(NamedTuple):
 
 
 class Swept(NamedTuple):
-    """What a sweep over steps leaves: `sent` to the state before; w (count, n), mu (count, m) that multiply r and phi; kappa (count, m) that
-    multiplies phi's rate, and (y', slip, eta), of `y' . (M slip + B^T eta)`, or None where there is none.
+    """What a sweep over steps leaves: `sent` to the state before; w (count, n), mu (count, m) that multiply r and phi; kappa (count, m)
+    that multiplies phi's rate, and (y', slip, eta), of `y' . (M slip + B^T eta)`, or None where there is none.
     """
 
     sent: Sent
@@ -110,8 +110,8 @@ class PlainSweep:
     def back(self, t, q, v, a, lam, slopes, sent, keep=None, slips=None):
         """The Swept of steps that ended at these frames, in order of time, (count, .) each.
 
-        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n) each,
-        or None. slips (count, n): of the stabilised form, what eta added to q.
+        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n)
+        each, or None. slips (count, n): of the stabilised form, what eta added to q.
         """
         w, mu, kappa, (y, z) = np.empty_like(q), np.empty_like(lam), np.empty_like(lam), keep or np.empty((2, *q.shape))
         parts = np.empty_like(q), np.empty_like(q), np.empty_like(lam)

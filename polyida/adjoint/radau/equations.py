@@ -1,8 +1,8 @@
 """The collocation equations of a step, linearised at its stages, and their transpose.
 
-With c_i, W of the tableau, `q_i = q_0 + c_i h v_0 + e_i`, `v_i = v_0 + sum_j W_ij e_j / h + D^-1 B_i^T mu_i` and
-`v_i' = sum_j W_ij (v_j - v_0) / h` the equations are `r_i = 0`, `phi_i = 0` and, where there is mu, `B_i v_i + phi_t = 0`; their multipliers
-are w_i, mu*_i and kappa_i. Bars of a stage, b_q and b_v those of the step's end, which is the last one's:
+With c_i, W of the tableau, `q_i = q_0 + c_i h v_0 + e_i`, `v_i = v_0 + sum_j W_ij e_j / h + D^-1 B_i^T mu_i` and `v_i' = sum_j W_ij (v_j -
+v_0) / h` the equations are `r_i = 0`, `phi_i = 0` and, where there is mu, `B_i v_i + phi_t = 0`; their multipliers are w_i, mu*_i and
+kappa_i. Bars of a stage, b_q and b_v those of the step's end, which is the last one's:
 
     a*_i = M_i^T w_i
     v*_i = C_i^T w_i + B_i^T kappa_i + sum_j W_ji a*_j / h + [b_v]

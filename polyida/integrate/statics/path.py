@@ -125,8 +125,8 @@ def _under(B, row):
 class EquilibriumPath:
     """Equilibria in the order of the path, and their load factors; what `pi.equilibrium_path` gives.
 
-    states: each an Equilibrium. factors: (points,). turning: the points among them where the factor turns, as indices. message: why it ended
-    before what was asked for, else empty.
+    states: each an Equilibrium. factors: (points,). turning: the points among them where the factor turns, as indices. message: why it
+    ended before what was asked for, else empty.
     """
 
     model: Model
@@ -190,12 +190,12 @@ def equilibrium_path(
 ) -> EquilibriumPath:
     """The EquilibriumPath from the factor `start` of a load on, by arc length, through points where the load turns.
 
-    load: None, all of the model's: `g(q) + phi_q^T lam = (1 - factor) g(0)`; or what comes beside the model's own, `factor f`: the name of a
-    load with a profile, a vector f (n,), N, or a function of q that gives it (taken at the start: dead loads). first: of the factor, in the
-    first step; later ones are up to 64 times as long in q, as Newton's method converges. until: it ends with the first point at this
-    factor or beyond, or after `count` points. start: where all stiffness is that of loads, begin with a part of them.
-    Turning points are found to round-off and are points of the path.
-    Raises InputError for a wrong setting, StepFailure where there is no first equilibrium; what fails later is in `message`.
+    load: None, all of the model's: `g(q) + phi_q^T lam = (1 - factor) g(0)`; or what comes beside the model's own, `factor f`: the name of
+    a load with a profile, a vector f (n,), N, or a function of q that gives it (taken at the start: dead loads). first: of the factor, in
+    the first step; later ones are up to 64 times as long in q, as Newton's method converges. until: it ends with the first point at this
+    factor or beyond, or after `count` points. start: where all stiffness is that of loads, begin with a part of them. Turning points are
+    found to round-off and are points of the path. Raises InputError for a wrong setting, StepFailure where there is no first equilibrium;
+    what fails later is in `message`.
 
         path = pi.equilibrium_path(arch, first=0.02, until=2.0)
         path.factors[list(path.turning)]

@@ -192,12 +192,11 @@ def static(
     """The Equilibrium at time t: a State at rest with `stable`; one that is not stable comes with a warning.
 
     The load grows in `steps` equal parts: at a factor s of it `g(q) + phi_q^T lam = (1 - s) g(0)`, g(0) being the load at q = 0. Where
-    Newton's method fails a part is halved, and grows again after two that succeeded; the summary says so.
-    Converged where |dq| <= tolerance max(1, |q|) (largest entries).
-    linear: for small displacements, `K q + B^T lam = -g`, `phi + B q = 0`, all of q = 0 and lam = 0: one factor, no iterations, and what
-    linear elasticity says; q0, steps, tolerance and max_iterations have no part in it. Raises InputError for a wrong setting and for redundant
-    constraints, StepFailure where a part of 1/1024 fails or the structure can move freely. Beyond the greatest load that a structure
-    bears go `pi.equilibrium_path`.
+    Newton's method fails a part is halved, and grows again after two that succeeded; the summary says so. Converged where |dq| <= tolerance
+    max(1, |q|) (largest entries). linear: for small displacements, `K q + B^T lam = -g`, `phi + B q = 0`, all of q = 0 and lam = 0: one
+    factor, no iterations, and what linear elasticity says; q0, steps, tolerance and max_iterations have no part in it. Raises InputError
+    for a wrong setting and for redundant constraints, StepFailure where a part of 1/1024 fails or the structure can move freely. Beyond the
+    greatest load that a structure bears go `pi.equilibrium_path`.
     """
     model = guard(model, "static")
     loading = whole_load("static", model, t, tolerance, max_iterations)

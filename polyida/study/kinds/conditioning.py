@@ -87,9 +87,10 @@ def conditioning(
 ) -> Conditioning:
     """The condition number of every integrator's iteration matrix at every state for every step h, s.
 
-    model: a Model, a Scene, a Problem or the name of one. states: a State, or several, of one's own, `run.state` or `consistent_state(model)`. integrators:
-    {label: integrator, its class, or function of h}: GeneralizedAlpha, IDA (h is 1/cj) and RadauIIA, with any `scaling=` and form, as
-    `condition_number` takes them; one of a user's own where it has `iteration_matrix(model, state, h)`. Raises InputError for others.
+    model: a Model, a Scene, a Problem or the name of one. states: a State, or several, of one's own, `run.state` or
+    `consistent_state(model)`. integrators: {label: integrator, its class, or function of h}: GeneralizedAlpha, IDA (h is 1/cj) and
+    RadauIIA, with any `scaling=` and form, as `condition_number` takes them; one of a user's own where it has `iteration_matrix(model,
+    state, h)`. Raises InputError for others.
     """
     built = guard(studied("conditioning", model)[1], "conditioning")
     chosen = [require_state("conditioning", built, state) for state in (states if isinstance(states, (list, tuple)) else [states])]

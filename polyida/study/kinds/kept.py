@@ -127,11 +127,13 @@ def energy(
     every: int = 1,
     progress: Callable[[int, int, str], object] | bool | None = None,
 ) -> EnergyKept:
-    """Run each of {label: integrator} to t_end and follow the energy: its change less the work of motors and loads, more what is dissipated.
+    """Run each of {label: integrator} to t_end and follow the energy: its change less the work of motors and loads, more what is
+    dissipated.
 
     It is zero for the exact motion, where the model states its potential; NaN where it does not. Its size is the range of the kinetic
-    energy. Momenta, where the model says them, should stay where nothing outside acts: their drifts are the largest changes. frames: points of
-    each history, at most; rows have the largest of every `every`-th step. model, q0, v0, progress: as `work_precision`. Raises InputError before the first run.
+    energy. Momenta, where the model says them, should stay where nothing outside acts: their drifts are the largest changes. frames: points
+    of each history, at most; rows have the largest of every `every`-th step. model, q0, v0, progress: as `work_precision`. Raises
+    InputError before the first run.
     """
     given = subject("energy", model, t_end, q0, v0)
     known = members("energy", given, integrators, several=False)
@@ -193,8 +195,8 @@ def drift(
 ) -> Drift:
     """Run each of {label: integrator} to t_end and follow `max |phi|` and `max |phi_q v + phi_t|`, in phi's own units (m for joints).
 
-    frames: points of each history, at most; rows have the largest of every `every`-th step. model, q0, v0, progress: as `work_precision`. Raises
-    InputError before the first run.
+    frames: points of each history, at most; rows have the largest of every `every`-th step. model, q0, v0, progress: as `work_precision`.
+    Raises InputError before the first run.
     """
     given = subject("drift", model, t_end, q0, v0)
     known = members("drift", given, integrators, several=False)

@@ -147,9 +147,8 @@ def step_sizes(
 ) -> StepSizes:
     """Run every integrator with every step h, s, from (q0, v0) to t_end, and measure errors there, in q, v and lam.
 
-    integrators: {label: class that takes `h=`, or function of h, that gives an integrator}; orders are over this h, also of one that chooses
-    its steps by what the function makes of it. The rest is as `work_precision` takes it. Raises InputError
-    before the first run.
+    integrators: {label: class that takes `h=`, or function of h, that gives an integrator}; orders are over this h, also of one that
+    chooses its steps by what the function makes of it. The rest is as `work_precision` takes it. Raises InputError before the first run.
     """
     given = subject("step_sizes", model, t_end, q0, v0)
     steps = steps_of("step_sizes", h)

@@ -101,8 +101,8 @@ def sweep(
     folder: each row is written to a file there when it comes, whole or not at all, so that after Ctrl-C, kill -9 or the end of a cluster's
     time the same call runs what is missing. What is there is not run again, unless it failed. It is found by the case, polyida's version
     and source, and the code of the function and of what that names in the user's own modules: functions, classes, values, defaults and
-    closures. Changed code runs anew, and the rows of the code before stay beside. Packages that are installed do not count, nor do files that
-    the function reads, nor a list or dictionary that it itself fills.
+    closures. Changed code runs anew, and the rows of the code before stay beside. Packages that are installed do not count, nor do files
+    that the function reads, nor a list or dictionary that it itself fills.
 
     Raises InputError for a wrong input, before the first case; KeyboardInterrupt after Ctrl-C.
     """
