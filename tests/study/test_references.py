@@ -14,8 +14,6 @@ from polyida.integrate.start import consistent_acceleration
 from polyida.model import Model
 from polyida.problems import andrews_digits, plates
 from polyida.study.kinds.precision import short
-from polyida.study.kinds.work_precision import cheapest
-from polyida.study.members import FIXED, IDA_FORMS, integrator
 from polyida.study.reference import agreed, families
 from polyida.study.reference.families import last_state
 from polyida.study.rows import errors
@@ -23,6 +21,7 @@ from polyida.study.subject import Subject
 from step_size_sensitivity.errors import smooth
 from work_precision import cases
 from work_precision.cases import measure
+from work_precision.integrators import FIXED, IDA_FORMS, cheapest, integrator
 
 CLASSICAL = ("pendulum", "car-axis", "andrews")
 

@@ -99,8 +99,3 @@ def total(model: Any, work: Work) -> float:
             if factor is not None and model.m:
                 result += factor[k] @ (function(t, q, v) if moving else function(t, q))
     return float(result)
-
-
-def dotted(first: NDArray, second: NDArray) -> float:
-    """The sum of the products of all entries."""
-    return float(np.vdot(first, second))

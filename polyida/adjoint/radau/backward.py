@@ -5,9 +5,8 @@ import numpy as np
 from polyida.adjoint.alpha.moving import Moving
 from polyida.adjoint.alpha.plain import Sent
 from polyida.adjoint.parameters.parameter import Work, stacked
-from polyida.adjoint.radau.course import course_of
 from polyida.adjoint.radau.equations import Linearised
-from polyida.adjoint.radau.stages import StagesAgain, begun
+from polyida.adjoint.radau.stages import StagesAgain, begun, course_of
 from polyida.adjoint.taped.model import TapedModel
 from polyida.adjoint.taped.tape import Tape, add_to
 from polyida.adjoint.totals import OwnSlopes, Totals

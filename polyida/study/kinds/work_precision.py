@@ -87,23 +87,6 @@ def work_precision(
         return WorkPrecision(given.name, *against_reference("work_precision", given, known, reference, repeats, tell))
 
 
-def cheapest(rows, error, level):
-    """CPU seconds at which the lower envelope of runs reaches an error level, interpolated on logarithmic axes; NaN
-    where none does.
-    """
-    pairs = sorted((row["cpu_s"], row[error]) for row in rows if np.isfinite(row.get(error) or np.nan) and row[error] > 0)
-    before = None
-    for cpu, found in pairs:
-        if found <= level:
-            if before is None:
-                return cpu
-            weight = np.log(before[1] / level) / np.log(before[1] / found)
-            return float(np.exp((1 - weight) * np.log(before[0]) + weight * np.log(cpu)))
-        if before is None or found < before[1]:
-            before = (cpu, found)
-    return float("nan")
-
-
 class StepSizes(Precision):
     """What `step_sizes` found: a row a run, the reference, orders, and errors against the step as a picture."""
 
