@@ -6,8 +6,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from polyida.brief import cut
-
 WIDE = 160  # characters, where what is printed goes to no terminal
 TRIED = ((40, False), (40, True), (24, True), (14, True))  # characters that a cell may have, whether headings are wrapped
 
@@ -78,7 +76,7 @@ def console_of(stream):
 def _told(grid, i):
     """A column that is left out, with its value where it has one alone."""
     values = grid.values(i)
-    return f"{grid.headings[i]} ({cut(*values, TRIED[-1][0])})" if len(values) == 1 and len(grid.rows) > 1 else grid.headings[i]
+    return f"{grid.headings[i]} ({shortened(*values, TRIED[-1][0])})" if len(values) == 1 and len(grid.rows) > 1 else grid.headings[i]
 
 
 def _fitting(console, title, grid):
@@ -95,7 +93,7 @@ def _fitting(console, title, grid):
 def _drawn(title, grid, longest, wrapped):
     from rich.text import Text
 
-    drawn, cells = _empty(title, True), [[_broken(row[0], longest), *(cut(text, longest) for text in row[1:])] for row in grid.rows]
+    drawn, cells = _empty(title, True), [[_broken(row[0], longest), *(shortened(text, longest) for text in row[1:])] for row in grid.rows]
     for i, heading in enumerate(grid.headings):
         width = max((len(line) for row in cells for line in row[i].split("\n")), default=0) if wrapped else len(heading)
         drawn.add_column(Text(_broken(heading, width)), justify="right" if i else "left", no_wrap=True)
@@ -121,3 +119,8 @@ def _broken(heading, width):
             lines.append("")
         lines[-1] += piece
     return "\n".join(line.rstrip() for line in lines)
+
+
+def shortened(text: str, longest: int) -> str:
+    """A text of so many characters at most: `polyida.brief` needs numpy, for which a shell that completes a word does not wait."""
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
