@@ -123,8 +123,6 @@ def begun(model, state):
     return restarted(far_side(model, state, beside(state.t, 1))) if at_kink(model, state.t) else state
 
 
-
-
 def course_of(run, model, memory_limit=MEMORY_LIMIT):
     """The Course of a run, each step a Piece of its own. Raises InputError where frames are no states, or memory is short."""
     if every_step(run) and (run.integrator.adaptive or not run.counts.rejected):
