@@ -20,8 +20,7 @@ def short(value, longest=LONGEST):
         return f"<{' x '.join(map(str, value.shape))} numbers>"
     if isinstance(value, (dict, list, tuple)) and len(value) > FEW:
         return f"<{len(value)} entries>"
-    text = " ".join(repr(value).split())
-    return text if len(text) <= longest else f"{text[: longest - 1]}…"
+    return cut(" ".join(repr(value).split()), longest)
 
 
 def settings(part):

@@ -6,7 +6,7 @@ from functools import partial
 from math import isfinite
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from polyida.brief import cut
 from polyida.errors import InputError
@@ -45,6 +45,11 @@ class Profile:
     def at(self, t: float) -> tuple[float, float, float]:
         """(value, first, second derivative) at time t."""
         return self.value(t), self.d1(t), self.d2(t)
+
+    def over(self, t: NDArray, order: int = 0) -> NDArray:
+        """Value, first or second derivative at times (k,), by the order, (k,)."""
+        function = (self.value, self.d1, self.d2)[order]
+        return np.broadcast_to(function(t), t.shape) if self.formula else np.array([function(at) for at in t.tolist()])
 
 
 @named_keywords

@@ -11,7 +11,7 @@ from polyida.errors import InputError
 from polyida.given import is_one_of, read_only
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
-from polyida.results.reaction import reaction_of
+from polyida.results.motion import reaction_of
 
 __all__ = ["position", "reaction", "state"]
 

@@ -18,15 +18,10 @@ from polyida.integrate.state import Counts, Restart, State
 from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard
-from polyida.results.angle import angle_of
 from polyida.results.energy import Energy, energy_of, grown
-from polyida.results.momentum import momenta_of
-from polyida.results.motion import Motion
-from polyida.results.reaction import reaction_of
+from polyida.results.motion import Motion, angle_of, momenta_of, reaction_of, strains, von_mises
 from polyida.results.section_forces import SectionForces, section_forces
 from polyida.results.sensors import Sensors
-from polyida.results.strain import strains
-from polyida.results.stress import von_mises
 from polyida.results.tables import dataframe, dataset
 
 if TYPE_CHECKING:
@@ -150,8 +145,8 @@ class Trajectory:
         return np.concatenate([model.position(name, q) for q in blocks(self.q)])
 
     def reaction(self, name: str) -> NDArray:
-        """What a joint, one's own too, does to its side b, (frames, k): the force, N, in the axes x and y of the scene, and the moment about the
-        point of b, N m, counter-clockwise, where the joint holds b otherwise than by its point.
+        """What a joint, one's own too, does to its side b, (frames, k): the force, N, in the axes x and y of the scene, and the moment
+        about the point of b, N m, counter-clockwise, where the joint holds b otherwise than by its point.
 
         It is what the force `-phi_q^T lam` of the joint's rows does on the body of b, or on the ground, by virtual work. Components that
         the rows never have are left out: a revolute joint has (fx, fy), a weld (fx, fy, m), a motor (m,), a Path those that it leads, the
@@ -252,23 +247,16 @@ class Trajectory:
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
         told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
         cost, model = getattr(self.integrator, "cost", lambda model: ""), self.model
-        of_model = (
-            () if model is None else (model.remark, cost(model), hint(model, self.q, self.integrator), self._left_out(), self._grown())
-        )
+        of_model = []
+        if model is not None:
+            of_model = [model.remark, cost(model), hint(model, self.q, self.integrator)]
+            of_model += [left_out.hint(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
         unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
         told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__
         return f"{self.status}: {name} to {end}, {c.steps} steps ({c.rejected} rejected), {work}{worst}{told}" + (
             f"; {self.message}" if self.message else ""
         )
-
-    def _left_out(self):
-        """What is said of reduced plates whose modes leave much out."""
-        return left_out.hint(self.model, self.t, self.q, self.a) if self.model.few else ""
-
-    def _grown(self):
-        """What is said of energy that comes from nowhere."""
-        return grown(self._motion("summary"))
 
     def __repr__(self):
         return f"<Trajectory: {self._told()}>"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import polyida as pi
 from polyida.assembly.factors.works import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
-from polyida.results.balance import unbalanced
+from polyida.results.motion import unbalanced
 
 PROFILE = settings(max_examples=25, phases=(Phase.generate,))
 THOROUGH = settings(PROFILE, max_examples=60)

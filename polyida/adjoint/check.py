@@ -8,8 +8,8 @@ import numpy as np
 from polyida.adjoint.alpha.again import Again
 from polyida.adjoint.gradient import gradient
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.radau.again import RadauAgain
-from polyida.adjoint.still.again import StillAgain
+from polyida.adjoint.radau.stages import RadauAgain
+from polyida.adjoint.still import StillAgain
 from polyida.errors import InputError
 from polyida.given import is_whole
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha

@@ -7,11 +7,10 @@ import numpy as np
 
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.run import gradient_of_run
-from polyida.adjoint.still.modal import gradient_of_modes
-from polyida.adjoint.still.static import gradient_of_static
+from polyida.adjoint.still import gradient_of_modes, gradient_of_static
 from polyida.bar import over_time, require_progress
 from polyida.errors import InputError
-from polyida.integrate.statics.loading import Equilibrium
+from polyida.integrate.statics.static import Equilibrium
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.keywords import named_keywords
 from polyida.machine import one_blas_thread
@@ -30,32 +29,34 @@ def gradient(
 ) -> Gradient:
     """The Gradient of an objective of a run, of an equilibrium of `pi.static`, or of `pi.modes`: its value and dJ/dp by name.
 
-    Of a run by the discrete adjoint of GeneralizedAlpha or RadauIIA: exact for the steps that were taken (sizes, cuts, kinks, beginnings), up
-    to what Newton's tolerance left in them: at a tolerance of 1e-10 below 1e-9 for what q says and up to 2e-7 for lam and a, by default about
-    1e-4 and 2e-2 (studies/gradient_errors.py); of RadauIIA's own choice 1e-8 to 1e-6 with fixed steps. With adaptive ones Newton's method leaves
-    more: the errors are about rtol, and up to 70 times that for PeakStress and PeakReaction, which see what it leaves of stiff modes, as where a
-    load begins late. No tolerance that costs next to nothing helps: rtol^2 of the model's length leaves at most 3 rtol of these for 20 to 50 % more solves, and
-    tolerance=1e-12 at most 1e-6 for 50 to 70 %.
-    Cost, whatever the number of parameters: 0.9 to 1.7 runs, of RadauIIA five of large scenes and eight of small ones. A run whose frames
-    are not all of its steps is taken again from its beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as
-    checkpoints between which it is taken a third time.
+    Of a run by the discrete adjoint of GeneralizedAlpha or RadauIIA: exact for the steps that were taken (sizes, cuts, kinks, beginnings),
+    up to what Newton's tolerance left in them: at a tolerance of 1e-10 below 1e-9 for what q says and up to 2e-7 for lam and a, by default
+    about 1e-4 and 2e-2 (studies/gradient_errors.py); of RadauIIA's own choice 1e-8 to 1e-6 with fixed steps. With adaptive ones Newton's
+    method leaves more: the errors are about rtol, and up to 70 times that for PeakStress and PeakReaction, which see what it leaves of
+    stiff modes, as where a load begins late. No tolerance that costs next to nothing helps: rtol^2 of the model's length leaves at most 3
+    rtol of these for 20 to 50 % more solves, and tolerance=1e-12 at most 1e-6 for 50 to 70 %. Cost, whatever the number of parameters: 0.9
+    to 1.7 runs, of RadauIIA five of large scenes and eight of small ones. A run whose frames are not all of its steps is taken again from
+    its beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as checkpoints between which it is taken a third
+    time.
 
-    With adaptive steps the slopes are those of these very steps, stretched between kinks. A run that is solved again chooses others, and means
-    over time are sums over frames: differences of such runs are up to some hundredths off in what moves a kink, steps of constant h are not.
+    With adaptive steps the slopes are those of these very steps, stretched between kinks. A run that is solved again chooses others, and
+    means over time are sums over frames: differences of such runs are up to some hundredths off in what moves a kink, steps of constant h
+    are not.
 
-    A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is, and so is the beginning where a motor begins
-    with the run: the slope in its begin is that with the start where it was. The model is taken as it is now: one that was changed since
-    its run gives another gradient. The times at which contacts and other gaps switch are held, which is right where forces are continuous
-    there. Slopes then are as good as the steps within the contact. A bar that swings on a stop of 1e6 N/m^1.5: dJ/dstiffness is 7 % off
-    with GeneralizedAlpha(h=5e-3), 0.1 % with rtol=1e-6; 8 % with RadauIIA(rtol=1e-6), 0.1 % with rtol=1e-8. `check_gradient` takes its
-    differences with these times held too: behind a stiff contact they are worse than the gradient. A run that failed comes with a warning: J is of the frames that it has.
+    A state that the run was begun from (`solve(..., state=pi.static(model))`) is held as it is, and so is the beginning where a motor
+    begins with the run: the slope in its begin is that with the start where it was. The model is taken as it is now: one that was changed
+    since its run gives another gradient. The times at which contacts and other gaps switch are held, which is right where forces are
+    continuous there. Slopes then are as good as the steps within the contact. A bar that swings on a stop of 1e6 N/m^1.5: dJ/dstiffness is
+    7 % off with GeneralizedAlpha(h=5e-3), 0.1 % with rtol=1e-6; 8 % with RadauIIA(rtol=1e-6), 0.1 % with rtol=1e-8. `check_gradient` takes
+    its differences with these times held too: behind a stiff contact they are worse than the gradient. A run that failed comes with a
+    warning: J is of the frames that it has.
 
-    parameters: names, or None for all that cost next to nothing: of plates `stiffness` and `mass` (a factor of each cell), `E`, `thickness`,
-    `rho`; `mass` of point masses; of motors and loads the numbers of their profiles (`motor.end`, `motor.duration`, `load.amplitude` ...);
-    velocities of bodies and `v0`; of models of one's own what their `parameters` names. By name also any number of a part, `spring.stiffness`;
-    `left_out` of the result names those that were not taken, with the reason.
-    progress: called with t as it goes back, or True for a bar of tqdm. Raises InputError for what is none of these, for another
-    integrator's run, for a run that begins in a state of another run, for what moves the constraints of a held state, for frames between steps (`output`, `until`, `extrapolate`), for
+    parameters: names, or None for all that cost next to nothing: of plates `stiffness` and `mass` (a factor of each cell), `E`,
+    `thickness`, `rho`; `mass` of point masses; of motors and loads the numbers of their profiles (`motor.end`, `motor.duration`,
+    `load.amplitude` ...); velocities of bodies and `v0`; of models of one's own what their `parameters` names. By name also any number of a
+    part, `spring.stiffness`; `left_out` of the result names those that were not taken, with the reason. progress: called with t as it goes
+    back, or True for a bar of tqdm. Raises InputError for what is none of these, for another integrator's run, for a run that begins in a
+    state of another run, for what moves the constraints of a held state, for frames between steps (`output`, `until`, `extrapolate`), for
     forces that jump where a gap switches, and for an unknown parameter.
 
         found = pi.gradient(run, pi.objective.Deviation("tip", path))

@@ -18,8 +18,8 @@ from polyida.keywords import named_keywords
 class Gradient:
     """An objective's value and dJ/dp by the name of each parameter: `found["arm.stiffness"]`, (cells,).
 
-    A slope has its parameter's shape, and the unit of J over that of the parameter. counts: of the backward sweep. left_out: {name: reason} of
-    the parameters that the model has and that were not taken: `pi.gradient(run, J, parameters=[name])` gives their slopes.
+    A slope has its parameter's shape, and the unit of J over that of the parameter. counts: of the backward sweep. left_out: {name: reason}
+    of the parameters that the model has and that were not taken: `pi.gradient(run, J, parameters=[name])` gives their slopes.
     """
 
     value: float

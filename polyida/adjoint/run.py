@@ -5,9 +5,8 @@ import warnings
 import numpy as np
 
 from polyida.adjoint.alpha.backward import Backward
-from polyida.adjoint.alpha.beginning import first
-from polyida.adjoint.alpha.forward import beginning
-from polyida.adjoint.parameters.work import Work, stacked
+from polyida.adjoint.alpha.forward import beginning, first
+from polyida.adjoint.parameters.parameter import Work, stacked
 from polyida.adjoint.radau.backward import RadauBackward
 from polyida.adjoint.result import Gradient
 from polyida.errors import InputError

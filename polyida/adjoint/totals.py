@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.parameters.parameter import Work
 from polyida.errors import InputError
 from polyida.given import is_one_of
 from polyida.objective.slopes import Slopes
@@ -11,7 +11,8 @@ from polyida.objective.slopes import Slopes
 
 class Totals:
     """Sums by the names of parameters. names: those that are wanted, or None for all that a model offers by itself; given: whether v0, the
-    velocities that a run was given, is one too. left_out: {name: reason} of those that the model has and that are not taken without their names.
+    velocities that a run was given, is one too. left_out: {name: reason} of those that the model has and that are not taken without their
+    names.
     """
 
     def __init__(self, model, names=None, given=False):

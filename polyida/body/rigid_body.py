@@ -1,14 +1,17 @@
-"""Rigid body in two complex coordinates."""
+"""Rigid bodies in two complex coordinates: by mass and inertia, or plates taken as rigid."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.body import Body
+from polyida.body.field_body import FieldBody, moments_of, rigid_fields
 from polyida.body.material import Material, positive, vector2
+from polyida.body.plate import Plate
 from polyida.errors import InputError
 from polyida.given import is_number, settle
 from polyida.joint.formula import Row, Vector, dot
@@ -27,9 +30,9 @@ class RigidBody(Body):
     lies, m. angle: turn of its axes about it, rad. center: the centre of mass in its own axes, m. velocity of the centre of mass, m/s, and
     spin, rad/s: at the start.
 
-    q holds the displacements of c and z from rest, m; M = mass times the identity is constant, and `phi = (|z|^2 - s^2) / (2 s)` (1 row, m) keeps z
-    of its length, so that there are no gyroscopic terms. `body.at(name)` is a point, with the body's x axis
-    as its direction or the one that is given. Raises InputError for a mass or inertia that is not positive, and for what is no point.
+    q holds the displacements of c and z from rest, m; M = mass times the identity is constant, and `phi = (|z|^2 - s^2) / (2 s)` (1 row, m)
+    keeps z of its length, so that there are no gyroscopic terms. `body.at(name)` is a point, with the body's x axis as its direction or the
+    one that is given. Raises InputError for a mass or inertia that is not positive, and for what is no point.
     """
 
     mass: float
@@ -140,3 +143,40 @@ def _mean(mesh, section):
     """The mean point of a section of a mesh, the centre of a hole."""
     found = mesh.section(section)
     return tuple((found.weights @ mesh.points[found.nodes]).tolist())
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Rigid(FieldBody):
+    """A plate that does not deform: `x = c + z (X - X_S) / s`, |z| = s, as a RigidBody of its exact mass and radius of gyration s (n = 4).
+
+    It is held, loaded and drawn as the plate; its stress is zero. Of a damped material it takes mass_damping. Raises InputError for what
+    is no plate.
+    """
+
+    plate: Plate
+    name: str | None = None
+    turns_only = True
+
+    def __post_init__(self):
+        self.require_plate()
+
+    @cached_property
+    def _shapes(self):
+        return rigid_fields(self.plate)
+
+    def shapes(self) -> NDArray:
+        """1 and (X - X_S) / s at the nodes, (N, 2), complex."""
+        return self._shapes
+
+    def mass_matrix(self) -> NDArray:
+        """diag(mass, mass), by exact area integrals, the second for the turn."""
+        return moments_of(self.plate)[0] * np.eye(2)
+
+    def damping(self) -> tuple[float, float]:
+        """The material's drag."""
+        return self.plate.material.mass_damping, 0.0
+
+    def rows(self) -> list[Row | Vector]:
+        """`(|z|^2 - s^2) / (2 s)`."""
+        return [stays_rigid(self, self.gyration)]

@@ -287,8 +287,8 @@ def _list_studies(json):
 def _run_study(name, arguments, command):
     """Run a registered study, or the one that `my_study.py:NAME` names: a Study, or a function that returns a Result."""
     from polyida import registry
-    from polyida.cli import own_study
     from polyida.cli.study import main as run_study
+    from polyida.cli.study import run_function
     from polyida.study.comparison import scene_file
     from polyida.study.sweeps.harness import Study
 
@@ -296,4 +296,4 @@ def _run_study(name, arguments, command):
     found = registry.find(book, name) or scene_file.named(name, book, is_one, "studies")
     if isinstance(found, Study):
         return run_study(found, arguments, command)
-    return own_study.run(name, found, arguments, command)
+    return run_function(name, found, arguments, command)

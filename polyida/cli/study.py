@@ -1,6 +1,7 @@
-"""The command line of the scripts in studies/: options, progress, table, figures.json, the report with its pictures."""
+"""The command line of studies: those in studies/, and functions of a user's that return a Result. Progress, table, figures.json, the report."""
 
 import argparse
+import inspect
 import json
 import re
 import sys
@@ -8,14 +9,17 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from polyida.cli.garbage import collect_rarely
+from polyida.cli.places import free
 from polyida.cli.screen import tables
 from polyida.cli.screen.progress import Parts, bars
-from polyida.cli.screen.streams import document, tolerate_letters, writable
+from polyida.cli.screen.streams import document, lines, tolerate_letters, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.page import finite
+from polyida.study.comparison.scene_file import users_code
 from polyida.study.findings import columns_of, findings, shortened
 from polyida.study.report import write_page
+from polyida.study.result import Result, cell
 from polyida.study.sweeps.harness import of_other_code, plain, results, write_whole
 
 PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
@@ -23,7 +27,8 @@ MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table kee
 
 
 def main(study, arguments=None, command=None):
-    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`. command: what was typed, of a study that is no script.
+    """Run a study from the command line: `--quick`, `--out FOLDER`, `--fresh`, `--json`. command: what was typed, of a study that is no
+    script.
 
     Prints the table, writes figures.json and report.html with its pictures. Failed tasks are rows and lines; figures that need them are
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
@@ -54,7 +59,8 @@ def main(study, arguments=None, command=None):
         with writable(), document(options.json) as answer:
             answer(data)
             _print(study, rows, found, [out / "figures.json", page])
-            _print_age(other, rows)
+            if other:
+                print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
     except InputError as error:
         print(f"error: {error}; the figures are in {out}", file=sys.stderr)
         sys.exit(2)
@@ -77,11 +83,6 @@ def _meant(study, options):
     for name, value in _given(study, options).items():
         meant, command = study.options[name][1](value), f"{command} --{name} {value}"
     return meant, command
-
-
-def _print_age(other, rows):
-    if other:
-        print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
 
 
 def _results(study, options, out, progress):
@@ -155,3 +156,43 @@ def shown(value):
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else " ".join(str(value).split())
+
+
+def run_function(spec, function, arguments, command):
+    """Call the function that `my_study.py:mine` names and write the report of what it returns.
+
+    `quick` and `progress` are given to functions that take them. Raises InputError where that is no Result of pi.study, and for --quick
+    of a function that does not take it.
+    """
+    options, taken = _parser_of_function(spec).parse_args(arguments), inspect.signature(function).parameters
+    if options.quick and "quick" not in taken:
+        raise InputError(f"{spec} takes no option --quick: its function has no argument of that name")
+    file, name = Path(spec.rpartition(":")[0]), spec.rpartition(":")[2]
+    folder = free(options.out, Path("-".join([name, *["quick"] * options.quick])), options.overwrite, lines)
+    with document(options.json) as answer:
+        with bars() as tell, users_code(file):
+            given = {
+                "quick": options.quick,
+                "progress": lambda done, total, what: tell(name, done / max(total, 1), f"{done}/{total} {what}"),
+            }
+            found = function(**{key: value for key, value in given.items() if key in taken})
+        if not isinstance(found, Result):
+            raise InputError(
+                f"{spec}: its function returned {type(found).__name__}; a result of pi.study is needed, as work_precision gives"
+            )
+        written = found.report(folder, overwrite=True, command=command)
+        answer(found.as_dict() | {"command": command})
+        columns = found.shown_columns()
+        grid = [[cell(row.get(key), form) for key, (_, form) in columns.items()] for row in found.rows]
+        tables.show(found.title, tables.Grid([heading for heading, _ in columns.values()], grid), whole="the report")
+        lines(*(f"{figure}: {value:.6g}" for figure, value in found.figures.items()), found.lead, *found.notes)
+        lines(f"Report: {written / 'report.html'}")
+
+
+def _parser_of_function(spec):
+    made = argparse.ArgumentParser(prog=f"polyida study {spec}", description="A study of a file of yours.")
+    made.add_argument("--quick", action="store_true", help="given to the function as quick=True")
+    made.add_argument("--out", type=Path, help="folder of the report (default: the function's name)")
+    made.add_argument("--overwrite", "--fresh", action="store_true", help="replace what is in the folder")
+    made.add_argument("--json", action="store_true", help="one JSON document on standard output")
+    return made

@@ -11,7 +11,7 @@ from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, by_energy
 from polyida.given import settle
 from polyida.jit import entry, part
-from polyida.joint.attachment import require_sides
+from polyida.joint.attachment import require_places, require_sides
 from polyida.keywords import named_keywords
 
 
@@ -53,7 +53,8 @@ def circle_energy(x, data):
 def on_line(t, x, v, data, f):
     """`n F` on the point, the first side, and what that is on the line's point and direction d, the others; n = i d/|d|.
 
-    With w from the line's point to the point: depth `delta = -w . n`, and `F d(delta)/dd = F (i w - delta d/|d|) / |d|` is minus the force on d.
+    With w from the line's point to the point: depth `delta = -w . n`, and `F d(delta)/dd = F (i w - delta d/|d|) / |d|` is minus the force
+    on d.
     """
     wx, wy, dx, dy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1], x[2, 0], x[2, 1]
     size, depth = np.sqrt(dx * dx + dy * dy), depth_in_line(x)
@@ -81,15 +82,15 @@ def on_circle(t, x, v, data, f):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Contact(ForceElement):
-    """A point against a line, or against a circle from outside, by a smooth penalty: `F = k delta^n (1 + 3/2 c delta')`, N, which never pulls.
+    """A point against a line, or against a circle from outside, by a smooth penalty: `F = k delta^n (1 + 3/2 c delta')`, N, which never
+    pulls.
 
     delta: how deep the point a is in what b bounds, m. Without a radius that is the half-plane to the right of the line through b along its
     direction (below `ground.at(point)`, whose direction is the x axis); with a radius, m, the circle about the point b. stiffness k, N/m^n;
-    exponent n, 1 or more, 3/2 of Hertz; damping c, s/m: slow blows at a speed v come back with (1 - c v) v. There is no friction. Energy
-    `k delta^(n + 1) / (n + 1)`; `3/2 c k delta^n delta'^2` is dissipated. Its `gap` is -delta: steps of all integrators end where the contact
-    opens and closes, and are short enough while it is closed.
-    Raises InputError for wrong values, and for a line whose side has no direction.
-    Source: Hunt, Crossley, J. Appl. Mech. 42 (1975) 440-445.
+    exponent n, 1 or more, 3/2 of Hertz; damping c, s/m: slow blows at a speed v come back with (1 - c v) v. There is no friction. Energy `k
+    delta^(n + 1) / (n + 1)`; `3/2 c k delta^n delta'^2` is dissipated. Its `gap` is -delta: steps of all integrators end where the contact
+    opens and closes, and are short enough while it is closed. Raises InputError for wrong values, and for a line whose side has no
+    direction. Source: Hunt, Crossley, J. Appl. Mech. 42 (1975) 440-445.
     """
 
     a: Any
@@ -104,9 +105,7 @@ class Contact(ForceElement):
 
     def __post_init__(self):
         require_sides(self.label, self.a, self.b)
-        for side in (self.a, self.b):
-            if side.point is None:
-                raise InputError(f"{self.label}: ground has no place by itself; use ground.at(point)")
+        require_places(self.label, self.a, self.b)
         if self.radius is None and not self.b.has_direction:
             raise InputError(f"{self.label}: {self.b!r} has no direction, and there is no radius; give a radius, or {self.b.advice}")
         settle(

@@ -51,12 +51,12 @@ def condition_number(
 def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None, mode=None):
     """The matrix of one Newton iteration at a state: CSC where the model's matrices are sparse, dense otherwise.
 
-    GeneralizedAlpha: `[[S, B^T], [B, 0]]`, (n + m, n + m), `S = beta' M + gamma' C + K`; unknown: "q" for the unknowns
-    (dq, dlam), or "v" or "a", whose increments are gamma' dq and beta' dq. IDA: the whole matrix `dF/dy + cj dF/dy'` of its
-    form, cj = 1/h, (2n + m or 2n + 2m)^2. RadauIIA: that of its form for one mode of the stages, of the same shape (radau/whole.py);
-    mode: "real" or "complex", by default the real one, which two stages do not have.
-    scaling: the integrator's own, or any other that it knows. h: the step, s, in place of GeneralizedAlpha's and RadauIIA's own; IDA, and
-    the others where none was given, have none. Raises InputError for an integrator, a scaling, an unknown, a mode or a step that there is not.
+    GeneralizedAlpha: `[[S, B^T], [B, 0]]`, (n + m, n + m), `S = beta' M + gamma' C + K`; unknown: "q" for the unknowns (dq, dlam), or "v"
+    or "a", whose increments are gamma' dq and beta' dq. IDA: the whole matrix `dF/dy + cj dF/dy'` of its form, cj = 1/h, (2n + m or 2n +
+    2m)^2. RadauIIA: that of its form for one mode of the stages, of the same shape (radau/whole.py); mode: "real" or "complex", by default
+    the real one, which two stages do not have. scaling: the integrator's own, or any other that it knows. h: the step, s, in place of
+    GeneralizedAlpha's and RadauIIA's own; IDA, and the others where none was given, have none. Raises InputError for an integrator, a
+    scaling, an unknown, a mode or a step that there is not.
     """
     model = guard(model, "condition_number")
     if not isinstance(integrator, (GeneralizedAlpha, IDA, RadauIIA)):

@@ -25,7 +25,7 @@ from polyida.keywords import named_keywords
 from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
 from polyida.model.check import require_declared
-from polyida.model.guarded import guard, require_functions, unguarded
+from polyida.model.guarded import guard, unguarded
 from polyida.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -63,13 +63,12 @@ def solve(
     """Run `integrator` on `model` from t0 (or from `state`, that of an earlier run) to t_end.
 
     q0, v0: initial coordinates and velocities; those left out are zero, v0 those of the bodies' velocity and spin, moved onto the
-    constraints where they must be (see consistent_state).
-    every: keep each `every`-th accepted step (the first and last always). output: increasing times; the frames are then
-    exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a and lam linear).
-    until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the
-    last frame is there. progress: called with t at every accepted step; True shows a bar of tqdm (extra `notebook`). sensors: {name: f(t, q, v), or one of `pi.sensor`}, each giving a
-    number or an array of one shape; called at the start and at every accepted step, whatever becomes a frame: `run.sensors[name]` (steps,
-    ...) at `run.sensors.t`, kept in memory and in files.
+    constraints where they must be (see consistent_state). every: keep each `every`-th accepted step (the first and last always). output:
+    increasing times; the frames are then exactly those, interpolated within the accepted steps (q cubic from q and v, v its derivative, a
+    and lam linear). until: f(t, q, v) -> float; the run stops ("stopped") where it changes sign, located on the same interpolation; the
+    last frame is there. progress: called with t at every accepted step; True shows a bar of tqdm (extra `notebook`). sensors: {name: f(t,
+    q, v), or one of `pi.sensor`}, each giving a number or an array of one shape; called at the start and at every accepted step, whatever
+    becomes a frame: `run.sensors[name]` (steps, ...) at `run.sensors.t`, kept in memory and in files.
 
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
     process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, or up
@@ -82,9 +81,9 @@ def solve(
     room, in memory and in files; the run itself, and the state to go on from, are as ever, but one that no step ended in, found by
     `until` or extrapolated, is the last frame.
 
-    Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with
-    the frames up to it. An exception in a user's function goes on to the caller; its attribute `trajectory` is the
-    run so far. Ctrl-C after the last step raises KeyboardInterrupt, which has the whole run as `trajectory`. Raises InputError for a wrong input, before the run starts.
+    Returns a Trajectory; a numerical failure, Ctrl-C ("interrupted") and a full disk are its status and message, with the frames up to it.
+    An exception in a user's function goes on to the caller; its attribute `trajectory` is the run so far. Ctrl-C after the last step raises
+    KeyboardInterrupt, which has the whole run as `trajectory`. Raises InputError for a wrong input, before the run starts.
     """
     _require_start(model, t0, state, q0, v0)
     require_progress("solve", progress)
@@ -121,7 +120,6 @@ def _first(model, t0, state, q0, v0, t_end, nonholonomic):
         q, v = given(known, "q0", q0), given(known, "v0", v0)
     if not known.is_scene and unguarded(known).by_numba:
         Compiled(unguarded(known))
-    require_functions(known, float(t0), q, v)
     require_declared(known, float(t0), q, v, float(t_end), nonholonomic)
     if state is None:
         return consistent_state(model, t0, q0, v0)

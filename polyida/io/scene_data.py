@@ -27,8 +27,8 @@ class UnknownPart(Exception):
 
 
 def to_data(model):
-    """(description, arrays, drives) of a scene's parts and gravity: a JSON-ready dictionary, the arrays it refers to by key, and {key: (part,
-    profile)} of the profiles that have no formula.
+    """(description, arrays, drives) of a scene's parts and gravity: a JSON-ready dictionary, the arrays it refers to by key, and {key:
+    (part, profile)} of the profiles that have no formula.
     """
     parts = model.parts
     book = _Book(parts, {placed.name: placed.user.made_fields(placed.body) for placed in model.few})

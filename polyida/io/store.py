@@ -1,19 +1,67 @@
 """Frames of a run as they come: in memory while they are small, in a file beyond or from the start."""
 
+import mmap
 import os
+import tempfile
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 
 from polyida.io.file.layout import FRAMES, dtypes_of, shapes_of
 from polyida.io.file.reader import read_open
-from polyida.io.file.writer import NotWritten
+from polyida.io.file.writer import NotWritten, taken
 from polyida.io.frames import MEMORY_LIMIT
 from polyida.io.memory import LAZY, room
-from polyida.io.spill import Spill
 
+BLOCK = 1 << 20  # bytes that are written at once
+WINDOW = 1 << 24  # bytes after which the system is told that those before will not be read soon
 SMALL = 1 << 20  # bytes of a run's frames that are not worth a piece of memory of their own
 PART = 8  # times an array must be in that piece to be left there: one that is less, and kept for long, would keep all of it
+
+
+class Spill:
+    """A file for each of the arrays of a block, numbers as they are in memory; no other process can come at them.
+
+    What is on the disk need not stay in memory: new memory would cost more than the writing. rows: frames of a block;
+    count: frames in whole blocks. Methods raise NotWritten.
+    """
+
+    def __init__(self, frame_bytes):
+        self.rows, self.count, self.shown = max(1, BLOCK // frame_bytes), 0, Path(tempfile.gettempdir()) / "frames"
+        self._files, self._told = [], 0
+
+    def append(self, block):
+        """Append frames, a list of arrays. Safe to be interrupted and called again."""
+        with taken(self.shown):
+            self._files += [tempfile.TemporaryFile(buffering=0) for _ in block[len(self._files) :]]  # noqa: SIM115, they stay open
+            for file, values in zip(self._files, block):
+                _write(file, values.reshape(-1).view(np.uint8), self.count * values[:1].nbytes)
+        self.count += len(block[0])
+        self._told += sum(values.nbytes for values in block)
+        if self._told > WINDOW and hasattr(os, "posix_fadvise"):
+            for file in self._files:
+                os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+            self._told = 0
+
+    def arrays(self, block):
+        """The frames as arrays, of the shapes and dtypes of a block; what is written into them later is not in the file."""
+        return [_mapped(file, values, self.count) for file, values in zip(self._files, block)]
+
+
+def _write(file, values, at):
+    file.seek(at)
+    done = 0
+    while done < len(values):
+        done += file.write(memoryview(values)[done:])
+
+
+def _mapped(file, values, count):
+    size = count * values[:1].nbytes
+    if not size:
+        return np.empty((count, *values.shape[1:]), values.dtype)
+    mapping = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_COPY)
+    return np.frombuffer(mapping, values.dtype).reshape(count, *values.shape[1:])
 
 
 class FrameStore:

@@ -175,6 +175,19 @@ def require_attachment(part, given):
         raise InputError(f"{part}: {given[:80]} is no attachment; use plate.section(...), plate.rim(...), plate.node(...) or body.at(...)")
 
 
+def require_places(part, *sides):
+    """Raise InputError for `ground` itself, which has no place."""
+    if any(side.point is None for side in sides):
+        raise InputError(f"{part}: ground has no place by itself; use ground.at(point)")
+
+
+def require_directions(part, *sides):
+    """Raise InputError for a side that has no direction."""
+    for side in sides:
+        if not side.has_direction:
+            raise InputError(f"{part}: {side!r} has no direction; {side.advice}")
+
+
 def require_sides(part, a, b):
     """Raise InputError unless both sides are attachments or ground, not both ground, not one body twice."""
     grounds = [isinstance(side, Ground) for side in (a, b)]

@@ -37,10 +37,14 @@ class Piece:
         terms, of_ground = self.terms + other.terms, self.of_ground + other.of_ground
         return replace(self, terms=terms, constant=self.constant + other.constant, of_ground=of_ground)
 
+    def at(self, place):
+        """Its value before it is turned, `place(attachment, "point" or "direction")` giving the z_j."""
+        return self.constant + sum(w * place(side, part) for side, part, w in self.terms)
+
     @property
     def rest(self):
         """Its value in the reference configuration, before it is turned."""
-        return self.constant + sum(w * rest_of(side, part) for side, part, w in self.terms)
+        return self.at(rest_of)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,13 +259,9 @@ def in_words(given):
         return f"a {repr(given)[1:-1]}"
     if isinstance(given, np.ndarray):
         return f"an array of shape {given.shape}"
-    kinds = {list: "list", tuple: "tuple", dict: "dictionary", str: "text"}
-    kind = kinds.get(type(given))
-    if kind == "text":
-        return f"the text {given!r:.60}"
-    if kind:
-        return f"a {kind} of {len(given)}"
-    return "a profile of time" if isinstance(given, Profile) else f"{given!r:.60}"
+    if isinstance(given, (list, tuple, dict)):
+        return f"a {type(given).__name__} of {len(given)}"
+    return "a profile of time" if isinstance(given, Profile) else f"{'the text ' * isinstance(given, str)}{given!r:.60}"
 
 
 def _most(given):

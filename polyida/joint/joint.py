@@ -4,8 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 from polyida import registry
-from polyida.errors import InputError
-from polyida.joint.attachment import Ground, labelled, require_sides
+from polyida.joint.attachment import Ground, labelled, require_directions, require_sides
 from polyida.joint.formula import Row, Vector
 
 FORCE = (("x", "N"), ("y", "N"))  # axis and unit of the components of a reaction
@@ -56,10 +55,7 @@ class Joint:
 
     def require_directions(self, *sides: Any) -> None:
         """Raise InputError unless these sides have a direction, or both where none are given."""
-        for side in sides or (self.a, self.b):
-            if not side.has_direction:
-                label = labelled(type(self).__name__, self.name)
-                raise InputError(f"{label}: {side!r} has no direction; {side.advice}")
+        require_directions(labelled(type(self).__name__, self.name), *(sides or (self.a, self.b)))
 
     def keep_drawing(self) -> None:
         """Called before `scene.assemble()` moves bodies: keep of the drawing what rows() would take from another one otherwise."""

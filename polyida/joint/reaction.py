@@ -1,7 +1,8 @@
 """What a joint does to its side b, from its rows by virtual work.
 
-The force of a joint on the coordinates is `-phi_q^T lam`. Where the body of b, or the ground, moves by dx and turns by dphi about the point of b,
-its work is `f . dx + m dphi`: f is the sum of the forces on the points of b in the rows, m that of their moments and of those on its directions.
+The force of a joint on the coordinates is `-phi_q^T lam`. Where the body of b, or the ground, moves by dx and turns by dphi about the point
+of b, its work is `f . dx + m dphi`: f is the sum of the forces on the points of b in the rows, m that of their moments and of those on its
+directions.
 """
 
 from collections.abc import Callable
@@ -10,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.joint.formula import Piece, rest_of, rows_of
+from polyida.given import pairs_of
+from polyida.joint.formula import rest_of, rows_of
 from polyida.joint.joint import FORCE, Joint
 
 MOMENT = (("", "N m"),)
@@ -21,7 +23,8 @@ Place = tuple[Any, str]  # an attachment or a place of the ground, and "point" o
 class Reaction:
     """The reaction of a joint as a function of its multipliers and of the places in its rows.
 
-    whole: force and moment, whatever the components of the joint. components: (axis, unit) of each. needed: the Places of bodies that it depends on. profiles: those that turn vectors in the rows.
+    whole: force and moment, whatever the components of the joint. components: (axis, unit) of each. needed: the Places of bodies that it
+    depends on. profiles: those that turn vectors in the rows.
     """
 
     def __init__(self, joint: Joint, whole: bool = False):
@@ -51,19 +54,19 @@ class Reaction:
                 places[key] = rest_of(side, part) if side.body is None else at((side, part))
             return places[key]
 
-        turns = {id(profile): np.exp(1j * (_values(profile, t) + ahead[1] * (profile is ahead[0]))) for profile in self.profiles}
+        turns = {id(profile): np.exp(1j * (profile.over(t) + ahead[1] * (profile is ahead[0]))) for profile in self.profiles}
         forces: dict = {}
         for k, row in enumerate(self.rows):
             for product in row.products:
                 turn = turns.get(id(product.turning.profile), 1.0)
-                e, f = turn * _value(product.turning, place), _value(product.still, place)
+                e, f = turn * product.turning.at(place), product.still.at(place)
                 for piece, other, w in ((product.turning, f, turn), (product.still, e, 1.0)):
                     for side, part, weight in self._of_b(piece):
                         key = (id(side), part)
                         forces[key] = side, part, forces.get(key, (None, None, 0.0))[2] - lam[:, k] * np.conj(w * weight) * other
         none = np.zeros(len(t), complex)
         if self._points:
-            return np.concatenate([_columns(force + none) for _, _, force in forces.values()], axis=1)
+            return np.concatenate([pairs_of(force + none) for _, _, force in forces.values()], axis=1)
         force = sum((force for _, part, force in forces.values() if part == "point"), none)
         moment = none.real
         if self._turns:
@@ -88,17 +91,3 @@ def _same(side, other):
     if side is other or side.body is None:
         return side is other or np.array_equal(side.point, other.point)
     return np.array_equal(side.nodes, other.nodes) and np.array_equal(side.weights, other.weights)
-
-
-def _value(piece: Piece, place):
-    """A piece of a formula, not turned by its profile."""
-    return piece.constant + sum(w * place(side, part) for side, part, w in piece.terms)
-
-
-def _values(profile, t):
-    """A profile at times (frames,)."""
-    return profile.value(t) if profile.formula else np.array([profile.value(at) for at in t.tolist()])
-
-
-def _columns(force):
-    return np.stack([force.real, force.imag], axis=1)

@@ -3,10 +3,8 @@
 from polyida.mesh.density_filter import density_filter
 from polyida.mesh.drawings.outlines import read_outline, svg_path
 from polyida.mesh.files.lists import from_lists
-from polyida.mesh.files.raw import RawMesh
-from polyida.mesh.files.read_write import read, write
-from polyida.mesh.files.registry import FORMATS, Format
-from polyida.mesh.files.units import MeshWarning
+from polyida.mesh.files.raw import MeshWarning, RawMesh
+from polyida.mesh.files.read_write import FORMATS, Format, read, write
 from polyida.mesh.make.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union
 from polyida.mesh.make.mesher import polygonize
 from polyida.mesh.make.outline import Outline

@@ -74,13 +74,9 @@ def split_concave_cells(polygons, smallest_turn=1e-3):
     return Polygons(polygons.points, np.concatenate(cells), offsets, polygons.rank)
 
 
-def _turns(corner):
-    return topology.turns(corner, np.arange(len(corner)), np.array([0, len(corner)]))
-
-
 def _cut(points, cell, smallest_turn):
     """Convex pieces of one cell: each cut starts at the most reflex corner and leaves the best smallest turn."""
-    turn = _turns(points[cell])
+    turn = topology.ring_turns(points[cell])
     if len(cell) == 3 or turn.min() > smallest_turn:
         return [cell]
     ring = np.roll(cell, -int(np.argmin(turn)))
@@ -93,4 +89,4 @@ def _merit(points, first, second):
     """Smallest turn of the two pieces; hopeless where a piece is turned inside out."""
     corners = points[first], points[second]
     smallest = min(topology.areas(c, np.arange(len(c)), np.array([0, len(c)]))[0] for c in corners)
-    return -10.0 if smallest <= 0.0 else min(float(_turns(c).min()) for c in corners)
+    return -10.0 if smallest <= 0.0 else min(float(topology.ring_turns(c).min()) for c in corners)

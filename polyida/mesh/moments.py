@@ -1,6 +1,6 @@
 """Area integrals of a mesh, exact for its polygons."""
 
-import numpy as np
+from polyida.mesh import topology
 
 
 def area_moments(mesh):
@@ -11,10 +11,8 @@ def area_moments(mesh):
     """
     centre = mesh.points.mean(axis=0)
     x = mesh.points[mesh.nodes] - centre
-    following = np.arange(1, len(mesh.nodes) + 1)
-    following[mesh.offsets[1:] - 1] = mesh.offsets[:-1]
-    y = x[following]
-    across = x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]
+    y = x[topology.following(mesh.offsets)]
+    across = topology.cross(x, y)
     area = across.sum() / 2
     first = across @ (x + y) / 6
     second = across @ ((x * x).sum(axis=1) + (x * y).sum(axis=1) + (y * y).sum(axis=1)) / 12

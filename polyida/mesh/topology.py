@@ -77,6 +77,11 @@ def turns(points, nodes, offsets):
     return np.arctan2(cross(behind, ahead), np.einsum("ij,ij->i", behind, ahead))
 
 
+def ring_turns(ring):
+    """The same of one closed polygon (n, 2)."""
+    return turns(ring, np.arange(len(ring)), np.array([0, len(ring)]))
+
+
 def half_bandwidth(nodes, offsets):
     """Largest difference of node numbers within a cell."""
     if len(offsets) < 2:

@@ -1,13 +1,16 @@
 """Independent coordinates y of small motions, `x = T y + G u`, and what accelerates them.
 
-Columns of T are normal (`B T = 0`, `T^T M T = 1`). G is what inputs that move constraints do at once, `B G = -rows`, normal to T in M, so that
-their accelerations move no y: `y'' = T^T M x''`.
+Columns of T are normal (`B T = 0`, `T^T M T = 1`). G is what inputs that move constraints do at once, `B G = -rows`, normal to T in M, so
+that their accelerations move no y: `y'' = T^T M x''`.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_whole
+from polyida.integrate.directions import direction, known_inputs
 from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
 from polyida.modal import eigen
@@ -16,6 +19,20 @@ from polyida.modal.system import NO_MASS
 
 OFF = 1e-6  # of |B| |x|: modes that leave the constraints by more are none of this state
 MOST = 2000  # coordinates that are taken without modes
+
+
+def inputs_of(part, model, state, given):
+    """A list of Direction with labels, of what a user gives: None (all profiles), one, a list or a dictionary {label: one}.
+
+    Raises InputError in the name of `part`.
+    """
+    if given is None:
+        given = [name for name in known_inputs(model) if name]
+    if not isinstance(given, (list, dict)):
+        given = [given]
+    named = given.items() if isinstance(given, dict) else ((None, one) for one in given)
+    found = [(label, direction(part, model, state, one)) for label, one in named]
+    return [replace(one, label=str(label or one.label or f"input {k}")) for k, (label, one) in enumerate(found)]
 
 
 class Coordinates:

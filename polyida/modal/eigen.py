@@ -36,8 +36,8 @@ def undamped(system, count):
 
 
 def damped(system, count):
-    """(roots s, complex, and shapes (n, .), complex, `|x^H M x| = 1`), by |s|: one of each complex pair, and each real root; `count` of them,
-    or all where these are fewer. A rigid motion x, which has s = 0 twice, x and x t, comes once.
+    """(roots s, complex, and shapes (n, .), complex, `|x^H M x| = 1`), by |s|: one of each complex pair, and each real root; `count` of
+    them, or all where these are fewer. A rigid motion x, which has s = 0 twice, x and x t, comes once.
     """
     slow, N = _rigid(system, count)
     left = count - N.shape[1]

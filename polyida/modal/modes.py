@@ -11,15 +11,33 @@ from polyida.brief import brief
 from polyida.errors import InputError
 from polyida.given import is_flag, is_number, is_whole
 from polyida.integrate.state import State
-from polyida.integrate.statics.loading import Equilibrium
+from polyida.integrate.statics.static import Equilibrium
 from polyida.keywords import named_keywords
 from polyida.modal import eigen
-from polyida.modal.participation import effective_masses
 from polyida.modal.system import linear_system
 from polyida.model import Model
 
 LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
 FLUTTER = 1e-9  # of |s|: a root to the right of the imaginary axis by no more is on it
+
+
+def effective_masses(model, M, X):
+    """`|x^H M r|^2`, (count, 2), kg, of mass-normalised shapes X (n, count), r the unit translations along x and y; and `r^T M r`, kg.
+
+    None and nan of a model that has no bodies.
+    """
+    r = translations(model)
+    if r is None:
+        return None, float("nan")
+    return np.abs(X.conj().T @ (M @ r)) ** 2, float(r[:, 0] @ (M @ r[:, 0]))
+
+
+def translations(model):
+    """Columns (n, 2): how q moves where all bodies move by 1 m along x, and along y; None where the model has no bodies."""
+    if not model.is_scene:
+        return None
+    T = model.translation
+    return np.stack([T.view(float), (1j * T).view(float)], axis=1)
 
 
 @named_keywords
@@ -60,8 +78,8 @@ class Modes:
 
     @property
     def damping(self) -> NDArray:
-        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, negative of modes that grow; of real roots 1 where they fade and -1
-        where they grow.
+        """Ratios `-Re s / |s|`, (count,): 0 undamped and of rigid motions, negative of modes that grow; of real roots 1 where they fade and
+        -1 where they grow.
         """
         return -self.roots.real / np.where(self.roots == 0, 1.0, np.abs(self.roots))
 
@@ -115,8 +133,8 @@ class Modes:
 
 @named_keywords
 def modes(model: Model, state: State | None = None, count: int = 6, damped: bool = False) -> Modes:
-    """Modes about a state: of `s^2 M x + K x + B^T mu = 0`, `B x = 0`, those of least s^2, K = d(g + B^T lam)/dq, B = phi_q; with damping of
-    `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, those of least |s|.
+    """Modes about a state: of `s^2 M x + K x + B^T mu = 0`, `B x = 0`, those of least s^2, K = d(g + B^T lam)/dq, B = phi_q; with damping
+    of `(s^2 M + s C + K) x + B^T mu = 0`, C = dg/dv, those of least |s|.
 
     state: one of `pi.static`, or any other with its lam; by default q = 0 at t = 0 as it is drawn, without loads (lam = 0). count: how many
     modes, or all where these are fewer. Without damping there are n - m, each a pair +-s. damped: the 2 (n - m) roots s of the linearised

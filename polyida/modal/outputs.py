@@ -10,7 +10,7 @@ from polyida.errors import InputError
 from polyida.given import floats, is_one_of
 from polyida.joint.attachment import Attachment
 from polyida.model import differences
-from polyida.results.reaction import reaction_of
+from polyida.results.motion import reaction_of
 
 KINDS = ("position", "velocity", "acceleration", "reaction")
 MOTION = {"position": 0, "velocity": 1, "acceleration": 2}

@@ -40,10 +40,10 @@ class Needs:
 class Model:
     """A constrained mechanical system `r = M(q) a + g(t, q, v) + phi_q^T lam = 0`, `phi(t, q) = 0` (index 3).
 
-    A model of one's own sets `n` and `m` and writes `mass`, `force`, `phi` and `phi_q`; all other derivatives have right
-    defaults by fourth-order differences. Override them where the exact form is known, and check the override with
-    `check_derivatives`. A model whose forces act only in a part of the motion, like those of contacts, writes `gaps` too: without it steps may
-    pass over them unseen. Shapes: q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
+    A model of one's own sets `n` and `m` and writes `mass`, `force`, `phi` and `phi_q`; all other derivatives have right defaults by
+    fourth-order differences. Override them where the exact form is known, and check the override with `check_derivatives`. A model whose
+    forces act only in a part of the motion, like those of contacts, writes `gaps` too: without it steps may pass over them unseen. Shapes:
+    q, v, a (n,), lam and phi (m,), matrices dense or scipy.sparse. The multipliers' sign is that of r.
 
     The attributes below it are what else is asked of every model; these are the values of one that has nothing of the kind.
     """
@@ -265,7 +265,7 @@ class Model:
         columns = []
         for unit in np.eye(value.size).reshape(value.size, *value.shape):
             size = float(np.abs(value[unit == 1.0]).item()) or 1.0
-            columns.append(differences.along(lambda s, unit=unit: function(self.replaced(name, _like(value + s * unit))), size, room))
+            columns.append(differences.along(lambda s, unit=unit: function(self.replaced(name, (value + s * unit)[()])), size, room))
         return np.stack(columns, axis=-1).reshape(len(columns[0]), *value.shape)
 
     def _room(self, name, value, t):
@@ -299,11 +299,6 @@ class Model:
             return KKT(self.mass(q), self.phi_q(t, q))
         except SingularSystem:
             raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None
-
-
-def _like(value):
-    """A number as a float, an array as it is."""
-    return value if value.ndim else float(value)
 
 
 def require_model(part, model):

@@ -1,23 +1,16 @@
-"""What a model says of itself, looked at: the derivatives that it writes, compared with differences, and what its `needs` promise."""
+"""What a model says of itself, looked at before a run: promises of its `needs`, derivatives of phi, energies with forces as their slope."""
 
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_whole
-from polyida.keywords import named_keywords
-from polyida.linear.matrix import dense
-from polyida.model import Model, differences
-from polyida.model.guarded import SAME, guard, require_constraints, writes
+from polyida.model import differences
+from polyida.model.guarded import SAME, require_functions, writes
 
-ROUND_OFF = 4 * np.finfo(float).eps / differences.FIRST_ORDER_STEP  # of a difference, over the size of what it is taken of
-TRIES = 8  # states that are drawn until forces are finite
-ONE_SIDED = 8  # by how much more of it a difference beside a kink has
 REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: how far from the start a state is drawn, the first where phi is finite
 SCALES = (1.0, 1e-2, 1e-4)  # of a difference's step: where two of them agree, the difference is known
-FINER = 1.0 / 8.0  # of the steps of differences, at which they are taken again: beside a kink they are others
 AGREES = 1e-5  # of its size, by which a derivative may be off
 DOUBT = 10.0  # times by how much differences disagree
 ROUND = 64 * np.finfo(float).eps  # of a function, over a step: round-off of its difference
@@ -26,95 +19,15 @@ MOMENTS = 8  # times at which phi is looked at
 VELOCITY_ROWS = '; a velocity constraint that has no phi needs IDA(form="index2", nonholonomic=True), or "index1"'
 
 
-@named_keywords
-def check_derivatives(
-    model: Model,
-    t: float = 0.0,
-    q: ArrayLike | None = None,
-    v: ArrayLike | None = None,
-    a: ArrayLike | None = None,
-    lam: ArrayLike | None = None,
-    seed: int = 0,
-) -> dict[str, float]:
-    """Compare every derivative of a model with differences of what it is the derivative of.
-
-    States that are not given are drawn at random (q of size 1, v of size 1), where forces are finite. Returns {name: relative error}, the largest
-    deviation over the largest entry; about 1e-9 where the derivative is right, about 1 where it is wrong. What round-off of the
-    force leaves of its differences is none: where forces are large, as of plates bent at random, small slopes are seen less sharply.
+def energies(model, t, q):
+    """(part, its energy of places x, J, minus the slope that it must have there, or None, x at q, sizes of x): of bodies and force elements
+    of a scene, or of a model of one's own.
     """
-    model = guard(model, "check_derivatives")
-    if not (is_number(t) and is_whole(seed, 0)):
-        raise InputError(f"check_derivatives: t = {t!r} must be a finite time in s, seed = {seed!r} a whole number")
-    require_constraints(model)
-    random = np.random.default_rng(seed)
-    q, v, a = _drawn(model, t, random, [None if x is None else _vector(name, x, model.n) for name, x in (("q", q), ("v", v), ("a", a))])
-    lam = random.standard_normal(model.m) if lam is None else _vector("lam", lam, model.m)
-    n, m = model.n, model.m
-    force = ROUND_OFF * np.abs(Model.residual(model, t, q, v, a, lam)).max()
-    blur = {"force_v": force, "tangent, v": force, "phi_t": ONE_SIDED * ROUND_OFF * np.abs(model.phi(t, q)).max(initial=0.0)}
-    pairs = {
-        "force_q": (model.force_q(t, q, v), differences.jacobian(lambda x: model.force(t, x, v), q, n)),
-        "force_v": (model.force_v(t, q, v), differences.jacobian(lambda x: model.force(t, q, x), v, n)),
-        "mass_a_q": (model.mass_a_q(q, a), differences.jacobian(lambda x: model.mass(x) @ a, q, n)),
-        "tangent": (
-            model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0),
-            differences.jacobian(lambda x: Model.residual(model, t, x, v, a, lam), q, n),
-        ),
-        "tangent, v": (
-            model.tangent(t, q, v, a, lam, 0.0, 1.0, 0.0),
-            differences.jacobian(lambda x: Model.residual(model, t, q, x, a, lam), v, n),
-        ),
-    }
-    if m:
-        pairs |= {
-            "phi_q": (model.phi_q(t, q), differences.jacobian(lambda x: model.phi(t, x), q, m)),
-            "reaction_q": (model.reaction_q(t, q, lam), differences.jacobian(lambda x: model.phi_q(t, x).T @ lam, q, n)),
-            "phi_t": (model.phi_t(t, q), differences.along(lambda s: model.phi(t + s, q), room=model._smooth(t))),
-            "phi_bias": (model.phi_bias(t, q, v), Model.phi_bias(model, t, q, v)),
-        }
-    for name in model.parameters:
-        least = np.abs(model.parameter(name)).min() or 1.0
-        blur[f"residual_p {name}"] = force / least
-        state = t, q, v, a, lam
-        slopes: dict[str, tuple] = {
-            "residual_p": (model.residual_p, Model.residual_p, state),
-            "phi_p": (model.phi_p, Model.phi_p, state[:2]),
-        }
-        written = {key: entry for key, entry in slopes.items() if writes(model.user, key)}
-        pairs |= {f"{key} {name}": (own(name, *at), plain(model, name, *at)) for key, (own, plain, at) in written.items()}
-    for name, energy, force in _energies(model, t, q):
-        slope, doubt = _slope(energy, force.size)
-        blur[name] = ROUND_OFF * max(np.abs(energy(np.zeros(force.size))).max(), np.abs(force).max()) + doubt
-        pairs[name] = slope, -force
-    return {name: _deviation(*pair, blur.get(name, 0.0)) for name, pair in pairs.items()}
-
-
-def _slope(function, size):
-    """(slope at 0 of a function of (size,) by differences, (size,), how far it may be off: beside a kink, finer ones are others)."""
-    one, finer = (differences.jacobian(lambda s, part=part: function(part * s), np.zeros(size), 1)[0] / part for part in (1.0, FINER))
-    return one, DOUBT * np.abs(one - finer).max()
-
-
-def _energies(model, t, q):
-    """(name, its energy, J, (1,), at a small displacement s, minus its slope there) of all that must have its force at v = 0 as that."""
     if not model.is_scene:
-        force = _said(lambda: _conservative(model, t, q))
-        if force is not None:
-            yield "potential", lambda s: np.array([model.potential(q + s)]), force
+        yield model, model.potential, partial(_conservative, model, t), q, _size(q)
         return
     for own in model.own_forces.each:
-        x = own.places(q)
-        force, reach = _said(lambda own=own, x=x: own.conservative(t, x)), np.broadcast_to(own.sizes, x.shape)
-        if force is not None:
-            moved = lambda s, own=own, x=x, reach=reach: np.array([own.energy(x + reach * s.reshape(x.shape))])  # noqa: E731
-            yield f"energy of {own.name}", moved, (reach * force).ravel()
-
-
-def _said(call):
-    """What a call gives; None where it raises, as at times at which forces are not known."""
-    with suppress(*RAISED):
-        return call()
-    return None
+        yield own, own.energy, partial(own.conservative, t), own.places(q), own.sizes
 
 
 def _conservative(model, t, q):
@@ -131,19 +44,17 @@ def require_energies(model, t, q, strain_only=False):
     It is looked at of bodies of one's own (strain_only), and of force elements and models of one's own that say that they are conservative.
     """
     random = np.random.default_rng(0)
-    if not model.is_scene:
-        wrong = _wrong_slope(model.potential, lambda x: _conservative(model, t, x), q, _size(q), random)
-        if wrong:
+    for part, energy, forces, x, sizes in energies(model, t, q):
+        if model.is_scene and (strain_only and not part.strain or type(part.element).__module__.startswith("polyida.")):
+            continue
+        if not (wrong := _wrong_slope(energy, forces, x, sizes, random)):
+            continue
+        if not model.is_scene:
             advice = "correct it, or, if forces do more than that, give powers(t, q, v, lam)"
             raise InputError(f"{model.name}.potential(q) must have force(t, q, 0) as its slope: {wrong}; {advice}")
-        return
-    for own in model.own_forces.each:
-        if (strain_only and not own.strain) or type(own.element).__module__.startswith("polyida."):
-            continue
-        if wrong := _wrong_slope(own.energy, lambda x, own=own: own.conservative(t, x), own.places(q), own.sizes, random):
-            advice = "correct one of them" + ("" if own.strain else "; an element that works on what does not move says `works = True`")
-            what = "elastic(z) as its slope" if own.strain else "the forces at v = 0 as its falling slope"
-            raise InputError(f"{own.name}: its energy must have {what}: {wrong}; {advice}")
+        what = "elastic(z) as its slope" if part.strain else "the forces at v = 0 as its falling slope"
+        advice = "correct one of them" + ("" if part.strain else "; an element that works on what does not move says `works = True`")
+        raise InputError(f"{part.name}: its energy must have {what}: {wrong}; {advice}")
 
 
 def _wrong_slope(energy, forces, x, sizes, random):
@@ -162,35 +73,15 @@ def _wrong_slope(energy, forces, x, sizes, random):
     return ""
 
 
-def _drawn(model, t, random, given):
-    """q, v and a, those that are None drawn at random until forces are finite."""
-    for _ in range(TRIES):
-        q, v, a = (random.standard_normal(model.n) if x is None else x for x in given)
-        if np.isfinite(model.force(t, q, v)).all():
-            break
-    return q, v, a
-
-
-def _deviation(exact, difference, blur):
-    exact = dense(exact)
-    size = max(np.abs(exact).max(initial=0), np.abs(difference).max(initial=0))
-    return float(max(0.0, np.abs(exact - difference).max(initial=0) - blur) / size) if size > 1e-12 else 0.0
-
-
-def _vector(name, value, size):
-    array = floats(value)
-    if array is None or array.shape != (size,):
-        raise InputError(f"check_derivatives: {name} = {value!r} must be {size} finite numbers")
-    return array
-
-
 def require_declared(model, t, q, v, t_end=None, nonholonomic=False):
-    """Raise InputError where a model of one's own breaks a promise of its `needs`, or writes a wrong derivative of phi.
+    """Raise InputError where a function of a model gives what is wrong or not finite at (t, q, v), where the model breaks a promise of its
+    `needs`, and where it writes a wrong derivative of phi.
 
-    It is looked at at two states drawn at random near q and v (n,), at times between t and t_end. What is not finite there, or raises, is
-    passed over, and so is a derivative where differences of unlike steps disagree, as beside a kink. nonholonomic: phi_rate is a
+    The last two are looked at at two states drawn at random near q and v (n,), at times between t and t_end. What is not finite there, or
+    raises, is passed over, and so is a derivative where differences of unlike steps disagree, as beside a kink. nonholonomic: phi_rate is a
     constraint of its own, linear in v with the slope phi_q; only that, and phi_bias, are compared then.
     """
+    require_functions(model, t, q, v)
     if model.is_scene:
         require_energies(model, t, q, strain_only=True)
         return
@@ -265,37 +156,34 @@ def _require_derivatives(model, times, q, v, random, nonholonomic):
         return
     t, ends = times[0], (times.min() - times[0], times.max() - times[0])
     d, length = _size(q) * random.standard_normal(model.n), ends[1] - ends[0] or 1.0
-    smooth = model._smooth(t)
+    smooth, everywhere = model._smooth(t), differences.EVERYWHERE
     room = smooth if ends[0] == ends[1] else (max(smooth[0], ends[0]), min(smooth[1], ends[1]))
     pace = min(length, _size(q) / _size(v))
-    everywhere = differences.EVERYWHERE
 
     def size():  # of what phi is the sum of, whose round-off it has
         return abs(model.phi_q(t, q)) @ (np.abs(q) + np.abs(v)) + np.abs(model.phi_t(t, q) * t)
 
-    moving, rate = (lambda s: model.phi(t + s, q + s * v)), (lambda s: model.phi_rate(t + s, q + s * v, v))
+    written = {
+        "phi_rate": lambda: model.phi_rate(t, q, v),
+        "phi_bias": lambda: model.phi_bias(t, q, v),
+        "phi_q": lambda: model.phi_q(t, q) @ d,
+        "phi_t": lambda: model.phi_t(t, q),
+    }
     if nonholonomic:
-        compared = [
-            (
-                "phi_q",
-                "the slope of phi_rate in v",
-                lambda: model.phi_q(t, q) @ d,
-                lambda s: model.phi_rate(t, q, v + s * d),
-                1.0,
-                everywhere,
-                1,
-            ),
-            ("phi_bias", "d/dt of phi_rate at constant v", lambda: model.phi_bias(t, q, v), rate, pace, room, 1),
-        ]
+        compared = {
+            "phi_q": ("the slope of phi_rate in v", lambda s: model.phi_rate(t, q, v + s * d), 1.0, everywhere, 1),
+            "phi_bias": ("d/dt of phi_rate at constant v", lambda s: model.phi_rate(t + s, q + s * v, v), pace, room, 1),
+        }
     else:
-        compared = [
-            ("phi_rate", "d phi/dt = phi_q v + phi_t", lambda: model.phi_rate(t, q, v), moving, pace, room, 1),
-            ("phi_bias", "d2 phi/dt2 at constant v", lambda: model.phi_bias(t, q, v), moving, pace, room, 2),
-            ("phi_q", "the derivative of phi in q", lambda: model.phi_q(t, q) @ d, lambda s: model.phi(t, q + s * d), 1.0, everywhere, 1),
-            ("phi_t", "the derivative of phi in t", lambda: model.phi_t(t, q), lambda s: model.phi(t + s, q), length, room, 1),
-        ]
-    for name, meaning, call, function, scale, within, order in compared:
-        if writes(model.user, name) and (wrong := _wrong(call, function, scale, within, order, size)):
+        moving = lambda s: model.phi(t + s, q + s * v)  # noqa: E731
+        compared = {
+            "phi_rate": ("d phi/dt = phi_q v + phi_t", moving, pace, room, 1),
+            "phi_bias": ("d2 phi/dt2 at constant v", moving, pace, room, 2),
+            "phi_q": ("the derivative of phi in q", lambda s: model.phi(t, q + s * d), 1.0, everywhere, 1),
+            "phi_t": ("the derivative of phi in t", lambda s: model.phi(t + s, q), length, room, 1),
+        }
+    for name, (meaning, *differenced) in compared.items():
+        if writes(model.user, name) and (wrong := _wrong(written[name], *differenced, size)):
             advice = VELOCITY_ROWS if name in ("phi_rate", "phi_bias") and not nonholonomic else ""
             raise InputError(f"{model.name}.{name} is not {meaning}: {wrong}, at t = {t:.6g} s; correct it{advice}")
 

@@ -71,24 +71,9 @@ def blame(model, t, state):
 
 def _shapes(n, m):
     """{name: shape of its result}."""
-    square, vector, rows = (n, n), (n,), (m,)
-    return {
-        "mass": square,
-        "force": vector,
-        "phi": rows,
-        "phi_q": (m, n),
-        "force_q": square,
-        "force_v": square,
-        "mass_a_q": square,
-        "reaction_q": square,
-        "phi_t": rows,
-        "phi_rate": rows,
-        "phi_bias": rows,
-        "phi_rate_q": (m, n),
-        "phi_bias_q": (m, n),
-        "residual": vector,
-        "tangent": square,
-    }
+    square = dict.fromkeys(("mass", "force_q", "force_v", "mass_a_q", "reaction_q", "tangent"), (n, n))
+    rows = dict.fromkeys(("phi", "phi_t", "phi_rate", "phi_bias"), (m,))
+    return square | dict.fromkeys(("force", "residual"), (n,)) | rows | dict.fromkeys(("phi_q", "phi_rate_q", "phi_bias_q"), (m, n))
 
 
 def _references():
@@ -103,24 +88,17 @@ def _view(array):
     return view
 
 
-def _of_q(call):
-    return lambda q: call(_view(q))
-
-
-def _of_t_q(call):
-    return lambda t, q: call(t, _view(q))
-
-
-def _of_t_q_v(call):
-    return lambda t, q, v: call(t, _view(q), _view(v))
-
-
 def _of_all(call):
     return lambda *given: call(*(_view(x) if isinstance(x, np.ndarray) else x for x in given))
 
 
 ALONE = _references()
-SEEN = {"mass": _of_q, "force": _of_t_q_v, "phi": _of_t_q, "phi_q": _of_t_q}  # what runs call all the time: half the cost of `_of_all`
+SEEN = {  # what runs call all the time: half the cost of `_of_all`
+    "mass": lambda call: lambda q: call(_view(q)),
+    "force": lambda call: lambda t, q, v: call(t, _view(q), _view(v)),
+    "phi": lambda call: lambda t, q: call(t, _view(q)),
+    "phi_q": lambda call: lambda t, q: call(t, _view(q)),
+}
 
 
 class Guarded(Model):

@@ -4,8 +4,7 @@ from polyida.objective.frequency import Frequency
 from polyida.objective.means.compliance import Compliance
 from polyida.objective.means.deviation import Deviation
 from polyida.objective.means.peak_reaction import PeakReaction
-from polyida.objective.means.peak_stress import PeakStress
-from polyida.objective.means.strain_energy import StrainEnergy
+from polyida.objective.means.peak_stress import PeakStress, StrainEnergy
 from polyida.objective.objective import Objective
 from polyida.objective.own import Own
 from polyida.objective.slopes import Slopes

@@ -11,10 +11,8 @@ from polyida.given import is_whole
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
 from polyida.model.guarded import guard
-from polyida.objective.along import along_way, reach
-from polyida.objective.objective import Objective
-from polyida.objective.slopes import Slopes
-from polyida.objective.still import run_of
+from polyida.objective.objective import Objective, run_of
+from polyida.objective.slopes import Slopes, along_way, reach
 
 APART = 1e-6  # of omega^2: nearer frequencies are one, whose shapes nothing tells apart
 

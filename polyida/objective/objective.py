@@ -1,11 +1,15 @@
-"""What is to be made small or large by a design: a function of a run, with its slopes."""
+"""What is to be made small or large by a design: a function of a run, or of an equilibrium or modes as a run of one frame, with its slopes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.given import is_number
+from polyida.integrate.statics.static import Equilibrium
 from polyida.objective.slopes import Slopes
 
 
@@ -80,6 +84,16 @@ class Sum(Objective):
         return of
 
 
+def asked(told: str, function: Callable, *given: Any, advice: str = "") -> Any:
+    """What a user's function gives. Raises InputError, which begins with `told`, where it raises."""
+    try:
+        return function(*given)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{told} raised {type(error).__name__}: {error}{advice}") from error
+
+
 def require_objective(part: str, given: Any) -> Objective:
     """The objective. Raises InputError, in the name of `part`, for anything else."""
     if not isinstance(given, Objective):
@@ -93,3 +107,35 @@ def _objective(given):
 
 def _terms(given):
     return given.terms if isinstance(given, Sum) else ((1.0, _objective(given)),)
+
+
+class Still(NamedTuple):
+    """A state of a model as a run of one frame; modes: about it, or None."""
+
+    model: Any
+    t: NDArray
+    q: NDArray
+    v: NDArray
+    a: NDArray
+    lam: NDArray
+    modes: Any = None
+
+
+def run_of(part: str, subject: Any) -> Any:
+    """What has model, t, q, v, a and lam. Raises InputError, in the name of `part`, for anything else."""
+    if isinstance(subject, Still):
+        return subject
+    if isinstance(subject, Equilibrium):
+        return _still(subject.model, subject)
+    if hasattr(subject, "roots") and hasattr(subject, "shapes"):
+        return _still(subject.model, subject.state, subject)
+    if not all(hasattr(subject, name) for name in Still._fields[:-1]) or not len(subject.t):
+        raise InputError(f"{part}: {subject!r:.100} is no run with frames, no equilibrium of pi.static and no pi.modes")
+    if subject.model is None and hasattr(subject, "known_model"):
+        subject.known_model(part)
+    return subject
+
+
+def _still(model, state, modes=None):
+    frames = (np.asarray(x, float)[None] for x in (state.t, state.q, state.v, state.a, state.lam))
+    return Still(model, *frames, modes)

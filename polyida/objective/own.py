@@ -9,9 +9,8 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.keywords import named_keywords
-from polyida.objective.objective import Objective
+from polyida.objective.objective import Objective, asked, run_of
 from polyida.objective.slopes import FRAMES, Slopes
-from polyida.objective.still import run_of
 
 
 @named_keywords
@@ -21,8 +20,8 @@ class Own(Objective):
     value(run) -> J. slopes(run) -> {"q": dJ/dq (frames, n), "v", "a": alike, "lam": (frames, m), "t": (frames,)} in all frames; what is not
     there is zero. Where J depends on a parameter by itself, its slope at the same frames stands there too, by the parameter's name:
     "arm.mass"; without any such name, slopes of that kind in parameters that `pi.gradient` is asked for by name (`body.inertia`) are
-    differences of value(run). Frame 0's v is that before the integrator's start and has no slope. Raises InputError where they are no functions, and of a
-    run for other names and shapes, and numbers that are not finite.
+    differences of value(run). Frame 0's v is that before the integrator's start and has no slope. Raises InputError where they are no
+    functions, and of a run for other names and shapes, and numbers that are not finite.
     """
 
     def __init__(self, value: Callable[[Any], float], slopes: Callable[[Any], Mapping[str, Any]]) -> None:
@@ -63,14 +62,7 @@ class Own(Objective):
 
 
 def _asked(name, function, run):
-    """What a user's function of a run gives. Raises InputError, in its name, where it raises."""
-    try:
-        return function(run)
-    except InputError:
-        raise
-    except Exception as error:
-        called = getattr(function, "__name__", type(function).__name__)
-        raise InputError(f"Own: {name}(run), the function {called}, raised {type(error).__name__}: {error}") from error
+    return asked(f"Own: {name}(run), the function {getattr(function, '__name__', type(function).__name__)},", function, run)
 
 
 def _checked(name, value, shape=None):

@@ -1,4 +1,4 @@
-"""Slopes of an objective in the frames of a run, and in parameters that it depends on by itself."""
+"""Slopes of an objective in the frames of a run, in parameters that it depends on by itself, and along a way in q."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.keywords import named_keywords
+from polyida.model.differences import FIRST_ORDER_STEP
+
+SHARES = np.array([[1.0, 2.0 / 3.0], [-1.0, -2.0 / 3.0], [2.0, -1.0 / 12.0], [-2.0, 1.0 / 12.0]])  # places, and weights of a slope there
 
 
 @named_keywords
@@ -71,3 +74,19 @@ def _sum(a, b):
 
 def _value(x, given):
     return x(*given) if callable(x) else x
+
+
+def reach(model, q, way):
+    """The length along a way over which a model's functions vary, about."""
+    return (model.extent or max(1.0, np.abs(q).max())) / (np.abs(way).max() or 1.0)
+
+
+def along_way(model, t, q, lam, way, w, mu):
+    """Entries of the `work` of Slopes whose sum is `d/ds (w . r + mu . phi)` at q + s way, a = 0: exact of plates, whose r is a cubic of s.
+
+    What is linear about a state is so in every parameter too. q, way, w (n,), lam, mu (m,).
+    """
+    step = FIRST_ORDER_STEP * reach(model, q, way)
+    at, weight = SHARES[:, :1] * step, SHARES[:, 1:] / step
+    still = np.zeros((len(at), model.n))
+    return np.full(len(at), t), q + at * way, still, still, np.tile(lam, (len(at), 1)), weight * w, weight * mu

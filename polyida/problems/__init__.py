@@ -55,10 +55,9 @@ class Problem:
             raise InputError(f"problem {self.name!r}: {type(run).__name__} is no run with frames; give what solve returns")
         if abs(run.t[-1] - self.t_end) > 1e-9 * self.t_end:
             raise InputError(f"problem {self.name!r}: the run ends at t = {run.t[-1]:g} s, the reference is known at t = {self.t_end:g} s")
-        return self.errors(**{name: self._measured(name, run) for name in self.reference})
-
-    def _measured(self, name, run):
-        return self.measures[name](run) if name in self.measures else getattr(run, name)[-1]
+        return self.errors(
+            **{name: self.measures[name](run) if name in self.measures else getattr(run, name)[-1] for name in self.reference}
+        )
 
     def _error(self, name, value):
         if name not in self.reference:

@@ -13,9 +13,8 @@ from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.errors import InputError
 from polyida.given import is_whole
-from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import AngleMotor, Revolute
 from polyida.problems import Problem, plate_digits
 from polyida.problems.about import ABOUT
 from polyida.scene import Scene

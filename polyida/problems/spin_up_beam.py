@@ -11,9 +11,8 @@ from polyida import profile
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.force.loads import PointLoad
-from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import AngleMotor, Revolute
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
 from polyida.scene import Scene

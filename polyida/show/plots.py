@@ -6,7 +6,7 @@
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.results.balance import unbalanced
+from polyida.results.motion import unbalanced
 from polyida.results.tables import quantity
 from polyida.show import plates
 from polyida.show.style import (

@@ -8,10 +8,10 @@ from importlib import import_module
 
 _PLACES = {
     "work_precision": "kinds.work_precision",
-    "step_sizes": "kinds.step_sizes",
+    "step_sizes": "kinds.work_precision",
     "conditioning": "kinds.conditioning",
-    "energy": "kinds.energy",
-    "drift": "kinds.drift",
+    "energy": "kinds.kept",
+    "drift": "kinds.kept",
     "sweep": "sweeps.sweep",
     "Sweep": "sweeps.sweep",
     "Isolated": "sweeps.isolation",

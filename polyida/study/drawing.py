@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.show.html.blocks import Picture
 from polyida.show.style import DASHES, INK, MARKERS, PALETTE, figure, hollow, settings
-from polyida.study.slopes import positive
+from polyida.study.rows import positive
 
 
 def panels(count, width=6.8, height=3.0, columns=2, **layout):

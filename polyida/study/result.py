@@ -5,6 +5,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from polyida.brief import cut
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.html.blocks import shown
@@ -22,9 +25,9 @@ KEPT = ("status", "error")  # columns that are shown only where something failed
 class Result:
     """Rows of plain values, and what follows from them.
 
-    rows: [{column: value}], one a run or a case. figures: {name: number}. notes: lines on what failed and what the numbers mean.
-    title: of the report; lead: a paragraph below it. columns: {name: (heading, format)} of the tables, in their order; those that no row has are left out.
-    histories: {label: {"t": (frames,), name: (frames,)}}, of studies that look at whole runs.
+    rows: [{column: value}], one a run or a case. figures: {name: number}. notes: lines on what failed and what the numbers mean. title: of
+    the report; lead: a paragraph below it. columns: {name: (heading, format)} of the tables, in their order; those that no row has are left
+    out. histories: {label: {"t": (frames,), name: (frames,)}}, of studies that look at whole runs.
     """
 
     title, lead = "study", ""
@@ -32,6 +35,11 @@ class Result:
 
     def __init__(self, rows: Iterable[dict], notes: Iterable[str] = (), histories: dict | None = None) -> None:
         self.rows, self.notes, self.histories = list(rows), list(notes), histories or {}
+
+    @property
+    def labels(self) -> list[str]:
+        """The labels of the integrators that rows are of."""
+        return list(dict.fromkeys(row["integrator"] for row in self.rows if "integrator" in row))
 
     @property
     def figures(self) -> dict[str, float]:
@@ -45,12 +53,11 @@ class Result:
         return DataFrame(self.rows, columns=self._names() or None)
 
     def to_xarray(self) -> "Dataset":
-        """The histories as an xarray.Dataset over (run, frame), NaN behind the last frame of each; the rows, over row, where there are none.
+        """The histories as an xarray.Dataset over (run, frame), NaN behind the last frame of each; the rows, over row, where there are
+        none.
 
         Raises InputError where xarray is not installed.
         """
-        from polyida.study.histories import dataset
-
         return dataset(self.histories) if self.histories else self.to_dataframe().rename_axis("row").to_xarray()
 
     def plot(self, *what: Any, **options: Any) -> Any:
@@ -121,10 +128,33 @@ class Result:
 
 def cell(value, form="{}"):
     """A value as a cell of a printed table: a dash for what is missing or not finite, long texts cut."""
-    text = shown(value, form, "-")
-    return text if len(text) <= CELL else f"{text[: CELL - 1]}…"
+    return cut(shown(value, form, "-"), CELL)
 
 
 def _aligned(text, width, column):
     """The first column to the left, the others to the right."""
     return text.ljust(width) if column == 0 else text.rjust(width)
+
+
+def dataset(histories):
+    """{label: {"t": (frames,), name: (frames,)}} as an xarray.Dataset over (run, frame), t a coordinate, NaN behind a run's last frame.
+
+    Raises InputError where xarray is not installed.
+    """
+    try:
+        from xarray import Dataset
+    except ImportError:
+        raise InputError("to_xarray: xarray is not installed; pip install 'polyida[xarray]'") from None
+    names = list(dict.fromkeys(name for found in histories.values() for name in found if name != "t"))
+    count = max(len(found["t"]) for found in histories.values())
+    columns = {
+        name: (["run", "frame"], np.array([_padded(found.get(name), count) for found in histories.values()])) for name in ["t", *names]
+    }
+    return Dataset(columns, coords={"run": list(histories)}).set_coords("t")
+
+
+def _padded(values, count):
+    full = np.full(count, np.nan)
+    if values is not None:
+        full[: len(values)] = values
+    return full

@@ -5,7 +5,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number
+from polyida.given import floats, is_number
 from polyida.integrate.solve import require_run, solve
 from polyida.integrate.start import consistent_state
 from polyida.model import Model
@@ -26,13 +26,10 @@ class Subject:
     v0: object = None
     published: dict = field(default_factory=dict)
 
-    def run(self, integrator, **options):
+    def run(self, integrator, t_end=None, **options):
         """The Trajectory by an integrator, as far as it came where a user's function raised; Ctrl-C goes on to who asked."""
-        return self._until(self.t_end, integrator, **options)
-
-    def _until(self, t_end, integrator, **options):
         try:
-            run = solve(self.model, t_end, integrator, q0=self.q0, v0=self.v0, **options)
+            run = solve(self.model, t_end or self.t_end, integrator, q0=self.q0, v0=self.v0, **options)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # SystemExit of a user's function, say
@@ -47,7 +44,7 @@ class Subject:
         """Two steps, so that compiling or loading kernels counts as nobody's time."""
         h = getattr(integrator, "h", None)
         short = 2 * h if is_number(h) else SHORT * self.t_end
-        self._until(min(short, self.t_end), integrator)
+        self.run(integrator, min(short, self.t_end))
 
 
 def kind_of(integrator):
@@ -60,7 +57,8 @@ def kind_of(integrator):
 
 
 def subject(study, model, t_end, q0=None, v0=None):
-    """The Subject of what a user gives: a Model, a Scene, a Problem, or the name of one, whose start and end are its own where none are given.
+    """The Subject of what a user gives: a Model, a Scene, a Problem, or the name of one, whose start and end are its own where none are
+    given.
 
     Raises InputError for anything else, for a name that is unknown, and for a time or a start that cannot be.
     """
@@ -123,6 +121,14 @@ def require_labels(study, integrators, what):
     for label in integrators:
         if not isinstance(label, str) or not label or label.startswith("_"):
             raise InputError(f"{study}: label {label!r} of an integrator must be a text that does not begin with _")
+
+
+def steps_of(study, h):
+    """Steps, s, the longest first. Raises InputError for what are none."""
+    steps = floats(h)
+    if steps is None or steps.ndim != 1 or not steps.size or not (steps > 0).all():
+        raise InputError(f"{study}: h = {h!r} must be positive steps in s, at least one")
+    return sorted(steps.tolist(), reverse=True)
 
 
 def setting(integrator, beside):

@@ -16,10 +16,10 @@ from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
 from polyida.study.drawing import curves, drawn, legend, loglog, panels
-from polyida.study.kinds.work_precision import cheapest
 from polyida.study.reference.families import explicit
 from step_cost.measure import model_of
 from step_cost.side import cells_for
+from work_precision.integrators import cheapest
 
 DOF = 1115  # coordinates asked for: those of the scenes' default meshes, 160 cells a plate
 EVERY = 5  # of TIMES: equal steps of Radau IIA end there, and what it interpolates between is no better than of order 4

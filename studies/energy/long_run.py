@@ -4,11 +4,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Revolute
 from polyida.problems import plates
 from polyida.scene import Scene
-from polyida.study.kinds.energy import energy
-from polyida.study.members import by_tolerance, integrator
+from polyida.study.kinds.kept import energy
+from work_precision.integrators import by_tolerance, integrator
 
 WEIGHTS_FALL = 9.81 * (
     2 * plates.RUBBER.rho * plates.LENGTH**2 * plates.HEIGHT * plates.THICKNESS + 2 * plates.LENGTH * plates.TIP_MASS

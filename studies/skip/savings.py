@@ -18,7 +18,7 @@ from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Revolute
 from polyida.linear.cholesky.factor import symbolic_of
 from polyida.linear.cholesky.fronts import factorize, solve_fronts
 from polyida.mesh import rectangle

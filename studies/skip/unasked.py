@@ -10,10 +10,9 @@ from polyida.integrate.start import consistent_state, on_velocity
 from polyida.integrate.state import Counts, State
 from polyida.integrate.statics.static import static
 from polyida.joint.attachment import ground
-from polyida.joint.clamp import Clamp
 from polyida.joint.formula import cross
 from polyida.joint.joint import Joint
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Clamp, Revolute
 from polyida.mesh import rectangle
 from polyida.problems import plates
 from polyida.scene import Scene

@@ -4,8 +4,7 @@ import numpy as np
 
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.study.drawing import curves, drawn, legend, nested, panels, slope_line
-from polyida.study.rows import column, last, value
-from polyida.study.slopes import fitted
+from polyida.study.rows import column, fitted, last, value
 from step_size_sensitivity.errors import after_steps, decades, order_errors, reference_floor
 from step_size_sensitivity.slopes import PARTS, above_floor, runs_of
 

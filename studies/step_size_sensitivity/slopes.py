@@ -3,8 +3,7 @@
 import numpy as np
 
 from polyida.linear.kkt import SCALINGS
-from polyida.study.rows import column, pick, value
-from polyida.study.slopes import fitted
+from polyida.study.rows import column, fitted, pick, value
 
 PARTS = ("q", "v", "a", "lam")
 METHOD = {"q": 3, "v": 2, "a": 2, "lam": 2}  # theory, after a few steps

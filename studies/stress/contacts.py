@@ -9,7 +9,7 @@ from polyida.body.rigid_body import RigidBody
 from polyida.force.contact import Contact
 from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Revolute
 from polyida.scene import Scene
 from stress.outcome import Check, balance, held, integrator
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.results.balance import unbalanced
+from polyida.results.motion import unbalanced
 
 OUTCOMES = ("right", "stated_stop", "unforeseen_stop", "wrong", "crash", "hang")
 COLLAPSED = ("turned inside out", "has collapsed")  # words of a stop at the limit of St. Venant-Kirchhoff

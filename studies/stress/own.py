@@ -9,19 +9,17 @@ import numpy as np
 from polyida.body.body import Body
 from polyida.body.rigid_body import RigidBody
 from polyida.errors import InputError
+from polyida.force.elements import SpringDamper, Torque
 from polyida.force.force_element import ForceElement
-from polyida.force.spring_damper import SpringDamper
-from polyida.force.torque import Torque
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
 from polyida.joint.formula import cross
 from polyida.joint.joint import Joint
-from polyida.joint.revolute import Revolute
-from polyida.joint.slot import Slot
+from polyida.joint.joints import Revolute, Slot
 from polyida.modal.modes import modes
 from polyida.model import Model, Needs
-from polyida.model.check import check_derivatives
+from polyida.model.derivatives import check_derivatives
 from polyida.scene import Scene
 from stress.outcome import INTEGRATORS, Check, Stop, held, integrator
 

@@ -7,10 +7,8 @@ from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.attachment import ground
-from polyida.joint.clamp import Clamp
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import AngleMotor, Clamp, Revolute
 from polyida.problems import plates
 from polyida.scene import Scene
 

@@ -13,9 +13,9 @@ from polyida import problems, profile
 from polyida.force.loads import PointLoad
 from polyida.problems import plates
 from polyida.study.kinds.work_precision import work_precision
-from polyida.study.members import integrator
 from polyida.study.reference.agreed import BY_ENERGY_MOMENTUM, BY_EXPLICIT, FINEST, agreed, given
 from polyida.study.subject import Subject, subject
+from work_precision.integrators import integrator
 
 SHOWN = {"q": 1e-10, "v": 1e-6, "lam": 1e-4}  # the smallest errors that the study is to show of plates: a tenth of them is to be known
 COARSE = {"q": 1e-6, "v": 1e-2, "lam": 1.0}  # and of the blow in the short selection

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from polyida.study.rows import column, farthest, number, pick
-from polyida.study.slopes import fitted
+from polyida.study.rows import column, farthest, fitted, number, pick
 from work_precision import tip_accuracy
 
 FIXED = "radau, fixed"

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from polyida.study.members import FIXED, IDA_FORMS, RADAU
 from work_precision import radau_accuracy
+from work_precision.integrators import FIXED, IDA_FORMS, RADAU
 
 CLASSICAL = {"pendulum": 2e-2, "car-axis": 1e-2, "andrews": 6e-5}  # problem: coarsest step, s; halved again and again
 SCENES = {

@@ -13,8 +13,7 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.solve import solve
-from polyida.study.rows import column
-from polyida.study.slopes import fitted
+from polyida.study.rows import column, fitted
 
 SCENES = {"scene 1, 1 s": "double-plate", "scene 2, 1 s": "double-plate-motors"}  # in the table: problem
 ALPHA, IDA_DEFAULT, RADAU_DEFAULT = "alpha, as it comes", "IDA, as it comes", "radau, as it comes"

@@ -7,8 +7,7 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint.parameters import in_time, parameters_of
-from polyida.adjoint.parameters.parameter import total
-from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.parameters.parameter import Work, total
 from polyida.model.differences import along
 from polyida.model.guarded import guard
 from polyida.problems import andrews, car_axis

@@ -8,9 +8,8 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint.parameters import in_time, parameters_of
-from polyida.adjoint.parameters.motions import OfMotion
-from polyida.adjoint.parameters.parameter import total
-from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.parameters.loads import OfMotion
+from polyida.adjoint.parameters.parameter import Work, total
 from polyida.model.differences import along
 
 STEEL = pi.Material(E=2e7, nu=0.3, rho=1000.0, viscosity=1e-3, mass_damping=0.4)

@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint.radau import scene as of_scenes
-from polyida.adjoint.radau.course import course_of
+from polyida.adjoint.radau.stages import course_of
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.state import StepFailure
 from polyida.problems import andrews

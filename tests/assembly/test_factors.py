@@ -145,7 +145,7 @@ def test_nothing_else_is_built_anew():
 
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_stress_is_that_of_the_scaled_material_and_strain_that_of_the_motion(element):
-    from polyida.results.strain import strains
+    from polyida.results.motion import strains
 
     model, given = arms(element), some()
     scaled, q = model.with_factors(**given), state(model)[1]

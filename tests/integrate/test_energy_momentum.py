@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida.integrate.energy.general import WithForces
 from polyida.integrate.start import consistent_acceleration, on_velocity
-from polyida.results.balance import unbalanced
+from polyida.results.motion import unbalanced
 
 ENERGY = 1e-9  # of the energy exchanged, for Newton's tolerance
 

@@ -7,7 +7,7 @@ import pytest
 
 import polyida as pi
 from polyida.problems.plates import double_plate, double_plate_motors
-from polyida.results.balance import motor_work, unbalanced
+from polyida.results.motion import motor_work, unbalanced
 
 INTEGRATORS = {
     "alpha": pi.GeneralizedAlpha(h=5e-4),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.results.strain import strains
+from polyida.results.motion import strains
 
 F = np.array([[1.2, 0.3], [-0.1, 0.9]])
 

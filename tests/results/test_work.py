@@ -8,7 +8,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.running.hermite import cubic
-from polyida.results.balance import unbalanced
+from polyida.results.motion import unbalanced
 
 RADAU = pi.RadauIIA(h=1e-3)
 

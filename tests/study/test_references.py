@@ -13,16 +13,15 @@ from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration
 from polyida.model import Model
 from polyida.problems import andrews_digits, plates
-from polyida.study.kinds.work_precision import cheapest
-from polyida.study.measured import errors
-from polyida.study.members import FIXED, IDA_FORMS, integrator
+from polyida.study.kinds.precision import short
 from polyida.study.reference import agreed, families
-from polyida.study.reference.doubts import short
 from polyida.study.reference.families import last_state
+from polyida.study.rows import errors
 from polyida.study.subject import Subject
 from step_size_sensitivity.errors import smooth
 from work_precision import cases
 from work_precision.cases import measure
+from work_precision.integrators import FIXED, IDA_FORMS, cheapest, integrator
 
 CLASSICAL = ("pendulum", "car-axis", "andrews")
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from polyida.study.slopes import fitted
+from polyida.study.rows import fitted
 from step_size_sensitivity import errors as sensitivity
 from step_size_sensitivity import slopes
 

@@ -12,7 +12,8 @@ from against_peers import gain
 from designed_in_motion.machines import MACHINES
 from mbb_beam.beam import mesh_of
 from polyida.cli import study as cli_study
-from polyida.study import drawing, findings, report, slopes
+from polyida.study import drawing, findings, report
+from polyida.study.rows import fitted
 from work_precision import tip_accuracy
 from work_precision.selection import left_out, not_run, tasks
 
@@ -319,8 +320,8 @@ def test_logarithmic_axes_never_cut_the_data():
 
 
 def test_slopes_of_too_few_points_are_nan():
-    assert np.isnan(slopes.fitted([1e-3], [1.0])) and np.isnan(slopes.fitted([1e-3, 1e-3], [1.0, 2.0]))
-    assert slopes.fitted([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)
+    assert np.isnan(fitted([1e-3], [1.0])) and np.isnan(fitted([1e-3, 1e-3], [1.0, 2.0]))
+    assert fitted([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("kind, value, text", [("h", 2e-3, "h = 2e-3"), ("h", 2.5e-3, "h = 2.5e-3"), ("rtol", 1e-5, "rtol 1e-5")])

@@ -6,7 +6,7 @@ from itertools import chain
 
 import numpy as np
 
-from polyida.adjoint.alpha.beginning import given_velocity
+from polyida.adjoint.alpha.forward import given_velocity
 from polyida.adjoint.steps.course import course_of
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps

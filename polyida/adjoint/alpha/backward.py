@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from polyida.adjoint.alpha.beginning import begun
-from polyida.adjoint.alpha.forward import Forward, beginning
+from polyida.adjoint.alpha.forward import Forward, beginning, begun
 from polyida.adjoint.alpha.moving import Moving
 from polyida.adjoint.alpha.plain import PlainSweep, Sent
-from polyida.adjoint.parameters.work import Work, stacked
+from polyida.adjoint.parameters.parameter import Work, stacked
 from polyida.adjoint.steps.course import course_of
 from polyida.adjoint.totals import OwnSlopes, Totals
 from polyida.integrate.kinks import inner_side

@@ -6,12 +6,10 @@ from polyida.adjoint.parameters.driven.drives import drive_works
 from polyida.adjoint.parameters.driven.in_time import in_time
 from polyida.adjoint.parameters.driven.profiles import of_profiles
 from polyida.adjoint.parameters.fields import of_fields
-from polyida.adjoint.parameters.loads import of_loads
-from polyida.adjoint.parameters.motions import of_motions
+from polyida.adjoint.parameters.loads import of_loads, of_motions
 from polyida.adjoint.parameters.own import of_own
-from polyida.adjoint.parameters.parameter import Parameter
+from polyida.adjoint.parameters.parameter import Parameter, Shared
 from polyida.adjoint.parameters.plates import of_plates
-from polyida.adjoint.parameters.shared import Shared
 from polyida.assembly.bodies.motion import moves_at
 from polyida.assembly.bodies.motion_slopes import motion_slopes
 

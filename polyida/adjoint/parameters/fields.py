@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import Any
 
-from polyida.adjoint.parameters.elements import element_work
+from polyida.adjoint.parameters.driven.times import element_work
 from polyida.adjoint.parameters.parameter import Parameter, total
 from polyida.adjoint.parameters.rebuilt import changed, with_part
 from polyida.assembly.bodies.motion import moves_at
@@ -69,8 +69,8 @@ class OfField(Parameter):
         return total(self.replaced(value), work)
 
     def _part(self, value):
-        """The part of another number; a reduced plate with the fields that it has, or, where these change with it, with those nearest to them
-        in the new span: in it the motion is the same whatever its fields are.
+        """The part of another number; a reduced plate with the fields that it has, or, where these change with it, with those nearest to
+        them in the new span: in it the motion is the same whatever its fields are.
         """
         part: Any = self.model.parts[self.part]
         placed = next((placed for placed in self.model.few if placed.user is part), None)

@@ -1,5 +1,6 @@
 """The parameters of models of one's own: attributes that they name."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,21 +18,17 @@ class OfOwnModel(Parameter):
     def work(self, work):
         """By the model's residual_p and phi_p; the slopes of rate and bias by differences."""
         result, model = np.zeros(np.shape(self.value)), guard(self.model)
+        phi = lambda t, q, v: self.model.phi_p(self.name, t, q)  # noqa: E731
+        rate, bias = (partial(self._slope, function) for function in ("phi_rate", "phi_bias"))
         for k, state in enumerate(zip(work.t.tolist(), work.q, work.v, work.a, work.lam)):
             result = result + work.w[k] @ model.residual_p(self.name, *state)
-            for given, slope in ((work.mu, self._phi_p), (work.kappa, self._rate_p), (work.nu, self._bias_p)):
+            for given, slope in ((work.mu, phi), (work.kappa, rate), (work.nu, bias)):
                 if given is not None and given[k].any():
                     result = result + given[k] @ slope(*state[:3])
         return result if result.ndim else float(result)
 
-    def _phi_p(self, t, q, v):
-        return self.model.phi_p(self.name, t, q)
-
-    def _rate_p(self, t, q, v):
-        return self.model.slope_p(self.name, lambda model: model.phi_rate(t, q, v), t)
-
-    def _bias_p(self, t, q, v):
-        return self.model.slope_p(self.name, lambda model: model.phi_bias(t, q, v), t)
+    def _slope(self, function, t, q, v):
+        return self.model.slope_p(self.name, lambda model: getattr(model, function)(t, q, v), t)
 
     def of_model(self, function):
         """By differences of copies of the model."""

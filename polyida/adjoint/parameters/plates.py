@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from polyida.adjoint.parameters.loads import load_work
-from polyida.adjoint.parameters.parameter import Parameter
+from polyida.adjoint.parameters.parameter import Parameter, Shared
 from polyida.adjoint.parameters.rebuilt import changed, with_part
-from polyida.adjoint.parameters.shared import Shared
 from polyida.assembly.factors.works import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
 from polyida.force.loads import EdgeTraction
@@ -76,10 +75,11 @@ def of_plates(model, slopes):
     """The parameters of all full plates of a scene. slopes: of (t, q, bar), the MotionSlopes of the start."""
     stiffness, mass = Shared(_stiffness, model), Shared(_mass, model)
     starts = lambda t, q, bar: _starts(model, slopes(t, q, bar))  # noqa: E731
+    loads = [(key, part) for key, part in model.parts.items() if isinstance(part, EdgeTraction)]  # which grow with the thickness
     for body in model.bodies:
         name, plate, factors = body.name, body.plate, model.factors[body.name]
         stiff, heavy = (_whole(name, *each) for each in zip(factors, (stiffness, mass)))
-        pulls = [lambda work, key=key: load_work(model, key, work) for key, part in model.parts.items() if _pulls(part, plate)]
+        pulls = [lambda work, key=key: load_work(model, key, work) for key, part in loads if part.at.body is plate]
         yield OfCells(f"{name}.stiffness", factors[0], model, name, stiffness, starts)
         yield OfCells(f"{name}.mass", factors[1], model, name, mass, starts, True)
         yield OfPlate(f"{name}.E", plate.material.E, model, name, (stiff,), lambda *_: None)
@@ -98,11 +98,6 @@ def _starts(model, slopes):
         return None
     both = ((slopes.right, slopes.left), (slopes.centres_right, slopes.centres_left))
     return mass_work(model, *(np.stack(each) for each in zip(*both)))
-
-
-def _pulls(part, plate):
-    """Whether it is a load of the plate that grows with its thickness."""
-    return isinstance(part, EdgeTraction) and part.at.body is plate
 
 
 def _stiffness(model, work):

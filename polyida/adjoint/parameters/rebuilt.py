@@ -22,8 +22,8 @@ def changed(part, path, value):
 def with_part(model, name, new):
     """The model with a part changed; what holds on to a body holds on to the changed one."""
     old = model.parts[name]
-    moved = {known: new if part is old else _holding(part, old, new) for known, part in model.parts.items()}
-    return rebuilt(model, moved)
+    on_new = lambda value: value.on(new) if isinstance(value, Attachment) and value.body is old else value  # noqa: E731
+    return rebuilt(model, {known: new if part is old else _with(part, on_new) for known, part in model.parts.items()})
 
 
 def with_profile(model, old, new):
@@ -41,11 +41,6 @@ def profiles_of(part):
     """The profiles in a part's fields, alone or in tuples."""
     given = (getattr(part, field.name) for field in fields(part) if field.init)
     return [one for value in given for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, Profile)]
-
-
-def _holding(part, old, new):
-    """The part with its attachments of one body made those of another, which is like it."""
-    return _with(part, lambda value: value.on(new) if isinstance(value, Attachment) and value.body is old else value)
 
 
 def _with(part, change):

@@ -4,21 +4,39 @@ import numpy as np
 
 from polyida.adjoint.alpha.moving import Moving
 from polyida.adjoint.alpha.plain import Sent
-from polyida.adjoint.parameters.work import Work, stacked
-from polyida.adjoint.radau.course import course_of
+from polyida.adjoint.parameters.parameter import Work, stacked
 from polyida.adjoint.radau.equations import Linearised
-from polyida.adjoint.radau.lifted import lift_bars
-from polyida.adjoint.radau.stages import StagesAgain, begun
+from polyida.adjoint.radau.stages import StagesAgain, begun, course_of
 from polyida.adjoint.taped.model import TapedModel
 from polyida.adjoint.taped.tape import Tape, add_to
 from polyida.adjoint.totals import OwnSlopes, Totals
 from polyida.integrate.kinks import at_kink, beside, inner_side
+from polyida.integrate.radau.rows import NOTHING
 from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import Counts, State
+from polyida.model.differences import jacobian
 from polyida.model.guarded import guard
 
 TOGETHER = 64  # steps whose multipliers are summed up at once, at most
 CHUNK = 4_000_000  # bytes of stages that are held at once
+
+
+def lift_bars(model, state, lift, bar):
+    """(the bar of q, (n,), entries for parameters' slopes) of a state where D^-1, `lift`, was made, from the bar of that, (n,).
+
+    D is the diagonal of M over its mean at the run's start, by which the multipliers mu move v:
+    `D^-1_k = sum_j M_jj / (n M_kk)`, and 1 where M_kk is nothing.
+    """
+    masses = np.abs(model.mass(state.q).diagonal())
+    heavy = masses > NOTHING * masses.max()
+    over = np.where(heavy, bar / np.where(heavy, masses, 1.0), 0.0)
+    slopes = over.sum() / model.n - over * lift
+    at = lambda q: np.array([slopes @ model.mass(q).diagonal()])  # noqa: E731
+    zero, rows, entries = np.zeros(model.n), np.zeros(model.m), []
+    for unit, slope in zip(np.eye(model.n), slopes):
+        for a, w in ((unit, slope * unit), (zero, -slope * unit)):
+            entries.append(Work(state.t, state.q, zero, a, rows, w, rows, rows, rows))
+    return jacobian(at, state.q, 1)[0] if model.needs.mass_varies else zero, entries
 
 
 class RadauBackward:

@@ -1,8 +1,8 @@
 """The collocation equations of a step, linearised at its stages, and their transpose.
 
-With c_i, W of the tableau, `q_i = q_0 + c_i h v_0 + e_i`, `v_i = v_0 + sum_j W_ij e_j / h + D^-1 B_i^T mu_i` and
-`v_i' = sum_j W_ij (v_j - v_0) / h` the equations are `r_i = 0`, `phi_i = 0` and, where there is mu, `B_i v_i + phi_t = 0`; their multipliers
-are w_i, mu*_i and kappa_i. Bars of a stage, b_q and b_v those of the step's end, which is the last one's:
+With c_i, W of the tableau, `q_i = q_0 + c_i h v_0 + e_i`, `v_i = v_0 + sum_j W_ij e_j / h + D^-1 B_i^T mu_i` and `v_i' = sum_j W_ij (v_j -
+v_0) / h` the equations are `r_i = 0`, `phi_i = 0` and, where there is mu, `B_i v_i + phi_t = 0`; their multipliers are w_i, mu*_i and
+kappa_i. Bars of a stage, b_q and b_v those of the step's end, which is the last one's:
 
     a*_i = M_i^T w_i
     v*_i = C_i^T w_i + B_i^T kappa_i + sum_j W_ji a*_j / h + [b_v]
@@ -136,19 +136,16 @@ class Linearised:
         """Rows r, phi and `B v + phi_t` of all stages on e, lam and mu of all of them."""
         stages = range(len(self.B))
         if self.tied:
-            self.DT, self.DB = ([self._lifted(x) for x in given] for given in (self.T, [B.T for B in self.B]))
+            self.DT, self.DB = ([scaled(x, self.lift, np.ones(x.shape[1])) for x in given] for given in (self.T, [B.T for B in self.B]))
         only = lambda i, j, block: block if i == j else None  # noqa: E731
         r = [[self._r_e(i, j) for j in stages] + [only(i, j, self.B[i].T) for j in stages] for i in stages]
         phi = [[only(i, j, self.B[i]) for j in stages] + [None] * len(stages) for i in stages]
         if not self.tied:
             return joined(r + phi if self.model.m else [row[: len(stages)] for row in r])
-        r = [row + [self._r_mu(i, j) for j in stages] for i, row in enumerate(r)]
+        r = [row + [self._r_v(i, j) @ self.DB[j] for j in stages] for i, row in enumerate(r)]
         rate = [[self._rate_e(i, j) for j in stages] + [None] * len(stages) for i in stages]
         rate = [row + [only(i, j, self.B[i] @ self.DB[i]) for j in stages] for i, row in enumerate(rate)]
         return joined(r + [row + [None] * len(stages) for row in phi] + rate)
-
-    def _lifted(self, x):
-        return scaled(x, self.lift, np.ones(x.shape[1]))
 
     def _r_e(self, i, j):
         """`K + C dv/de + M da/de`, `dv/de = W/h + D^-1 T`, `da/de = W/h dv/de`."""
@@ -164,9 +161,6 @@ class Linearised:
         """What v of stage j does in r of stage i: C and `M W / h`."""
         massive = self.tableau.W[i, j] / self.h * self.M[i]
         return massive if self.C is None or i != j else self.C[i] + massive
-
-    def _r_mu(self, i, j):
-        return self._r_v(i, j) @ self.DB[j]
 
     def _rate_e(self, i, j):
         found = self.tableau.W[i, j] / self.h * self.B[i]

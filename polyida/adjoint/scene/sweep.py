@@ -33,8 +33,8 @@ class SceneSweep:
     def back(self, t, q, v, a, lam, slopes, sent, keep=None):
         """The Swept of steps that ended at these frames, in order of time, (count, .) each.
 
-        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n) each,
-        or None.
+        slopes: the objective's own in these frames; sent: what the step after the last sends. keep: where to write y and z, (count, n)
+        each, or None.
         """
         if abs(t[-1] - self.before) > 0.5 * self.method.h:
             steps.forget(self.memory)

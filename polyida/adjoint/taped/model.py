@@ -6,8 +6,7 @@ parameters is left as an entry of `entries`: what multiplies r, phi, its rate an
 
 import numpy as np
 
-from polyida.adjoint.parameters.work import Work
-from polyida.adjoint.taped.pulled import residual_q, residual_v
+from polyida.adjoint.parameters.parameter import Work
 from polyida.adjoint.taped.tape import add_to, value_of
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate
@@ -179,3 +178,23 @@ def _(model: TapedModel, t, q, v):
 def _(model: TapedModel, state, t=None):
     """Of phi, which no other value is made of, nothing."""
     return np.zeros(model.m), velocity_rate(model, state.t if t is None else t, state.q, state.v)
+
+
+def residual_q(model, t, q, v, a, lam, w):
+    """r_q^T w, (n,)."""
+    if model.compiled:
+        return _products(model, t, q, v, lam, w).stiff.ravel().copy()
+    return model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0).T @ w
+
+
+def residual_v(model, t, q, v, w):
+    """r_v^T w, (n,)."""
+    if model.compiled:
+        return _products(model, t, q, v, np.zeros(model.m), w).slowing.ravel().copy()
+    return model.force_v(t, q, v).T @ w
+
+
+def _products(model, t, q, v, lam, w):
+    from polyida.adjoint.scene.products import products_at
+
+    return products_at(model, model.drives(t), q, v, lam, w, np.zeros(model.m))

@@ -20,10 +20,10 @@ NOTHING = 1e-12  # of the largest singular value: a field of as little is round-
 def fields_of(run: "Trajectory", name: str, count: int = 5) -> NDArray:
     """The `count` fields (count, N, 2), m, that hold most of a plate's deformation in a run, for `pi.Reduced(plate, fields=...)`.
 
-    Of each frame x, complex, the rigid motion nearest in M is taken off, `w = exp(-i theta) (x - x_S) - (X - X_S)`; the fields are the left singular
-    vectors of the frames w, of length one in M, most important first. 400 frames are looked at, evenly spread.
-    Source: proper orthogonal decomposition by the method of snapshots (Sirovich 1987). Raises InputError where the run has no plate of
-    that name, its model is not known, count is no whole number, or the motion has fewer fields.
+    Of each frame x, complex, the rigid motion nearest in M is taken off, `w = exp(-i theta) (x - x_S) - (X - X_S)`; the fields are the left
+    singular vectors of the frames w, of length one in M, most important first. 400 frames are looked at, evenly spread. Source: proper
+    orthogonal decomposition by the method of snapshots (Sirovich 1987). Raises InputError where the run has no plate of that name, its
+    model is not known, count is no whole number, or the motion has fewer fields.
     """
     if hasattr(run, "known_model"):
         run.known_model("fields_of")

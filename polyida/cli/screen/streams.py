@@ -62,7 +62,8 @@ def error(message, trace=""):
 def document(wanted):
     """Context of `--json`, where that is `wanted`: what is printed within goes to the error stream.
 
-    Gives a function that takes the one document, plain data, which goes to standard output at the end, also where the command leaves with 1.
+    Gives a function that takes the one document, plain data, which goes to standard output at the end, also where the command leaves with
+    1.
     """
     out, given = sys.stdout, []
     try:

@@ -193,7 +193,8 @@ class Stored:
         return Restart(state, int(told["frames"]), counts_of(told["counts"]).as_dict())
 
     def check(self):
-        """Look through all frames, and all that sensors gave; those behind the first that is damaged are given up. Returns what is wrong, or "".
+        """Look through all frames, and all that sensors gave; those behind the first that is damaged are given up. Returns what is wrong,
+        or "".
 
         Raises InputError where no frame is whole.
         """

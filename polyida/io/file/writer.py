@@ -42,8 +42,8 @@ def taken(path):
 class Writer:
     """A file under construction, held open by its descriptor: beside `shown`, where `publishing` brings it. Methods raise NotWritten.
 
-    path: where it lies. single: see FrameStore. frames, sensors: Tables; held: frames of the last commit. drives: {name: profile}; width: of a
-    row of sensors, 0 where there are none.
+    path: where it lies. single: see FrameStore. frames, sensors: Tables; held: frames of the last commit. drives: {name: profile}; width:
+    of a row of sensors, 0 where there are none.
     """
 
     def __init__(self, shown, n, m, about, arrays, drives, fsync=False, single=False, width=0):

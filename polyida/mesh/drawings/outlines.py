@@ -8,8 +8,8 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
 from polyida.mesh.drawings import dxf, svg
+from polyida.mesh.files.raw import MeshWarning, hint, scale_of
 from polyida.mesh.files.read_write import existing
-from polyida.mesh.files.units import MeshWarning, hint, scale_of
 from polyida.mesh.make.outline import Outline
 from polyida.mesh.sections import signed_area
 
@@ -45,7 +45,8 @@ def _outline(what, drawing, unit, corner):
     try:
         found = drawing()
         if not found.rings:
-            raise InputError("has no closed curve" + _tell(found.notes))
+            notes = f" ({'; '.join(found.notes)})" if found.notes else ""
+            raise InputError(f"has no closed curve{notes}")
         rings = [ring * scale_of(unit, found.metres) for ring in found.rings]
         outer = rings.pop(int(np.argmax([abs(signed_area(ring)) for ring in rings])))
         outline = Outline(outer, holes=rings, corner=corner)
@@ -58,7 +59,3 @@ def _outline(what, drawing, unit, corner):
     if notes := [*found.notes, *hint(outer, unit, found.metres)]:
         warnings.warn(f"{what}: {'; '.join(notes)}", MeshWarning, stacklevel=4)
     return outline
-
-
-def _tell(notes):
-    return f" ({'; '.join(notes)})" if notes else ""

@@ -8,10 +8,9 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.given import is_whole, reals
 from polyida.keywords import named_keywords
-from polyida.mesh.files.raw import RawMesh
+from polyida.mesh.files.raw import MeshWarning, RawMesh, hint, scale_of
 from polyida.mesh.files.read_write import merge_tolerance
 from polyida.mesh.files.repair import repaired
-from polyida.mesh.files.units import MeshWarning, hint, scale_of
 from polyida.mesh.polygon_mesh import PolygonMesh
 
 

@@ -1,4 +1,4 @@
-"""RawMesh: what a reader finds in a file, before anything of it is checked."""
+"""RawMesh: what a reader finds in a file, before anything of it is checked, and the lengths in it."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -6,7 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polyida.errors import InputError
+from polyida.given import is_number, is_one_of
 from polyida.keywords import named_keywords
+
+METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+WIDE = 20.0  # metres: a plate of a mechanism is hardly wider, one drawn in millimetres mostly is
 
 
 @named_keywords
@@ -71,3 +75,29 @@ def require_range(nodes, offsets, n_points, first):
         f"cell {cell} names point {nodes[outside[0]] + first}; there are points {first}..{n_points - 1 + first}"
         + ("; these cells count from 1, as first=1 of pi.mesh.from_lists takes them" if from_one else "")
     )
+
+
+class MeshWarning(UserWarning):
+    """What was changed in a mesh from elsewhere, or looks wrong in it."""
+
+
+def metres(unit):
+    """Metres of one unit, given by its name or as that number; InputError for anything else."""
+    if is_one_of(unit, METRES):
+        return METRES[unit]
+    if is_number(unit) and unit > 0:
+        return float(unit)
+    raise InputError(f"unit is {unit!r}; it must be one of {', '.join(METRES)}, or the metres in one unit of the file")
+
+
+def scale_of(unit, said):
+    """Metres of one unit: as the user says, else as the file does (`said`), else one."""
+    return metres(unit) if unit is not None else said or 1.0
+
+
+def hint(points, unit, said):
+    """[what to ask the user] where nobody said the unit and the points span so much that they may be millimetres."""
+    width = float(np.ptp(points, axis=0).max())
+    if unit is not None or said is not None or width <= WIDE:
+        return []
+    return [f"it is {width:.6g} m wide; if its numbers are millimetres pass unit='mm', if they are metres unit='m'"]

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.keywords import named_keywords
+from polyida.mesh import topology
 from polyida.mesh.make.chain import Chain, nearest
 from polyida.mesh.make.domains import Domain
 from polyida.mesh.make.walls import Capsule
@@ -119,7 +120,7 @@ def _points(given, what, orientation):
 
 def _require_room(points, what):
     """InputError for spikes without width, and for corners so far re-entrant that no cells fit around them."""
-    turn = _turns(points)
+    turn = topology.ring_turns(points)
     back = np.flatnonzero(np.abs(turn) > FOLD)
     if back.size:
         raise InputError(f"{what} folds back on itself at {points[back[0]].tolist()}")
@@ -130,18 +131,11 @@ def _require_room(points, what):
         raise InputError(f"{what} cuts into the domain by a corner of {angle:.3g} degrees at {place}; it must be 20 or wider, or round")
 
 
-def _turns(ring):
-    """Angle by which the way turns at each point, rad."""
-    ahead = np.roll(ring, -1, axis=0) - ring
-    behind = np.roll(ahead, 1, axis=0)
-    return np.arctan2(behind[:, 0] * ahead[:, 1] - behind[:, 1] * ahead[:, 0], np.einsum("ij,ij->i", behind, ahead))
-
-
 def _bends(points, corner):
     """(n,) mask: the corners among the points."""
     length = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
     between = np.minimum(length, np.roll(length, 1)) > STRAIGHT * length.sum()
-    return np.abs(_turns(points)) > np.where(between, 1e-6, corner * (1 + 1e-9))
+    return np.abs(topology.ring_turns(points)) > np.where(between, 1e-6, corner * (1 + 1e-9))
 
 
 def _chains(ring, bend):
@@ -150,7 +144,7 @@ def _chains(ring, bend):
         return [Chain(np.concatenate([ring, ring[:1]]), True)]
     first = int(np.argmax(bend))
     ring, ends = np.roll(ring, -first, axis=0), np.append(np.flatnonzero(np.roll(bend, -first)), len(ring))
-    outward = np.append(_turns(ring), _turns(ring)[0]) > 0.0
+    outward = np.append(topology.ring_turns(ring), topology.ring_turns(ring)[0]) > 0.0
     ring = np.concatenate([ring, ring[:1]])
     return [Chain(ring[a : b + 1], False, (outward[a], outward[b])) for a, b in zip(ends[:-1], ends[1:], strict=True)]
 

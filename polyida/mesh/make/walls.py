@@ -5,14 +5,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 
+class Wall:
+    """A wall; sign: on which side of it the inside is, closed: whether it goes around."""
+
+    sign: float
+    closed = False
+
+    def faces(self, points):
+        """(n,) mask: mirror images through the wall may bound cells."""
+        return np.ones(len(points), bool)
+
+    def flipped(self):
+        """The same wall with its inside outside."""
+        return replace(self, sign=-self.sign)
+
+
 @dataclass(frozen=True, eq=False)
-class Line:
+class Line(Wall):
     """coordinate[axis] = value; sign +1: the inside is below the value."""
 
     axis: int
     value: float
     sign: float
-    closed = False
 
     def distance(self, points):
         """(n,), m, negative inside."""
@@ -24,10 +38,6 @@ class Line:
         n[:, self.axis] = self.sign
         return n
 
-    def faces(self, points):
-        """(n,) mask: mirror images through the wall may bound cells."""
-        return np.ones(len(points), bool)
-
     def samples(self, lower, upper):
         """(200, 2) points of the wall within a box."""
         share = (np.arange(200) + 0.5) / 200
@@ -35,17 +45,13 @@ class Line:
         points[:, self.axis] = self.value
         return points
 
-    def flipped(self):
-        """The same wall with its inside outside."""
-        return replace(self, sign=-self.sign)
-
     def moved(self, offset):
         """The wall moved by (x, y), m."""
         return replace(self, value=self.value + offset[self.axis])
 
 
 @dataclass(frozen=True, eq=False)
-class Capsule:
+class Capsule(Wall):
     """All points at the distance radius from the segment start-end (a circle where they coincide)."""
 
     start: np.ndarray
@@ -69,20 +75,12 @@ class Capsule:
         away = self._from_segment(points)
         return self.sign * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-300)[:, None]
 
-    def faces(self, points):
-        """(n,) mask: mirror images through the wall may bound cells."""
-        return np.ones(len(points), bool)
-
     def samples(self, lower, upper):
         """(200, 2) points of the wall, wherever they are."""
         angle = 2 * np.pi * (np.arange(200) + 0.5) / 200
         ray = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         ahead = ray @ (self.end - self.start) > 0.0
         return np.where(ahead[:, None], self.end, self.start) + self.radius * ray
-
-    def flipped(self):
-        """The same wall with its inside outside."""
-        return replace(self, sign=-self.sign)
 
     def moved(self, offset):
         """The wall moved by (x, y), m."""

@@ -16,7 +16,8 @@ class Compliance(TimeMean):
     """Time mean of `f . q`, J, the work of the loads on the displacements; f = -g(t, 0, 0): gravity, loads, and all other forces at q = 0.
 
     Of an equilibrium for small displacements, `pi.static(model, linear=True)`, it is twice the strain energy, unless constraints move or
-    springs are strained at q = 0: what topology optimisation calls compliance. Of a load that jumps in a frame its value before the jump counts.
+    springs are strained at q = 0: what topology optimisation calls compliance. Of a load that jumps in a frame its value before the jump
+    counts.
     """
 
     def _seen(self, model, span):

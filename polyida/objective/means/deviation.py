@@ -12,8 +12,8 @@ from polyida.given import complex_of_pairs, floats
 from polyida.joint.attachment import Attachment
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
-from polyida.objective.means.bodies import named
-from polyida.objective.means.time_mean import TimeMean, rates
+from polyida.objective.means.time_mean import TimeMean, named, rates
+from polyida.objective.objective import asked
 from polyida.objective.slopes import Slopes
 
 
@@ -56,15 +56,8 @@ class Deviation(TimeMean):
         return look
 
     def _at(self, t):
-        if not callable(self.path):
-            return self._place(self.path)
-        try:
-            found = self.path(t)
-        except InputError:
-            raise
-        except Exception as error:
-            raise InputError(f"Deviation: path({t:.6g}) raised {type(error).__name__}: {error}; it must be a function of time") from error
-        return self._place(found)
+        advice = "; it must be a function of time"
+        return self._place(asked(f"Deviation: path({t:.6g})", self.path, t, advice=advice) if callable(self.path) else self.path)
 
     def _place(self, given):
         pair = floats(given)

@@ -10,8 +10,7 @@ from polyida.given import complex_of_pairs, is_one_of, pairs_of, settle
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 from polyida.model.differences import along
-from polyida.objective.means.bodies import named
-from polyida.objective.means.time_mean import TimeMean, power
+from polyida.objective.means.time_mean import TimeMean, named, power
 from polyida.objective.slopes import Slopes
 from polyida.results.tables import components
 
@@ -106,7 +105,7 @@ class Told:
     def by_time(self, toward):
         """`dR/dt^T toward` at fixed coordinates and multipliers, (frames,)."""
         turned = lambda profile: along(lambda s: self._at(ahead=(profile, s)))  # noqa: E731
-        rates = [(turned(profile), [profile.d1(t) for t in self.t.tolist()]) for profile in self.of.profiles]
+        rates = [(turned(profile), profile.over(self.t, 1)) for profile in self.of.profiles]
         return sum((np.sum(slope * toward, axis=1) * rate for slope, rate in rates), np.zeros(len(toward)))
 
     def _at(self, lam=None, moved=(None, 0.0), ahead=(None, 0.0)):

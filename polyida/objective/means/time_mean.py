@@ -16,13 +16,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.given import is_number
+from polyida.given import is_number, is_one_of
 from polyida.io.file.layout import frames_at_once
 from polyida.model.differences import along, around
-from polyida.model.guarded import guard
-from polyida.objective.objective import Objective
+from polyida.model.guarded import guard, unguarded
+from polyida.objective.objective import Objective, run_of
 from polyida.objective.slopes import Slopes
-from polyida.objective.still import run_of
+
+NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
+FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
+
+
+def chosen(part, model, given, known):
+    """The bodies meant among `known`, {name: one placed}: by name or itself, or all for None. Raises InputError in the name of `part`."""
+    if not model.is_scene:
+        raise InputError(f"{part}: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.Own")
+    if given is None and known:
+        return list(known.values())
+    name = named(model, given)
+    if not is_one_of(name, known):
+        called = f"called {given!r:.100}" if given is not None else "there"
+        raise InputError(f"{part}: no body that deforms is {called}; known: {', '.join(map(repr, known)) or 'none'}")
+    return [known[name]]
+
+
+def named(model, given):
+    """The name of a part that is given by itself; what is none of the model's as it is."""
+    return next((name for name, part in model.parts.items() if part is given), given)
+
+
+def deforming(model):
+    """{name: one placed} of a scene's bodies that deform."""
+    return {body.name: body for body in (*model.bodies, *(placed for placed in model.few if placed.deforms))}
 
 
 class Frames:
@@ -92,10 +117,6 @@ class TimeMean(Objective):
 
 def _span(run):
     return float(np.ptp(run.t)) / max(1, len(run.t) - 1)
-
-
-NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
-FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
 
 
 def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:

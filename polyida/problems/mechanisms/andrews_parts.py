@@ -11,10 +11,9 @@ Equations II, VII.7; IVP test set.
 import numpy as np
 
 from polyida.body.rigid_body import RigidBody
-from polyida.force.spring_damper import SpringDamper
-from polyida.force.torque import Torque
+from polyida.force.elements import SpringDamper, Torque
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Revolute
 from polyida.problems import Problem
 from polyida.problems import andrews as given
 from polyida.problems.about import ABOUT

@@ -1,59 +1,37 @@
 """Digits of the mechanisms' named points at their ends, at every level, on the default meshes, by two methods of different form.
 
 `python studies/digits.py slider-crank four-bar two-link-arm peaucellier` makes and prints them: DOP853 on the index-1 equations, rtol 1e-8
-or 1e-9, 1e-12 of rigid ones, put back on the constraints 31 times. KNOWN_TO is how far Radau IIA on the stabilised form, rtol 1e-12, is
-from them. Space is not converged: these are digits of the semi-discrete equations on that mesh, or in those modes.
+or 1e-9, 1e-12 of rigid ones, put back on the constraints 31 times. They are known as well as Radau IIA on the stabilised form, rtol 1e-12,
+agrees. Space is not converged: these are digits of the semi-discrete equations on that mesh, or in those modes.
 """
 
 import numpy as np
 
-DIGITS = {
+DIGITS = {  # name: level: part: (digits, how well they are known)
     "slider-crank": {
-        "full": {"point": [0.1516796343327, 0.0], "velocity": [1.494136230098, 0.0]},
-        "reduced": {"point": [0.1516681287828, 0.0], "velocity": [1.473734619611, 0.0]},
-        "rigid": {"point": [0.1609723356128, 0.0], "velocity": [3.530063026946, 0.0]},
+        "full": {"point": ([0.1516796343327, 0.0], 3.3e-12), "velocity": ([1.494136230098, 0.0], 1.1e-09)},
+        "reduced": {"point": ([0.1516681287828, 0.0], 2.9e-12), "velocity": ([1.473734619611, 0.0], 8.1e-10)},
+        "rigid": {"point": ([0.1609723356128, 0.0], 1e-13), "velocity": ([3.530063026946, 0.0], 1.9e-12)},
     },
     "four-bar": {
-        "full": {"point": [0.3012871805664, 0.2500204598015], "velocity": [-0.01886140987872, -1.654431691634e-05]},
-        "reduced": {"point": [0.3012874901226, 0.2500211468107], "velocity": [-0.0167953711629, -0.001435871302817]},
-        "rigid": {"point": [0.3016007650437, 0.24999487505], "velocity": [0.0, 0.0]},
+        "full": {"point": ([0.3012871805664, 0.2500204598015], 1.4e-13), "velocity": ([-0.01886140987872, -1.654431691634e-05], 8.6e-11)},
+        "reduced": {"point": ([0.3012874901226, 0.2500211468107], 1.4e-13), "velocity": ([-0.0167953711629, -0.001435871302817], 5.8e-10)},
+        "rigid": {"point": ([0.3016007650437, 0.24999487505], 1e-13), "velocity": ([0.0, 0.0], 1e-13)},
     },
     "two-link-arm": {
-        "full": {"point": [0.4393735295091, 0.267900295898], "velocity": [-0.009720147784984, 1.732987914593]},
-        "reduced": {"point": [0.4393721180096, 0.2679038027252], "velocity": [-0.009905561857127, 1.732883595664]},
-        "rigid": {"point": [0.4330127018922, 0.25], "velocity": [0.0, 0.0]},
+        "full": {"point": ([0.4393735295091, 0.267900295898], 8.3e-13), "velocity": ([-0.009720147784984, 1.732987914593], 3.3e-10)},
+        "reduced": {"point": ([0.4393721180096, 0.2679038027252], 1.1e-12), "velocity": ([-0.009905561857127, 1.732883595664], 2.3e-09)},
+        "rigid": {"point": ([0.4330127018922, 0.25], 1e-13), "velocity": ([0.0, 0.0], 1e-13)},
     },
     "peaucellier": {
-        "full": {"point": [0.3999806027084, 0.2297359205277], "velocity": [0.001637343455889, 0.1049229539454]},
-        "reduced": {"point": [0.3999807137328, 0.2297404178252], "velocity": [0.001327334341297, 0.1047347082782]},
-        "rigid": {"point": [0.4, 0.2309401076758], "velocity": [0.0, 0.0]},
-    },
-}
-
-KNOWN_TO = {
-    "slider-crank": {
-        "full": {"point": 3.3e-12, "velocity": 1.1e-09},
-        "reduced": {"point": 2.9e-12, "velocity": 8.1e-10},
-        "rigid": {"point": 1e-13, "velocity": 1.9e-12},
-    },
-    "four-bar": {
-        "full": {"point": 1.4e-13, "velocity": 8.6e-11},
-        "reduced": {"point": 1.4e-13, "velocity": 5.8e-10},
-        "rigid": {"point": 1e-13, "velocity": 1e-13},
-    },
-    "two-link-arm": {
-        "full": {"point": 8.3e-13, "velocity": 3.3e-10},
-        "reduced": {"point": 1.1e-12, "velocity": 2.3e-09},
-        "rigid": {"point": 1e-13, "velocity": 1e-13},
-    },
-    "peaucellier": {
-        "full": {"point": 2.0e-13, "velocity": 5.0e-10},
-        "reduced": {"point": 1.7e-13, "velocity": 4.5e-10},
-        "rigid": {"point": 1e-13, "velocity": 1e-13},
+        "full": {"point": ([0.3999806027084, 0.2297359205277], 2e-13), "velocity": ([0.001637343455889, 0.1049229539454], 5e-10)},
+        "reduced": {"point": ([0.3999807137328, 0.2297404178252], 1.7e-13), "velocity": ([0.001327334341297, 0.1047347082782], 4.5e-10)},
+        "rigid": {"point": ([0.4, 0.2309401076758], 1e-13), "velocity": ([0.0, 0.0], 1e-13)},
     },
 }
 
 
 def of(name, level):
     """(reference, known_to) of a mechanism at a level."""
-    return {part: np.array(value) for part, value in DIGITS[name][level].items()}, dict(KNOWN_TO[name][level])
+    found = DIGITS[name][level]
+    return {part: np.array(value) for part, (value, _) in found.items()}, {part: known for part, (_, known) in found.items()}

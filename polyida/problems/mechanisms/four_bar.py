@@ -14,9 +14,8 @@ from polyida import profile
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
-from polyida.joint.angle_motor import AngleMotor
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import AngleMotor, Revolute
 from polyida.problems.mechanisms.levels import body_at, problem_of
 from polyida.scene import Scene
 

@@ -1,7 +1,7 @@
 """The levels at which a mechanism of plates can be computed, and the Problem that each makes."""
 
 from polyida.body.reduced import Reduced
-from polyida.body.rigid import Rigid
+from polyida.body.rigid_body import Rigid
 from polyida.errors import InputError
 from polyida.given import is_one_of
 from polyida.problems import Problem

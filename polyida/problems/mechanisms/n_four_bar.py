@@ -18,7 +18,7 @@ from polyida.body.rigid_body import RigidBody
 from polyida.errors import InputError
 from polyida.given import is_whole
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Revolute
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
 from polyida.problems.mechanisms.levels import measures

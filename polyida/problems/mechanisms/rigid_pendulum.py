@@ -4,10 +4,9 @@ import numpy as np
 
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
-from polyida.body.rigid import Rigid
-from polyida.body.rigid_body import RigidBody
+from polyida.body.rigid_body import Rigid, RigidBody
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
+from polyida.joint.joints import Revolute
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
 from polyida.problems.mechanisms.levels import measures

@@ -11,10 +11,9 @@ from polyida import profile
 from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
-from polyida.force.torque import Torque
+from polyida.force.elements import Torque
 from polyida.joint.attachment import ground
-from polyida.joint.revolute import Revolute
-from polyida.joint.slot import Slot
+from polyida.joint.joints import Revolute, Slot
 from polyida.problems.mechanisms.levels import body_at, problem_of
 from polyida.scene import Scene
 

@@ -20,7 +20,9 @@ def write(folder, title, blocks, command, machine=None, lead="", press=None):
     InputError for two pictures of one name.
     """
     folder, pictures = Path(folder), [block for block in blocks if isinstance(block, Picture)]
-    _require_one_each([picture.name for picture in pictures])
+    names = [picture.name for picture in pictures]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"report: two pictures are called {twice[0]!r}; each needs a name of its own")
     folder.mkdir(parents=True, exist_ok=True)
     for picture in pictures:
         if press and picture.name not in press:
@@ -45,11 +47,6 @@ def page(title, blocks, command, machine, lead, sheets):
         machine=escape(footer(machine)),
         script="\n".join(_read(name) for name in ("table.js", "movie.js")),
     )
-
-
-def _require_one_each(names):
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"report: two pictures are called {twice[0]!r}; each needs a name of its own")
 
 
 def _read(name):

@@ -13,7 +13,7 @@ from polyida.integrate.running.sampling import between
 from polyida.integrate.state import Counts, StepFailure
 from polyida.machine import one_blas_thread
 from polyida.model.guarded import guard
-from polyida.results.balance import motor_work, unbalanced
+from polyida.results.motion import motor_work, unbalanced
 from polyida.study.comparison import chosen
 
 FINE, FINER = 1e-9, 1000  # rtol of the refined run: the one, or that of the runs over the other where that is less

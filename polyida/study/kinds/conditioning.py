@@ -7,8 +7,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
+from polyida.bar import teller
 from polyida.errors import InputError
-from polyida.given import floats
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
@@ -17,10 +17,9 @@ from polyida.linear.condition import condition
 from polyida.model.guarded import guard
 from polyida.show.style import on_axes, plain
 from polyida.study.drawing import look
-from polyida.study.progress import teller
 from polyida.study.result import Result
-from polyida.study.slopes import fitted
-from polyida.study.subject import require_labels, studied
+from polyida.study.rows import fitted
+from polyida.study.subject import require_labels, steps_of, studied
 
 DECADES = tuple(10.0**-k for k in range(1, 10))
 
@@ -41,11 +40,6 @@ class Conditioning(Result):
     def slopes(self) -> dict[str, float]:
         """{label: slope of the condition number over h on logarithmic axes}, of the finer half of the steps, the steepest of all states."""
         return {label: min((self._slope(label, state) for state in self._states()), default=np.nan) for label in self.labels}
-
-    @property
-    def labels(self) -> list[str]:
-        """The integrators' labels."""
-        return list(dict.fromkeys(row["integrator"] for row in self.rows))
 
     @property
     def figures(self) -> dict[str, float]:
@@ -93,17 +87,16 @@ def conditioning(
 ) -> Conditioning:
     """The condition number of every integrator's iteration matrix at every state for every step h, s.
 
-    model: a Model, a Scene, a Problem or the name of one. states: a State, or several, of one's own, `run.state` or `consistent_state(model)`. integrators:
-    {label: integrator, its class, or function of h}: GeneralizedAlpha, IDA (h is 1/cj) and RadauIIA, with any `scaling=` and form, as
-    `condition_number` takes them; one of a user's own where it has `iteration_matrix(model, state, h)`. Raises InputError for others.
+    model: a Model, a Scene, a Problem or the name of one. states: a State, or several, of one's own, `run.state` or
+    `consistent_state(model)`. integrators: {label: integrator, its class, or function of h}: GeneralizedAlpha, IDA (h is 1/cj) and
+    RadauIIA, with any `scaling=` and form, as `condition_number` takes them; one of a user's own where it has `iteration_matrix(model,
+    state, h)`. Raises InputError for others.
     """
     built = guard(studied("conditioning", model)[1], "conditioning")
     chosen = [require_state("conditioning", built, state) for state in (states if isinstance(states, (list, tuple)) else [states])]
     if not chosen:
         raise InputError("conditioning: states has no state in it")
-    steps = floats(h)
-    if steps is None or steps.ndim != 1 or not steps.size or not (steps > 0).all():
-        raise InputError(f"conditioning: h = {h!r} must be positive steps in s, at least one")
+    steps = steps_of("conditioning", h)
     require_labels("conditioning", integrators, "integrator")
     for label, given in integrators.items():
         if not hasattr(given, "steps") and not callable(given):
@@ -114,9 +107,9 @@ def conditioning(
             for number, state in enumerate(chosen):
                 tell(len(rows), len(integrators) * len(chosen) * len(steps), f"{label}, t = {state.t:g} s")
                 rows += [
-                    {"integrator": label, "state": number, "t": float(state.t), "h": float(step)}
-                    | {"condition": _condition(built, given, state, float(step))}
-                    for step in sorted(steps, reverse=True)
+                    {"integrator": label, "state": number, "t": float(state.t), "h": step}
+                    | {"condition": _condition(built, given, state, step)}
+                    for step in steps
                 ]
     return Conditioning(rows)
 

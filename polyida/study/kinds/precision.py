@@ -1,16 +1,55 @@
-"""What work_precision and step_sizes share: runs, one after the other, measured against one reference."""
+"""What work_precision and step_sizes share: runs, one after the other, measured against one reference, and what speaks against that.
+
+Two methods that agree may both have stepped over what is short and announced by no kink.
+"""
 
 import numpy as np
 
-from polyida.study.measured import errors, measured, smallest_errors
+from polyida.show.style import INK, on_axes, plain
+from polyida.study.drawing import look, slope_line
 from polyida.study.reference.agreed import agreed, given
-from polyida.study.reference.doubts import doubts, short
 from polyida.study.result import Result
-from polyida.study.rows import NAN
-from polyida.study.slopes import fitted
+from polyida.study.rows import NAN, errors, fitted, measured, smallest_errors
 from polyida.study.subject import PARTS, kind_of, setting
 
+FINER = 1.5  # times the steps: of two runs that tell how far one moves
+STANDS = 10.0  # times nearer to each other than to the reference, and beyond what is known of it: two runs that do not come to it
 ABOVE = 10.0  # times what is known of the reference: errors above it are fitted
+UNKNOWN = "#88888822"  # what lies below what is known of the reference
+
+
+def short(reference):
+    """The line on what is too short for a reference, of a model with forces that no kink announces; else none."""
+    if "looked_at" not in reference:
+        return []
+    return [
+        f"what acts for less than {reference['looked_at']:.1e} s between the steps of the reference is not seen, as far as no kink of the model "
+        "announces it: known_to does not hold it"
+    ]
+
+
+def doubts(rows, runs, reference):
+    """Lines on integrators whose ends stand still with finer steps, away from the reference. rows, runs: of all settings; with errors."""
+    found = []
+    for label in dict.fromkeys(row["integrator"] for row in rows):
+        pairs = [(row, run) for row, run in zip(rows, runs) if row["integrator"] == label and run.success]
+        found += _standing(label, sorted(pairs, key=lambda pair: pair[0]["steps"]), reference)
+    return found
+
+
+def _standing(label, pairs, reference):
+    """The line of one integrator, or none."""
+    finest, finest_run = pairs[-1] if pairs else ({}, None)
+    before = [(row, run) for row, run in pairs if 0 < FINER * row["steps"] <= finest["steps"]]
+    for part in ("q", "v") if before and "q" in reference else ():
+        row, run = before[-1]
+        error, moved = finest[f"error_{part}"], float(np.abs(getattr(finest_run, part)[-1] - getattr(run, part)[-1]).max())
+        if error > STANDS * max(moved, reference["known_to"].get(part, 0.0)):
+            return [
+                f"{label}: from {row['steps']} to {finest['steps']} steps its {part} at the end moves by {moved:.1e}, and stands {error:.1e} from "
+                "the reference: it follows another motion, or the reference has stepped over something short that no kink of the model announces"
+            ]
+    return []
 
 
 class Precision(Result):
@@ -33,11 +72,6 @@ class Precision(Result):
         """
         known = self.reference.get("known_to", {})
         return {part: float(known.get(part, NAN)) if np.size(self.reference.get(part, ())) else NAN for part in PARTS}
-
-    @property
-    def labels(self) -> list[str]:
-        """The integrators' labels."""
-        return list(dict.fromkeys(row["integrator"] for row in self.rows))
 
     @property
     def orders(self) -> dict[str, dict[str, float]]:
@@ -128,3 +162,61 @@ def _made(reference, known_to):
 
 def _unknown(reference):
     return [] if "q" in reference else ["no reference, so no errors: no two methods came to the end", *dict.fromkeys(reference["failed"])]
+
+
+def against_error(study, part, work, heading, axes):
+    """Work over the error in a part, a line an integrator; returns the axes."""
+    with on_axes(axes) as axis:
+        for i, label in enumerate(study.labels):
+            rows = [row for row in study.of(label) if row[work] > 0]
+            _line(axis, study, part, i, label, rows, lambda row: (row[f"error_{part}"], row[work]))
+        _mark_known(axis, study.known_to[part], "x")
+        axis.set(xscale="log", yscale="log", xlabel=f"error in {part} at the end", ylabel=heading, title=plain(study.title))
+        _legend(axis)
+        return axis
+
+
+def against_step(study, part, axes):
+    """The error in a part over the step, a line an integrator, with lines of the fitted orders, rounded; returns the axes."""
+    with on_axes(axes) as axis:
+        for i, label in enumerate(study.labels):
+            rows = study.of(label)
+            _line(axis, study, part, i, label, rows, lambda row: (row["h"], row[f"error_{part}"]))
+            order = study.orders[label][part]
+            if np.isfinite(order):
+                fitted = study.fitted(label, part)
+                h = [max(row["h"] for row in fitted), min(row["h"] for row in fitted)]
+                slope_line(axis, round(order), h, 0.5 * max(row[f"error_{part}"] for row in fitted))
+        _mark_known(axis, study.known_to[part], "y")
+        axis.set(xscale="log", yscale="log", xlabel="step h, s", ylabel=f"error in {part} at the end", title=plain(study.title))
+        _legend(axis)
+        return axis
+
+
+def _line(axis, study, part, i, label, rows, point):
+    """A line of an integrator's rows; points that are not known are hollow, at what is, and those at zero have no place."""
+    floor = study.known_to[part]
+    rows = [row for row in rows if row[f"error_{part}"] > 0 or row[f"error_{part}"] == 0 and floor > 0]
+    if not rows:
+        return
+    floored = [row | {f"error_{part}": max(row[f"error_{part}"], floor if floor > 0 else 0.0)} for row in rows]
+    axis.plot(*np.transpose([point(row) for row in floored]), label=plain(label), **look(i))
+    if below := [row for row, true in zip(floored, rows) if not study.known(true, part)]:
+        style = look(i) | {"linestyle": "none", "markerfacecolor": "white", "markersize": 5}
+        axis.plot(*np.transpose([point(row) for row in below]), label="_below", **style)
+
+
+def _mark_known(axis, known, direction):
+    """Grey where errors are below what is known of the reference, where the axis comes there."""
+    axis.set(xscale="log", yscale="log")
+    low, high = axis.get_xlim() if direction == "x" else axis.get_ylim()
+    if known > low:
+        span, line = (axis.axvspan, axis.axvline) if direction == "x" else (axis.axhspan, axis.axhline)
+        span(low, known, color=UNKNOWN, zorder=0, linewidth=0)
+        line(known, color=INK, linewidth=0.7, linestyle=(0, (1, 1.5)), zorder=0, label="what is known of the reference")
+        (axis.set_xlim if direction == "x" else axis.set_ylim)(low, high)
+
+
+def _legend(axis):
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(loc="best")

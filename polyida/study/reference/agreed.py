@@ -1,9 +1,9 @@
 """The end of a motion by two families of methods that agree, refined until they agree well enough for what is measured against it.
 
-The values are those of Radau IIA; they are known as well as a method of another family agrees with them. A pair is refined until it is known
-to a tenth of the smallest error that is measured, or as long as that brings the two nearer to each other. The other method is the first that
-comes below that error: DOP853 on the index-1 equations, and BDF by IDA, where they do not take too many steps; the energy-momentum method and
-generalized-alpha, extrapolated.
+The values are those of Radau IIA; they are known as well as a method of another family agrees with them. A pair is refined until it is
+known to a tenth of the smallest error that is measured, or as long as that brings the two nearer to each other. The other method is the
+first that comes below that error: DOP853 on the index-1 equations, and BDF by IDA, where they do not take too many steps; the
+energy-momentum method and generalized-alpha, extrapolated.
 """
 
 from contextlib import suppress
@@ -69,10 +69,11 @@ def _radau(subject, level):
 def agreed(subject, errors=lambda values: {}, tell=lambda what: None, others=OTHERS, first=0):
     """A reference {"q", "v", "lam", "made_by": [two methods], "known_to": {part: their distance}, "failed": [what did not come there]}.
 
-    "looked_at", s, of a model with forces that no kink announces: from one time to the next at which these were looked at between the steps.
-    errors(values): {part: the smallest error, above zero, that is measured against these values}; the reference is refined until it is
-    known to a tenth of that, or to 1e-12 of the part's size, or as long as the two come nearer to each other. others: the families beside
-    Radau IIA, in the order in which they are tried; first: the level to begin with. Without two that come there it has "failed" alone.
+    "looked_at", s, of a model with forces that no kink announces: from one time to the next at which these were looked at between the
+    steps. errors(values): {part: the smallest error, above zero, that is measured against these values}; the reference is refined until it
+    is known to a tenth of that, or to 1e-12 of the part's size, or as long as the two come nearer to each other. others: the families
+    beside Radau IIA, in the order in which they are tried; first: the level to begin with. Without two that come there it has "failed"
+    alone.
     """
     mine, failed, best = {}, [], {}
     for make in others:

@@ -1,8 +1,8 @@
 """What the steps of a run did not see of forces that no kink of the model announces, looked for between the steps.
 
-A method sees a force at the stages of its steps alone. Here the forces are taken at many times of each step, on the quintic through q, v and a of
-its ends. Where they leave the cubic through the values at the stages of Radau IIA, the impulse that a step missed is `J = int g dt - h sum b_i g_i`,
-which changes v by that of `M dv + B^T mu = -J`, `B dv = 0`.
+A method sees a force at the stages of its steps alone. Here the forces are taken at many times of each step, on the quintic through q, v
+and a of its ends. Where they leave the cubic through the values at the stages of Radau IIA, the impulse that a step missed is `J = int g dt
+- h sum b_i g_i`, which changes v by that of `M dv + B^T mu = -J`, `B dv = 0`.
 """
 
 import numpy as np

@@ -23,15 +23,14 @@ def _nothing(rows):
 class Study:
     """What to vary, what to measure, what to plot.
 
-    tasks(quick): list of dictionaries of plain values, one a run. run(**task): a dictionary of plain values, the row's
-    results. figures(rows): {name: number}, the study's findings. draw(rows): pictures of
-    the report (`polyida.show.html.Picture`). notes(rows): lines that say what failed and what the numbers mean. figures, draw and notes may be tuples of
-    such functions, each formed alone: rows that are missing spoil no more than what needs them. headline: names of
-    figures that are there in any case, NaN where their rows are missing. columns: of the table, all where empty.
-    isolated: run each task in a process of its own, so that a crash is a row; limit: seconds after which it counts as
-    hanging; fresh: a new process for each, or else one for all that is replaced after a crash or a hang (starting one
-    costs about a second). options: {name: (meaning, function of its value -> Study)}, further options of the command and
-    the study that each makes of this one.
+    tasks(quick): list of dictionaries of plain values, one a run. run(**task): a dictionary of plain values, the row's results.
+    figures(rows): {name: number}, the study's findings. draw(rows): pictures of the report (`polyida.show.html.Picture`). notes(rows):
+    lines that say what failed and what the numbers mean. figures, draw and notes may be tuples of such functions, each formed alone: rows
+    that are missing spoil no more than what needs them. headline: names of figures that are there in any case, NaN where their rows are
+    missing. columns: of the table, all where empty. isolated: run each task in a process of its own, so that a crash is a row; limit:
+    seconds after which it counts as hanging; fresh: a new process for each, or else one for all that is replaced after a crash or a hang
+    (starting one costs about a second). options: {name: (meaning, function of its value -> Study)}, further options of the command and the
+    study that each makes of this one.
     """
 
     name: str
@@ -168,8 +167,8 @@ def _row(future):
 class Shelf:
     """Rows by name, one file each in `folder`, whole or not at all; without a folder nothing is kept.
 
-    Beside each stand its case and code, the mark of what makes it. again: rows with an error count as not there. InputError where a row or the
-    folder cannot be written: those before are kept.
+    Beside each stand its case and code, the mark of what makes it. again: rows with an error count as not there. InputError where a row or
+    the folder cannot be written: those before are kept.
     """
 
     folder: Path | None = None

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import polyida
+from polyida.bar import teller
 from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.keywords import named_keywords
 from polyida.show.style import on_axes
 from polyida.show.style import plain as plain_text
 from polyida.study.drawing import look
-from polyida.study.progress import teller
 from polyida.study.result import Result
 from polyida.study.sweeps.code import mark_of
 from polyida.study.sweeps.harness import Shelf, collected, package_mark
@@ -101,8 +101,8 @@ def sweep(
     folder: each row is written to a file there when it comes, whole or not at all, so that after Ctrl-C, kill -9 or the end of a cluster's
     time the same call runs what is missing. What is there is not run again, unless it failed. It is found by the case, polyida's version
     and source, and the code of the function and of what that names in the user's own modules: functions, classes, values, defaults and
-    closures. Changed code runs anew, and the rows of the code before stay beside. Packages that are installed do not count, nor do files that
-    the function reads, nor a list or dictionary that it itself fills.
+    closures. Changed code runs anew, and the rows of the code before stay beside. Packages that are installed do not count, nor do files
+    that the function reads, nor a list or dictionary that it itself fills.
 
     Raises InputError for a wrong input, before the first case; KeyboardInterrupt after Ctrl-C.
     """

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.adjoint.parameters.driven.drives import drive_works
-from polyida.adjoint.parameters.driven.times import ORDERS, over
-from polyida.adjoint.parameters.elements import element_work
+from polyida.adjoint.parameters.driven.times import ORDERS, element_work, over
 from polyida.adjoint.parameters.parameter import total
 from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
 from polyida.assembly.own.forces import OwnForce

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.adjoint.parameters.driven.times import kink_speeds, over, slope_over
-from polyida.adjoint.parameters.parameter import Parameter
+from polyida.adjoint.parameters.parameter import Parameter, Work
 from polyida.adjoint.parameters.rebuilt import with_profile
-from polyida.adjoint.parameters.work import Work
 from polyida.assembly.loads import GRAVITY
 from polyida.errors import InputError
 from polyida.force.loads import EdgeTraction, PointLoad

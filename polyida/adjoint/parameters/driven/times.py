@@ -1,9 +1,11 @@
-"""Profiles over the times of a run, and how they change with their numbers along times that move."""
+"""Profiles and force elements over the times of a run, and how profiles change with their numbers along times that move."""
 
 import numpy as np
 
+from polyida.force.force_element import numbers_of
 from polyida.integrate.kinks import beside
 from polyida.model.differences import FIRST_ORDER_STEP, along, around, within
+from polyida.profile import Profile
 
 ORDERS = ("value", "d1", "d2")
 
@@ -13,8 +15,7 @@ def over(profile, t, order=0):
     if order == len(ORDERS):
         step = FIRST_ORDER_STEP * min(1.0, profile.shortest or 1.0)
         return np.array([within(lambda s, at=at: profile.d2(at + s), around(profile.kinks, at), step) for at in t.tolist()])
-    function = getattr(profile, ORDERS[order])
-    return np.broadcast_to(function(t), t.shape) if profile.formula else np.array([function(at) for at in t.tolist()])
+    return profile.over(t, order)
 
 
 def slope_over(profile, made, scale, speeds, orders, t):
@@ -47,3 +48,25 @@ def _beside_kink(profile, t):
 def kink_speeds(made, scale):
     """By how much the kinks of `made(s)` move with s at s = 0, (kinks,): evenly."""
     return np.subtract(made(scale / 4).kinks, made(-scale / 4).kinks) / (scale / 2)
+
+
+def at_sides(own, x):
+    """What x (k, n) is at the sides of an OwnForce, (k, sides, 2)."""
+    return (own.A @ x.T).T.reshape(len(x), -1, 2)
+
+
+def element_work(own, element, work):
+    """`-w . A^T f` of each entry, (k,), of an element on the sides of an OwnForce, which is of one like it."""
+    x, v = own.rest + at_sides(own, work.q), at_sides(own, work.v)
+    forces = _by_law(element, work.t, x, v) if element.compiled_law else [element.forces(*state) for state in zip(work.t.tolist(), x, v)]
+    return -np.einsum("kie,kie->k", at_sides(own, work.w), np.reshape(forces, x.shape))
+
+
+def _by_law(element, t, x, v):
+    law, forces, given = element.compiled_law, np.full(x.shape, np.nan), numbers_of(element)
+    data = np.empty((len(t), len(given)))
+    for i, number in enumerate(given):
+        data[:, i] = over(number, t) if isinstance(number, Profile) else number
+    for k, at in enumerate(t.tolist()):
+        law(at, x[k], v[k], data[k], forces[k])
+    return forces

@@ -1,4 +1,6 @@
-"""All integrators and forms under the names that studies call them by."""
+"""All integrators and forms under the names that studies call them by, and what they cost at an error."""
+
+import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
@@ -60,3 +62,20 @@ def integrator(name, x, sizes=(1e-2, 10.0), largest=0.1, newton=None):
         return ida(name[4:], x)
     known = [*FIXED, "alpha, adaptive", "radau", *RADAU, *(f"IDA {form}" for form in IDA_FORMS)]
     raise InputError(f"integrator {name!r} is unknown; there are {'; '.join(known)}")
+
+
+def cheapest(rows, error, level):
+    """CPU seconds at which the lower envelope of runs reaches an error level, interpolated on logarithmic axes; NaN
+    where none does.
+    """
+    pairs = sorted((row["cpu_s"], row[error]) for row in rows if np.isfinite(row.get(error) or np.nan) and row[error] > 0)
+    before = None
+    for cpu, found in pairs:
+        if found <= level:
+            if before is None:
+                return cpu
+            weight = np.log(before[1] / level) / np.log(before[1] / found)
+            return float(np.exp((1 - weight) * np.log(before[0]) + weight * np.log(cpu)))
+        if before is None or found < before[1]:
+            before = (cpu, found)
+    return float("nan")

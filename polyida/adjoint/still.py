@@ -1,22 +1,27 @@
-"""The gradient of an equilibrium, by one transposed solve.
+"""The gradients of an equilibrium, by one transposed solve, and of modes; both found again, of a model with a parameter changed.
 
     [[K^T, B^T], [B, 0]] (w, mu) = (-j_q, -j_lam),   dJ/dp = w . dr/dp + mu . dphi/dp + what J says of p itself
 
 K, B, r and phi are those at the equilibrium; of one for small displacements those of what it solves, `r = g_0 + K_0 q + B_0^T lam`,
-`phi = phi_0 + B_0 q`, all at q = 0.
+`phi = phi_0 + B_0 q`, all at q = 0. What J says of parameters by itself is the modes' at their state; where this is an equilibrium of
+`pi.static`, which moves with parameters, its adjoint adds what J says of q and lam. Any other state is held as it is.
 """
 
 import numpy as np
 
-from polyida.adjoint.parameters.work import Work
+from polyida.adjoint.parameters.parameter import Work
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.totals import Totals
+from polyida.integrate.start import VIOLATION
 from polyida.integrate.state import Counts, StepFailure
-from polyida.integrate.statics.loading import FREE
+from polyida.integrate.statics.static import FREE, Equilibrium, static
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.linear.lu import SingularSystem
+from polyida.modal.modes import Modes, modes
 from polyida.model.guarded import guard
-from polyida.objective.along import along_way
+from polyida.objective.slopes import along_way
+
+TOLERANCE = 1e-13  # of Newton's method, in what differences are made of
 
 
 def gradient_of_static(equilibrium, objective, names=None):
@@ -52,3 +57,35 @@ def _solved(model, t, q, lam, j_q, j_lam, counts):
         return KKT(K, model.phi_q(t, q), scaling_factors("physical", 1.0, K)).adjoint(j_q, j_lam)
     except SingularSystem:
         raise StepFailure("singular", FREE, t) from None
+
+
+def gradient_of_modes(modes, objective, names=None):
+    """The Gradient of an objective of Modes."""
+    totals, counts = Totals(modes.model, names), Counts()
+    own = objective.slopes(modes)(slice(0, 1))
+    totals.own(own)
+    if isinstance(modes.state, Equilibrium):
+        for work in adjoint_of_static(modes.state, own, counts):
+            totals.work(work)
+    return Gradient(objective(modes), totals.slopes(), counts, totals.left_out)
+
+
+class StillAgain:
+    """An Equilibrium, or Modes, to be found again; state: the equilibrium itself, or what the modes are about."""
+
+    def __init__(self, subject):
+        self.subject, self.state = subject, subject.state if isinstance(subject, Modes) else subject
+
+    def frames(self, model):
+        """What is found of another model: from the same state, or about the same where that is no equilibrium."""
+        state = self.state
+        if isinstance(state, Equilibrium):
+            state = static(model, state.t, state.q, tolerance=TOLERANCE, linear=state.linear)
+        return modes(model, state, count=len(self.subject.roots)) if isinstance(self.subject, Modes) else state
+
+    def begins(self, model):
+        """Whether a state that is held is one of another model too."""
+        if isinstance(self.state, Equilibrium):
+            return True
+        phi = guard(model).phi(self.state.t, self.state.q)
+        return bool(np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max()))

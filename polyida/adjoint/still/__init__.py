@@ -1,1 +1,0 @@
-"""Of equilibria and of modes."""
