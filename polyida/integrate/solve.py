@@ -27,10 +27,10 @@ from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard, unguarded
 from polyida.sensor import Sensor
+from polyida.system.own import Compiled
 
 if TYPE_CHECKING:
-    from polyida.system.own import Compiled
-from polyida.trajectory import Trajectory
+    from polyida.trajectory import Trajectory
 
 MOST_STEPS = 1e12
 SHORTEST = 1e-15  # s: what is divided by the squares of its steps is still a number in single precision

@@ -5,8 +5,8 @@ import warnings
 
 import numpy as np
 
+from polyida import Revolute
 from polyida.body.rigid_body import RigidBody
-from polyida.joint.revolute import Revolute
 
 SETTINGS = [(solver, newton) for solver in ("sparse", "dense") for newton in ("modified", "full")]
 SPARSE = SETTINGS[:2]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.radau import steps
+from polyida.integrate.radau import accepted
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import Counts, State, States, Stretch, parted
 
@@ -50,7 +50,7 @@ def test_a_stretch_is_its_states():
 def test_vectors_of_a_state_that_nobody_asks_for_are_not_made(model, monkeypatch):
     """A state of RadauIIA makes a and lam when they are asked for, by a solve."""
     made = []
-    monkeypatch.setattr(steps, "consistent_acceleration", lambda *given: made.append(1) or consistent_acceleration(*given))
+    monkeypatch.setattr(accepted, "consistent_acceleration", lambda *given: made.append(1) or consistent_acceleration(*given))
     run = pi.solve(model, 0.1, pi.RadauIIA(h=1e-3), every=50)
     assert run.success and len(run) == 3 and len(made) <= 4
 

@@ -12,7 +12,7 @@ from polyida.integrate.running import ctrl_c
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.running.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
-from polyida.integrate.state import Counts, Restart, State, StepFailure, Stretch, constant_step, parted
+from polyida.integrate.state import Counts, Restart, State, States, StepFailure, Stretch, constant_step, parted
 from polyida.integrate.switches import unresolved
 from polyida.io.file.writer import NotWritten
 from polyida.io.save import behind_blocks, commit
@@ -222,7 +222,7 @@ def _again(run, state, counts):
     """The State after the steps of a run from `state` to its last, taken anew, with what the integrator goes on from."""
     end = run.counts.steps
     state = State(state.t, state.q, state.v, state.a, state.lam, state.memory | {"pause": end})
-    steps = accepted(run.integrator, guard(run.model), state, run.plan["t_end"], counts)
+    steps = States(accepted(run.integrator, guard(run.model), state, run.plan["t_end"], counts), counts)
     return next(islice(steps, end - counts.steps - 1, None))
 
 

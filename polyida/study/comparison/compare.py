@@ -10,7 +10,7 @@ from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.integrate.running.accepted import accepted
 from polyida.integrate.running.sampling import between
-from polyida.integrate.state import Counts, StepFailure
+from polyida.integrate.state import Counts, States, StepFailure
 from polyida.machine import one_blas_thread
 from polyida.model.guarded import guard
 from polyida.results.motion import motor_work, unbalanced
@@ -202,7 +202,7 @@ def refine(job, rtol, times, tell):
         before = consistent_state(job.model, 0.0, job.q0, job.v0)
         watched = [look(before.q)]
         try:
-            for state in accepted(fine, guard(job.model), before, job.time, counts):
+            for state in States(accepted(fine, guard(job.model), before, job.time, counts), counts):
                 while len(watched) < len(times) and times[len(watched)] <= state.t:
                     watched.append(look(between(before, state, times[len(watched)]).q))
                 before = state

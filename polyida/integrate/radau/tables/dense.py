@@ -345,9 +345,9 @@ def acceleration(w, instant, q, v, a, lam, e, f):
         d.x[n + k] = 0.0
     if m and d.flags[BENT]:
         if d.functions[PHI_BIAS]:
-            ended = ask(d, PHI_BIAS, INNER, d.phi)
+            ended = ask(d, PHI_BIAS, INNER, d.phi_bias)
             for k in range(m):
-                d.x[n + k] = -size * d.phi[k]
+                d.x[n + k] = -size * d.phi_bias[k]
         else:
             ended = along(w, q)
             for k in range(m):

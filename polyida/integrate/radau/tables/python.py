@@ -191,12 +191,6 @@ class DenseStages(DenseTable):
         self._take(tableau, tied)
 
     def _take(self, tableau, tied):
-        model, functions = self.model, self.w.functions
-        bias = lambda: model.phi_bias(float(self.w.t[small.INNER]), self.w.q.copy(), self.w.v.copy())  # noqa: E731
-        damping = lambda: model.force_v(float(self.w.t[small.INNER]), self.w.q.copy(), self.w.v.copy())  # noqa: E731
-        for number, function, out in ((PHI_BIAS, bias, self.w.phi), (FORCE_V, damping, self.w.slope)):
-            if not functions[number]:
-                functions[number] = self._address(lambda *_, f=function, out=out: out.__setitem__(..., dense(f())))
         self.stages = small.workspace(self.w, tableau.stages, tied)
         self.functions, self.workspace = np.array(small.addresses(), np.int64), self.stages.address
 
