@@ -52,7 +52,7 @@ class StagesAgain:
         self.tableau, self.tied, self.engine.guess = self.engine.tableau, self.engine.tied, self._between
         bent = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.moves_v = bent and settings.form == "index3" and settings.project
-        self.lifts = self.tied and not model.alike
+        self.lifts = self.engine.table.lifts and self.tied and not model.alike
         self.lift = lift(model, self.engine.shares) if self.lifts else np.ones(model.n)
 
     def of(self, state, end):

@@ -23,6 +23,7 @@ class PythonStages(PythonTable):
     lift (n,): D^-1. longest: steps of a stretch.
     """
 
+    lifts = True  # whether G = B D^-1 has the D of `weigh`; else D = 1
     prepared, single = False, False  # whether a stretch's instants are known before, whether the matrices of one slot are at hand only
 
     def __init__(self, model, tableau, tied, kind):
@@ -184,7 +185,7 @@ class PythonStages(PythonTable):
 class DenseStages(DenseTable):
     """The table of a small model: compiled code, which calls the model's functions back."""
 
-    prepared, single = False, False
+    prepared, single, lifts = False, False, True
 
     def __init__(self, model, tableau, tied):
         super().__init__(model, False)

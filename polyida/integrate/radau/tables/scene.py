@@ -334,7 +334,7 @@ def inverse_mass(model):
 class SceneStages:
     """The table of a scene without Python in it."""
 
-    longest, single = of.STEPS, True
+    longest, single, lifts = of.STEPS, True, False
 
     def __init__(self, model, tableau, tied, linear):
         self.model, self.tableau, self.tied, self.linear, s = model, tableau, tied, linear, tableau.stages
@@ -366,7 +366,7 @@ class SceneStages:
         self.callback, self.prepared, self.raised = CALLBACK(self._prepare), False, None
 
     def weigh(self, lift):
-        """Nothing: all coordinates are alike."""
+        """Nothing: D = 1."""
 
     def hold_constant(self, t, q):
         """Nothing."""
