@@ -175,6 +175,14 @@ def scenes():
     )
 
 
+@pytest.fixture(autouse=True)
+def closed_figures():
+    """Pictures that a test leaves open are closed: too many of them are a warning in a later one."""
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")
+
+
 @pytest.fixture
 def heeds_ctrl_c():
     """Python's own handler in place, also where the shell that started the tests in the background had SIGINT ignored."""

@@ -167,7 +167,7 @@ def test_a_run_that_is_still_written_cannot_go_on(model, tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no forks here")
 def test_killed_at_random_moments(model, tmp_path):
-    settings = model, 0.5, pi.GeneralizedAlpha(h=1e-4)
+    settings = model, 0.5, pi.GeneralizedAlpha(h=2e-5)  # longer than a process takes to load its kernels
     expected, hits, draw = pi.solve(*settings, every=4), 0, random.Random(5)
     span = pi.solve(*settings, every=4, out=tmp_path / "whole.h5", flush_every=50).cpu_seconds  # kernels are loaded now, as in the children
     for number in range(5):

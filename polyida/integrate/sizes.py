@@ -4,6 +4,7 @@ import numpy as np
 
 AT = (np.arange(32) + 0.5) / 32  # of the run's time: where motors are looked at
 MOVES = 1e-6  # of its length: a model whose first state takes it less far in the whole run stands still
+# constants of compiled code
 ROUND_OFF = 64 * 2.0**-52  # of the numbers that phi is made of: |phi| that is mere round-off
 LEAST = 1e-10  # relative tolerance that is chosen by itself
 NOTHING = 1e-12  # m: a |q| of less is what is left of a start at zero that was moved onto its constraints

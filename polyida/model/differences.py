@@ -2,6 +2,7 @@
 
 import numpy as np
 
+# constants of compiled code
 FIRST_ORDER_STEP = np.finfo(float).eps ** (1 / 5)  # balances the h^4 truncation against round-off / h
 EVERYWHERE = (-np.inf, np.inf)
 LATER = 0.37  # s: when forces are looked at again, whether time is in them

@@ -12,6 +12,7 @@ from numba.core.errors import NumbaError
 
 from polyida.errors import InputError
 from polyida.integrate.stepping.ended import DONE, RAISED, WRONG_SHAPE
+from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.guarded import OF_CONSTRAINTS, writes
 from polyida.system.table import ARGUMENTS, pointer
@@ -36,6 +37,7 @@ SHAPES = {  # of what the functions return, in n and m
 OF_STEPS = tuple(name for name in SHAPES if name != "potential")  # which only the energy-momentum method asks for
 
 
+@named_keywords
 def compiled(cls: type[M]) -> type[M]:
     """Class decorator of a Model: numba compiles its functions, and steps call no Python.
 

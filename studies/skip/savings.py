@@ -132,9 +132,9 @@ class OneByOne(Steps):
 class Forgetful(OneByOne):
     """The same with a new factor in every step."""
 
-    def _stretch(self, *place):
+    def _stretches(self, *place):
         self.system = None
-        yield from super()._stretch(*place)
+        yield from super()._stretches(*place)
 
 
 class Unturned(Steps):

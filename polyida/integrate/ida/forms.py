@@ -24,6 +24,7 @@ from polyida.integrate.state import State
 from polyida.linear.matrix import dense
 from polyida.model.differences import along, reach_along
 
+# constants of compiled code
 NEAR = np.finfo(float).eps ** (1 / 3)  # of phi_q's slopes, which only Newton sees: two values are enough
 UNTESTED = 1e9  # absolute tolerance of what carries no error estimate, as multipliers: far above any size of theirs
 
