@@ -47,32 +47,8 @@ def compiled(cls: type[M]) -> type[M]:
     time. GeneralizedAlpha, RadauIIA and EnergyMomentum (with a `potential`) call no Python in a step of models of up to 50 coordinates and
     constraints; IDA's binding calls Python once an iteration. Larger models are called in Python.
 
-    Parameters
-    ----------
-    cls : subclass of Model
-
-    Returns
-    -------
-    subclass of Model
-        The class itself.
-
-    Raises
-    ------
-    InputError
-        If cls is no subclass of Model. At the start of a run: if numba cannot compile a function, or if its result is no real array of the
-        right dimension; the message names the function.
-
-    Examples
-    --------
-    >>> @pi.compiled
-    ... class Spring(pi.Model):
-    ...     n, m, k = 1, 0, 4.0
-    ...
-    ...     def mass(self, q):
-    ...         return np.eye(1)
-    ...
-    ...     def force(self, t, q, v):
-    ...         return self.k * q
+    cls: a subclass of Model. Returns cls itself. Raises InputError if cls is no subclass of Model and, where a run begins, for a function that
+    numba cannot compile or whose result is no real array of the right dimension; the message names the function.
     """
     if not (isinstance(cls, type) and issubclass(cls, Model)):
         raise InputError(f"compiled: {cls!r:.100} must be a subclass of polyida.Model")
