@@ -97,3 +97,18 @@ def project(s, t, wanted, x):
                 x[i, 0] -= re * px - im * py
                 x[i, 1] -= re * py + im * px
     return True
+
+
+@part
+def constrain(s, t, drives, dz, v, a, lam):
+    """From a without constraint forces to a and lam with `phi_q a + phi_bias = 0`; t: None without constraints. False if that is singular."""
+    if t is None:
+        return True
+    velocity_rate(s, drives, dz, v, t)
+    joints.point_values(s, a, t.vz)
+    for k in range(lam.shape[0]):
+        t.bias[k] += joints.along(s, t.slopes, k, t.vz)
+    good = project(s, t, t.bias, a)
+    for k in range(lam.shape[0]):
+        lam[k] = t.eta[k]
+    return good

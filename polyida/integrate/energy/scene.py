@@ -8,7 +8,7 @@ from polyida.assembly.bodies import compact
 from polyida.assembly.own.laws import take_midpoint_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table
-from polyida.assembly.rows.tie import velocity_rate
+from polyida.assembly.rows.tie import constrain
 from polyida.element import kernels as elements
 from polyida.element import stabilisation
 from polyida.element.paired import two_states
@@ -30,7 +30,6 @@ from polyida.system.scene import (
     Solid,
     add_forces,
     pairs,
-    project_rows,
     rows,
 )  # fmt: skip
 from polyida.system.table import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE, c_entry, pointer
@@ -143,22 +142,7 @@ def acceleration(w, instant, q, v, a, lam, e, f):
         s.r[i, 0], s.r[i, 1] = -s.r[i, 0], -s.r[i, 1]
     clear(out)
     compact.momentum(s.inverse, s.r, out)
-    return DONE if hold_on(links, w.tie, drives, w.points[DZ], speed, out, found) else SINGULAR
-
-
-@part
-def hold_on(links, t, drives, dz, v, a, lam):
-    """a, that of the forces without constraints, as these let it be, and lam; False where that is singular."""
-    if t is None:
-        return True
-    velocity_rate(links, drives, dz, v, t)
-    joints.point_values(links, a, t.vz)
-    for k in range(lam.shape[0]):
-        t.bias[k] += joints.along(links, t.slopes, k, t.vz)
-    good = project_rows(links, t, t.bias, a)
-    for k in range(lam.shape[0]):
-        lam[k] = t.eta[k]
-    return good
+    return DONE if constrain(links, w.tie, drives, w.points[DZ], speed, out, found) else SINGULAR
 
 
 class EnergyTable(SceneTable):

@@ -17,7 +17,7 @@ from polyida.assembly.bodies.damping import symmetric_parts
 from polyida.assembly.own.laws import Laws
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import stage_tables
-from polyida.assembly.rows.tie import Tie, tie, velocity_rate
+from polyida.assembly.rows.tie import Tie, constrain, tie
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.integrate.kinks import inner_side
@@ -295,26 +295,10 @@ def acceleration(w, instant, q, v, a, lam, e, f):
         for j in range(out.shape[0]):
             total -= w.inverse[i, j] * complex(found[j, 0], found[j, 1])
         w.r[i, 0], w.r[i, 1] = total.real, total.imag
-    ended = constrained(w.scene.links, w.tie, drives, w.dz[k], speed, w.spare, w.r, rows(w, lam))
-    if ended == DONE:
-        for i in range(out.shape[0]):
-            out[i, 0], out[i, 1] = w.r[i, 0], w.r[i, 1]
-    return ended
-
-
-@part
-def constrained(s, t, drives, dz, v, wanted, a, lam):
-    """Take lam out of a, so that phi_q a + phi_bias = 0; what is None is not compiled."""
-    if t is None:
-        return DONE
-    velocity_rate(s, drives, dz, v, t)
-    joints.point_values(s, a, t.vz)
-    for k in range(wanted.shape[0]):
-        wanted[k] = t.bias[k] + joints.along(s, t.slopes, k, t.vz)
-    if not project_rows(s, t, wanted, a):
+    if not constrain(w.scene.links, w.tie, drives, w.dz[k], speed, w.r, rows(w, lam)):
         return SINGULAR
-    for k in range(wanted.shape[0]):
-        lam[k] = t.eta[k]
+    for i in range(out.shape[0]):
+        out[i, 0], out[i, 1] = w.r[i, 0], w.r[i, 1]
     return DONE
 
 
