@@ -1,4 +1,4 @@
-"""The one exception that a user's mistake raises, and the warning of what is right but far from converged."""
+"""What is raised for a user's mistake and where an integrator cannot go on, and warnings of what is right but far from converged."""
 
 
 class InputError(ValueError):
@@ -18,3 +18,12 @@ class ReductionWarning(UserWarning):
 
 class LockingWarning(UserWarning):
     """Elements that are far too stiff for their material: the answer converges, but slowly."""
+
+
+class StepFailure(Exception):
+    """An integrator cannot go on: where, why, and what it last saw. `solve` turns it into a status and keeps the run so far."""
+
+    def __init__(self, status, reason, t=float("nan"), **seen):
+        self.status, self.reason, self.t, self.seen = status, reason, t, seen
+        detail = ", ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in seen.items())
+        super().__init__(f"{reason} at t = {t:.9g} s" + (f" ({detail})" if detail else ""))

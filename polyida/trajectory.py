@@ -21,8 +21,8 @@ from polyida.model.guarded import guard
 from polyida.results.energy import Energy, energy_of, grown
 from polyida.results.motion import Motion, angle_of, momenta_of, reaction_of, strains, von_mises
 from polyida.results.section_forces import SectionForces, section_forces
-from polyida.results.sensors import Sensors
 from polyida.results.tables import dataframe, dataset
+from polyida.sensor import Sensors
 
 if TYPE_CHECKING:
     from pandas import DataFrame

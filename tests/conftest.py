@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, settings
 
 import polyida as pi
 from polyida.cli.garbage import collect_rarely
-from polyida.integrate.running import run as running
+from polyida.run import run as running
 
 settings.register_profile("same every time", derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))
 settings.load_profile("same every time")

@@ -526,7 +526,7 @@ sys.exit({function}())
 """
 
 
-@pytest.mark.parametrize("name", ["typer", "polyida.cli.options", "polyida.integrate.solve"])
+@pytest.mark.parametrize("name", ["typer", "polyida.cli.options", "polyida.run.solve"])
 def test_ctrl_c_while_the_command_imports_is_one_line(name, tmp_path):
     project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
     module, function = project["scripts"]["polyida"].split(":")

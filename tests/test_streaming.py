@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.running.sampling import between
-from polyida.integrate.state import State, StepFailure
+from polyida.errors import StepFailure
+from polyida.integrate.state import State, between
 from polyida.io.frames import StoredFrames
 from polyida.problems import plates
 
@@ -229,7 +229,7 @@ def test_a_flush_waits_for_a_whole_block_where_it_is_near(tmp_path, monkeypatch)
         seen.append((file.count, len(tail[0])))
         commit(file, record, numbers, tail, *rest)
 
-    monkeypatch.setattr("polyida.integrate.running.run.FLUSH_SECONDS", 1e9)
+    monkeypatch.setattr("polyida.run.run.FLUSH_SECONDS", 1e9)
     monkeypatch.setattr(Writer, "commit", noted)
     pi.solve(Wide(), 1.0, Free(), out=tmp_path / "run.h5", flush_every=40)
     assert seen == [(0, 1), *((48 * k, 0) for k in range(1, 7)), (301, 0)]
@@ -433,7 +433,7 @@ def test_an_exception_in_a_force(tmp_path, integrator):
 
 def test_a_failed_run_keeps_its_frames(tmp_path):
     def steps(model, state, t_end, counts):
-        from polyida.integrate.state import StepFailure
+        from polyida.errors import StepFailure
 
         yield State(0.1, state.q, state.v, state.a, state.lam)
         raise StepFailure("newton", "it does not converge", 0.2)
@@ -453,7 +453,7 @@ def test_an_existing_file_is_kept_unless_told(model, tmp_path):
 
 def test_a_file_that_came_during_the_start_is_kept(model, tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
-    monkeypatch.setattr("polyida.integrate.solve.free", lambda path, overwrite: path.write_text("theirs") and path)
+    monkeypatch.setattr("polyida.run.solve.free", lambda path, overwrite: path.write_text("theirs") and path)
     with pytest.raises(pi.InputError, match="run.h5"):
         pi.solve(model, 0.01, ALPHA, out=path)
     assert path.read_text() == "theirs" and os.listdir(tmp_path) == ["run.h5"]

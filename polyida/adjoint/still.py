@@ -12,8 +12,9 @@ import numpy as np
 from polyida.adjoint.parameters.parameter import Work
 from polyida.adjoint.result import Gradient
 from polyida.adjoint.totals import Totals
+from polyida.errors import StepFailure
 from polyida.integrate.start import VIOLATION
-from polyida.integrate.state import Counts, StepFailure
+from polyida.integrate.state import Counts
 from polyida.integrate.statics.static import FREE, Equilibrium, static
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.linear.lu import SingularSystem

@@ -11,7 +11,7 @@ from polyida.errors import InputError
 
 def begun(scene, integrator, options, settings, out, overwrite):
     """(run, its file) of a scene with its options, by an integrator with its settings."""
-    from polyida.integrate.solve import solve
+    from polyida.run.solve import solve
     from polyida.study.comparison import chosen
     from polyida.study.comparison.compare import warm_up
     from polyida.study.comparison.job import load
@@ -35,7 +35,7 @@ def require_none(options, why):
 
 def resumed(path, scene, cells, time):
     """Go on with the run in a file; the model comes from `scene` where that is given."""
-    from polyida.integrate.resume import resume
+    from polyida.run.resume import resume
     from polyida.study.comparison.job import load
 
     job = load(scene, time=time, cells=cells) if scene else None

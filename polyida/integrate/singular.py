@@ -8,7 +8,7 @@ that it is neither (assembly/rows/unit_rows.py), and only the others are looked 
 """
 
 from polyida.assembly.rows.unit_rows import UnitRows
-from polyida.integrate.state import StepFailure
+from polyida.errors import StepFailure
 from polyida.linear.independence import between, coordinate_sizes, cosine, involved, least, rows_of, way
 
 ZERO = 1e-6  # a smallest singular value that counts as none

@@ -1,4 +1,4 @@
-"""What an integrator takes and yields: states, one by one or in stretches, the counts of the work done, and how it says that it cannot go on."""
+"""What an integrator takes and yields: states, one by one or in stretches, between two of them, and the counts of the work done."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -154,6 +154,31 @@ def constant_step(integrator):
     return float(h) if is_number(h) and not adapts else 0.0
 
 
+def cubic(x0, v0, x1, v1, h, s):
+    """(x, x') at the part s of an interval of length h, from values x0, x1 and slopes v0, v1 at its ends: Hermite's polynomial."""
+    move = x1 - x0
+    x = x0 + s * s * (3 - 2 * s) * move + h * s * (1 - s) * ((1 - s) * v0 - s * v1)
+    return x, 6 * s * (1 - s) / h * move + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
+
+
+def between(before, after, t):
+    """The State at t between two accepted ones.
+
+    q is the cubic Hermite polynomial through q and v at both ends, v its derivative, a and lam are linear in t; at an
+    end it is the accepted state itself. q is of fourth, v of third, a and lam of second order in the step. An integrator's own
+    polynomial, `after.within`, goes before.
+    """
+    if t in (before.t, after.t):
+        return before if t == before.t else after
+    if after.within is not None:
+        return after.within(t)
+    h = after.t - before.t
+    s = (t - before.t) / h
+    q, v = cubic(before.q, before.v, after.q, after.v, h, s)
+    a, lam = before.a + s * (after.a - before.a), before.lam + s * (after.lam - before.lam)
+    return State(float(t), q, v, a, lam, restart=False)
+
+
 class Restart(NamedTuple):
     """Where a run goes on: an accepted state with its memory, the number of frames up to it, the counts at it."""
 
@@ -168,12 +193,3 @@ class Integrator(Protocol):
     def steps(self, model: Model, state: State, t_end: float, counts: Counts, /) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         ...
-
-
-class StepFailure(Exception):
-    """An integrator cannot go on: where, why, and what it last saw. `solve` turns it into a status and keeps the run so far."""
-
-    def __init__(self, status, reason, t=float("nan"), **seen):
-        self.status, self.reason, self.t, self.seen = status, reason, t, seen
-        detail = ", ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in seen.items())
-        super().__init__(f"{reason} at t = {t:.9g} s" + (f" ({detail})" if detail else ""))

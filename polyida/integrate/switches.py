@@ -15,14 +15,15 @@ where a stretch began, are single.
 
 import math
 from dataclasses import is_dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.gaps import Crossing, Gaps
-from polyida.integrate.running.hermite import cubic
 from polyida.integrate.sizes import sizes_of_run
 from polyida.integrate.start import consistent_acceleration
-from polyida.integrate.state import State, StepFailure, constant_step
+from polyida.integrate.state import State, between, constant_step
 
 NEAR = 1e-9  # of a gap's size in a step: so near to zero a step ends
 TOGETHER = 1e-4  # of a step: gaps that switch within it switch together, and one so near to its beginning there
@@ -218,7 +219,7 @@ class Switches:
             fastest = np.maximum(np.abs(self.here.rate), np.abs(self.ahead.rate))
             if (np.minimum(self.sides * self.here.gap, self.sides * self.ahead.gap) > FAR * length * fastest).all():
                 return None, 0.0
-        place, middle = _between(state, after), state.t + 0.5 * length
+        place, middle = partial(_place, state, after), state.t + 0.5 * length
         seen = self.here, self.gaps.at(middle, *place(middle)), self.ahead
         if closed.any() and (shorter := self._too_long(seen, state, after, closed)):
             return None, shorter
@@ -313,14 +314,7 @@ class Switches:
             self.here, self.counts.steps = here, steps
 
 
-def _between(before, after):
-    """A function t -> (q, v) within a step."""
-    if after.within is not None:
-
-        def inside(t):
-            state = after.within(t)
-            return state.q, state.v
-
-        return inside
-    h = after.t - before.t
-    return lambda t: cubic(before.q, before.v, after.q, after.v, h, (t - before.t) / h)
+def _place(before, after, t):
+    """(q, v) at t within a step."""
+    state = between(before, after, t)
+    return state.q, state.v

@@ -12,7 +12,7 @@ from polyida.io.file.reader import naming, read
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.scene_data import UnknownPart, factors_from, from_data
 from polyida.keywords import named_keywords
-from polyida.results.sensors import Sensors
+from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
 
 STILL = "another process is still writing it; these are the frames up to its last flush"

@@ -12,7 +12,7 @@ from polyida.io.file.layout import FRAMES, dtypes_of, shapes_of
 from polyida.io.file.reader import read_open
 from polyida.io.file.writer import NotWritten, taken
 from polyida.io.frames import MEMORY_LIMIT
-from polyida.io.memory import LAZY, room
+from polyida.memory import LAZY, room
 
 BLOCK = 1 << 20  # bytes that are written at once
 WINDOW = 1 << 24  # bytes after which the system is told that those before will not be read soon

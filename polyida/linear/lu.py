@@ -1,9 +1,10 @@
-"""LU factors of any square matrix, dense or sparse, real or complex."""
+"""LU factors of any square matrix, dense or sparse, real or complex; and how many factors of any kind are kept."""
 
 import numpy as np
 
 LEAST = 4 * np.finfo(float).eps  # pivot over n times the largest entry that may be round-off of zero
 SYMMETRIC_MODE = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+KEPT = 6  # factors that are kept, of the steps h used last
 
 
 class SingularSystem(Exception):
@@ -52,3 +53,24 @@ def _sparse(matrix, options):
     except RuntimeError as error:  # what SuperLU raises where the matrix is singular
         raise SingularSystem("the iteration matrix is singular") from error
     return (lambda b, transposed: lu.solve(b, trans="T" if transposed else "N")), lambda: lu.U.diagonal()
+
+
+class Kept:
+    """The factors of the few steps h that were used last: adaptive steps come back to them."""
+
+    def __init__(self):
+        self.factors = {}
+
+    def take(self, h):
+        """What is kept of this h, or None."""
+        found = self.factors.pop(h, None)
+        if found is not None:
+            self.factors[h] = found
+        return found
+
+    def keep(self, h, factor):
+        """Keep a factor, in place of that of the h that has not been used for the longest time."""
+        self.factors.pop(h, None)
+        self.factors[h] = factor
+        while len(self.factors) > KEPT:
+            self.factors.pop(next(iter(self.factors)))

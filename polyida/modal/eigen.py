@@ -11,8 +11,7 @@ roots of no full set of shapes.
 import numpy as np
 from scipy.linalg import eigh, null_space
 
-from polyida.errors import InputError
-from polyida.integrate.state import StepFailure
+from polyida.errors import InputError, StepFailure
 from polyida.linear.inertia import falling
 from polyida.linear.lu import SingularSystem
 from polyida.modal.system import NO_MASS

@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 from polyida.integrate.kinks import beside
-from polyida.integrate.running.hermite import cubic
 from polyida.integrate.start import consistent_acceleration
+from polyida.integrate.state import cubic
 from polyida.io.frames import each
 
 GAUSS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)

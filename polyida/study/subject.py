@@ -6,9 +6,9 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import floats, is_number
-from polyida.integrate.solve import require_run, solve
 from polyida.integrate.start import consistent_state
 from polyida.model import Model
+from polyida.run.solve import require_run, solve
 
 PARTS = ("q", "v", "lam")
 SHORT = 2e-4  # of the time, for which an integrator that has no step of its own runs beforehand

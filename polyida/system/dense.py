@@ -9,11 +9,27 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import pack, part
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, address, c_address, c_entry, call, pointer
+from polyida.system.table import (
+    ACCEPT,
+    CLOSE,
+    DONE,
+    FACTOR,
+    HOLD,
+    NOT_FINITE,
+    PROJECT,
+    RATE,
+    RESIDUAL,
+    SINGULAR,
+    SOLVE,
+    address,
+    c_address,
+    c_entry,
+    call,
+    pointer,
+)
 
 MOST = 50  # coordinates and constraints of a model that is solved so
 # constants of compiled code

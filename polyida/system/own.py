@@ -11,11 +11,10 @@ from numba import carray, types
 from numba.core.errors import NumbaError
 
 from polyida.errors import InputError
-from polyida.integrate.stepping.ended import DONE, RAISED, WRONG_SHAPE
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.guarded import OF_CONSTRAINTS, writes
-from polyida.system.table import ARGUMENTS, pointer
+from polyida.system.table import ARGUMENTS, DONE, RAISED, WRONG_SHAPE, pointer
 
 M = TypeVar("M", bound=Model)
 NUMBERS = types.Array(types.float64, 1, "C", readonly=True)

@@ -6,15 +6,30 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from polyida.integrate.state import StepFailure
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR
+from polyida.errors import StepFailure
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import writes
 from polyida.system import dense as small
 from polyida.system.own import OF_STEPS, Compiled
-from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
+from polyida.system.table import (
+    ACCEPT,
+    CALLBACK,
+    CLOSE,
+    DONE,
+    ENTRIES,
+    HOLD,
+    INSTANTS,
+    NOT_FINITE,
+    PROJECT,
+    RAISED,
+    RATE,
+    REASONS,
+    RESIDUAL,
+    SINGULAR,
+    SOLVE,
+)
 
 SHORT, LONG = 5e-3, 20e-3  # s
 

@@ -1,7 +1,7 @@
 """A model as a table of C functions: a driver calls them by their addresses and is compiled once for every model.
 
 Each has the signature `int64 f(int64 model, int64 instant, int64 x 6)`: the address of the model's workspace, the number of one of the
-instants that were prepared, and addresses of contiguous float64 arrays. It returns how it ended (stepping/ended.py).
+instants that were prepared, and addresses of contiguous float64 arrays. It returns how it ended (REASONS).
 
 | entry | arguments | what it does |
 |---|---|---|
@@ -33,6 +33,17 @@ WORD = ir.IntType(64)
 # constants of compiled code
 RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, MIDDLE, KINETIC, ACCELERATION = range(11)
 ENTRIES = 11
+DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR, RAISED, WRONG_SHAPE, NO_MATRIX = range(11)
+REASONS = {  # how a step can end, and what a failure says of it
+    REFACTOR: ("newton", "Newton does not converge with fresh matrices"),
+    INVERTED: ("inverted", "an element is turned inside out; St. Venant-Kirchhoff has collapsed in compression"),
+    NOT_FINITE: ("not finite", "the motion is not finite"),
+    HALF_TURN: ("half-turn", "a motor stands on the wrong half-turn"),
+    RAISED: ("exception", "a compiled function of the model raised an exception"),
+    WRONG_SHAPE: ("shape", "a compiled function of the model returned an array of a wrong shape"),
+    NO_MATRIX: ("singular", "the iteration matrix is not finite"),
+    SINGULAR: ("singular", "the constraints' system is singular"),
+}
 
 
 @intrinsic

@@ -5,7 +5,7 @@ import numpy as np
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
+from polyida.run.solve import solve
 
 TIMES = np.linspace(0.0, 1.0, 101)  # where the tip is compared, s
 LEAN = 3e-3  # m/s^2 times h^2: what Newton may leave of q, a share of what weight moves in a step

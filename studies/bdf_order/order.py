@@ -10,9 +10,9 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.sizes import typical_sizes
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.problems import plates
+from polyida.run.solve import solve
 from polyida.study.comparison.compare import watch
 from polyida.study.comparison.job import Job
 

@@ -8,13 +8,13 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.linear.condition import condition
 from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
 from polyida.linear.matrix import dense
 from polyida.model import Model, Needs
 from polyida.problems import plates
+from polyida.run.solve import solve
 
 ALPHA_UNKNOWNS = {"q": -4, "v": -3, "a": -2}  # beside lam: slope of the raw condition number in h
 ALPHA_SCALINGS = {"none": -4, "rows only": -2, "multipliers only": -2, "bottasso": 0, "physical": 0}

@@ -9,8 +9,8 @@ from polyida import problems
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
 from polyida.problems import Problem
+from polyida.run.solve import solve
 from work_precision.cases import sudden_blow
 
 REFINED = 1e-10  # rtol of Radau IIA, whose runs are the references

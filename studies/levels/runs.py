@@ -10,8 +10,8 @@ from polyida.body.point_mass import PointMass
 from polyida.force.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
 from polyida.joint.joint import Joint
+from polyida.run.solve import solve
 
 EXACT, REFINED = 1e-9, 1e-8  # rtol of Radau IIA: of the full plates' run that is looked from, and of runs without a step
 TIMES = 201  # of a run, at which errors are looked at

@@ -141,8 +141,8 @@ def in_plane_modes(model, count):
 def spin_up(nx, ny, h, rho_inf=0.9):
     """Steady extension of the spin-up beam, from 20 s of generalized-alpha."""
     from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-    from polyida.integrate.solve import solve
     from polyida.problems import spin_up_beam
+    from polyida.run.solve import solve
 
     p = spin_up_beam.problem(nx, ny)
     run = solve(p.model, p.t_end, GeneralizedAlpha(h=h, rho_inf=rho_inf))

@@ -16,13 +16,13 @@ from polyida.body.point_mass import PointMass
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
 from polyida.linear.cholesky.factor import symbolic_of
 from polyida.linear.cholesky.fronts import factorize, solve_fronts
 from polyida.mesh import rectangle
 from polyida.problems import plates
+from polyida.run.solve import solve
 from polyida.scene import Scene
 from skip import unasked
 from skip.sides import done, plate_at, sides

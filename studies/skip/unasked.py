@@ -5,7 +5,6 @@ import numpy as np
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state, on_velocity
 from polyida.integrate.state import Counts, State
 from polyida.integrate.statics.static import static
@@ -15,6 +14,7 @@ from polyida.joint.joint import Joint
 from polyida.joint.joints import Clamp, Revolute
 from polyida.mesh import rectangle
 from polyida.problems import plates
+from polyida.run.solve import solve
 from polyida.scene import Scene
 from skip.sides import done, plate_at, sides
 from step_cost.measure import NO_FRAMES, H

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.solve import solve
+from polyida.run.solve import solve
 from step_cost.measure import H, model_of
 from step_cost.side import NO_FRAMES, cpu
 

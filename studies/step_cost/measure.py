@@ -16,7 +16,6 @@ from polyida.assembly import corotated, equilibrium
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
 from polyida.jit import entry
@@ -24,6 +23,7 @@ from polyida.linear.cholesky.factor import symbolic_of
 from polyida.linear.cholesky.fronts import factorize, solve_fronts
 from polyida.machine import one_blas_thread
 from polyida.problems import plates
+from polyida.run.solve import solve
 from polyida.study.sweeps.isolation import run_isolated
 from step_cost.side import NO_FRAMES, between, cells_for, cpu
 

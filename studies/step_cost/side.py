@@ -12,10 +12,10 @@ from dataclasses import replace
 from functools import partial
 
 import polyida
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
 from polyida.problems.plates import double_plate
+from polyida.run.solve import solve
 
 LARGE = 50_000  # coordinates from which on a run's start is dear
 NO_FRAMES = 10**9  # keep every so many steps: the first and the last frame alone

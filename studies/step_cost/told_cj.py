@@ -7,11 +7,11 @@ import numpy as np
 
 import polyida as pi
 from polyida.integrate.ida import dense, integrator
-from polyida.integrate.solve import solve
-from polyida.integrate.stepping.ended import DONE
 from polyida.jit import entry
 from polyida.problems import get, plates
+from polyida.run.solve import solve
 from polyida.system.own import compiled
+from polyida.system.table import DONE
 from step_cost.side import NO_FRAMES, cells_for, cpu
 
 LENGTH = 1.0  # m, of a bar

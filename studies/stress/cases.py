@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
+from polyida.run.solve import solve
 from stress import scenes
 from stress.outcome import COLLAPSED, Check, Stop, balance, extent, held, integrator, off_by, tip
 

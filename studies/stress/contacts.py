@@ -7,9 +7,9 @@ from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import RigidBody
 from polyida.force.contact import Contact
-from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
+from polyida.run.solve import solve
 from polyida.scene import Scene
 from stress.outcome import Check, balance, held, integrator
 

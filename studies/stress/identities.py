@@ -8,7 +8,7 @@ import numpy as np
 
 from conditioning.systems import freed
 from polyida import profile
-from polyida.integrate.solve import solve
+from polyida.run.solve import solve
 from stress import scenes
 from stress.outcome import COLLAPSED, Check, Stop, balance, extent, held, integrator, tip
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from polyida.integrate.resume import resume
-from polyida.integrate.solve import solve
 from polyida.io.file.layout import FRAMES
 from polyida.io.load import load
 from polyida.problems import plates
+from polyida.run.resume import resume
+from polyida.run.solve import solve
 from polyida.study.sweeps.harness import Study, results
 from stress.outcome import Check, integrator
 

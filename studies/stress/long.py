@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from polyida.integrate.solve import solve
 from polyida.problems import plates
+from polyida.run.solve import solve
 from stress.outcome import Check, balance, extent, integrator
 
 H = 1e-3

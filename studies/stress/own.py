@@ -12,7 +12,6 @@ from polyida.errors import InputError
 from polyida.force.elements import SpringDamper, Torque
 from polyida.force.force_element import ForceElement
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
 from polyida.joint.attachment import ground
 from polyida.joint.formula import cross
 from polyida.joint.joint import Joint
@@ -20,6 +19,7 @@ from polyida.joint.joints import Revolute, Slot
 from polyida.modal.modes import modes
 from polyida.model import Model, Needs
 from polyida.model.derivatives import check_derivatives
+from polyida.run.solve import solve
 from polyida.scene import Scene
 from stress.outcome import INTEGRATORS, Check, Stop, held, integrator
 

@@ -12,7 +12,7 @@ from polyida import problems
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
+from polyida.run.solve import solve
 from polyida.study.rows import column, fitted
 
 SCENES = {"scene 1, 1 s": "double-plate", "scene 2, 1 s": "double-plate-motors"}  # in the table: problem

@@ -6,8 +6,8 @@ import pytest
 import polyida as pi
 from polyida.adjoint.radau import scene as of_scenes
 from polyida.adjoint.radau.stages import course_of
+from polyida.errors import StepFailure
 from polyida.integrate.radau.steps import Steps
-from polyida.integrate.state import StepFailure
 from polyida.problems import andrews
 from polyida.problems.pendulum import Pendulum
 

@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint.parameters import parameters_of
-from polyida.integrate.state import StepFailure
+from polyida.errors import StepFailure
 from polyida.problems.pendulum import Pendulum
 
 of = pi.objective

@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate.alpha.step_control import LOWEST, RUNGS, Ladder, calm_error
-from polyida.integrate.stepping.kept import KEPT, Kept
+from polyida.linear.lu import KEPT, Kept
 
 FROM, TO, PULSE = 9.4, 10.0, 9.5
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.state import StepFailure
+from polyida.errors import StepFailure
 
 SPAN, RISE, STIFFNESS = 1.0, 0.3, 1000.0
 REST = np.hypot(SPAN, RISE)

@@ -8,7 +8,7 @@ from scipy.interpolate import BarycentricInterpolator
 
 import polyida as pi
 from polyida import problems
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.integrate.ida.dense import DenseSolve
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.integrator import IDA
@@ -16,7 +16,7 @@ from polyida.integrate.ida.linear import ReducedSolve
 from polyida.integrate.ida.predicted import Predicted
 from polyida.integrate.ida.whole import WholeSolve, whole_matrix
 from polyida.integrate.start import consistent_state
-from polyida.integrate.state import Counts, State, StepFailure
+from polyida.integrate.state import Counts, State
 from polyida.model import Model, Needs
 from polyida.model.guarded import guard
 from polyida.problems import plates

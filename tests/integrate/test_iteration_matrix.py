@@ -8,10 +8,10 @@ import pytest
 import polyida as pi
 from conditioning import systems as conditioning
 from polyida import condition_number
+from polyida.errors import StepFailure
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.iteration_matrix import iteration_matrix
 from polyida.integrate.radau.tableau import radau
-from polyida.integrate.state import StepFailure
 from polyida.linear.condition import condition
 from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
 from polyida.problems import plates

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.running.accepted import STANDSTILL
-from polyida.integrate.state import StepFailure
+from polyida.errors import StepFailure
 from polyida.problems import plates
+from polyida.run.accepted import STANDSTILL
 
 END, BAD = 1.0, 5
 

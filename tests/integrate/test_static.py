@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.state import StepFailure
+from polyida.errors import StepFailure
 from polyida.trajectory import Trajectory
 
 

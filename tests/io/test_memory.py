@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.running.accepted import accepted
+from polyida import memory
+from polyida.errors import StepFailure
 from polyida.integrate.start import consistent_state
-from polyida.integrate.state import Counts, StepFailure, Stretch
-from polyida.io import memory
-from polyida.io.memory import room
+from polyida.integrate.state import Counts, Stretch
 from polyida.io.store import SMALL, FrameStore
+from polyida.memory import room
 from polyida.model.guarded import guard
 from polyida.problems import plates
+from polyida.run.accepted import accepted
 
 FRAMES = ("t", "q", "v", "a", "lam")
 DOUBLE = np.dtype(float)

@@ -5,9 +5,9 @@ import pytest
 
 from polyida import problems
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_state
 from polyida.problems import rigid_limit, spin_up_beam
+from polyida.run.solve import solve
 
 
 def test_spin_up_profile_is_smooth_and_its_derivatives_are_right():

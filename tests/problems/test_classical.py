@@ -6,9 +6,9 @@ import pytest
 from polyida import check_derivatives, problems
 from polyida.errors import InputError
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration, consistent_state
 from polyida.problems.pendulum import TABLE
+from polyida.run.solve import solve
 
 CLASSICAL = ("pendulum", "car-axis", "andrews")
 

@@ -6,7 +6,7 @@ import pytest
 from polyida import problems
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.solve import solve
+from polyida.run.solve import solve
 
 PLATES = ("double-plate", "double-plate-motors", "plate-chain")
 

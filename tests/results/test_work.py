@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.running.hermite import cubic
+from polyida.integrate.state import cubic
 from polyida.results.motion import unbalanced
 
 RADAU = pi.RadauIIA(h=1e-3)

@@ -2,8 +2,8 @@ import pytest
 
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.solve import solve
 from polyida.problems import plates
+from polyida.run.solve import solve
 
 
 @pytest.fixture(scope="session")

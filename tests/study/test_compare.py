@@ -10,9 +10,9 @@ import polyida as pi
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
 from polyida.problems import plates
 from polyida.results.motion import motor_work, unbalanced
+from polyida.run.solve import solve
 from polyida.show.page import gap
 from polyida.study.comparison.compare import compare, integrators, refine, watch
 from polyida.study.comparison.job import Job, load

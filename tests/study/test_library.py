@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.errors import InputError
-from polyida.integrate.state import StepFailure
+from polyida.errors import InputError, StepFailure
 from polyida.problems import plates
 
 STEPS = (1e-2, 5e-3, 2.5e-3)

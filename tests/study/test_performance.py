@@ -14,8 +14,8 @@ from against_peers import gain, peers
 from polyida.errors import InputError
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.scene import SceneSystem
-from polyida.integrate.solve import solve
 from polyida.problems import plates
+from polyida.run.solve import solve
 from skip import savings
 from step_cost import against, frames, measure, pair, told_cj, waits
 

@@ -9,10 +9,10 @@ from polyida import problems
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration
 from polyida.model import Model
 from polyida.problems import andrews_digits, plates
+from polyida.run.solve import solve
 from polyida.study.kinds.precision import short
 from polyida.study.reference import agreed, families
 from polyida.study.reference.families import last_state

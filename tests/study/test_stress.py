@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.state import StepFailure
+from polyida.errors import StepFailure
 from stress import cases, identities, outcome, scenes
 from stress.axes import AXES, meanings, run, tasks
 from stress.kills import killed_runs

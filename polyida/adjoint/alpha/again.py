@@ -10,10 +10,9 @@ from polyida.adjoint.alpha.forward import given_velocity
 from polyida.adjoint.steps.course import course_of
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
-from polyida.integrate.kinks import edges
+from polyida.integrate.kinks import Grid, edges
 from polyida.integrate.start import VIOLATION, restarted
 from polyida.integrate.state import Counts, State
-from polyida.integrate.stepping.grid import Grid
 from polyida.model.guarded import guard
 
 TIGHT = 1e-11  # Newton's tolerance

@@ -12,7 +12,7 @@ from polyida.adjoint.steps.course import course_of
 from polyida.adjoint.totals import OwnSlopes, Totals
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import Counts
-from polyida.integrate.stepping.kept import Kept
+from polyida.linear.lu import Kept
 from polyida.model.guarded import guard
 
 CHUNK = 4_000_000  # bytes of multipliers that are held at once

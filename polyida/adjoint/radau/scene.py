@@ -5,8 +5,7 @@ import numpy as np
 from polyida.adjoint.radau.equations import Linearised, Multipliers
 from polyida.adjoint.radau.modes import Modes
 from polyida.adjoint.scene.products import products_at
-from polyida.integrate.stepping.kept import Kept
-from polyida.linear.lu import SingularSystem
+from polyida.linear.lu import Kept, SingularSystem
 from polyida.linear.matrix import dense
 from polyida.linear.refined import ENOUGH, LEFT, SLOW
 

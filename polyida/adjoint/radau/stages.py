@@ -8,15 +8,15 @@ import numpy as np
 from polyida.adjoint.alpha.again import Again
 from polyida.adjoint.radau.equations import Linearised
 from polyida.adjoint.steps.course import Course, Piece, every_step, reader, taken_again
-from polyida.integrate.kinks import at_kink, beside, inner_side
+from polyida.errors import StepFailure
+from polyida.integrate.kinks import Grid, at_kink, beside, inner_side
 from polyida.integrate.radau.loop import EXACT
 from polyida.integrate.radau.radau_iia import restarted
 from polyida.integrate.radau.rows import lift
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.sizes import extent, typical_sizes
 from polyida.integrate.start import far_side
-from polyida.integrate.state import Counts, State, StepFailure
-from polyida.integrate.stepping.grid import Grid
+from polyida.integrate.state import Counts, State
 from polyida.integrate.switches import steps_of
 from polyida.io.frames import MEMORY_LIMIT
 from polyida.linear.matrix import dense

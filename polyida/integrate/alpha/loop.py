@@ -12,11 +12,10 @@ import numpy as np
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.step import BIAS, DD, DLAM, DQ, DV, LAM, PHI, RATE, SLIP, A, Q, R, V
 from polyida.integrate.kinks import inner_side
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REFACTOR, TOO_FAR
 from polyida.jit import entry, part
 from polyida.system import table
 from polyida.system.python import table_of
-from polyida.system.table import address, call
+from polyida.system.table import DONE, NOT_FINITE, REFACTOR, TOO_FAR, address, call
 
 
 @part

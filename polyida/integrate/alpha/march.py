@@ -1,9 +1,10 @@
 """Equal steps from the start of a run's piece to its end; one that fails is cut in two, four, ... parts."""
 
+from polyida.errors import StepFailure
 from polyida.integrate.alpha.start import started
-from polyida.integrate.state import State, StepFailure, Stretch
-from polyida.integrate.stepping.grid import Grid, goes_on, grid_of
-from polyida.integrate.stepping.rest import held
+from polyida.integrate.kinks import Grid, goes_on, grid_of
+from polyida.integrate.rest import held
+from polyida.integrate.state import State, Stretch
 
 
 def march(engine, settings, model, state, begin, end, count, counts):

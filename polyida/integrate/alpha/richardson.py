@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.sizes import extent
-from polyida.integrate.state import State, States, StepFailure
+from polyida.integrate.state import State, States
 
 PARTED = 0.03  # distance of the two runs over the extent of the model, beyond which they tell of different motions
 

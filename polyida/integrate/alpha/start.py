@@ -17,9 +17,10 @@ from functools import singledispatch
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.kinks import at_kink, beside
 from polyida.integrate.start import consistent_acceleration, far_side, jerk, start_values
-from polyida.integrate.state import Counts, State, StepFailure
+from polyida.integrate.state import Counts, State
 from polyida.linear.lu import SingularSystem
 from polyida.linear.refined import ExactSaddle
 

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.integrate.stepping.ended import DONE, TOO_FAR, TOO_NEAR
 from polyida.jit import entry, pack, part
+from polyida.system.table import DONE, TOO_FAR, TOO_NEAR
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.alpha.control import ORDER
 from polyida.integrate.alpha.start import started
-from polyida.integrate.kinks import enough_steps
-from polyida.integrate.state import StepFailure, Stretch
-from polyida.integrate.stepping.grid import Grid
-from polyida.integrate.stepping.rest import held
+from polyida.integrate.kinks import Grid, enough_steps
+from polyida.integrate.rest import held
+from polyida.integrate.state import Stretch
 
 RUNGS = 4  # a factor of two
 SAFETY = 0.85

@@ -2,18 +2,17 @@
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.loop import Loop
 from polyida.integrate.alpha.step_control import calm_error
 from polyida.integrate.kinks import at_kink
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import State, StepFailure, Stretch
-from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
-from polyida.integrate.stepping.kept import Kept
-from polyida.io.memory import room
-from polyida.linear.lu import SingularSystem
-from polyida.system.table import INSTANTS
+from polyida.integrate.state import State, Stretch
+from polyida.linear.lu import Kept, SingularSystem
+from polyida.memory import room
+from polyida.system.table import DONE, HALF_TURN, INSTANTS, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
 
 ADAPTIVE = 32  # steps of a stretch whose step may change any time
 

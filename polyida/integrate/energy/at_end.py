@@ -5,8 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.start import consistent_acceleration, on_velocity
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.state import State
 
 
 class AtEnd(State):

@@ -8,7 +8,6 @@ from numba import typeof
 from polyida.assembly.own.laws import NOISE
 from polyida.integrate.energy.general import SPAN
 from polyida.integrate.kinks import inner_side
-from polyida.integrate.stepping.ended import DONE, SINGULAR
 from polyida.jit import part
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
@@ -33,7 +32,7 @@ from polyida.system.dense import (
     workspace,
 )  # fmt: skip
 from polyida.system.python import CompiledTable
-from polyida.system.table import ACCELERATION, INSTANTS, KINETIC, MIDDLE, c_address, c_entry
+from polyida.system.table import ACCELERATION, DONE, INSTANTS, KINETIC, MIDDLE, SINGULAR, c_address, c_entry
 
 STEP = FIRST_ORDER_STEP * SPAN  # of dq: V' from values at one and two of them to each side
 

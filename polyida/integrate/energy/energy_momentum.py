@@ -12,11 +12,10 @@ from polyida.given import is_number, is_whole
 from polyida.integrate.energy.general import General, WithForces, require_general
 from polyida.integrate.energy.midpoint import Midpoint
 from polyida.integrate.energy.steps import HALVINGS
-from polyida.integrate.kinks import at_kink, beside, enough_steps, stretches
+from polyida.integrate.kinks import Grid, at_kink, beside, enough_steps, stretches
+from polyida.integrate.rest import held
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import Counts, State
-from polyida.integrate.stepping.grid import Grid
-from polyida.integrate.stepping.rest import held
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.check import require_energies

@@ -14,14 +14,13 @@ from types import SimpleNamespace
 import numpy as np
 
 from polyida.assembly.own.laws import NOISE
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.integrate.energy.steps import SLOW, Steps
-from polyida.integrate.state import StepFailure
-from polyida.integrate.stepping.ended import DONE, INVERTED, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
 from polyida.model.differences import FIRST_ORDER_STEP, along
 from polyida.model.guarded import guard, require_constraints
+from polyida.system.table import DONE, INVERTED, NOT_FINITE, REFACTOR, SINGULAR
 
 EPS = np.finfo(float).eps
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off

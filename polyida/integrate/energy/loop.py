@@ -8,10 +8,9 @@ what it converges to is the exact residual's root.
 import numpy as np
 
 from polyida.integrate.energy.steps import SLOW
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REFACTOR
 from polyida.jit import entry, part
 from polyida.system import table
-from polyida.system.table import address, call
+from polyida.system.table import DONE, NOT_FINITE, REFACTOR, address, call
 
 # constants of compiled code: rows of `now` (NOW, n), the first five as MIDDLE takes them, and of `rows` (ROWS, m)
 Q0, Q1, QM, VM, AM, V0, V1, V, GUESS, R, DQ = range(11)

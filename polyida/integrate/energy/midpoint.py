@@ -2,17 +2,17 @@
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.energy import loop
 from polyida.integrate.energy.at_end import AtEnd
 from polyida.integrate.energy.dense import EnergyOfOwn
 from polyida.integrate.energy.scene import EnergyTable
 from polyida.integrate.energy.steps import Steps
-from polyida.integrate.kinks import inner_side
-from polyida.integrate.state import State, StepFailure
-from polyida.integrate.stepping.ended import DONE, HALF_TURN
-from polyida.integrate.stepping.grid import Grid
-from polyida.io.memory import room
+from polyida.integrate.kinks import Grid, inner_side
+from polyida.integrate.state import State
 from polyida.linear.lu import SingularSystem
+from polyida.memory import room
+from polyida.system.table import DONE, HALF_TURN
 
 CHUNK_BYTES = 4_000_000  # of frames that one compiled stretch fills
 

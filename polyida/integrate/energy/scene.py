@@ -13,7 +13,6 @@ from polyida.element import kernels as elements
 from polyida.element import stabilisation
 from polyida.element.paired import two_states
 from polyida.integrate.kinks import inner_side
-from polyida.integrate.stepping.ended import DONE, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, part
 from polyida.linear.dense import clear
 from polyida.system.scene import (
@@ -32,7 +31,22 @@ from polyida.system.scene import (
     pairs,
     rows,
 )  # fmt: skip
-from polyida.system.table import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE, c_entry, pointer
+from polyida.system.table import (
+    ACCELERATION,
+    ACCEPT,
+    DONE,
+    INSTANTS,
+    INVERTED,
+    KINETIC,
+    MIDDLE,
+    NOT_FINITE,
+    PROJECT,
+    RATE,
+    SINGULAR,
+    SOLVE,
+    c_entry,
+    pointer,
+)
 
 
 @c_entry

@@ -9,10 +9,10 @@ Where nothing drives there is an energy to keep, and v_1 off its constraint by O
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.energy.at_end import AtEnd
 from polyida.integrate.start import on_velocity
-from polyida.integrate.state import StepFailure
-from polyida.integrate.stepping.ended import DONE, HALF_TURN, REASONS
+from polyida.system.table import DONE, HALF_TURN, REASONS
 
 # constants of compiled code, some of them
 FAR_SHORTER = 10.0  # a step as many times shorter than the next tells nothing of its accelerations

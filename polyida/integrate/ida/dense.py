@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.ida.forms import NEAR
 from polyida.integrate.ida.linear import Correction
-from polyida.integrate.state import StepFailure
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REASONS, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.linear import dense
 from polyida.linear.dense import clear
@@ -43,6 +42,7 @@ from polyida.system.dense import (
     take_rows,
     typical,
 )
+from polyida.system.table import DONE, NOT_FINITE, REASONS, SINGULAR
 
 # constants of compiled code
 STABILISED, INTEGRATED, BENDS, ANEW, MADE = range(5)  # of Room.flags; BENDS: phi is a row and not linear; ANEW: rows of every iterate

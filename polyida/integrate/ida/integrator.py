@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.ida.error_lines import error_lines_kept
 from polyida.integrate.ida.forms import FORMS, System
@@ -17,7 +17,7 @@ from polyida.integrate.kinks import at_kink, beside, segments, stops
 from polyida.integrate.moves import cells_of
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run, typical_sizes
 from polyida.integrate.start import far_side
-from polyida.integrate.state import Counts, State, StepFailure
+from polyida.integrate.state import Counts, State
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.system.python import small_table

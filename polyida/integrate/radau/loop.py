@@ -8,9 +8,8 @@ from polyida.integrate.radau.control import below, followed, length, next_step
 from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, SHARES, UNKNOWN, A, Q, V, close, end, local_error, mean_square, take
 from polyida.integrate.radau.step import stages as solved
 from polyida.integrate.radau.tables.entries import FACTOR, PREPARE, SELECT, SLOTS
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, RAISED, WRONG_SHAPE
 from polyida.jit import entry, pack, part
-from polyida.system.table import address, call
+from polyida.system.table import DONE, NOT_FINITE, RAISED, WRONG_SHAPE, address, call
 
 PAIR = 20.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
 NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only

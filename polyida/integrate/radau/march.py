@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from polyida.integrate.kinks import PULSE, enough_steps
+from polyida.errors import StepFailure
+from polyida.integrate.kinks import PULSE, Grid, enough_steps, grid_of
 from polyida.integrate.radau.control import cut
 from polyida.integrate.radau.loop import FAILED, RUNG, STEP, Control
 from polyida.integrate.radau.steps import at
-from polyida.integrate.state import State, StepFailure
-from polyida.integrate.stepping.grid import Grid, grid_of
-from polyida.integrate.stepping.rest import held
+from polyida.integrate.rest import held
+from polyida.integrate.state import State
 
 
 def march(engine, settings, model, state, begin, end, most, counts):

@@ -36,9 +36,8 @@ from polyida.integrate.radau.tables.entries import (
     TURN,
 )  # fmt: skip
 from polyida.integrate.sizes import ROUND_OFF
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.jit import pack, part
-from polyida.system.table import address, call
+from polyida.system.table import DONE, NOT_FINITE, REFACTOR, SINGULAR, address, call
 
 SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
 ROUND = 1e-11

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.integrate.radau import loop
 from polyida.integrate.radau.accepted import Accepted, Stretch
 from polyida.integrate.radau.loop import GOES, LEAST, LEFT, PRICE, READY, STEP, TIME, USED, Control, H, keep, record, stretch
@@ -17,9 +18,8 @@ from polyida.integrate.radau.tables.python import table_of
 from polyida.integrate.radau.whole import WholeModes
 from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import StepFailure
-from polyida.integrate.stepping.ended import DONE, REFACTOR
 from polyida.linear.lu import SingularSystem
+from polyida.system.table import DONE, REFACTOR
 
 CHUNK = 4_000_000  # bytes that the steps of a stretch leave
 SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.brief import brief
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.given import is_number, is_whole
 from polyida.integrate.directions import direction
 from polyida.integrate.start import given
-from polyida.integrate.state import State, StepFailure
+from polyida.integrate.state import State
 from polyida.integrate.statics.static import FREE, Equilibrium, Loading, whole_load
 from polyida.keywords import named_keywords
 from polyida.linear.independence import coordinate_sizes

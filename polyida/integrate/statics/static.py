@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.brief import brief
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.given import is_flag, is_number, is_whole
+from polyida.integrate.rest import equilibrium
 from polyida.integrate.start import given
-from polyida.integrate.state import State, StepFailure
-from polyida.integrate.stepping.rest import equilibrium
+from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.linear.inertia import falling
 from polyida.linear.kkt import KKT, require_independent, scaling_factors

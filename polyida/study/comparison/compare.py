@@ -6,14 +6,13 @@ from itertools import combinations
 
 import numpy as np
 
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.given import is_number
-from polyida.integrate.running.accepted import accepted
-from polyida.integrate.running.sampling import between
-from polyida.integrate.state import Counts, States, StepFailure
+from polyida.integrate.state import Counts, States, between
 from polyida.machine import one_blas_thread
 from polyida.model.guarded import guard
 from polyida.results.motion import motor_work, unbalanced
+from polyida.run.accepted import accepted
 from polyida.study.comparison import chosen
 
 FINE, FINER = 1e-9, 1000  # rtol of the refined run: the one, or that of the runs over the other where that is less
@@ -93,7 +92,7 @@ def compare(job, rtol=None, progress=None, members=None):
 
 def prepared(job, members, tell=lambda label, fraction: None):
     """{label: integrator} of what `compare` runs, looked at, their kernels loaded: nothing is left to do but the runs."""
-    from polyida.integrate.solve import require_run
+    from polyida.run.solve import require_run
 
     _require_labels(members)
     for member in members.values():
@@ -148,14 +147,14 @@ def watch(job):
 
 def warm_up(job, member):
     """Two steps with an integrator, so that compiling or loading kernels counts as nobody's time."""
-    from polyida.integrate.solve import solve
+    from polyida.run.solve import solve
 
     with job.code():
         heeded(solve(job.model, min(job.time, 2 * job.step), member, q0=job.q0, v0=job.v0))
 
 
 def _run(job, member, label, tell):
-    from polyida.integrate.solve import solve
+    from polyida.run.solve import solve
 
     with job.code():
         return heeded(solve(job.model, job.time, member, q0=job.q0, v0=job.v0, progress=lambda t: tell(label, t / job.time)))

@@ -10,9 +10,9 @@ import numpy as np
 
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.solve import solve
 from polyida.integrate.start import consistent_acceleration, consistent_state, restarted
 from polyida.machine import one_blas_thread
+from polyida.run.solve import solve
 
 PARTS = ("q", "v", "lam")
 LEGS = 32  # of explicit runs: angle motors drift by 2e-10 rad in 1 s without, by round-off within a leg

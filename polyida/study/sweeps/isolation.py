@@ -8,7 +8,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any
 
-from polyida.integrate.running.ctrl_c import heard
+from polyida.run.ctrl_c import heard
 
 START = 60.0  # s that a process may take to start and import what its task needs
 GRACE = 5.0  # s beyond its limit after which a task ends itself, should nobody be left to end it

@@ -11,8 +11,8 @@ import pytest
 
 from polyida.errors import InputError
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.solve import solve
 from polyida.problems import pendulum
+from polyida.run.solve import solve
 from polyida.show import html, numbers, plates, plots
 from polyida.show.html import blocks, movie
 from polyida.show.style import PALETTE, figure, settings

@@ -8,7 +8,6 @@ from numba import carray, typeof, types
 from numba.extending import intrinsic
 
 from polyida.integrate.radau.tables.entries import SLOTS
-from polyida.integrate.stepping.ended import DONE, NO_MATRIX, SINGULAR
 from polyida.jit import pack, part
 from polyida.linear import dense as lu
 from polyida.system import dense
@@ -38,7 +37,7 @@ from polyida.system.dense import (
     typical,
     vector,
 )
-from polyida.system.table import address, c_address, c_entry
+from polyida.system.table import DONE, NO_MATRIX, SINGULAR, address, c_address, c_entry
 
 CHOSEN, MADE, TIED = range(
     3

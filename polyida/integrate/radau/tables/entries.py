@@ -21,7 +21,7 @@ The instant of a step's beginning is a multiple of s + 1, those of its s stages 
 | SELECT | slot, c | goes on with those of a number; c: of the real mode, real and imaginary part of the complex one |
 """
 
-from polyida.integrate.stepping.kept import KEPT
+from polyida.linear.lu import KEPT
 
 # constants of compiled code
 PREPARE, HOLD, REACTION, RESIDUAL, CLOSE, RATE, PROJECT, ACCEPT, ROWS, TURN, REAL, PAIR, OFF, ACCELERATION, FACTOR, SELECT = range(16)

@@ -2,19 +2,18 @@
 
 import numpy as np
 
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.rows import Rows
 from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.radau.tables import entries as of
 from polyida.integrate.start import consistent_acceleration
-from polyida.integrate.state import StepFailure
-from polyida.integrate.stepping.ended import DONE, NOT_FINITE, REASONS, SINGULAR
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
 from polyida.model.guarded import writes
 from polyida.system.dense import FORCE_V, FUNCTIONS, MOST, PHI_BIAS
 from polyida.system.python import CompiledTable, DenseTable, PythonTable
+from polyida.system.table import DONE, NOT_FINITE, REASONS, SINGULAR
 
 
 class PythonStages(PythonTable):

@@ -25,11 +25,10 @@ from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
 from polyida.integrate.radau.tables import entries as of
 from polyida.integrate.radau.tables.dense import complex_pointer
-from polyida.integrate.stepping.ended import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.jit import pack, part
 from polyida.linear.dense import clear
 from polyida.system.scene import add_forces
-from polyida.system.table import CALLBACK, c_address, c_entry, pointer
+from polyida.system.table import CALLBACK, DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR, c_address, c_entry, pointer
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix

@@ -7,8 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from polyida.errors import StepFailure
 from polyida.given import is_number, is_whole
-from polyida.integrate.state import Counts, State, States, StepFailure, Stretch, parted
+from polyida.integrate.state import Counts, State, States, Stretch, parted
 from polyida.integrate.switches import Switches
 from polyida.model.guarded import blame
 

@@ -7,18 +7,19 @@ from itertools import islice
 import numpy as np
 
 from polyida.bar import over_time
+from polyida.errors import StepFailure
 from polyida.integrate.moves import unseen
-from polyida.integrate.running import ctrl_c
-from polyida.integrate.running.accepted import accepted
-from polyida.integrate.running.sampling import Sampler, Until
 from polyida.integrate.singular import SingularPosition, Watch
-from polyida.integrate.state import Counts, Restart, State, States, StepFailure, Stretch, constant_step, parted
+from polyida.integrate.state import Counts, Restart, State, States, Stretch, constant_step, parted
 from polyida.integrate.switches import unresolved
 from polyida.io.file.writer import NotWritten
 from polyida.io.save import behind_blocks, commit
 from polyida.machine import machine_info
 from polyida.model.guarded import guard
-from polyida.results.sensors import Sensors
+from polyida.run import ctrl_c
+from polyida.run.accepted import accepted
+from polyida.run.sampling import Sampler, Until
+from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
 
 FLUSH_SECONDS = 2.0

@@ -10,9 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.bar import require_progress
 from polyida.errors import InputError
 from polyida.given import is_number
-from polyida.integrate.running.recorder import Recorder, require_sensors
-from polyida.integrate.running.run import Run
-from polyida.integrate.solve import require_run
 from polyida.integrate.state import Counts
 from polyida.io.file.layout import FRAMES
 from polyida.io.file.reader import naming, read
@@ -25,8 +22,10 @@ from polyida.keywords import named_keywords
 from polyida.machine import one_blas_thread
 from polyida.model import Model
 from polyida.model.guarded import guard
-from polyida.results.sensors import Sensors
-from polyida.sensor import Sensor
+from polyida.run.run import Run
+from polyida.run.sampling import Recorder, require_sensors
+from polyida.run.solve import require_run
+from polyida.sensor import Sensor, Sensors
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

@@ -14,8 +14,6 @@ from polyida.assembly.told import left_out
 from polyida.bar import require_progress
 from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole, takes
-from polyida.integrate.running.recorder import Recorder, require_sensors
-from polyida.integrate.running.run import Run
 from polyida.integrate.start import consistent_state, given, require_state, restarted
 from polyida.integrate.state import Counts, Integrator, State, constant_step
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
@@ -26,6 +24,8 @@ from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard, unguarded
+from polyida.run.run import Run
+from polyida.run.sampling import Recorder, require_sensors
 from polyida.sensor import Sensor
 from polyida.system.own import Compiled
 
