@@ -28,6 +28,7 @@ from polyida.run.run import Run
 from polyida.run.sampling import Recorder, require_sensors
 from polyida.sensor import Sensor
 from polyida.system.own import Compiled
+from polyida.system.python import small_own
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
@@ -118,7 +119,7 @@ def _first(model, t0, state, q0, v0, t_end, nonholonomic):
         t0, q, v = state.t, state.q, state.v
     else:
         q, v = given(known, "q0", q0), given(known, "v0", v0)
-    if not known.is_scene and unguarded(known).by_numba:
+    if small_own(known) and unguarded(known).by_numba:
         Compiled(unguarded(known))
     require_declared(known, float(t0), q, v, float(t_end), nonholonomic)
     if state is None:

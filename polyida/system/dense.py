@@ -412,9 +412,81 @@ def accept(w, instant, q, b, c, d, e, f):
     return ask(w, ACCEPTED, END, w.x)
 
 
+@part
+def reach(w):
+    """The s over which q + s v moves by its own size, and by 1 if q is smaller; at most 1."""
+    size = pace = 0.0
+    for i in range(w.q.shape[0]):
+        size, pace = max(size, abs(w.q[i])), max(pace, abs(w.v[i]))
+    return (1.0 + size) / pace if pace > 1.0 + size else 1.0
+
+
+@part
+def bias(w):
+    """w.phi_bias at w.t, w.q, w.v: the model's, or differences of fourth order of `phi_q v` along v if nothing drives. Changes w.B."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    if w.functions[PHI_BIAS]:
+        return ask(w, PHI_BIAS, INNER, w.phi_bias)
+    for k in range(m):
+        w.phi_bias[k] = 0.0
+    if not w.flags[BENT]:
+        return DONE
+    at, step, ended = w.near[0], REACH * reach(w), DONE
+    for i in range(n):
+        at[i] = w.q[i]
+    for e in range(4):
+        s, weight = (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
+        for i in range(n):
+            w.q[i] = at[i] + s * w.v[i]
+        if ended == DONE:
+            ended = ask(w, PHI_Q, INNER, w.B)
+        for k in range(m):
+            for i in range(n):
+                w.phi_bias[k] += weight * w.B[k, i] * w.v[i]
+    for i in range(n):
+        w.q[i] = at[i]
+    return ended
+
+
+@c_entry
+def acceleration(w, instant, q, v, a, lam, e, f):
+    """a and lam that are consistent with q and v: `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    take(w, instant, q, v)
+    ended = ask(w, MASS, INNER, w.M) if w.flags[MASS_VARIES] else DONE
+    if ended == DONE:
+        ended = ask(w, FORCE, INNER, w.g)
+    if ended == DONE and m:
+        ended = bias(w)
+    if ended == DONE:
+        ended = take_rows(w)
+    if ended != DONE:
+        return ended
+    size = typical(w.M)
+    bordered(w.masses, w, w.M, size)
+    if not dense.factor(w.masses, w.mass_pivots):
+        return SINGULAR
+    for i in range(n):
+        w.x[i] = -w.g[i]
+    for k in range(m):
+        w.x[n + k] = -size * w.phi_bias[k]
+    dense.solve(w.masses, w.mass_pivots, w.x)
+    found, multipliers = vector(a, n), vector(lam, m)
+    for i in range(n):
+        found[i] = w.x[i]
+    for k in range(m):
+        multipliers[k] = size * w.x[n + k]
+    return DONE
+
+
+@cache
+def example():
+    """A Dense: all of them are of its type."""
+    return workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * FLAGS)
+
+
 @cache
 def addresses():
     """Of all functions, for every Dense."""
-    example = workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * FLAGS)
     made = {RESIDUAL: residual, HOLD: hold, CLOSE: close, FACTOR: factor, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
-    return {number: c_address(function, typeof(example)) for number, function in made.items()}
+    return {number: c_address(function, typeof(example())) for number, function in made.items()}

@@ -75,9 +75,8 @@ def _values(model, names):
     found = {}
     for name in names:
         for used in _names(getattr(type(model), name).__code__):
-            value = getattr(model, used, None) if hasattr(model, used) and not callable(getattr(model, used)) else None
-            if value is not None and np.asarray(value).dtype.kind in "biuf":
-                value = np.asarray(value)
+            value = np.asarray(getattr(model, used, None))
+            if value.dtype.kind in "biuf":
                 found[used] = value.astype({"f": float, "b": bool}.get(value.dtype.kind, np.int64))
     found = found or {"nothing": np.zeros(())}
     values = np.zeros(1, np.dtype([(name, value.dtype, value.shape) for name, value in found.items()], align=True))

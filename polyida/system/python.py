@@ -41,9 +41,7 @@ class PythonTable:
     where what is done depends on where a stretch ends, as with adaptive steps.
     """
 
-    steady = 1
-
-    longest = 1  # at first: its functions may be slow, and Ctrl-C and progress wait for the end of a stretch
+    longest = steady = 1  # at first: its functions may be slow, and Ctrl-C and progress wait for the end of a stretch
     workspace = 0
 
     def __init__(self, model, incremental):
@@ -130,7 +128,6 @@ class PythonTable:
         rows = self._array(phi, model.m)
         if self.increments is None:
             rows[:] = model.phi(end, q)
-        self.q = q
         found = self._array(r, model.n)
         found[:] = model.residual(inner, q, v, a, self._array(lam, model.m).copy())
         return DONE if np.isfinite(found).all() and np.isfinite(rows).all() else NOT_FINITE
@@ -280,6 +277,8 @@ class CompiledTable(DenseTable):
         super()._fill()
         self.compiled, functions = Compiled(getattr(self.model, "user", self.model), self.names), self.w.functions
         functions[[small.TANGENT, small.FORCE_V]] = 0
+        if not self.model.needs.driven:
+            functions[small.PHI_BIAS] = 0
         for name, at in self.compiled.addresses.items():
             functions[small.FUNCTIONS.index(name)] = at
         self.w = self.w._replace(data=self.compiled.data)

@@ -1,21 +1,35 @@
 """A model as a table of C functions: a driver calls them by their addresses and is compiled once for every model.
 
 Each has the signature `int64 f(int64 model, int64 instant, int64 x 6)`: the address of the model's workspace, the number of one of the
-instants that were prepared, and addresses of contiguous float64 arrays. It returns how it ended (REASONS).
+instants that were prepared, and addresses of contiguous float64 arrays. It returns how it ended (REASONS). A driver asks for some of the
+entries; where 0 is allowed, it says so.
 
 | entry | arguments | what it does |
 |---|---|---|
 | RESIDUAL | q, v, a, lam, r, phi | r and phi |
-| HOLD | q, v | take up the state that a step begins from |
+| HOLD | q, v, times | take up the state that a step begins from; times: as of PREPARE |
 | CLOSE | q, dd, dv, phi, rate | phi and rate at q; where they are carried, from those at the step's start and q's and v's increments |
 | FACTOR | q, v, a, lam, c | S = c[0] M + c[1] dr/dv + dr/dq there; 0 where the caller of the driver makes it |
 | SOLVE | q, lam, r, phi, dq, dlam | `S dq + B^T dlam = -r`, `B dq = -phi`, with S as factored, B of the last RESIDUAL |
-| RATE | q, v, rate | `phi_q v + phi_t` |
+| RATE | q, v, rate, known | `phi_q v + phi_t`; known: at the q of the last REACTION of this stage |
 | PROJECT | rows, x, anew | B x falls by rows, and the change of x has the least M-norm; anew: from x = 0 to `B x = B x_before - rows`; B of the last RATE |
 | ACCEPT | q | whether the model accepts a state |
+| ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; 0, like KINETIC, where they are made when they are asked for |
 | MIDDLE | states, lam, r, phi | r in the middle of a step by the energy-momentum method, phi at its end; states: q_0, q_1, q, v, a of the middle |
 | KINETIC | v, energy | `v^T M v` |
-| ACCELERATION | q, v, a, lam | a and lam that are consistent with q and v; 0, like KINETIC, where they are made when they are asked for |
+
+The other entries are for the s stages of Radau IIA; the instant of a step's beginning is a multiple of s + 1, those of its stages follow.
+
+| entry | arguments | what it does |
+|---|---|---|
+| PREPARE | times | take (h, t and times of the instants, s + 1) of a step; 0 where all steps of a stretch are known before |
+| REACTION | q, mu, dv | dv += D^-1 B^T mu |
+| ROWS | q, v | take the constraints' rows of the middle stage |
+| TURN | r, back | turn the residuals (s, n) into the frame of the middle stage, or corrections back; 0 where there are no frames |
+| REAL, PAIR | r, rows, lam, dq, multipliers | the correction of a mode, radau/step.py; rows and multipliers (2, m), lam (m,) of the middle stage |
+| OFF | v, a, r, p, q | r = C v + M a and p = M v, of where the factors were made, or, in a scene, at q |
+| MATRICES | q, v, a, lam, slot | K, C and M of a state, kept under a number; 0 where the caller of the driver makes them |
+| SELECT | slot, c | go on with those of a number; c: of the real mode, real and imaginary part of the complex one |
 """
 
 import ctypes
@@ -28,11 +42,13 @@ from polyida.jit import entry
 
 ARGUMENTS = 8
 INSTANTS = 256  # that are prepared at once, at most
+STEPS = 64  # the same of steps of Radau IIA
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 WORD = ir.IntType(64)
 # constants of compiled code
-RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, MIDDLE, KINETIC, ACCELERATION = range(11)
-ENTRIES = 11
+RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
+PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT = range(11, 20)
+ENTRIES = 20
 DONE, REFACTOR, INVERTED, NOT_FINITE, HALF_TURN, SINGULAR, TOO_FAR, TOO_NEAR, RAISED, WRONG_SHAPE, NO_MATRIX = range(11)
 REASONS = {  # how a step can end, and what a failure says of it
     REFACTOR: ("newton", "Newton does not converge with fresh matrices"),

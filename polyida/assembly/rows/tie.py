@@ -12,7 +12,7 @@ from polyida.jit import pack, part
 @pack
 class Tie(NamedTuple):
     """Columns M^-1 A^T, complex numbers (., 2), of each point those of the pairs from `place` (points, 3) on: first and last pair, and where
-    they begin; the pattern of phi_q M^-1 phi_q^T, and scratch; slip (pairs, 2): what eta has added to q in a step.
+    they begin; the pattern of phi_q M^-1 phi_q^T, and scratch.
     """
 
     reach: np.ndarray
@@ -25,7 +25,6 @@ class Tie(NamedTuple):
     slopes: np.ndarray
     vz: np.ndarray
     pull: np.ndarray
-    slip: np.ndarray
 
 
 def tie(model):
@@ -36,7 +35,7 @@ def tie(model):
     pattern, (reach, place, blocks) = model.once(border_of_rows, of_shape=True), model.once(point_columns)
     numbers = border_room(model, pattern)
     numbers.blocks[:] = blocks
-    return Tie(reach, place, pattern, numbers, numbers.x, rate, bias, slopes, vz, pull, np.zeros((model.n_nodes, 2)))
+    return Tie(reach, place, pattern, numbers, numbers.x, rate, bias, slopes, vz, pull)
 
 
 def border_of_rows(model):

@@ -160,10 +160,6 @@ class Loop:
         """What factors the step matrix, not factored yet."""
         return self.table.system(self.settings)
 
-    def raise_left(self):
-        """Raise what a function of the model raised in the last steps."""
-        self.table.raise_left()
-
     def prepare(self, times, method):
         """Get ready for steps between the times."""
         ends = inner_side(self.model, times[0], -method.h), inner_side(self.model, times[-1], method.h)

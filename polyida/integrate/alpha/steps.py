@@ -174,7 +174,7 @@ class Steps:
         return self.loop.steps(method, self.system, first, last, *(frame[first:last] for frame in frames))
 
     def _refactor_or_fail(self, ended, fresh, t, moved):
-        self.loop.raise_left()
+        self.loop.table.raise_left()
         if not fresh and ended not in (HALF_TURN, SINGULAR):
             self.system = None
             self.memory.marks[step.AHEAD] = self.memory.marks[step.BEHIND] = 0.0
@@ -191,7 +191,7 @@ class Steps:
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
-            self.loop.raise_left()
+            self.loop.table.raise_left()
             if ended != REFACTOR or steps or not np.isfinite(moved):
                 break
             y.marks[step.MOVED] = moved

@@ -28,7 +28,6 @@ from polyida.system.dense import (
     MASS,
     MASS_VARIES,
     PHI,
-    PHI_BIAS,
     PHI_Q,
     PHI_T,
     TANGENT,
@@ -37,6 +36,7 @@ from polyida.system.dense import (
     add_slope,
     add_slopes,
     ask,
+    bias,
     equilibrium,
     finite,
     take_rows,
@@ -140,7 +140,7 @@ def add_level(w, f, order, rows):
     elif order == 1 and w.flags[DRIVEN]:
         ended = ask(w, PHI_T, INNER, w.phi_t)
     elif order == 2:
-        ended = ask(w, PHI_BIAS, INNER, w.phi_bias)
+        ended = bias(w)
     for k in range(f.phi.shape[0]):
         if order == 0:
             value = f.phi[k] = w.phi[k]

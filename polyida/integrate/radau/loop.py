@@ -7,9 +7,9 @@ import numpy as np
 from polyida.integrate.radau.control import below, followed, length, next_step
 from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, SHARES, UNKNOWN, A, Q, V, close, end, local_error, mean_square, take
 from polyida.integrate.radau.step import stages as solved
-from polyida.integrate.radau.tables.entries import FACTOR, PREPARE, SELECT, SLOTS
 from polyida.jit import entry, pack, part
-from polyida.system.table import DONE, NOT_FINITE, RAISED, WRONG_SHAPE, address, call
+from polyida.linear.lu import KEPT as SLOTS
+from polyida.system.table import DONE, MATRICES, NOT_FINITE, PREPARE, RAISED, SELECT, WRONG_SHAPE, address, call
 
 PAIR = 20.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
 NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only
@@ -231,7 +231,7 @@ def stretch(f, w, first, p, t, c, k, fresh, y, x, z, counts, ends, o):
         now[STEP], now[GOES] = h, goes
         at = first if f[PREPARE] else first + taken * apart
         ended, error = attempt(f, w, at, p, t, h, begin, goes, k, fresh, y, x, z, counts)
-        if ended == MAKE and f[FACTOR] and taken == 0:
+        if ended == MAKE and f[MATRICES] and taken == 0:
             slot = keep(k, h, clamp(p, begin), y)
             ended, counts[3] = made(f, w, at, y, slot), counts[3] + 1
             fresh = True
@@ -239,7 +239,7 @@ def stretch(f, w, first, p, t, c, k, fresh, y, x, z, counts, ends, o):
                 ended, error = attempt(f, w, at, p, t, h, begin, goes, k, fresh, y, x, z, counts)
             else:
                 k.table[H, slot] = k.table[USED, slot] = 0.0
-        if ended == MAKE and f[FACTOR]:
+        if ended == MAKE and f[MATRICES]:
             return taken, PAUSE
         allowed = allowed_error(p, y) if c.adaptive else np.inf
         good = ended != DONE or error <= allowed
@@ -264,4 +264,4 @@ def stretch(f, w, first, p, t, c, k, fresh, y, x, z, counts, ends, o):
 @part
 def made(f, w, at, y, slot):
     """Make the factors at the state of y."""
-    return call(f[FACTOR], w, at, address(y.past[Q]), address(y.past[V]), address(y.past[A]), address(y.lam), slot, 0)
+    return call(f[MATRICES], w, at, address(y.past[Q]), address(y.past[V]), address(y.past[A]), address(y.lam), slot, 0)

@@ -1,4 +1,4 @@
-"""A step of Radau IIA in compiled code, of any model through its table (tables/entries.py).
+"""A step of Radau IIA in compiled code, of any model through its table (system/table.py).
 
 With `q_i = q_0 + c_i h v_0 + e_i` the unknowns of the stages are e, lam and mu; v and v' follow from them,
 
@@ -20,24 +20,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.integrate.radau.tables.entries import (
+from polyida.integrate.sizes import ROUND_OFF
+from polyida.jit import pack, part
+from polyida.system.table import (
     ACCELERATION,
     ACCEPT,
     CLOSE,
+    DONE,
     HOLD,
+    NOT_FINITE,
     OFF,
     PAIR,
     PROJECT,
     RATE,
     REACTION,
     REAL,
+    REFACTOR,
     RESIDUAL,
     ROWS,
+    SINGULAR,
     TURN,
+    address,
+    call,
 )  # fmt: skip
-from polyida.integrate.sizes import ROUND_OFF
-from polyida.jit import pack, part
-from polyida.system.table import DONE, NOT_FINITE, REFACTOR, SINGULAR, address, call
 
 SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
 ROUND = 1e-11

@@ -13,13 +13,12 @@ from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.rows import lift
 from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, FACTORS, LAST, MOVED, SHARES, SPEED, UNKNOWN, A, Method, Q, V, empty, way
 from polyida.integrate.radau.tableau import radau
-from polyida.integrate.radau.tables.entries import ACCELERATION, STEPS
 from polyida.integrate.radau.tables.python import table_of
 from polyida.integrate.radau.whole import WholeModes
 from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import start_values
 from polyida.linear.lu import SingularSystem
-from polyida.system.table import DONE, REFACTOR
+from polyida.system.table import ACCELERATION, DONE, REFACTOR, STEPS
 
 CHUNK = 4_000_000  # bytes that the steps of a stretch leave
 SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
@@ -152,7 +151,7 @@ class Steps:
         if self.guess is not None:
             self.guess(state, control.h)
         count = len(ends) or self.longest
-        first = self.table.prepare(self, state, control, ends)
+        first = self.table.begin(self, state, control, ends)
         while True:
             o = record(count, self.settings.stages, self.model.n, self.model.m)
             self.done[:], begin = 0, (state.t, state.q, state.v)

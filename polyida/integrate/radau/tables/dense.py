@@ -7,22 +7,20 @@ import numpy as np
 from numba import carray, typeof, types
 from numba.extending import intrinsic
 
-from polyida.integrate.radau.tables.entries import SLOTS
 from polyida.jit import pack, part
 from polyida.linear import dense as lu
+from polyida.linear.lu import KEPT as SLOTS
 from polyida.system import dense
+from polyida.system import table as of
 from polyida.system.dense import (
     BENT,
     END,
-    FLAGS,
     FORCE,
     FORCE_V,
-    FUNCTIONS,
     HELD,
     INNER,
     MASS,
     MASS_VARIES,
-    PHI_BIAS,
     PHI_Q,
     REACH,
     TANGENT,
@@ -30,11 +28,10 @@ from polyida.system.dense import (
     add_slope,
     add_slopes,
     ask,
-    bordered,
     finite,
+    reach,
     take,
     take_rows,
-    typical,
     vector,
 )
 from polyida.system.table import DONE, NO_MATRIX, SINGULAR, address, c_address, c_entry
@@ -183,15 +180,6 @@ def accept(w, instant, q, b, c, d, e, f):
 
 
 @part
-def reach(d):
-    """The s over which q + s v moves by its own size, and by 1 where q is less; at most 1."""
-    size = pace = 0.0
-    for i in range(d.q.shape[0]):
-        size, pace = max(size, abs(d.q[i])), max(pace, abs(d.v[i]))
-    return (1.0 + size) / pace if pace > 1.0 + size else 1.0
-
-
-@part
 def along(w, q):
     """w.H = d/ds B(t + s, q + s v) of the state at hand, of fourth order (model/differences.py)."""
     d, step, at = w.dense, REACH * reach(w.dense), vector(q, w.dense.q.shape[0])
@@ -331,43 +319,8 @@ def off(w, instant, v, a, r, p, e, f):
 
 @c_entry
 def acceleration(w, instant, q, v, a, lam, e, f):
-    """a and lam of the equations of motion."""
-    d, n, m = w.dense, w.K.shape[1], w.B.shape[0]
-    take(d, instant, q, v)
-    ended = ask(d, MASS, INNER, d.M) if d.flags[MASS_VARIES] else DONE
-    if ended == DONE:
-        ended = ask(d, FORCE, INNER, d.g)
-    if ended != DONE:
-        return ended
-    size = typical(d.M)
-    for k in range(m):
-        d.x[n + k] = 0.0
-    if m and d.flags[BENT]:
-        if d.functions[PHI_BIAS]:
-            ended = ask(d, PHI_BIAS, INNER, d.phi_bias)
-            for k in range(m):
-                d.x[n + k] = -size * d.phi_bias[k]
-        else:
-            ended = along(w, q)
-            for k in range(m):
-                for i in range(n):
-                    d.x[n + k] -= size * w.H[k, i] * d.v[i]
-        if ended == DONE:
-            ended = take_rows(d)
-        if ended != DONE:
-            return ended
-    bordered(d.masses, d, d.M, size)
-    if not lu.factor(d.masses, d.mass_pivots):
-        return SINGULAR
-    for i in range(n):
-        d.x[i] = -d.g[i]
-    lu.solve(d.masses, d.mass_pivots, d.x)
-    found, multipliers = vector(a, n), vector(lam, m)
-    for i in range(n):
-        found[i] = d.x[i]
-    for k in range(m):
-        multipliers[k] = size * d.x[n + k]
-    return DONE
+    """As of system/dense.py."""
+    return dense.acceleration(w.dense, instant, q, v, a, lam, 0, 0)
 
 
 @c_entry
@@ -415,9 +368,11 @@ def select(w, slot, c, b, d, e, f, g):
 
 @cache
 def addresses():
-    """Of all functions, for every DenseStages."""
-    example = workspace(dense.workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * FLAGS), 3, False)
-    functions = (
-        prepare, hold, reaction, residual, close, rate, project, accept, rows, None, real, pair, off, acceleration, factor, select,
-    )  # fmt: skip
-    return [c_address(function, typeof(example)) if function else 0 for function in functions]
+    """{number: address} of all functions, for every DenseStages."""
+    example = workspace(dense.example(), 3, False)
+    functions = {
+        of.PREPARE: prepare, of.HOLD: hold, of.REACTION: reaction, of.RESIDUAL: residual, of.CLOSE: close, of.RATE: rate, of.PROJECT: project,
+        of.ACCEPT: accept, of.ROWS: rows, of.REAL: real, of.PAIR: pair, of.OFF: off, of.ACCELERATION: acceleration, of.MATRICES: factor,
+        of.SELECT: select,
+    }  # fmt: skip
+    return {number: c_address(function, typeof(example)) for number, function in functions.items()}

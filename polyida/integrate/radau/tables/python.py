@@ -6,24 +6,34 @@ from polyida.errors import InputError, StepFailure
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.rows import Rows
 from polyida.integrate.radau.tables import dense as small
-from polyida.integrate.radau.tables import entries as of
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.lu import SingularSystem
 from polyida.linear.matrix import dense
-from polyida.model.guarded import writes
-from polyida.system.dense import FORCE_V, FUNCTIONS, MOST, PHI_BIAS
-from polyida.system.python import CompiledTable, DenseTable, PythonTable
+from polyida.system import table as of
+from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 from polyida.system.table import DONE, NOT_FINITE, REASONS, SINGULAR
 
 
-class PythonStages(PythonTable):
+class Stages:
+    """What tables of Radau IIA have in common if the driver tells them the times step by step."""
+
+    lifts = True  # whether G = B D^-1 has the D of `weigh`; else D = 1
+    prepared, single = False, False  # whether a stretch's instants are known before, whether the matrices of one slot are at hand only
+
+    def begin(self, engine, state, control, ends):
+        """The instant at which a stretch begins."""
+        return 0
+
+    def told(self, ended, engine, control):
+        """(status, reason) of how a step ended."""
+        return REASONS[ended]
+
+
+class PythonStages(Stages, PythonTable):
     """The table of any model, and its matrices: `kind(model, modes, h, made_at)`; each entry is a callback.
 
     lift (n,): D^-1. longest: steps of a stretch.
     """
-
-    lifts = True  # whether G = B D^-1 has the D of `weigh`; else D = 1
-    prepared, single = False, False  # whether a stretch's instants are known before, whether the matrices of one slot are at hand only
 
     def __init__(self, model, tableau, tied, kind):
         self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
@@ -48,10 +58,6 @@ class PythonStages(PythonTable):
     def hold_constant(self, t, q):
         """Nothing: every call is one of the model."""
 
-    def prepare(self, engine, state, control, ends):
-        """The instant at which a stretch begins: its times are told step by step."""
-        return 0
-
     def make(self, slot, h, made_at, counts):
         """Make the matrices of a slot. Raises SingularSystem."""
         self.slots[slot] = matrices = self.kind(self.model, self.tableau.modes, h, made_at)
@@ -60,7 +66,7 @@ class PythonStages(PythonTable):
 
     def told(self, ended, engine, control):
         """(status, reason) of how a step ended."""
-        status, reason = REASONS[ended]
+        status, reason = super().told(ended, engine, control)
         return status, self.reason if ended == SINGULAR and self.reason else reason
 
     def _prepare(self, first, times, *_):
@@ -181,18 +187,15 @@ class PythonStages(PythonTable):
         self.factored = self.slots[slot]
 
 
-class DenseStages(DenseTable):
+class DenseStages(Stages, DenseTable):
     """The table of a small model: compiled code, which calls the model's functions back."""
-
-    prepared, single, lifts = False, False, True
 
     def __init__(self, model, tableau, tied):
         super().__init__(model, False)
-        self._take(tableau, tied)
-
-    def _take(self, tableau, tied):
         self.stages = small.workspace(self.w, tableau.stages, tied)
-        self.functions, self.workspace = np.array(small.addresses(), np.int64), self.stages.address
+        for number, at in small.addresses().items():
+            self.functions[number] = at
+        self.workspace = self.stages.address
 
     def weigh(self, lift):
         """Take D^-1, and what does not change."""
@@ -210,31 +213,13 @@ class DenseStages(DenseTable):
         if ended != DONE:
             raise SingularSystem(REASONS[ended][1])
 
-    def prepare(self, engine, state, control, ends):
-        """As of PythonStages."""
-        return 0
 
-    def told(self, ended, engine, control):
-        """(status, reason) of how a step ended."""
-        return REASONS[ended]
-
-
-class CompiledStages(CompiledTable, DenseStages):
+class CompiledStages(DenseStages, CompiledTable):
     """The table of a small model whose functions numba compiled."""
-
-    def _take(self, tableau, tied):
-        needs, functions = self.model.needs, self.w.functions
-        super()._take(tableau, tied)
-        own = getattr(self.model, "user", self.model)
-        for number, asked in ((PHI_BIAS, needs.driven), (FORCE_V, False)):
-            if not writes(own, FUNCTIONS[number]) and not asked:
-                functions[number] = 0
 
 
 def table_of(model, linear, tableau, tied, kind):
     """The table of a model. linear: as the integrator has it; kind: makes its matrices where no compiled code does."""
-    own = getattr(model, "user", model)
-    plain = not any(writes(own, name) for name in ("step_matrix", "mass_system", "increments")) and not model.is_scene
-    if linear == "kkt" or not plain or model.n + model.m > MOST:
+    if linear == "kkt" or not small_own(model):
         return PythonStages(model, tableau, tied, kind)
-    return (CompiledStages if own.by_numba else DenseStages)(model, tableau, tied)
+    return (CompiledStages if getattr(model, "user", model).by_numba else DenseStages)(model, tableau, tied)

@@ -23,10 +23,10 @@ from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilis
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
-from polyida.integrate.radau.tables import entries as of
 from polyida.integrate.radau.tables.dense import complex_pointer
 from polyida.jit import pack, part
 from polyida.linear.dense import clear
+from polyida.system import table as of
 from polyida.system.scene import add_forces
 from polyida.system.table import CALLBACK, DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR, c_address, c_entry, pointer
 
@@ -354,7 +354,7 @@ class SceneStages:
     def hold_constant(self, t, q):
         """Nothing."""
 
-    def prepare(self, engine, state, control, ends):
+    def begin(self, engine, state, control, ends):
         """Get ready for steps of a stretch, in which loads and motors are looked at before where it is known which are to come."""
         if not self.model.profiles:
             return 0
