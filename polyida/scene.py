@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 from numpy.typing import ArrayLike
 
 from polyida.assembly.build import sides_held
-from polyida.assembly.closing.close import Assembly, close
+from polyida.assembly.closing import Assembly, close
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.body import Body
 from polyida.body.material import number, vector2

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida import registry
-from polyida.assembly.told import left_out
-from polyida.assembly.told.rigidity import hint
+from polyida.assembly.hints import hint_of_left_out, hint_of_rigid
 from polyida.brief import CELL, LONGEST, cut, short, table
 from polyida.errors import InputError
 from polyida.given import is_one_of, is_whole
@@ -249,8 +248,8 @@ class Trajectory:
         cost, model = getattr(self.integrator, "cost", lambda model: ""), self.model
         of_model = []
         if model is not None:
-            of_model = [model.remark, cost(model), hint(model, self.q, self.integrator)]
-            of_model += [left_out.hint(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
+            of_model = [model.remark, cost(model), hint_of_rigid(model, self.q, self.integrator)]
+            of_model += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
         unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
         told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)
         name = self.integrator if isinstance(self.integrator, str) else type(self.integrator).__name__

@@ -9,7 +9,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 import polyida as pi
-from polyida.assembly.factors.works import mass_work, stiffness_work
+from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
 from polyida.results.motion import unbalanced
 

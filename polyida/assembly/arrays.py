@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.bodies.compact import Compact
-from polyida.assembly.rows.coupling import Coupling
 from polyida.jit import pack
 
 
@@ -43,6 +42,26 @@ class Plates(NamedTuple):
     load_nodes: np.ndarray
     load_values: np.ndarray
     load_drive: np.ndarray
+
+
+@pack
+class Coupling(NamedTuple):
+    """Which points are coupled beyond phi_z, by the curvature of rows, by force elements, and each with itself by its mass.
+
+    Blocks (2, 2) of pairs of points, by rows: those of point p are `start[p]` to `start[p + 1]`, with the points `columns`.
+
+    mirror: the transposed block of each. mass: the block of each point with itself, -1 where it has no mass. products: the blocks (E, F) of
+    the products whose vectors both have points, in the order of `joint_curvature`. laws: those of each force element's sides, row by row,
+    -1 where a side stays with the ground, from `law_start` on.
+    """
+
+    start: np.ndarray
+    columns: np.ndarray
+    mirror: np.ndarray
+    mass: np.ndarray
+    products: np.ndarray
+    laws: np.ndarray
+    law_start: np.ndarray
 
 
 @pack

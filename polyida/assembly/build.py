@@ -4,14 +4,12 @@ import warnings
 
 import numpy as np
 
-from polyida.assembly.arrays import Links, Plates, SceneArrays, concatenated, starts
+from polyida.assembly.arrays import Coupling, Links, Plates, SceneArrays, concatenated, starts
 from polyida.assembly.bodies.compact import Compact
 from polyida.assembly.bodies.places import PlacedBody, PlacedPlate
 from polyida.assembly.loads import dead_loads, steady
 from polyida.assembly.own.law_table import laws_of
-from polyida.assembly.rows.coupling import coupling_of
-from polyida.assembly.rows.points import Points
-from polyida.assembly.rows.row_table import Drives, RowTable, given_rows
+from polyida.assembly.rows.row_table import Drives, Points, RowTable, given_rows
 from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
@@ -109,6 +107,31 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
     first = plates[-1].nodes.stop if plates else 0
     arrays = SceneArrays(Plates(**fields), links, compact_of(few, first, int(fields["body_block"][-1])))
     return arrays, points, table, drives, laws
+
+
+def coupling_of(links, laws):
+    """The Coupling of a scene's links, without their own one, and force elements, Laws or None."""
+    vectors = np.split(links.vector_points, links.vector_start[1:-1])
+    products = [(a, b) for e, f in zip(links.product_first, links.product_second) for a in vectors[e] for b in vectors[f]]
+    sides = [] if laws is None else [laws.points[a:b] for a, b in zip(laws.parts[:-1, 1], laws.parts[1:, 1])]
+    pushed = [(a, b) for group in sides for a in group for b in group]
+    heavy = [(p, p) for p in np.flatnonzero(links.point_mass)]
+    known = {pair for pair in products + pushed + heavy if min(pair) >= 0}
+    blocks = sorted(known | {(b, a) for a, b in known})
+    number = {pair: block for block, pair in enumerate(blocks)}
+    rows, columns = np.array(blocks, np.int64).reshape(-1, 2).T
+    count = len(links.point_mass)
+    mass = np.full(count, -1, np.int64)
+    mass[[p for p, _ in heavy]] = [number[pair] for pair in heavy]
+    return Coupling(
+        start=np.searchsorted(rows, np.arange(count + 1)).astype(np.int64),
+        columns=columns.copy(),
+        mirror=np.array([number[b, a] for a, b in blocks], np.int64),
+        mass=mass,
+        products=np.array([number[pair] for pair in products], np.int64),
+        laws=np.array([number.get(pair, -1) for pair in pushed], np.int64),
+        law_start=np.concatenate([[0], np.cumsum([len(group) ** 2 for group in sides])]).astype(np.int64),
+    )
 
 
 def compact_of(few, first, block):

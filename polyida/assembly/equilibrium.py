@@ -1,10 +1,24 @@
 """The scene's residual and constraints in one compiled pass: `r = M a + g + phi_q^T lam` and `phi`."""
 
-from polyida.assembly.bodies import compact, tangents
+from polyida.assembly.bodies import compact
 from polyida.assembly.rows.joints import joint_forces, point_values, spread
 from polyida.element import kernels, stabilisation
-from polyida.jit import entry, shared
+from polyida.jit import entry, leaf, shared
 from polyida.linear.dense import clear
+
+
+@leaf
+def cells(s, o):
+    """The first arguments of kernels over the cells of operator o: layout, corners, gradients, weights."""
+    p, e = s.at[o], s.at[o + 1]
+    return s.layout[p[0] : e[0]], s.corners[p[1] : e[1]], s.gradients[p[2] : e[2]], s.weights[p[3] : e[3]]
+
+
+@leaf
+def on_pattern(s, o, values):
+    """indptr and indices of the nodes' pattern of operator o, and the values on it."""
+    p, e = s.at[o], s.at[o + 1]
+    return s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], values[p[6] : e[6]]
 
 
 @shared
@@ -22,25 +36,11 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
     least = 1e300
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
-        p, e = s.at[o], s.at[o + 1]
-        det = kernels.internal_force(
-            s.layout[p[0] : e[0]],
-            s.corners[p[1] : e[1]],
-            s.gradients[p[2] : e[2]],
-            s.weights[p[3] : e[3]],
-            n0,
-            s.body_c1[b],
-            s.body_nu[b],
-            u,
-            r,
-            rotation,
-        )
+        det = kernels.internal_force(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], u, r, rotation)
         least = compact.lesser(least, det)
-        kernels.mass_product(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]], s.body_density[b], n0, a, r)
+        kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], n0, a, r)
         if s.body_stabilisation[b] != 0.0:
-            stabilisation.force(
-                s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, u, r
-            )
+            stabilisation.force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, u, r)
     least = compact.lesser(least, compact.forces(scene.compact, u, a, r, rotation))
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
@@ -67,27 +67,14 @@ def tangent_blocks(scene, u, c_m, c_q, blocks):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]
         if c_q != 0.0:
-            kernels.tangent(
-                s.layout[p[0] : e[0]],
-                s.corners[p[1] : e[1]],
-                s.gradients[p[2] : e[2]],
-                s.weights[p[3] : e[3]],
-                s.pairs[p[4] : e[4]],
-                s.body_node[b],
-                first,
-                s.body_c1[b],
-                s.body_nu[b],
-                u,
-                c_q,
-                blocks,
-            )
+            kernels.tangent(*cells(s, o), s.pairs[p[4] : e[4]], s.body_node[b], first, s.body_c1[b], s.body_nu[b], u, c_q, blocks)
         mass_scale, stiffness_scale = c_m * s.body_density[b], c_q * s.body_stabilisation[b]
         if mass_scale != 0.0 or stiffness_scale != 0.0:
             for k in range(e[6] - p[6]):
                 mass = mass_scale * s.mass[p[6] + k] + stiffness_scale * s.stabilisation[p[6] + k]
                 blocks[first + k, 0, 0] += mass
                 blocks[first + k, 1, 1] += mass
-    tangents.blocks(scene.compact, u, u, c_m, 0.0, c_q, blocks)
+    compact.blocks(scene.compact, u, u, c_m, 0.0, c_q, blocks)
 
 
 @entry
@@ -96,21 +83,9 @@ def strain_energy(scene, u):
     s, total = scene.plates, compact.energy(scene.compact, u)
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
-        p, e = s.at[o], s.at[o + 1]
-        total += kernels.strain_energy(
-            s.layout[p[0] : e[0]],
-            s.corners[p[1] : e[1]],
-            s.gradients[p[2] : e[2]],
-            s.weights[p[3] : e[3]],
-            s.body_node[b],
-            s.body_c1[b],
-            s.body_nu[b],
-            u,
-        )
+        total += kernels.strain_energy(*cells(s, o), s.body_node[b], s.body_c1[b], s.body_nu[b], u)
         if s.body_stabilisation[b] != 0.0:
-            total += stabilisation.energy(
-                s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], s.body_node[b], u
-            )
+            total += stabilisation.energy(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], s.body_node[b], u)
     return total
 
 
@@ -121,5 +96,4 @@ def momentum(scene, a, r):
     compact.momentum(scene.compact, a, r)
     for b in range(s.body_operator.shape[0]):
         o = s.body_operator[b]
-        p, e = s.at[o], s.at[o + 1]
-        kernels.mass_product(s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]], s.body_density[b], s.body_node[b], a, r)
+        kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], s.body_node[b], a, r)

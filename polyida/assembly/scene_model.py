@@ -11,18 +11,16 @@ from polyida.assembly.bodies.damping import add_damping, damped_blocks
 from polyida.assembly.bodies.motion import velocity_at
 from polyida.assembly.bodies.own import Elastic, uneven_drag, uneven_mass
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
-from polyida.assembly.drawn import deepest
-from polyida.assembly.factors.scaled import factors_of, scaled, told
+from polyida.assembly.factors import factors_of, scaled, told
 from polyida.assembly.loads import largest
-from polyida.assembly.masses import Masses
 from polyida.assembly.own.forces import OwnForce, OwnForces
 from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.powers import Powers
 from polyida.assembly.rows.increments import Increments
-from polyida.assembly.rows.mass_system import MassSystem
 from polyida.assembly.rows.redundant import Redundant
+from polyida.assembly.rows.tie import MassSystem
+from polyida.assembly.scene_bodies import SceneBodies, deepest
 from polyida.assembly.step_matrix import SceneStepMatrix
-from polyida.assembly.told.momenta import Momenta
-from polyida.assembly.told.powers import Powers
 from polyida.force.force_element import ForceElement
 from polyida.given import pairs_of
 from polyida.linear.matrix import dense
@@ -33,7 +31,7 @@ from polyida.profile import Profile
 SMALL = 100  # coordinates and multipliers up to which dense matrices are cheaper than what sparse ones cost in Python
 
 
-class SceneModel(Masses):
+class SceneModel(SceneBodies):
     """Bodies, joints, masses and forces as `r = M a + g + phi_q^T lam`, `phi(t, q)`; q are displacements of pairs (x, y): of the plates'
     nodes, m, then of the complex coordinates of bodies that have few.
 
@@ -271,10 +269,6 @@ class SceneModel(Masses):
         """Potential of steady gravity on bodies and masses, J, zero at q = 0; of what follows a profile there is work."""
         at_points = self.arrays.links.point_mass @ (self.dz(q) @ self.arrays.links.gravity)
         return -float(np.sum(self.arrays.plates.weight * self._nodal(q)) + at_points)
-
-    def momenta(self, q, v):
-        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s."""
-        return self.once(Momenta)(q, v)
 
     @property
     def dissipating(self):

@@ -12,7 +12,7 @@ from dataclasses import astuple, fields
 import numpy as np
 
 from polyida import profile, registry
-from polyida.assembly.factors.scaled import WHAT, told
+from polyida.assembly.factors import WHAT, told
 from polyida.body.body import BodyPoint, rest_of
 from polyida.body.material import Material
 from polyida.body.plate import Plate

@@ -46,22 +46,20 @@ def _accepted(integrator, state, t_end, model, counts, rows):
     if not hasattr(made, "__iter__"):
         watch.stop(f"its steps gave {type(made).__name__}, no states")
     try:
-        yield from _own(watch, made.stretches if isinstance(made, States) else made) if own else _foreign(watch, made)
+        if own:
+            for one in made.stretches if isinstance(made, States) else made:
+                stretch = one if isinstance(one, Stretch) else Stretch.of(one)
+                sound = stretch.finite()
+                for part in (stretch,) if sound else parted(stretch, counts):
+                    if not (sound or part.finite()):
+                        watch.require_finite(part.last)
+                    watch.before = part.last
+                    yield part
+        else:
+            yield from _foreign(watch, made)
     except StepFailure as failure:
         raise _naming_function(failure, model, watch.before) from None
     watch.at_end()
-
-
-def _own(watch, made):
-    """Stretches or states of polyida's integrators."""
-    for one in made:
-        stretch = one if isinstance(one, Stretch) else Stretch.of(one)
-        sound = stretch.finite()
-        for part in (stretch,) if sound else parted(stretch, watch.counts):
-            if not (sound or part.finite()):
-                watch.require_finite(part.last)
-            watch.before = part.last
-            yield part
 
 
 def _foreign(watch, states):

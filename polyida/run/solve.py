@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.assembly.told import left_out
+from polyida.assembly.hints import hint_of_left_out
 from polyida.bar import require_progress
 from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole, takes
@@ -106,7 +106,7 @@ def solve(
         run = Run(model, integrator, plan, store, recorder, Counts(), clocks, until, progress)
         run.begin(state, overwrite)
         found = run.go(state)
-    if model.few and (left := left_out.hint(model, found.t, found.q, found.a)):
+    if model.few and (left := hint_of_left_out(model, found.t, found.q, found.a)):
         warnings.warn(f"solve: {left}", ReductionWarning, stacklevel=3)
     return found
 

@@ -132,9 +132,9 @@ class OneByOne(Steps):
 class Forgetful(OneByOne):
     """The same with a new factor in every step."""
 
-    def _stretches(self, *place):
+    def _stretch(self, *place):
         self.system = None
-        yield from super()._stretches(*place)
+        return super()._stretch(*place)
 
 
 class Unturned(Steps):

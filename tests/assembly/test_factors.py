@@ -9,7 +9,7 @@ import pytest
 
 import polyida as pi
 from polyida.assembly.bodies.places import PlacedPlate
-from polyida.assembly.factors.works import mass_work, stiffness_work
+from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.linear.lu import LU
 from polyida.results.section_forces import section_forces
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.told.rigidity import deformation
+from polyida.assembly.hints import deformation
 from polyida.body.material import Material
 from polyida.problems import plates
 
@@ -57,9 +57,9 @@ def test_models_of_ones_own_and_runs_without_frames_tell_nothing():
 
 
 def test_it_reads_a_few_frames_only(monkeypatch):
-    from polyida.assembly.told import rigidity
+    from polyida.assembly import hints
 
     seen = []
-    monkeypatch.setattr(rigidity, "deformation", lambda *given: seen.append(1) or deformation(*given))
+    monkeypatch.setattr(hints, "deformation", lambda *given: seen.append(1) or deformation(*given))
     run = fall(5e15)
-    assert HINT in run.summary() and len(run) == 51 and len(seen) == 2 * rigidity.LOOKS
+    assert HINT in run.summary() and len(run) == 51 and len(seen) == 2 * hints.LOOKS

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.alpha.step_control import LOWEST, RUNGS, Ladder, calm_error
+from polyida.integrate.alpha.march import LOWEST, RUNGS, Ladder, calm_error
 from polyida.linear.lu import KEPT, Kept
 
 FROM, TO, PULSE = 9.4, 10.0, 9.5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.alpha.family import Coefficients
+from polyida.integrate.alpha.generalized_alpha import Coefficients
 
 START = dict(q0=[-1.0, 0.0], v0=[0.0, -3.0])
 FIELDS = ("q", "v", "lam")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.alpha.control import AIM
+from polyida.integrate.alpha.march import AIM
 from polyida.integrate.sizes import LEAST, relative_tolerance
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts

@@ -10,8 +10,7 @@ from polyida.adjoint.parameters.loads import of_loads, of_motions
 from polyida.adjoint.parameters.own import of_own
 from polyida.adjoint.parameters.parameter import Parameter, Shared
 from polyida.adjoint.parameters.plates import of_plates
-from polyida.assembly.bodies.motion import moves_at
-from polyida.assembly.bodies.motion_slopes import motion_slopes
+from polyida.assembly.bodies.motion import motion_slopes, moves_at
 
 __all__ = ["Parameter", "in_time", "parameters_of"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from polyida.adjoint.parameters.loads import load_work
 from polyida.adjoint.parameters.parameter import Parameter, Shared
 from polyida.adjoint.parameters.rebuilt import changed, with_part
-from polyida.assembly.factors.works import mass_work, stiffness_work
+from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
 from polyida.force.loads import EdgeTraction
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.bodies import compact, tangents
+from polyida.assembly.bodies import compact
 from polyida.assembly.own.laws import add_own_curvature
 from polyida.assembly.rows import joints
 from polyida.element import kernels, stabilisation
@@ -74,10 +74,10 @@ def hold_state(s, laws, drives, u, v, lam, x):
         add_own_curvature(laws, s.links.coupling, drives, x.points[DZ], x.points[VZ], 0.0, 1.0, x.slack)
     if x.few.shape[0]:
         x.few[:] = 0.0
-        tangents.blocks(s.compact, u, v, 0.0, 0.0, 1.0, x.few)
+        compact.blocks(s.compact, u, v, 0.0, 0.0, 1.0, x.few)
         if x.slow.shape[0]:
             x.slow[:] = 0.0
-            tangents.blocks(s.compact, u, v, 0.0, 1.0, 0.0, x.slow)
+            compact.blocks(s.compact, u, v, 0.0, 1.0, 0.0, x.slow)
 
 
 @part

@@ -5,8 +5,8 @@ They stand apart from the undamped pass: a scene without damping neither evaluat
 
 import numpy as np
 
-from polyida.assembly.bodies import compact, tangents
-from polyida.assembly.equilibrium import tangent_blocks
+from polyida.assembly.bodies import compact
+from polyida.assembly.equilibrium import cells, on_pattern, tangent_blocks
 from polyida.element import kernels
 from polyida.element.paired import two_states
 from polyida.jit import entry
@@ -63,44 +63,17 @@ def add_damping(scene, u, v, elastic, r):
     compact.damping(scene.compact, u, v, r)
     for b in range(s.body_operator.shape[0]):
         o, n0 = s.body_operator[b], s.body_node[b]
-        p, e = s.at[o], s.at[o + 1]
         if s.body_drag[b] != 0.0:
-            kernels.mass_product(
-                s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]], s.body_drag[b] * s.body_density[b], n0, v, r
-            )
+            kernels.mass_product(*on_pattern(s, o, s.mass), s.body_drag[b] * s.body_density[b], n0, v, r)
         if s.body_viscosity[b] == 0.0:
             continue
         none = elastic[:0]
         elastic[:] = 0.0
-        kernels.internal_force(
-            s.layout[p[0] : e[0]],
-            s.corners[p[1] : e[1]],
-            s.gradients[p[2] : e[2]],
-            s.weights[p[3] : e[3]],
-            n0,
-            s.body_c1[b],
-            s.body_nu[b],
-            u,
-            elastic,
-            none,
-        )
+        kernels.internal_force(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], u, elastic, none)
         for i in range(n0, s.body_node[b + 1]):
             r[i, 0] -= elastic[i, 0]
             r[i, 1] -= elastic[i, 1]
-        two_states.internal_force_viscous(
-            s.layout[p[0] : e[0]],
-            s.corners[p[1] : e[1]],
-            s.gradients[p[2] : e[2]],
-            s.weights[p[3] : e[3]],
-            n0,
-            s.body_c1[b],
-            s.body_nu[b],
-            s.body_viscosity[b],
-            u,
-            v,
-            r,
-            none,
-        )
+        two_states.internal_force_viscous(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], s.body_viscosity[b], u, v, r, none)
 
 
 @entry
@@ -108,15 +81,12 @@ def damped_blocks(scene, u, v, c_v, c_q, blocks):
     """Fill blocks (nnz, 2, 2) = c_v dg/dv + c_q dg/dq of all bodies; dg/dq is not symmetric where v is not zero."""
     s = scene.plates
     blocks[:] = 0.0
-    tangents.blocks(scene.compact, u, v, 0.0, c_v, c_q, blocks)
+    compact.blocks(scene.compact, u, v, 0.0, c_v, c_q, blocks)
     for b in range(s.body_operator.shape[0]):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]
         two_states.tangent_viscous(
-            s.layout[p[0] : e[0]],
-            s.corners[p[1] : e[1]],
-            s.gradients[p[2] : e[2]],
-            s.weights[p[3] : e[3]],
+            *cells(s, o),
             s.pairs[p[4] : e[4]],
             s.body_node[b],
             first,

@@ -94,16 +94,6 @@ def slope(s, i, row, x, y, slopes):
 
 
 @leaf
-def along_row(s, k, z):
-    """The linear part of row k on z (points, 2)."""
-    total = 0.0
-    for e in range(s.row_start[k], s.row_start[k + 1]):
-        i = s.row_columns[e]
-        total += s.row_slopes[e] * z[i // 2, i % 2]
-    return total
-
-
-@part
 def along(s, slopes, k, z):
     """Row k of phi_z, in slopes, on z (points, 2)."""
     total = 0.0
@@ -124,7 +114,7 @@ def joint_forces(s, drives, dz, lam, phi, forces):
     """Fill phi; forces += phi_z^T lam. Returns the least cosine between the vectors of one-way products (1 without any)."""
     least = 1.0
     for k in range(phi.shape[0]):
-        phi[k] = s.row_constant[k] + along_row(s, k, dz)
+        phi[k] = s.row_constant[k] + along(s, s.row_slopes, k, dz)
         for e in range(s.row_start[k], s.row_start[k + 1]):
             i = s.row_columns[e]
             forces[i // 2, i % 2] += lam[k] * s.row_slopes[e]
@@ -207,7 +197,7 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
     """Fill phi_t, rate = phi_z vz + phi_t and the bias `(phi_q v)_q v + 2 phi_qt v + phi_tt`, each (m,)."""
     for k in range(rate.shape[0]):
         phi_t[k] = bias[k] = 0.0
-        rate[k] = along_row(s, k, vz)
+        rate[k] = along(s, s.row_slopes, k, vz)
     add_shifts(s, drives, 1, phi_t)
     add_shifts(s, drives, 1, rate)
     add_shifts(s, drives, 2, bias)
@@ -218,10 +208,10 @@ def joint_rates(s, drives, dz, vz, phi_t, rate, bias):
         ux, uy = moved(s, s.product_first[p], vz)
         ux, uy = rotated(c, n, ux, uy)
         gx, gy = moved(s, s.product_second[p], vz)
-        across, along = ex * fy - ey * fx, ex * fx + ey * fy
+        across, within = ex * fy - ey * fx, ex * fx + ey * fy
         phi_t[k] += speed * across
         rate[k] += speed * across + ux * fx + uy * fy + ex * gx + ey * gy
-        bias[k] += 2.0 * (ux * gx + uy * gy) + second * across - speed * speed * along
+        bias[k] += 2.0 * (ux * gx + uy * gy) + second * across - speed * speed * within
         bias[k] += 2.0 * speed * (ux * fy - uy * fx + ex * gy - ey * gx)
 
 
@@ -253,8 +243,8 @@ def joint_change(s, drives, gains, h, dz, vz, dd, dv, phi, rate):
     `e_0 . f_0 + h rate + dd_e . f_0 + e_0 . dd_f + de . df`.
     """
     for k in range(phi.shape[0]):
-        phi[k] += h * rate[k] + along_row(s, k, dd)
-        rate[k] += along_row(s, k, dv)
+        phi[k] += h * rate[k] + along(s, s.row_slopes, k, dd)
+        rate[k] += along(s, s.row_slopes, k, dv)
     add_shifts(s, gains, 1, phi)
     add_shifts(s, gains, 2, rate)
     for p in range(s.product_row.shape[0]):

@@ -1,4 +1,4 @@
-"""Moves along M^-1 phi_q^T in compiled code: of positions onto phi = 0, of velocities onto `phi_q v + phi_t = 0`."""
+"""Moves along M^-1 phi_q^T in compiled code: of positions onto phi = 0, of velocities onto `phi_q v + phi_t = 0`; and the system of M and phi_q."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.assembly.border import Border, BorderRoom, body_blocks, body_of_points, border, border_room, put_slopes, solve_border
 from polyida.assembly.rows import joints
-from polyida.jit import pack, part
+from polyida.jit import entry, pack, part
 
 
 @pack
@@ -66,6 +66,36 @@ def point_columns(model):
     return reach, place, body_blocks(pattern, weights, columns)
 
 
+class MassSystem:
+    """`[[M, B^T], [B, 0]]` of a scene at (t, q), B = phi_q; `solve` any number of right-hand sides."""
+
+    def __init__(self, model, t, q):
+        self.model, self.tie = model, tie(model)
+        joints.joint_jacobian(model.arrays.links, model.drives(t), model.dz(q), self.tie.slopes)
+
+    def solve(self, r, phi):
+        """(dq, dlam) for the residuals r (n,) and phi (m,): `M dq + B^T dlam = -r`, `B dq = -phi`. Raises LinAlgError."""
+        y = -self.model.mass_inverse(r) if r.any() else np.zeros(self.model.n)
+        if not phi.size:
+            return y, np.zeros(0)
+        dlam = np.empty(len(phi))
+        if not constrained(self.model.arrays.links, self.tie, np.array(phi, float), y.reshape(-1, 2), dlam):
+            raise np.linalg.LinAlgError("the constraints' system is singular")
+        return y, dlam
+
+
+@entry
+def constrained(s, t, phi, y, dlam):
+    """y -= M^-1 B^T dlam with `B y = -phi` then. False where that is singular."""
+    joints.point_values(s, y, t.vz)
+    for k in range(phi.shape[0]):
+        t.bias[k] = phi[k] + joints.along(s, t.slopes, k, t.vz)
+    good = project(s, t, t.bias, y)
+    for k in range(phi.shape[0]):
+        dlam[k] = t.eta[k]
+    return good
+
+
 @part
 def velocity_rate(s, drives, dz, v, t):
     """t.rate = phi_q v + phi_t; t.slopes with it."""
@@ -104,10 +134,4 @@ def constrain(s, t, drives, dz, v, a, lam):
     if t is None:
         return True
     velocity_rate(s, drives, dz, v, t)
-    joints.point_values(s, a, t.vz)
-    for k in range(lam.shape[0]):
-        t.bias[k] += joints.along(s, t.slopes, k, t.vz)
-    good = project(s, t, t.bias, a)
-    for k in range(lam.shape[0]):
-        lam[k] = t.eta[k]
-    return good
+    return constrained(s, t, t.bias, a, lam)

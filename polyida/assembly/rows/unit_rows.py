@@ -86,28 +86,12 @@ def _bandwidth(rows, columns):
 
 
 def _ordered(rows, columns, m):
-    """Rows in an order in which those with a column in common are near each other: by their distance from an outer one."""
-    in_column, of_row = {}, [set() for _ in range(m)]
-    for row, column in zip(rows.tolist(), columns.tolist()):
-        in_column.setdefault(column, set()).add(row)
-        of_row[row].add(column)
-    order, seen = [], set()
-    for first in range(m):
-        if first not in seen:
-            level = _levels(_levels(first, of_row, in_column)[-1], of_row, in_column)
-            order += level
-            seen.update(level)
-    return np.array(order[::-1], np.int64)
+    """Rows in an order in which those with a column in common are near each other."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-
-def _levels(first, of_row, in_column):
-    """The rows that hang together with one, by their distance from it."""
-    order, seen = [first], {first}
-    for row in order:
-        ahead = set().union(*(in_column[column] for column in of_row[row])) - seen
-        order += sorted(ahead, key=lambda k: len(of_row[k]))
-        seen |= ahead
-    return order
+    touched = csr_array((np.ones(len(rows)), (rows, columns)))
+    return reverse_cuthill_mckee(csr_array(touched @ touched.T), symmetric_mode=True).astype(np.int64)
 
 
 @part

@@ -8,10 +8,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
-from polyida.integrate.alpha.control import Control, over_run, tolerances
-from polyida.integrate.alpha.family import Coefficients, require_damping
-from polyida.integrate.alpha.march import march
-from polyida.integrate.alpha.step_control import adapt
+from polyida.integrate.alpha.march import Control, adapt, extrapolated, march, over_run, tolerances
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import enough_steps, run_of, stretches
 from polyida.integrate.moves import PARTS, cells_of
@@ -26,6 +23,67 @@ ABSOLUTE = 1e-3  # m: atol over rtol where only rtol is given, for a start at q 
 FORMS = ("index3", "stabilised")
 SHARE = 1e-3  # of the local error of a step that Newton may leave, where `tolerance` says nothing
 LEAST, MOST = 1e-7, 1e-4  # of the size of q'': bounds of that
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """alpha_m, alpha_f, beta, gamma of a member of the family."""
+
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+
+    @classmethod
+    def chung_hulbert(cls, rho_inf):
+        """`alpha_m = (2 rho - 1)/(rho + 1)`, `alpha_f = rho/(rho + 1)`: the least low-frequency damping."""
+        return cls.second_order((2 * rho_inf - 1) / (rho_inf + 1), rho_inf / (rho_inf + 1))
+
+    @classmethod
+    def second_order(cls, alpha_m, alpha_f):
+        """`gamma = 1/2 - alpha_m + alpha_f`, `beta = (gamma + 1/2)^2 / 4`."""
+        gamma = 0.5 - alpha_m + alpha_f
+        return cls(alpha_m, alpha_f, (gamma + 0.5) ** 2 / 4, gamma)
+
+    def rates(self, h):
+        """(dq''/dq, dv/dq) in a step of h."""
+        return (1 - self.alpha_m) / (self.beta * h * h * (1 - self.alpha_f)), self.gamma / (self.beta * h)
+
+    @property
+    def error(self):
+        """C in the local error of q, `C h^2 (q''_1 - q''_0)`: `C = 1/6 - (alpha_m - alpha_f)/2 - beta`."""
+        return 1 / 6 - (self.alpha_m - self.alpha_f) / 2 - self.beta
+
+    @property
+    def tells(self):
+        """Whether that is all of the leading error: the member is of second order, and C is not zero."""
+        return abs(self.gamma - 0.5 + self.offset) < 1e-6 and abs(self.error) > 1e-3
+
+    @property
+    def offset(self):
+        """Steps by which the algorithmic acceleration is ahead of q'': alpha_m - alpha_f."""
+        return self.alpha_m - self.alpha_f
+
+    @property
+    def at_infinity(self):
+        """Spectral radius along a constraint: of (h v, h^2 a) where q = 0, and of q''. Below 1 it is stable on index
+        3.
+        """
+        b, g = self.beta, self.gamma
+        motion = np.array([[1 - g / b, 1 - g / (2 * b)], [-1 / b, 1 - 1 / (2 * b)]])
+        return max(float(np.abs(np.linalg.eigvals(motion)).max()), abs(self.alpha_f / (1 - self.alpha_f)))
+
+
+def require_damping(name, c):
+    """Raise InputError unless the member has numbers that make a method, and damps at infinite frequency."""
+    finite = np.isfinite([c.alpha_m, c.alpha_f, c.beta, c.gamma]).all()
+    if not (finite and c.beta > 0 and c.alpha_m < 1 and c.alpha_f < 1):
+        raise InputError(f"{name}: {c} must be finite, with beta > 0, alpha_m < 1, alpha_f < 1")
+    if not c.at_infinity < 1 - 1e-6:
+        raise InputError(
+            f"{name}: {c} has the spectral radius {c.at_infinity:.3g} at infinite frequency; on index 3 it "
+            "must be below 1, or constraint forces grow (trapezoidal rule: beta 1/4, gamma 1/2)"
+        )
 
 
 @named_keywords
@@ -46,7 +104,7 @@ class GeneralizedAlpha:
     largest step, and the run fails beyond max_num_steps steps, with those rejected. Without h the local errors
     of all steps together stay below that: each may have h over the run's time of it; rtol is 5e-5 where neither is given, and atol rtol
     times the model's length (integrate/sizes.py). The error of the run is then about twice rtol, 1e-4 of the model's size by default
-    (integrate/alpha/control.py), unless neighbouring motions part faster than in proportion to time; the summary says what was chosen.
+    (integrate/alpha/march.py), unless neighbouring motions part faster than in proportion to time; the summary says what was chosen.
     extrapolate: give (4 x(h/2) - x(h))/3 at the ends of steps of h (Richardson), fixed steps only.
 
     tolerance: Newton's, of beta h^2 times the size of q''; None: 1e-3 of the step's local error, but at least 1e-7 and at
@@ -175,8 +233,6 @@ class GeneralizedAlpha:
     def steps(self, model: Model, state: State, t_end: float, counts: Counts, rows: Any = None) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step; rows: where to write them, see Steps. Raises StepFailure."""
         if self.extrapolate:
-            from polyida.integrate.alpha.richardson import extrapolated
-
             return extrapolated(self, model, state, t_end, counts)
         return States(self.in_pieces(model, state, t_end, counts, rows=rows), counts)
 

@@ -1,17 +1,17 @@
-"""Steps of generalized-alpha on one model: stretches of a loop, factors where it asks for one."""
+"""Steps of generalized-alpha on one model: stretches of compiled steps, factors where these ask for one."""
 
 import numpy as np
 
 from polyida.errors import StepFailure
 from polyida.integrate.alpha import step
-from polyida.integrate.alpha.loop import Loop
-from polyida.integrate.alpha.step_control import calm_error
-from polyida.integrate.kinks import at_kink
+from polyida.integrate.alpha.march import calm_error
+from polyida.integrate.kinks import at_kink, inner_side
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import Kept, SingularSystem
 from polyida.memory import room
+from polyida.system.python import table_of
 from polyida.system.table import DONE, HALF_TURN, INSTANTS, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
 
 ADAPTIVE = 32  # steps of a stretch whose step may change any time
@@ -32,10 +32,10 @@ class Steps:
     def __init__(self, settings, model, counts, control=None):
         self.settings, self.model, self.counts, self.control = settings, model, counts, control
         self.memory, self.trial = step.empty(model.n, model.m)
-        self.loop = Loop(settings, model, counts, self.memory, self.trial)
-        self.caution = self.loop.system().caution
-        self.system = self.verdict = None
-        self.longest = INSTANTS
+        self.tied = settings.form == "stabilised" and model.m > 0
+        self.table = table_of(model, settings.linear, self.tied, settings.incremental_phi and model.carries)
+        self.caution = self.table.system(settings).caution
+        self.system, self.verdict, self.longest = None, None, INSTANTS
         self.kept, self.pause, self.rows, self.watch = Kept(), 0, _no_rows, None
 
     def begin(self, state, h):
@@ -70,7 +70,7 @@ class Steps:
         y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)
         self._weigh(weights(model, state.q))
         y.marks[:] = 0.0
-        self.verdict = None
+        self.verdict, self.ended, self.taken, self.first, self.count, self.waiting = None, None, None, 0, 0, []
         self._take(self.kept.take(h))
         if self.watch is not None:
             self.watch.begun(state, h)
@@ -109,28 +109,24 @@ class Steps:
 
     def run(self, grid):
         """Yield stretches of the states at the ends of the grid's steps, until the verdict says otherwise. Raises StepFailure."""
-        done, self.verdict = grid.done, None
-        most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
-        while done < grid.count and self.verdict is None:
-            table = self.loop.table
-            longest, left = (
-                int(max(1, min(most, self.longest, table.steady if self.control else table.longest))),
-                self.pause - self.counts.steps,
-            )
-            end = min(done + (left if 0 < left < longest else longest), grid.count)
-            for stretch in self._stretches(grid.times(done, end), grid, done):
-                done += len(stretch)
-                if self.watch is None:
-                    yield stretch
-                else:
-                    yield from self._watched(stretch)
-                self._limit(stretch.last.memory)
+        done = grid.done
+        while done < grid.count and (stretch := self.stretch(grid, done)):
+            done += len(stretch)
+            yield stretch
 
-    def _watched(self, stretch):
-        for k in range(len(stretch)):
-            part = stretch.part(k, k + 1)
-            self.watch.stepped(part.last)
-            yield part
+    def stretch(self, grid, done):
+        """The states at the ends of the next steps of a grid, of which `done` are taken; None where the verdict says otherwise first.
+
+        Raises StepFailure.
+        """
+        if not self.waiting:
+            found = None if self.verdict else self._stretch(grid, done)
+            if found is None or self.watch is None:
+                return found
+            self.waiting = [found.part(k, k + 1) for k in reversed(range(len(found)))]
+        part = self.waiting.pop()
+        self.watch.stepped(part.last)
+        return part
 
     def aside(self, grid):
         """The State at the end of the grid, in arrays of its own. Raises StepFailure."""
@@ -140,41 +136,69 @@ class Steps:
         finally:
             self.rows = rows
 
-    def _stretches(self, times, grid, done):
-        """The states at times[1:], as far as each call of the loop goes."""
-        count = len(times) - 1
-        frames = self.rows(count) or _fresh(count, self.model.n, self.model.m)
-        self.times = times
-        self.loop.prepare(times, self.method)
-        first, fresh = 0, False
-        while first < count:
-            if self.system is None:
+    def _prepare(self, grid, done):
+        """Get ready for as many steps of a grid as the model's table takes at once, or as may be taken before the next pause."""
+        if self.taken is not None:
+            self._limit(self.taken.memory)
+        most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
+        most = int(max(1, min(most, self.longest, self.table.steady if self.control else self.table.longest)))
+        left, h = self.pause - self.counts.steps, self.method.h
+        self.times = times = grid.times(done, min(done + (left if 0 < left < most else most), grid.count))
+        self.first, self.count = 0, len(times) - 1
+        self.frames = self.rows(self.count) or _fresh(self.count, self.model.n, self.model.m)
+        self.table.prepare(times, (inner_side(self.model, times[0], -h), inner_side(self.model, times[-1], h)), h)
+
+    def _stretch(self, grid, done):
+        """The same, as far as one call of compiled steps goes."""
+        if self.ended:
+            self._refactor_or_fail(*self.ended)
+        if self.first == self.count:
+            self._prepare(grid, done)
+        steps = 0
+        while not steps and self.verdict is None:
+            first, fresh = self.first, self.system is None
+            if fresh:
                 step.predict(self.method, self.memory, self.trial)
                 self._factor_here(first)
-                fresh = True
-            steps, ended, moved = self._steps(self.method, first, count, frames)
+            steps, ended, moved = self._steps(self.method, first, self.count, self.frames)
             if steps == 0 and fresh and ended in (REFACTOR, INVERTED, NOT_FINITE):
-                steps, ended, moved = self._full_newton(first, frames)
-            made, first = slice(first, first + steps), first + steps
-            if steps:
-                stretch = Stretch(times[1:][made], *(frame[made] for frame in frames))
-                if first == count or ended == TOO_NEAR:
-                    last = stretch.last
-                    last = State(last.t, last.q, last.v, last.a, last.lam, self._memory(grid.after(done + first)))
-                    stretch = Stretch(stretch.t, stretch.q, stretch.v, stretch.a, stretch.lam, last)
-                yield stretch
-                fresh = False
+                steps, ended, moved = self._full_newton(first, self.frames)
+            self.first += steps
             if ended in (TOO_FAR, TOO_NEAR):
                 self.verdict = "far" if ended == TOO_FAR else "near"
-                return
-            if ended != DONE:
-                self._refactor_or_fail(ended, fresh, times[first + 1], moved)
+            elif ended != DONE:
+                self.ended = ended, fresh and not steps, self.times[self.first + 1], moved
+                if not steps:
+                    self._refactor_or_fail(*self.ended)
+        if not steps:
+            return None
+        made = slice(first, self.first)
+        stretch = Stretch(self.times[1:][made], *(frame[made] for frame in self.frames))
+        if self.first == self.count or ended == TOO_NEAR:
+            last = stretch.last
+            last = State(last.t, last.q, last.v, last.a, last.lam, self._memory(grid.after(done + steps)))
+            stretch = Stretch(stretch.t, stretch.q, stretch.v, stretch.a, stretch.lam, last)
+        self.taken = stretch.last
+        return stretch
 
     def _steps(self, method, first, last, frames):
-        return self.loop.steps(method, self.system, first, last, *(frame[first:last] for frame in frames))
+        """Take the steps from `first` to `last` with the factor at hand: (steps, how it ended, last |dq|)."""
+        counts, c, frames = np.zeros(3, np.int64), np.array([method.to_a, method.to_v]), [frame[first:last] for frame in frames]
+        with self.table.at_work(self.system) as (functions, workspace):
+            result = step.stretch(functions, workspace, first, method, c, self.tied, self.memory, self.trial, counts, *frames)
+        residuals, solves, made = map(int, counts)
+        self.counts.residuals += residuals
+        self.counts.solves += solves
+        self.counts.newton_iterations += solves
+        if made:
+            self.system.read()
+            self.counts.tangents += made
+            self.counts.factorizations += made
+        return result
 
     def _refactor_or_fail(self, ended, fresh, t, moved):
-        self.loop.table.raise_left()
+        self.ended = None
+        self.table.raise_left()
         if not fresh and ended not in (HALF_TURN, SINGULAR):
             self.system = None
             self.memory.marks[step.AHEAD] = self.memory.marks[step.BEHIND] = 0.0
@@ -191,7 +215,7 @@ class Steps:
         for _ in range(self.settings.max_iterations):
             self._factor_here(first)
             steps, ended, moved = self._steps(method, first, first + 1, frames)
-            self.loop.table.raise_left()
+            self.table.raise_left()
             if ended != REFACTOR or steps or not np.isfinite(moved):
                 break
             y.marks[step.MOVED] = moved
@@ -221,11 +245,16 @@ class Steps:
         return memory if place is None else memory | {"grid": place}
 
     def _factor_here(self, first):
-        self._factor(lambda system, p: self.loop.factor(system, p, self.times[first + 1]), self.times[first + 1])
+        t, (q, v, a), lam = self.times[first + 1], self.trial.now[:3].copy(), self.trial.rows[step.LAM].copy()
+
+        def make(system, p):
+            self.counts.residuals += self.table.factor(system, t, q, v, a, lam, p.to_a, p.to_v)
+
+        self._factor(make, t)
 
     def _factor(self, make, t):
         """A new factor, made by make(system, method)."""
-        system = self.loop.system()
+        system = self.table.system(self.settings)
         self.counts.tangents += 1
         self.counts.factorizations += 1
         try:

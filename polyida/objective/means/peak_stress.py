@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from polyida.assembly.build import compact_of
-from polyida.assembly.factors.shares import Shares
+from polyida.assembly.factors import Shares
 from polyida.element import kernels as element
 from polyida.element.lanes import LANES
 from polyida.given import settle

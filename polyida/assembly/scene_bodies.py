@@ -1,18 +1,78 @@
-"""The bodies of a scene as they are drawn: full plates, and those whose few coordinates give the motion of every node of a mesh."""
+"""The bodies of a scene together: their mass, and how they are drawn."""
 
 from functools import cached_property
 
 import numpy as np
 
+from polyida.assembly.arrays import concatenated
 from polyida.assembly.bodies.places import PlacedPlate
 from polyida.assembly.constraints import Constraints
 from polyida.body.body import points_of
 from polyida.element import kernels
-from polyida.given import complex_of_pairs, pairs_of
+from polyida.given import complex_of_pairs, on_pairs, pairs_of
+from polyida.linear.lu import LU
 
 
-class Drawn(Constraints):
-    """What is drawn of a scene with `bodies` and `few`."""
+class SceneBodies(Constraints):
+    """M of a scene with `bodies`, `few`, `arrays`, `pattern`, and `uneven_mass` where x and y of pairs carry different ones; what is drawn.
+
+    The even mass is Hermitian on the pairs of q as complex numbers, constant, and factored once.
+    """
+
+    def mass(self, q=None):
+        """Mass matrix, constant, (n, n) sparse."""
+        return self._mass
+
+    @cached_property
+    def _mass(self):
+        even = on_pairs(self._even_mass).tocsc()
+        return even if self.uneven_mass is None else even + self.uneven_mass
+
+    @cached_property
+    def _even_mass(self):
+        """The mass that x and y of pairs carry alike, Hermitian, (pairs, pairs); real where it can be."""
+        from scipy.sparse import csr_array, diags_array
+
+        (indptr, indices), s = self.pattern, self.arrays
+        values = [body.operator.mass * density for body, density in zip(self.bodies, s.plates.body_density)]
+        values = np.concatenate([concatenated(values, float), s.compact.mass @ (1, 1j)])
+        weights = self.point_weights
+        mass = csr_array((values, indices, indptr), shape=(self.n_nodes, self.n_nodes))
+        mass = (mass + weights.conj().T @ diags_array(s.links.point_mass) @ weights).tocsc()
+        if not mass.data.imag.any():
+            mass.data = mass.data.real.copy()
+        return mass
+
+    def mass_inverse(self, b):
+        """M^-1 b, b (n,) or (n, k), of a `solid` scene; M is factored once."""
+        pairs = b.reshape(self.n_nodes, 2, -1)
+        if np.isrealobj(self._even_mass.data):
+            return self._mass_factor.solve(np.ascontiguousarray(pairs.reshape(self.n_nodes, -1))).reshape(b.shape)
+        found = self._mass_factor.solve(pairs[:, 0] + 1j * pairs[:, 1])
+        return np.stack([found.real, found.imag], axis=1).reshape(b.shape)
+
+    @cached_property
+    def _mass_factor(self):
+        return LU(self._even_mass)
+
+    @cached_property
+    def translation(self):
+        """By how much each pair of q moves where all bodies move by one, (pairs,), complex."""
+        return np.concatenate([np.zeros(0, complex), *(placed.translation for placed in (*self.bodies, *self.few))])
+
+    @property
+    def lightest(self):
+        """Mass of its lightest body, kg."""
+        return min(placed.whole_mass for placed in (*self.bodies, *self.few))
+
+    def momenta(self, q, v):
+        """(px, py, L): momentum, N s, and angular momentum about the origin, N m s: `p = T^H M z'` and `L = Im(z^H M z')`.
+
+        z are the pairs of all bodies as points of the complex plane, masses at points included.
+        """
+        z, momentum = (complex_of_pairs(x.reshape(-1, 2)) for x in (self.reference.ravel() + q, self._mass @ v))
+        p = np.vdot(self.translation, momentum)
+        return np.array([p.real, p.imag, np.vdot(z, momentum).imag])
 
     @cached_property
     def drawn(self):

@@ -1,0 +1,268 @@
+"""Closing of loops: bodies are moved as rigid, by as little as closes them, from a nearby drawing onto their joints."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from polyida.assembly.build import of_kind
+from polyida.assembly.rows.row_table import given_rows
+from polyida.body.body import Body, BodyPoint, points_of
+from polyida.body.plate import Plate
+from polyida.errors import InputError
+from polyida.given import complex_of_pairs, pairs_of, settle
+from polyida.joint.joint import Joint
+
+STILL = 1e-13  # of the scene's size: moves and steps that are round-off
+ROUNDS = 200  # steps at most; from a nearby drawing about five, where links are stretched out some thirty
+CLOSED = 1e-9  # of the scene's size: what is left of a gap that is closed
+HOPELESS = 1e12  # damping at which no step helps
+DEPENDENT = 1e-10  # singular values of the rows that count as none
+MISPLACED = 1e-9  # of a body's size and distance, by which its points may miss the place that its origin and angle give them
+NAMED = 3  # bodies or joints that a message names
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """By how much `scene.assemble()` moved the bodies, each as rigid: shift, {name: m} of its centre, turn, {name: rad}.
+
+    largest: the longest way that a point of a body went, m. gap: the widest that was open before, m, and `open` the joint it was in,
+    empty where all were closed.
+    """
+
+    shift: dict[str, float]
+    turn: dict[str, float]
+    largest: float
+    gap: float
+    open: str
+
+    def summary(self) -> str:
+        """One line: what was open, and who moved by how much."""
+        moved = [name for name in self.shift if self.shift[name] or self.turn[name]]
+        if not moved:
+            return "all joints are closed as drawn; nothing moved"
+        each = ", ".join(f"{name!r} by {self.shift[name]:.3g} m and {self.turn[name]:.3g} rad" for name in moved)
+        return f"joints are closed; {self.open!r} was open by {self.gap:.3g} m; moved {each}"
+
+
+def close(parts, held=()):
+    """Move the bodies of {name: part} onto the rows of its joints, those that are driven at t = 0; an Assembly.
+
+    Raises InputError, with every body where it was drawn, naming the joints that stay open, or bodies that would have to move and are
+    held, by name.
+    """
+    known = of_kind(parts, Plate, Body)
+    size = float(np.ptp(pairs_of(np.concatenate([places_of(body) for body in known.values()])), axis=0).max()) or 1.0
+    bodies = [Placed(name, body, size) for name, body in known.items()]
+    loops = Loops(parts, [body for body in bodies if body.part], size)
+    x, drawn, left = loops.solve()
+    loops.require_closed(x, drawn, left)
+    moves = dict.fromkeys(known, (0.0, 0.0, 0.0)) | _moved(parts, loops, x, held)
+    shift, turn, ways = ({name: move[k] for name, move in moves.items()} for k in range(3))
+    gap = float(drawn.max(initial=0.0))
+    return Assembly(shift, turn, max(ways.values(), default=0.0), gap, loops.names[drawn.argmax()] if gap else "")
+
+
+def _moved(parts, loops, x, held):
+    """{name: (shift, m, turn, rad, longest way of a point, m)} of the bodies that are moved, those by more than round-off."""
+    chosen = [(body, move) for body, move in zip(loops.bodies, x) if np.abs(move).max() > STILL]
+    if stuck := [body.name for body, _ in chosen if body.name in held]:
+        raise InputError(
+            f"Scene.assemble: {', '.join(map(repr, stuck[:NAMED]))} would have to move, but there is a model of the scene, whose runs "
+            "would move along; assemble before build, or draw the scene anew"
+        )
+    for body, _ in chosen:
+        if others := [other.name for other in loops.bodies if other is not body and other.part is body.part]:
+            raise InputError(
+                f"Scene.assemble: {body.name!r} would have to move, but it is made of one plate with {', '.join(map(repr, others[:NAMED]))}; "
+                "give each a plate of its own"
+            )
+    before = [(body, body.placement) for body, _ in chosen]
+    for joint in of_kind(parts, Joint).values() if chosen else ():
+        joint.keep_drawing()
+    try:
+        moves = {body.name: loops.place(body, *move) for body, move in chosen}
+        Loops(parts, loops.bodies, loops.size).require_closed_as_drawn()
+    except InputError:
+        for body, placement in before:
+            body.settle(*placement)
+        raise
+    return moves
+
+
+class Loops:
+    """The rows of all joints, as functions of how the bodies move: x (bodies, 3), shift and own size times turn of each, over that of the scene.
+
+    Rows are read as drawn and keep what they take from the drawing: the place of plain ground, the angle between two directions.
+    Each is divided by its slope along a shift of a body, or where it has none along a turn: so it says how far apart its sides are.
+    """
+
+    def __init__(self, parts, bodies, size):
+        self.bodies, self.size = bodies, size
+        self.index = {id(body.body): k for k, body in enumerate(bodies)}
+        rows = [(name, row) for name, joint in of_kind(parts, Joint).items() for row in given_rows(name, joint.facing())]
+        self.names, self.rows = [name for name, _ in rows], [row for _, row in rows]
+        self.scale = np.ones(len(rows))
+        slope = np.abs(self(np.zeros(3 * len(bodies)))[1].reshape(len(rows), -1, 3))
+        along = np.hypot(slope[..., 0], slope[..., 1]).max(axis=1, initial=0.0), slope[..., 2].max(axis=1, initial=0.0)
+        self.scale = 1.0 / np.select([shown > DEPENDENT for shown in along], along, 1.0)
+
+    def __call__(self, x):
+        """(phi (rows,), its slope (rows, 3 bodies)), over the scene's size."""
+        found = [self._row(row, x.reshape(-1, 3)) for row in self.rows]
+        phi, slope = np.array([value for value, _ in found]), np.array([slope for _, slope in found]).reshape(len(found), x.size)
+        return self.scale * phi / self.size, self.scale[:, None] * slope
+
+    def _row(self, row, x):
+        """Value and slope, m, of `constant + sum f p(0) + sum E . F`."""
+        value, slope = row.constant + sum(factor * profile(0.0) for factor, profile in row.drives), np.zeros(x.size)
+        for product in row.products:
+            (e, e_x), (f, f_x) = self._piece(product.turning, x), self._piece(product.still, x)
+            value += (e.conjugate() * f).real
+            slope += (e_x.conjugate() * f + e.conjugate() * f_x).real
+        return value, slope
+
+    def _piece(self, piece, x):
+        """Value of a piece of a formula and its slope, (3 bodies,), complex."""
+        value, slope = piece.rest, np.zeros(x.shape, complex)
+        for side, part, w in piece.terms:
+            k = self.index.get(id(side.body))
+            if k is not None:
+                moved, along = self._moved(self.bodies[k], side, part, x[k])
+                value, slope[k] = value + w * moved, slope[k] + w * along
+        turn = 1.0 if piece.profile is None else np.exp(1j * piece.profile(0.0))
+        return turn * value, turn * slope.ravel()
+
+    def _moved(self, body, side, part, x):
+        """By how much a point or direction of a body moves, and its slope, (3,), complex."""
+        whole, arm = body.arm(side, part)
+        turn = np.exp(1j * x[2] * self.size / body.size)
+        return whole * self.size * complex(x[0], x[1]) + (turn - 1.0) * arm, np.array([whole, 1j * whole, 1j * turn * arm / body.size])
+
+    def solve(self):
+        """(x (bodies, 3), gaps as drawn, gaps behind, (rows,) each, m): steps of Gauss and Newton of least length, damped by what is open.
+
+        Damped by its square they end as fast as Newton's also where rows depend on each other. Source: Yamashita, Fukushima, On the rate
+        of convergence of the Levenberg-Marquardt method, Computing Suppl. 15 (2001).
+        """
+        x = np.zeros(3 * len(self.bodies))
+        phi, slope = self(x)
+        drawn = phi
+        for _ in range(ROUNDS):
+            further = self._nearer(x, phi, slope)
+            if further is None:
+                break
+            x, phi, slope = further
+        return x.reshape(-1, 3), self.size * np.abs(drawn), self.size * np.abs(phi)
+
+    def _nearer(self, x, phi, slope):
+        """(x, phi, slope) behind a step that closes some of what is open, or None."""
+        if not phi.size or not x.size:
+            return None
+        u, s, v = np.linalg.svd(slope, full_matrices=False)
+        shares, damping = np.where(s > DEPENDENT * s[0], s, 0.0), phi @ phi
+        while damping < HOPELESS:
+            step = -(shares / (s * s + damping + (shares == 0.0)) * (phi @ u)) @ v
+            found = self(x + step)
+            if found[0] @ found[0] < phi @ phi:
+                return x + step, *found
+            if np.abs(step).max() < STILL:
+                return None
+            damping = 4.0 * damping + STILL
+        return None
+
+    def place(self, body, x, y, turn):
+        """Move a body as x says; (shift, m, turn, rad, longest way of a point, m)."""
+        turn = float(turn * self.size / body.size)
+        return float(self.size * np.hypot(x, y)), turn, body.move(self.size * complex(x, y), turn)
+
+    def require_closed(self, x, drawn, left):
+        """Raise InputError where a row stays open, or stands on the wrong half-turn; drawn, left: gaps (rows,), m."""
+        widest = {}
+        for name, gap in zip(self.names, left):
+            widest[name] = max(widest.get(name, 0.0), gap)
+        open_ = sorted((name for name in widest if widest[name] > CLOSED * self.size), key=widest.get, reverse=True)
+        if open_:
+            told = ", ".join(f"{name!r} by {widest[name]:.3g} m" for name in open_[:NAMED])
+            raise InputError(
+                f"Scene.assemble: the joints do not close: {told} stay open where the bodies come nearest, from {drawn.max():.3g} m as "
+                "drawn; check the lengths of the bodies, or draw them nearer to where they close"
+            )
+        one_way = [(name, product) for name, row in zip(self.names, self.rows) for product in row.products if product.one_way]
+        for name, product in one_way:
+            e, f = (self._piece(piece, x)[0] for piece in (product.turning, product.still))
+            if (e.conjugate() * f).imag > 0:
+                raise InputError(f"Scene.assemble: {name!r} would close on the wrong half-turn; draw its sides within a quarter turn of it")
+
+    def require_closed_as_drawn(self):
+        """Raise InputError where a row is open: one whose bodies were moved has taken something else from where they are now."""
+        gaps = self.size * np.abs(self(np.zeros(3 * len(self.bodies)))[0])
+        if gaps.max(initial=0.0) > CLOSED * self.size:
+            raise InputError(
+                f"Scene.assemble: {self.names[gaps.argmax()]!r} is open again where its bodies have moved to: its rows() take from there an "
+                "angle or a place, which its profile moves further; let the profile begin at zero"
+            )
+
+
+class Placed:
+    """A body in its place: centre, complex, m, the mean of its nodes or named points; size, m, their root mean square from there.
+
+    A body without `origin` and `angle`, of its own or of the plate that it is made of, cannot be moved: `part` is None.
+    """
+
+    def __init__(self, name, body, extent):
+        self.name, self.body, self.part = name, body, _placing(body)
+        places = places_of(body)
+        self.centre = places.mean()
+        self.size = float(np.sqrt(np.mean(np.abs(places - self.centre) ** 2))) or extent
+
+    def arm(self, side, part):
+        """(how far it goes with a shift by one, its arm in a turn, complex) of an attachment's "point" or "direction", which only turns.
+
+        Directions at named points of a body made of a plate do not: they are given in the axes of the drawing.
+        """
+        if part == "point":
+            return 1.0, complex(*side.point) - self.centre
+        return 0.0, 0j if self.part is not self.body and isinstance(side, BodyPoint) else complex(*side.direction)
+
+    def move(self, shift, turn):
+        """Move it by `shift`, complex, m, and turn it about its centre by `turn`, rad, in place; the longest way of a point, m."""
+        before = places_of(self.body)
+        rotation = np.exp(1j * turn)
+        origin = complex(rotation * (complex(*self.part.origin) - self.centre) + self.centre + shift)
+        self.settle((origin.real, origin.imag), float(self.part.angle + turn))
+        wanted = rotation * (before - self.centre) + self.centre + shift
+        if np.abs(places_of(self.body) - wanted).max() > MISPLACED * (self.size + np.abs(wanted).max()):
+            raise InputError(
+                f"Scene.assemble: {self.body.label} has origin and angle, but its points do not follow them; let its "
+                "coordinates() be those of angle 0 at (0, 0), turned by the angle and moved to the origin"
+            )
+        return float(np.abs(wanted - before).max())
+
+    @property
+    def placement(self):
+        """(origin, angle) as they are now."""
+        return self.part.origin, self.part.angle
+
+    def settle(self, origin, angle):
+        """Give it an origin and an angle, and forget what was derived from others."""
+        settle(self.part, origin=origin, angle=angle)
+        for part in (self.part, self.body):
+            for name in _derived(type(part)):
+                part.__dict__.pop(name, None)
+
+
+def _placing(body):
+    """What has the origin and angle of a body: itself or its plate; None where nothing has."""
+    return next((part for part in (body, getattr(body, "plate", None)) if hasattr(part, "origin") and hasattr(part, "angle")), None)
+
+
+def places_of(body):
+    """Nodes of a plate or of that which a body is made of, named points of another, (k,) complex, m."""
+    plate = body if isinstance(body, Plate) else body.plate
+    points = np.array([point.point for point in points_of(body)]) if plate is None else plate.points
+    return complex_of_pairs(points)
+
+
+def _derived(kind):
+    return [name for base in kind.__mro__ for name, value in vars(base).items() if isinstance(value, cached_property)]
