@@ -13,7 +13,7 @@ from polyida.assembly.hints import hint_of_left_out, hint_of_rigid
 from polyida.brief import CELL, LONGEST, cut, short, table
 from polyida.errors import InputError
 from polyida.given import is_one_of, is_whole
-from polyida.integrate.state import Counts, Restart, State
+from polyida.integrate.state import Counts, Restart, State, asked
 from polyida.io.frames import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard
@@ -244,11 +244,11 @@ class Trajectory:
         worst = f", |phi| <= {self.drift.max():.1e}" if self.model is not None and self.model.m and len(self) else ""
         end = f"t = {self.t[-1]:.6g} s" if len(self) else "no frame"
         work = f"{c.newton_iterations} iterations, {c.factorizations} factorizations, {self.cpu_seconds:.2f} CPU s"
-        told = getattr(self.integrator, "told", lambda memory: "")(self.state.memory) if len(self) else ""
-        cost, model = getattr(self.integrator, "cost", lambda model: ""), self.model
+        told = asked(self.integrator, "told")(self.state.memory) if len(self) else ""
+        rtol, model = None if asked(self.integrator, "adaptive") is False else asked(self.integrator, "rtol"), self.model
         of_model = []
         if model is not None:
-            of_model = [model.remark, cost(model), hint_of_rigid(model, self.q, self.integrator)]
+            of_model = [model.remark, asked(self.integrator, "cost")(model), hint_of_rigid(model, self.q, rtol)]
             of_model += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
         unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
         told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)

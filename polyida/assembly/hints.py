@@ -47,11 +47,10 @@ def left_out(model, t, frames, accelerations):
     return found
 
 
-def hint_of_rigid(model, frames, integrator):
-    """What a summary says of such plates, of a run's q (frames, n); a run resolves its integrator's rtol, or RESOLVED with constant steps."""
+def hint_of_rigid(model, frames, rtol):
+    """What a summary says of such plates, of a run's q (frames, n) by a tolerance rtol; None: RESOLVED."""
     if not model.is_scene or not len(frames):
         return ""
-    rtol = getattr(integrator, "rtol", None) if getattr(integrator, "adaptive", True) else None
     names = as_good_as_rigid(model, frames, rtol or RESOLVED)
     plates = ", ".join(map(repr, names[:NAMED])) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
     deform = "deforms" if len(names) == 1 else "deform"

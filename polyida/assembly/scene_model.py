@@ -23,7 +23,7 @@ from polyida.assembly.scene_bodies import SceneBodies, deepest
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.force.force_element import ForceElement
 from polyida.given import pairs_of
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
 from polyida.profile import Profile

@@ -150,8 +150,8 @@ class Counts:
 
 def constant_step(integrator):
     """The step of an integrator that keeps to one, 0 of any other; what a user's own calls h may be anything."""
-    h, adapts = getattr(integrator, "h", 0.0), getattr(integrator, "adaptive", False)
-    return float(h) if is_number(h) and not adapts else 0.0
+    h = asked(integrator, "h")
+    return float(h) if is_number(h) and not asked(integrator, "adaptive") else 0.0
 
 
 def cubic(x0, v0, x1, v1, h, s):
@@ -188,8 +188,42 @@ class Restart(NamedTuple):
 
 
 class Integrator(Protocol):
-    """What `solve` takes: settings with one method, a user's as well as ours."""
+    """What `solve` takes: settings with one method, a user's as well as ours. What else it may have is in `Declared`."""
 
     def steps(self, model: Model, state: State, t_end: float, counts: Counts, /) -> Iterator[State]:
         """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
         ...
+
+
+class Declared:
+    """What else is asked of an integrator, with the values for a class that does not have it.
+
+    h: the step, s, constant unless `adaptive` is True; rtol: the relative tolerance, None without one; adaptive: whether errors choose the
+    steps, None where that is not said; max_halvings: of a step that fails. nonholonomic: rows of phi_rate need not be derivatives of phi.
+    second_order: the error of a step in v is O(h^3). writes_rows: `steps` takes `rows`, the places of frames, to write into.
+    """
+
+    h = rtol = adaptive = max_halvings = None
+    nonholonomic = second_order = writes_rows = False
+
+    def require(self, model):
+        """Raise InputError unless the integrator can take the model."""
+
+    def require_reach(self, model, state, t_end):
+        """Raise InputError unless it can go from the state to t_end."""
+
+    def told(self, memory):
+        """What a summary says of the steps, from the memory of the last state."""
+        return ""
+
+    def cost(self, model):
+        """What a summary says of steps that cost more than others would."""
+        return ""
+
+
+_DECLARED = Declared()
+
+
+def asked(integrator, name):
+    """What an integrator has under a name of `Declared`, or what that has."""
+    return getattr(integrator, name, getattr(_DECLARED, name))

@@ -23,7 +23,7 @@ from polyida.errors import StepFailure
 from polyida.integrate.gaps import Crossing, Gaps
 from polyida.integrate.sizes import sizes_of_run
 from polyida.integrate.start import consistent_acceleration
-from polyida.integrate.state import State, between, constant_step
+from polyida.integrate.state import State, asked, between, constant_step
 
 NEAR = 1e-9  # of a gap's size in a step: so near to zero a step ends
 TOGETHER = 1e-4  # of a step: gaps that switch within it switch together, and one so near to its beginning there
@@ -75,9 +75,9 @@ class Switches:
     def __init__(self, taken, integrator, model, state, t_end, counts):
         self.model, self.counts, self.t_end, self.span = model, counts, t_end, t_end - state.t
         self.h = constant_step(integrator)
-        self.coarse = bool(self.h) or getattr(integrator, "second_order", False)
+        self.coarse = bool(self.h) or asked(integrator, "second_order")
         self.finest = self.h / FINEST if self.h else STANDING * self.span
-        parts = is_dataclass(integrator) and self.h and hasattr(integrator, "max_halvings")
+        parts = is_dataclass(integrator) and self.h and asked(integrator, "max_halvings") is not None
         self.taken, self.integrator = taken, replace(integrator, max_halvings=0) if parts else integrator
         self.gaps, self.switched, self.jumped = Gaps(model, state, self.span), {}, False
         self.state = State(state.t, state.q, state.v, state.a, state.lam, {"sizes": sizes_of_run(model, state, t_end)} | state.memory)

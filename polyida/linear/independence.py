@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 
 MOST = 3  # constraints that a message names
 FULL = 10_000  # numbers of phi_q up to which its zeros cost less than what tells them

@@ -11,6 +11,11 @@ class SingularSystem(Exception):
     """The system has no unique solution."""
 
 
+def dense(matrix):
+    """The matrix, dense or scipy.sparse, as a dense array of floats."""
+    return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, float)
+
+
 class LU:
     """A factor of A (n, n): LAPACK's, dense, or SuperLU's, sparse. Raises SingularSystem where A is singular or not finite.
 

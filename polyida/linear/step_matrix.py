@@ -6,8 +6,7 @@ import numpy as np
 
 from polyida.linear.border import MANY, Border
 from polyida.linear.kkt import KKT, scaling_factors
-from polyida.linear.lu import LU, SingularSystem
-from polyida.linear.matrix import dense
+from polyida.linear.lu import LU, SingularSystem, dense
 
 
 class StepMatrix:

@@ -12,7 +12,7 @@ from polyida.integrate.start import require_near, require_state
 from polyida.integrate.state import State
 from polyida.linear.inertia import symmetric
 from polyida.linear.kkt import KKT, require_independent, scaling_factors
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 

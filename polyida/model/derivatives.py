@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from polyida.errors import InputError
 from polyida.given import floats, is_number, is_whole
 from polyida.keywords import named_keywords
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 from polyida.model import Model, differences
 from polyida.model.check import DOUBT, RAISED, energies
 from polyida.model.guarded import guard, require_constraints, writes

@@ -9,7 +9,7 @@ import numpy as np
 
 from polyida.errors import StepFailure
 from polyida.given import is_number, is_whole
-from polyida.integrate.state import Counts, State, States, Stretch, parted
+from polyida.integrate.state import Counts, State, States, Stretch, asked, parted
 from polyida.integrate.switches import Switches
 from polyida.model.guarded import blame
 
@@ -39,7 +39,7 @@ def _one_by_one(integrator, state, t_end, model, counts):
 def _accepted(integrator, state, t_end, model, counts, rows):
     """The same of the integrator's own steps, whatever switches."""
     own = type(integrator).__module__.startswith("polyida.")
-    places = {"rows": rows} if rows and own and getattr(integrator, "writes_rows", False) else {}
+    places = {"rows": rows} if rows and own and asked(integrator, "writes_rows") else {}
     watch = _Watch(integrator, state, t_end, counts)
     begin = state if own else State(state.t, *(getattr(state, name).copy() for name in FIELDS), deepcopy(state.memory), state.restart)
     made = integrator.steps(model, begin, t_end, counts, **places)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.bar import require_progress
 from polyida.errors import InputError
 from polyida.given import is_number
-from polyida.integrate.state import Counts
+from polyida.integrate.state import Counts, asked
 from polyida.io.file.layout import FRAMES
 from polyida.io.file.reader import naming, read
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
@@ -93,7 +93,7 @@ def _asked(stored, t_end, model, integrator, until):
         model, integrator = _parts(stored, model, integrator)
         plan = _plan(stored, t_end, until)
     require_run(model, plan["t_end"], stored.restart.state.t, integrator)
-    getattr(integrator, "require_reach", lambda *run: None)(guard(model), stored.restart.state, plan["t_end"])
+    asked(integrator, "require_reach")(guard(model), stored.restart.state, plan["t_end"])
     return model, integrator, plan
 
 

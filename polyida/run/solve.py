@@ -15,7 +15,7 @@ from polyida.bar import require_progress
 from polyida.errors import InputError, ReductionWarning
 from polyida.given import floats, is_number, is_one_of, is_whole, takes
 from polyida.integrate.start import consistent_state, given, require_state, restarted
-from polyida.integrate.state import Counts, Integrator, State, constant_step
+from polyida.integrate.state import Counts, Integrator, State, asked, constant_step
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
@@ -96,8 +96,8 @@ def solve(
     path = None if out is None else free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
-        state = _first(model, t0, state, q0, v0, t_end, getattr(integrator, "nonholonomic", False))
-        getattr(integrator, "require_reach", lambda *run: None)(guard(model), state, t_end)
+        state = _first(model, t0, state, q0, v0, t_end, asked(integrator, "nonholonomic"))
+        asked(integrator, "require_reach")(guard(model), state, t_end)
         recorder, file = Recorder(guard(model), sensors or {}), None
         recorder.step(state)
         if path is not None:
@@ -137,10 +137,10 @@ def require_run(model, t_end, begin, integrator):
         raise InputError(f"solve: {told} must be a function, steps(model, state, t_end, counts), that yields a State a step")
     if not takes(integrator.steps, 4):
         raise InputError(f"solve: steps of {type(integrator).__name__} must take (model, state, t_end, counts)")
-    getattr(integrator, "require", lambda model: None)(model)
+    asked(integrator, "require")(model)
     if not (is_number(t_end) and t_end > begin):
         raise InputError(f"solve: t_end = {t_end!r} must be a finite time after the start, t0 = {begin} s")
-    _require_steps(begin, t_end, getattr(integrator, "h", None))
+    _require_steps(begin, t_end, asked(integrator, "h"))
 
 
 def _require_steps(begin, t_end, h):

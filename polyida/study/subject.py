@@ -7,6 +7,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import floats, is_number
 from polyida.integrate.start import consistent_state
+from polyida.integrate.state import asked
 from polyida.model import Model
 from polyida.run.solve import require_run, solve
 
@@ -42,7 +43,7 @@ class Subject:
 
     def warm_up(self, integrator):
         """Two steps, so that compiling or loading kernels counts as nobody's time."""
-        h = getattr(integrator, "h", None)
+        h = asked(integrator, "h")
         short = 2 * h if is_number(h) else SHORT * self.t_end
         self.run(integrator, min(short, self.t_end))
 

@@ -7,8 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from polyida.errors import StepFailure
-from polyida.linear.lu import SingularSystem
-from polyida.linear.matrix import dense
+from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import writes
 from polyida.system import dense as small

@@ -8,7 +8,7 @@ from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.whole import sizes, whole_matrix
 from polyida.linear.condition import scaled
 from polyida.linear.kkt import assemble
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 
 REGULARISATION = 1e-8  # of the LDL^T without pivoting, on the multipliers' diagonal
 

@@ -11,7 +11,7 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state
 from polyida.linear.condition import condition
 from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 from polyida.model import Model, Needs
 from polyida.problems import plates
 from polyida.run.solve import solve

@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.linear.lu import LU
-from polyida.linear.matrix import dense
+from polyida.linear.lu import LU, dense
 from polyida.linear.refined import ENOUGH, ExactSaddle
 
 AGAIN = 8  # solves, at most, for what eta turns with q

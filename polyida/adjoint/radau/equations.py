@@ -20,8 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.linear.condition import scaled
-from polyida.linear.lu import LU
-from polyida.linear.matrix import dense
+from polyida.linear.lu import LU, dense
 
 ROUNDS = 2  # solves with a step's factor: the second takes what round-off left
 

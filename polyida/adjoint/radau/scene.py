@@ -5,8 +5,7 @@ import numpy as np
 from polyida.adjoint.radau.equations import Linearised, Multipliers
 from polyida.adjoint.radau.modes import Modes
 from polyida.adjoint.scene.products import products_at
-from polyida.linear.lu import Kept, SingularSystem
-from polyida.linear.matrix import dense
+from polyida.linear.lu import Kept, SingularSystem, dense
 from polyida.linear.refined import ENOUGH, LEFT, SLOW
 
 MOST = 25  # corrections with one pair of factors

@@ -19,7 +19,7 @@ from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State
 from polyida.integrate.switches import steps_of
 from polyida.io.frames import MEMORY_LIMIT
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 
 MOST = 30  # Newton iterations
 NEAR = 1e-9  # of the model's size: a full Newton's correction behind which as good as nothing is left

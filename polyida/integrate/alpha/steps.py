@@ -49,22 +49,9 @@ class Steps:
         s, c, y, model = self.settings, self.settings.coefficients, self.memory, self.model
         to_a, to_v = c.rates(h)
         least, most, share = s.newton_tolerance(to_a * h * h)
-        self.method = step.Method(
-            h,
-            c.alpha_m,
-            c.alpha_f,
-            c.beta,
-            c.gamma,
-            to_a,
-            to_v,
-            least,
-            most,
-            self.caution * share,
-            extent(model, state.q),
-            s.incremental_phi and model.carries,
-            s.max_iterations,
-            *(self._held_to(h) if self.control else (0.0, 0.0, 0.0, 0.0, 0.0)),
-        )
+        numbers = h, c.alpha_m, c.alpha_f, c.beta, c.gamma, to_a, to_v, least, most, self.caution * share, extent(model, state.q)
+        control = self._held_to(h) if self.control else (0.0, 0.0, 0.0, 0.0, 0.0)
+        self.method = step.Method(*numbers, s.incremental_phi and model.carries, s.max_iterations, *control)
         y.past[: step.CHANGE], y.past[step.CHANGE : step.MASSES] = (state.q, state.v, state.a, state.memory["a_alg"]), 0.0
         y.past[step.CHANGE] = self._change_before(state)
         y.closed[step.LAM], (y.closed[step.PHI], y.closed[step.RATE]) = state.lam, start_values(model, state)

@@ -19,7 +19,7 @@ from polyida.integrate.state import Counts, State
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.check import require_energies
-from polyida.model.guarded import guard
+from polyida.model.guarded import guard, unguarded
 from polyida.system.python import small_own
 
 
@@ -101,7 +101,7 @@ class EnergyMomentum:
 def _kind(model):
     """The kind of steps that a model takes."""
     if not model.is_scene:
-        return Midpoint if small_own(model) and getattr(model, "user", model).by_numba else General
+        return Midpoint if small_own(model) and unguarded(model).by_numba else General
     return Midpoint if model.compiled and (model.laws is None or NO_ENERGY not in model.laws.energies) else WithForces
 
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polyida.integrate.state import State
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 from polyida.model.differences import along, reach_along
 
 # constants of compiled code

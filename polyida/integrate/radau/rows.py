@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.linear.matrix import dense
+from polyida.linear.lu import dense
 from polyida.model.differences import along, reach_along
 
 NOTHING = 1e-12  # of the largest mass: none

@@ -5,6 +5,7 @@ Two methods that agree may both have stepped over what is short and announced by
 
 import numpy as np
 
+from polyida.integrate.state import asked
 from polyida.show.style import INK, on_axes, plain
 from polyida.study.drawing import look, slope_line
 from polyida.study.reference.agreed import agreed, given
@@ -145,8 +146,8 @@ def against_reference(study, given_subject, members, reference, repeats, tell):
 
 
 def _step(integrator):
-    h = getattr(integrator, "h", None)
-    return float(h) if isinstance(h, (int, float)) and getattr(integrator, "rtol", None) is None else None
+    h = asked(integrator, "h")
+    return float(h) if isinstance(h, (int, float)) and asked(integrator, "rtol") is None else None
 
 
 def _stopped(rows):

@@ -7,8 +7,7 @@ from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.rows import Rows
 from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.start import consistent_acceleration
-from polyida.linear.lu import SingularSystem
-from polyida.linear.matrix import dense
+from polyida.linear.lu import SingularSystem, dense
 from polyida.system import table as of
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 from polyida.system.table import DONE, NOT_FINITE, REASONS, SINGULAR
