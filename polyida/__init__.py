@@ -8,7 +8,7 @@ _PLACES = {
     "ReductionWarning": "errors",
     "Model": "model",
     "Needs": "model",
-    "compiled": "system.own",
+    "compiled": "jit.compiled",
     "check_derivatives": "model.derivatives",
     "Material": "body.material",
     "Plate": "body.plate",

@@ -25,6 +25,7 @@ class Profile:
     `formula` describes a profile made by this module as plain data (kind, numbers), so that it can be stored in a file. Profiles
     pickle where the functions do: those of this module always, a user's where they stand in a module.
     `shortest`: the shortest time in which it moves and comes to rest or turns back, s; None where nobody says: solvers look.
+    `takes_arrays`: whether the functions take arrays of times too.
     """
 
     value: Callable
@@ -33,6 +34,7 @@ class Profile:
     kinks: tuple = ()
     formula: tuple = ()
     shortest: float | None = None
+    takes_arrays: bool = False
 
     def __repr__(self):
         """Kind and numbers; of a user's function its name."""
@@ -47,9 +49,11 @@ class Profile:
         return self.value(t), self.d1(t), self.d2(t)
 
     def over(self, t: NDArray, order: int = 0) -> NDArray:
-        """Value, first or second derivative at times (k,), by the order, (k,)."""
+        """Value, first or second derivative, by the order, at times of any shape."""
         function = (self.value, self.d1, self.d2)[order]
-        return np.broadcast_to(function(t), t.shape) if self.formula else np.array([function(at) for at in t.tolist()])
+        if self.formula or self.takes_arrays:
+            return np.broadcast_to(function(t), t.shape)
+        return np.array([function(at) for at in t.ravel().tolist()]).reshape(t.shape)
 
 
 @named_keywords
@@ -144,6 +148,7 @@ def from_function(
     """A profile from functions of time; derivatives that are not given are differences of values on one side of all kinks.
 
     shortest: its shortest move, s; where that is not given, solvers look for moves that their steps would pass over.
+    Functions that are compiled (`polyida.compiled`, numba.njit) are called at many times at once, without Python.
     Raises InputError where these are no functions, kinks no finite times, shortest not positive; and, when it is called,
     where a function gives anything but a finite number.
     """
@@ -156,8 +161,9 @@ def from_function(
     times = np.sort(times)
     if not (shortest is None or (is_number(shortest) and shortest > 0)):
         raise InputError(f"profile.from_function: shortest = {shortest!r} must be a positive time in s")
-    value = partial(_checked, value)
-    d1, d2 = (function and partial(_checked, function) for function in (d1, d2))
+    _values(value, np.zeros(0))  # a function that numba cannot compile is refused here
+    value = partial(_values, value)
+    d1, d2 = (function and partial(_values, function) for function in (d1, d2))
     given, order = (d1, 1) if d1 else (value, 2)
     return Profile(
         value,
@@ -165,15 +171,26 @@ def from_function(
         d2 or partial(_derivative, given, order, times),
         tuple(times.tolist()),
         shortest=shortest,
+        takes_arrays=True,
     )
 
 
+def _values(function, t):
+    """What a user's function of time gives at a time, or at an array of them: finite numbers."""
+    if not np.ndim(t):
+        return _checked(function, t)
+    from polyida.jit.compiled import over
+
+    times = np.asarray(t, float)
+    found = over("profile", function, times.ravel())
+    if found is None or not np.isfinite(found).all():
+        found = np.array([_checked(function, at) for at in times.ravel().tolist()])
+    return found.reshape(times.shape)
+
+
 def _checked(function, t):
-    """A user's function of time, which must give a finite number at a time; at an array of times it may give anything."""
     found = function(t)
     if type(found) is float and isfinite(found):
-        return found
-    if np.ndim(t):
         return found
     found = found.item() if isinstance(found, (np.ndarray, np.generic)) and found.ndim == 0 else found
     if not is_number(found):
@@ -183,7 +200,10 @@ def _checked(function, t):
 
 
 def _derivative(function, order, kinks, t):
-    return float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
+    if not np.ndim(t):
+        return float(within(lambda s: function(t + s), around(kinks, t), REACH[order], order))
+    bounds, k = np.array([-np.inf, *kinks, np.inf]), np.searchsorted(kinks, t, side="right")
+    return within(lambda s: function(t + s), (bounds[k] - t, bounds[k + 1] - t), REACH[order], order)
 
 
 @named_keywords
@@ -192,7 +212,11 @@ def difference(first: Profile, second: Profile) -> Profile:
     kinks = tuple(sorted({*first.kinks, *second.kinks}))
     pairs = (first.value, second.value), (first.d1, second.d1), (first.d2, second.d2)
     value, d1, d2 = (partial(_less, f, g) for f, g in pairs)
-    return Profile(value, d1, d2, kinks)
+    return Profile(value, d1, d2, kinks, takes_arrays=_take_arrays(first, second))
+
+
+def _take_arrays(*profiles):
+    return all(bool(profile.formula) or profile.takes_arrays for profile in profiles)
 
 
 def _less(f, g, t):
@@ -204,7 +228,7 @@ def scaled(profile: Profile, factor: float) -> Profile:
     """The profile times a number. Raises InputError where that is not finite."""
     _require_numbers("scaled", factor=factor)
     value, d1, d2 = (partial(_times, f, float(factor)) for f in (profile.value, profile.d1, profile.d2))
-    return Profile(value, d1, d2, profile.kinks, shortest=profile.shortest)
+    return Profile(value, d1, d2, profile.kinks, shortest=profile.shortest, takes_arrays=_take_arrays(profile))
 
 
 def _times(f, factor, t):

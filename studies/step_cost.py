@@ -6,7 +6,7 @@ from against_peers import peers
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, picture
 from polyida.study.sweeps.harness import Study
-from step_cost import beside_alpha, frames, threads, told_cj, waits
+from step_cost import beside_alpha, frames, own_functions, threads, told_cj, waits
 from step_cost import measure as cost
 from step_cost.against import against
 from step_cost.pair import BACKENDS, pair_row
@@ -43,6 +43,7 @@ RUNS = {
     "pair": pair_row,
     "beside alpha": beside_alpha.ratio_row,
     "told cj": told_cj.told_row,
+    "own functions": own_functions.own_row,
     "sparse": cost.sparse_row,
     "memory": cost.memory_row,
     "frames": frames.frames_row,
@@ -72,7 +73,7 @@ def tasks(quick):
         for part, names in (("pair", BACKENDS), ("floor", backends)):
             made += [{"part": part, "dof": dof, "backend": name, "repeats": 2 if large else 7} for name in names]
     made += [{"part": "beside alpha", "dof": dof, "repeats": (3 if dof > 50_000 else 7) // few} for dof in DECADES.values()]
-    made += told_cj.tasks(quick)
+    made += told_cj.tasks(quick) + own_functions.tasks(quick)
     made += frames.tasks(quick)
     spans = dict(zip(SPARSE.values(), (0.2, 0.04, 0.01) if quick else (1.0, 0.2, 0.05)))
     made += [{"part": "sparse", "dof": dof, "t_end": span, "repeats": 1 if quick else 3} for dof, span in spans.items()]
@@ -175,7 +176,7 @@ def ida_notes(rows):
 
 
 def told_notes(rows):
-    return told_cj.notes(only(rows, "told cj"))
+    return told_cj.notes(only(rows, "told cj")) + own_functions.notes(only(rows, "own functions"))
 
 
 def radau_notes(rows):

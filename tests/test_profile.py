@@ -91,3 +91,25 @@ def test_a_function_of_more_than_time_is_named():
     body = pi.RigidBody.bar(1.0, 1.0)
     with pytest.raises(pi.InputError, match="Torque 'drive': .* is no function of time"):
         pi.Torque(body.at("left"), lambda t, x: 1.0, name="drive")
+
+
+def waved(t):
+    return np.sin(3.0 * t) + 0.5 * abs(t - 0.3)
+
+
+def test_a_compiled_function_gives_the_same_values_at_many_times():
+    times = np.append(np.linspace(-1.0, 1.0, 33), 0.3)
+    made = [profile.from_function(function, kinks=(0.3,)) for function in (waved, pi.compiled(waved))]
+    for order in range(3):
+        one, other = (each.over(times, order) for each in made)
+        single = [(made[0].value, made[0].d1, made[0].d2)[order](t) for t in times.tolist()]
+        assert np.array_equal(one, single) and np.abs(other - single).max() < 1e-10 * np.abs(single).max()
+
+
+def test_a_compiled_profile_that_numba_does_not_take_is_refused():
+    with pytest.raises(pi.InputError, match="profile odd cannot be compiled by numba"):
+        profile.from_function(pi.compiled(odd))
+
+
+def odd(t):
+    return float(eval("t"))

@@ -101,7 +101,7 @@ def assemble(plates, few, places, parts, gravity, size, left_out=()):
         points.mass[points.add(mass.at)] += mass.mass
     fields = operator_arrays(plates) | body_arrays(plates) | load_arrays(dead_loads(parts, gravity, places), drives)
     fields["weight"] = np.concatenate([placed.weight(steady(gravity)) for placed in (*plates, *few)])
-    laws = laws_of(of_kind(parts, ForceElement), points, drives, size)
+    laws = laws_of(of_kind(parts, ForceElement), [placed for placed in few if placed.elastic], points, drives, size)
     links = Links(**points.arrays(), **table.arrays(), gravity=np.array(steady(gravity)))
     links = links._replace(coupling=coupling_of(links, laws))
     first = plates[-1].nodes.stop if plates else 0

@@ -1,5 +1,6 @@
 """The model of a scene: one residual and one constraint vector, from compiled kernels."""
 
+from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
@@ -36,8 +37,8 @@ class SceneModel(SceneBodies):
     nodes, m, then of the complex coordinates of bodies that have few.
 
     bodies: the plates in order, each with its slice of the nodes; few: the other bodies; places: all by id. arrays: all that the compiled
-    kernels read; own_forces: the force elements and bodies' elastic forces that are Python; laws: the elements by number where all of them
-    are compiled. compiled: whether there is no Python in it, so that kernels take whole steps. `rows` names the slice of phi and lam that
+    kernels read; own_forces: the force elements and own bodies' elastic forces, for Python; laws: the same by number, if all are compiled.
+    compiled: whether there is no Python in it, so that kernels take whole steps. `rows` names the slice of phi and lam that
     belongs to each joint or body. Matrices are scipy.sparse.
     """
 
@@ -72,7 +73,7 @@ class SceneModel(SceneBodies):
         self._switching = any(own.switches for own in self.own_forces.each)
         self.uneven_mass, self.uneven_drag = uneven_mass(self.few, self.n), uneven_drag(self.few, self.n)
         python = [placed.name for placed in self.few if placed.python] + [
-            name for name, element in elements.items() if not element.compiled_law
+            name for name, element in elements.items() if not element.compiled_functions()
         ]
         massless = [placed.name for placed in self.few if placed.massless]
         self.solid = not massless and self.uneven_mass is None
@@ -147,8 +148,11 @@ class SceneModel(SceneBodies):
             r += self.uneven_drag @ v
         if self.laws is not None:
             add_own_forces(self.laws, self.arrays.links, self.drives(t), self._nodal(q), self._nodal(v), r.reshape(-1, 2))
-        # in Python: what the laws do not hold, and all where r is not finite, which tells whose fault that is
-        self.own_forces.take_from(r, t, q, v, only_strain=self.laws is not None and bool(np.isfinite(r).all()))
+        if self.laws is None:
+            self.own_forces.take_from(r, t, q, v)
+        elif not np.isfinite(r).all():
+            with suppress(Exception):  # in Python, so that `not_finite` says whose fault it is
+                self.own_forces.take_from(r, t, q, v)
         return r
 
     def call_all(self, t, q, v):

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.material import vector2
-from polyida.body.own_part import OwnPart, require_whole, writes
+from polyida.body.own_part import OwnPart, compiled_functions, require_whole, writes
 from polyida.errors import InputError
 from polyida.given import complexes, floats, is_one_of, on_pairs, pairs_of
 from polyida.joint.attachment import Attachment
@@ -22,8 +22,8 @@ class Body(OwnPart):
     `M z'' + elastic(z) = forces`, M constant; each of its points is `x = sum w_k z_k` with constant complex weights w, so that joints,
     masses, loads and forces hold on to it by `body.at(name)`. In q stand the displacements of its pairs from `coordinates()`, after the
     nodes of the plates. Gravity acts as `M T g`, T its `translation()`. What is constant is asked for once, and kernels take it from there;
-    z is to read only. A scene with a body whose `elastic` is written, in Python, goes through the integrators' plain paths, which its
-    summaries say, as does one of a body whose x and y carry different masses.
+    z is to read only. A scene with a body whose `elastic` is Python goes through the integrators' plain paths, which its summaries say;
+    with `@polyida.compiled` above the class numba compiles `elastic` and `energy`. So does one of a body whose x and y carry different masses.
     """
 
     few = True  # its points are made of few coordinates
@@ -65,6 +65,10 @@ class Body(OwnPart):
     def energy(self, z: NDArray) -> float:
         """Elastic energy W, J, zero at rest."""
         raise NotImplementedError
+
+    def compiled_functions(self) -> dict[str, Any]:
+        """{"elastic", "energy": function(self, z)} that numba compiles, empty where they are Python."""
+        return compiled_functions(self, Body, "elastic", "energy")
 
     def rows(self) -> list[Row | Vector]:
         """Constraints of its own, as of a joint, made of the `x` and `d` of its points (`self.at`, `self.point_of`): those, say, that keep

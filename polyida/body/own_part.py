@@ -1,4 +1,4 @@
-"""What the parts of one's own that are Python have in common: a class that files find by its name, looked at before it is used."""
+"""What the parts of one's own have in common: a class that files find by its name, looked at before it is used."""
 
 from dataclasses import fields, is_dataclass
 
@@ -11,6 +11,7 @@ class OwnPart:
     """A part whose class is a user's: a frozen dataclass with a field `name`; its other fields are its data and are saved with it."""
 
     name: str | None = None
+    by_numba = False  # True of a class whose functions numba compiles (jit/compiled.py)
 
     def __init_subclass__(cls, part: bool = True, **options):
         """part: whether the class is of parts that files find by its name, not of what parts are made of."""
@@ -38,3 +39,11 @@ def require_whole(part, base, needed):
 def writes(part, base, function):
     """Whether the class of a part writes a function of its base anew."""
     return getattr(type(part), function) is not getattr(base, function)
+
+
+def compiled_functions(part, base, *names):
+    """{name: function} of those that the class of a part writes, for numba; empty where they are Python, or use a function that is."""
+    from polyida.jit.compiled import OwnData
+
+    found = {name: getattr(type(part), name) for name in names if writes(part, base, name)}
+    return found if part.by_numba and not OwnData(part, found.values()).python else {}

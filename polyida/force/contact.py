@@ -8,77 +8,72 @@ from numpy.typing import NDArray
 
 from polyida.body.material import number, positive
 from polyida.errors import InputError
-from polyida.force.force_element import ForceElement, by_energy
+from polyida.force.force_element import ForceElement
 from polyida.given import settle
-from polyida.jit import entry, part
+from polyida.jit.compiled import compiled
 from polyida.joint.attachment import require_places, require_sides
 from polyida.keywords import named_keywords
 
 
-@part
-def hunt_crossley(depth, rate, data):
+def hunt_crossley(self, depth, rate):
     """`k depth^n (1 + 3/2 c rate)`, N, zero where that pulls or there is no contact."""
     if depth <= 0.0:
         return 0.0
-    return max(0.0, data[0] * depth ** data[2] * (1.0 + 1.5 * data[1] * rate))
+    return max(0.0, self.stiffness * depth**self.exponent * (1.0 + 1.5 * self.damping * rate))
 
 
-@part
-def stored(depth, data):
-    """`k depth^(n + 1) / (n + 1)`, zero where there is no contact."""
-    return data[0] * max(0.0, depth) ** (data[2] + 1.0) / (data[2] + 1.0)
-
-
-@part
-def depth_in_line(x):
-    """How deep the first side is in the half-plane of the others."""
-    wx, wy, dx, dy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1], x[2, 0], x[2, 1]
-    return (wx * dy - wy * dx) / np.sqrt(dx * dx + dy * dy)
-
-
-@entry
-def line_energy(x, data):
-    """Of a contact with a line."""
-    return stored(depth_in_line(x), data)
-
-
-@entry
-def circle_energy(x, data):
-    """Of a contact with a circle."""
-    wx, wy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1]
-    return stored(data[3] - np.sqrt(wx * wx + wy * wy), data)
-
-
-@entry
-def on_line(t, x, v, data, f):
+def on_line(self, t, x, v):
     """`n F` on the point, the first side, and what that is on the line's point and direction d, the others; n = i d/|d|.
 
     With w from the line's point to the point: depth `delta = -w . n`, and `F d(delta)/dd = F (i w - delta d/|d|) / |d|` is minus the force
     on d.
     """
     wx, wy, dx, dy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1], x[2, 0], x[2, 1]
-    size, depth = np.sqrt(dx * dx + dy * dy), depth_in_line(x)
+    size, depth = np.sqrt(dx * dx + dy * dy), depth_in_line(self, x)
     nx, ny = -dy / size, dx / size
     ax, ay = (-wy - depth * dx / size) / size, (wx - depth * dy / size) / size
     rate = -((v[0, 0] - v[1, 0]) * nx + (v[0, 1] - v[1, 1]) * ny) + ax * v[2, 0] + ay * v[2, 1]
-    force = hunt_crossley(depth, rate, data)
-    f[0, 0], f[0, 1] = force * nx, force * ny
-    f[1, 0], f[1, 1] = -force * nx, -force * ny
-    f[2, 0], f[2, 1] = -force * ax, -force * ay
+    force = hunt_crossley(self, depth, rate)
+    return np.array(((force * nx, force * ny), (-force * nx, -force * ny), (-force * ax, -force * ay)))
 
 
-@entry
-def on_circle(t, x, v, data, f):
+def depth_in_line(self, x):
+    """How deep the first side is in the half-plane of the others."""
+    wx, wy, dx, dy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1], x[2, 0], x[2, 1]
+    return (wx * dy - wy * dx) / np.sqrt(dx * dx + dy * dy)
+
+
+def on_circle(self, t, x, v):
     """`n F` on the point, the first side, the opposite on the centre; n from the centre to the point, depth r - |w|."""
     wx, wy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1]
     size = np.sqrt(wx * wx + wy * wy)
     nx, ny = wx / size, wy / size
-    rate = -((v[0, 0] - v[1, 0]) * nx + (v[0, 1] - v[1, 1]) * ny)
-    force = hunt_crossley(data[3] - size, rate, data)
-    f[0, 0], f[0, 1] = force * nx, force * ny
-    f[1, 0], f[1, 1] = -force * nx, -force * ny
+    force = hunt_crossley(self, self.radius - size, -((v[0, 0] - v[1, 0]) * nx + (v[0, 1] - v[1, 1]) * ny))
+    return np.array(((force * nx, force * ny), (-force * nx, -force * ny)))
 
 
+def depth_in_circle(self, x):
+    """How deep the first side is in the circle about the second."""
+    wx, wy = x[0, 0] - x[1, 0], x[0, 1] - x[1, 1]
+    return self.radius - np.sqrt(wx * wx + wy * wy)
+
+
+def stored(self, depth):
+    """`k depth^(n + 1) / (n + 1)`, zero where there is no contact."""
+    return self.stiffness * max(0.0, depth) ** (self.exponent + 1.0) / (self.exponent + 1.0)
+
+
+def line_energy(self, x):
+    """Of a contact with a line."""
+    return stored(self, depth_in_line(self, x))
+
+
+def circle_energy(self, x):
+    """Of a contact with a circle."""
+    return stored(self, depth_in_circle(self, x))
+
+
+@compiled
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Contact(ForceElement):
@@ -100,7 +95,6 @@ class Contact(ForceElement):
     exponent: float = 1.5
     radius: float | None = None
     name: str | None = None
-    law = on_line
     dissipates = True
 
     def __post_init__(self):
@@ -116,30 +110,21 @@ class Contact(ForceElement):
             radius=None if self.radius is None else positive(self.label, "radius", self.radius, "metres"),
         )
 
-    @property
-    def compiled_law(self) -> Any:
+    def compiled_functions(self) -> dict[str, Any]:
         """Against a line or a circle."""
-        return on_line if self.radius is None else on_circle
-
-    @property
-    def compiled_energy(self) -> Any:
-        """Of the same."""
-        return line_energy if self.radius is None else circle_energy
+        return {"forces": on_line, "energy": line_energy} if self.radius is None else {"forces": on_circle, "energy": circle_energy}
 
     def sides(self) -> tuple:
         """The point, the point of the line or circle, and the line's direction."""
         return (self.a, self.b, self.b.d) if self.radius is None else (self.a, self.b)
 
-    def numbers(self) -> list:
-        """k, c, n and the radius, of a line none."""
-        return [self.stiffness, self.damping, self.exponent, *([] if self.radius is None else [self.radius])]
+    def forces(self, t: float, x: NDArray, v: NDArray) -> NDArray:
+        """On the point and what bounds, (sides, 2), N; on a direction J."""
+        return self.compiled_functions()["forces"](self, t, x, v)
 
     def depth(self, x: NDArray) -> float:
         """delta at the places of the sides, m; negative where there is no contact."""
-        w = x[0] - x[1]
-        if self.radius is not None:
-            return float(self.radius - np.linalg.norm(w))
-        return float(w[0] * x[2, 1] - w[1] * x[2, 0]) / float(np.linalg.norm(x[2]))
+        return float((depth_in_line if self.radius is None else depth_in_circle)(self, x))
 
     def gap(self, x: NDArray) -> float:
         """`-delta`, m: the distance of the point, negative in contact."""
@@ -147,7 +132,7 @@ class Contact(ForceElement):
 
     def energy(self, x: NDArray) -> float:
         """`k delta^(n + 1) / (n + 1)`, J."""
-        return by_energy(self, x)
+        return float(stored(self, self.depth(x)))
 
     def undefined(self, x: NDArray) -> str:
         """Where its point is at the centre of its circle, from where no direction leads out."""

@@ -1,6 +1,7 @@
 """The force elements that come with polyida beside Contact: springs, torques and forces, by numbers, profiles or functions of state."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from inspect import Parameter, signature
 from typing import Any
@@ -10,15 +11,14 @@ from numpy.typing import NDArray
 
 from polyida.body.material import number
 from polyida.errors import InputError
-from polyida.force.force_element import ForceElement, by_energy, by_law
+from polyida.force.force_element import ForceElement
 from polyida.given import is_flag, reals, settle
-from polyida.jit import entry, part
+from polyida.jit.compiled import compiled, dispatcher_of
 from polyida.joint.attachment import Attachment, Ground, ground, require_attachment, require_directions, require_places, require_sides
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
 
 PLAIN = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
-# constants of compiled code
 FURTHEST = 0.95 * np.pi  # rad: where the angle is taken to be lost soon
 
 
@@ -31,33 +31,55 @@ def is_of_state(given, count):
     return sum(p.kind in PLAIN and p.default is p.empty for p in parameters) == count
 
 
-def answer(part, call, given, shape=()):
-    """What a function of state gave, as real numbers of a shape. Raises InputError naming the part and how it was called."""
-    found = reals(given)
-    if found is None or found.shape != shape:
-        raise InputError(f"{part}: {call} must return {'two numbers' if shape else 'a number'}, not {str(given)[:80]}")
-    return found
+def asked(element, field, arguments, shape=()):
+    """The element for Python, its function of state looked at. That raises InputError unless it gives real numbers of a shape."""
+
+    def call(*given):
+        answer = function(*given)
+        found = reals(answer)
+        if found is None or found.shape != shape:
+            wanted = "two numbers" if shape else "a number"
+            raise InputError(f"{element.label}: {field}({arguments}) must return {wanted}, not {str(answer)[:80]}")
+        return found if shape else float(found)
+
+    if not callable(function := getattr(element, field)):
+        return element
+    other = copy(element)
+    settle(other, **{field: call})
+    return other
 
 
-@entry
-def spring(t, x, v, data, f):
-    """`-u N` on the second side, `u N` on the first: `N = k (l - l0) + c u.w' + N0`, u = w/l from the first to the second, zero at l = 0."""
+def along(x):
+    """(length of the line from the first side to the second, its direction, which is zero where the length is)."""
     wx, wy = x[1, 0] - x[0, 0], x[1, 1] - x[0, 1]
     length = np.sqrt(wx * wx + wy * wy)
     ux, uy = (wx / length, wy / length) if length > 0.0 else (0.0, 0.0)
+    return length, ux, uy
+
+
+def spring(self, t, x, v):
+    """`u N` on the first side, `-u N` on the second: `N = k (l - l0) + c u.w' + N0`, u = w/l from the first to the second, zero at l = 0."""
+    length, ux, uy = along(x)
     rate = ux * (v[1, 0] - v[0, 0]) + uy * (v[1, 1] - v[0, 1])
-    pull = data[0] * (length - data[2]) + data[1] * rate + data[3]
-    f[0, 0], f[0, 1] = pull * ux, pull * uy
-    f[1, 0], f[1, 1] = -f[0, 0], -f[0, 1]
+    pull = self.stiffness * (length - self.length) + self.damping * rate + self.preload
+    return np.array(((pull * ux, pull * uy), (-pull * ux, -pull * uy)))
 
 
-@entry
-def spring_energy(x, data):
+def spring_with_function(self, t, x, v):
+    """The same with `force(l - l0, u.w')` in N."""
+    length, ux, uy = along(x)
+    rate = ux * (v[1, 0] - v[0, 0]) + uy * (v[1, 1] - v[0, 1])
+    pull = self.force(length - self.length, rate) if length > 0.0 else 0.0
+    return spring(self, t, x, v) + np.array(((pull * ux, pull * uy), (-pull * ux, -pull * uy)))
+
+
+def spring_energy(self, x):
     """`k e^2/2 + N0 e`, e = l - l0."""
-    e = np.sqrt((x[1, 0] - x[0, 0]) ** 2 + (x[1, 1] - x[0, 1]) ** 2) - data[2]
-    return 0.5 * data[0] * e * e + data[3] * e
+    e = along(x)[0] - self.length
+    return 0.5 * self.stiffness * e * e + self.preload * e
 
 
+@compiled
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class SpringDamper(ForceElement):
@@ -65,7 +87,8 @@ class SpringDamper(ForceElement):
 
     a, b: attachments or places of the ground. stiffness k, N/m; damping c, N s/m; length l0, m, at which the spring rests, that of the
     drawing where it is None; preload N0, N. Energy `k e^2/2 + N0 e`, e = l - l0; the damper dissipates `c l'^2`. force: a further force
-    `force(e, l')`, N, e.g. `lambda e, rate: 1e4 * e**3`, whose energy is the integral of `force(e, 0)`; it is Python, and no file holds it.
+    `force(e, l')`, N, e.g. `lambda e, rate: 1e4 * e**3`, whose energy is the integral of `force(e, 0)`; no file holds it. It is Python
+    unless it is compiled (`polyida.compiled`); its energy, which EnergyMomentum asks for in steps, is Python in any case.
     Where l = 0 the line has no direction and there is no force. Raises InputError for wrong values.
     """
 
@@ -77,7 +100,6 @@ class SpringDamper(ForceElement):
     preload: float = 0.0
     force: Callable[[float, float], float] | None = None
     name: str | None = None
-    law = spring
     dissipates = True
 
     def __post_init__(self):
@@ -94,32 +116,19 @@ class SpringDamper(ForceElement):
         if self.force is not None and not callable(self.force):
             raise InputError(f"{self.label}: force = {self.force!r} must be a function of the elongation, m, and its rate, m/s")
 
-    @property
-    def compiled_law(self) -> Any:
-        """None where a further force is Python."""
-        return None if self.force else spring
-
-    @property
-    def compiled_energy(self) -> Any:
-        """Without that of a further force, which is Python."""
-        return spring_energy
+    def compiled_functions(self) -> dict[str, Any]:
+        """Without the energy of a further force; none if that is Python."""
+        if self.force:
+            return {"forces": spring_with_function} if dispatcher_of(self.force) else {}
+        return {"forces": spring, "energy": spring_energy}
 
     def sides(self) -> tuple:
         """Its two points."""
         return self.a, self.b
 
-    def numbers(self) -> list:
-        """k, c, l0 and N0."""
-        return [self.stiffness, self.damping, self.length, self.preload]
-
     def forces(self, t: float, x: NDArray, v: NDArray) -> NDArray:
         """`u N` on a and `-u N` on b, (2, 2), N."""
-        f, w = by_law(spring, self, t, x, v), x[1] - x[0]
-        length = np.linalg.norm(w)
-        if self.force and length:
-            given = self.force(self._elongation(x), float(w @ (v[1] - v[0]) / length))
-            f += np.outer([1.0, -1.0], answer(self.label, "force(elongation, rate)", given) * w / length)
-        return f
+        return (spring_with_function if self.force else spring)(asked(self, "force", "elongation, rate"), t, x, v)
 
     def _elongation(self, x):
         return float(np.linalg.norm(x[1] - x[0])) - self.length
@@ -128,39 +137,19 @@ class SpringDamper(ForceElement):
         """`k e^2/2 + N0 e` and the integral of `force(e, 0)`, J."""
         further = self.force
         if not further:
-            return by_energy(self, x)
+            return spring_energy(self, x)
         from scipy.integrate import quad
 
-        return by_energy(self, x) + quad(lambda s: further(s, 0.0), 0.0, self._elongation(x))[0]
+        return spring_energy(self, x) + quad(lambda s: further(s, 0.0), 0.0, self._elongation(x))[0]
 
 
-@part
-def turned(x, data):
+def turned(self, x):
     """The angle by which the second direction has turned against the first."""
-    ex, ey = data[3] * x[0, 0] - data[4] * x[0, 1], data[4] * x[0, 0] + data[3] * x[0, 1]
+    ex, ey = self.turn[0] * x[0, 0] - self.turn[1] * x[0, 1], self.turn[1] * x[0, 0] + self.turn[0] * x[0, 1]
     return np.arctan2(ex * x[1, 1] - ey * x[1, 0], ex * x[1, 0] + ey * x[1, 1])
 
 
-@entry
-def torsion(t, x, v, data, f):
-    """`-i M d_B / |d_B|^2` on the second direction, the opposite on the first: `M = k (angle - angle0) + c angle'`; nan beyond FURTHEST.
-
-    data: k, c, angle0, and the turn of the first at rest onto the second.
-    """
-    dx, dy, angle = x[1, 0], x[1, 1], turned(x, data)
-    first, second = x[0, 0] * x[0, 0] + x[0, 1] * x[0, 1], dx * dx + dy * dy
-    rate = (dx * v[1, 1] - dy * v[1, 0]) / second - (x[0, 0] * v[0, 1] - x[0, 1] * v[0, 0]) / first
-    moment = data[0] * (angle - data[2]) + data[1] * rate if abs(angle) < FURTHEST else np.nan
-    f[0, 0], f[0, 1] = -moment * x[0, 1] / first, moment * x[0, 0] / first
-    f[1, 0], f[1, 1] = moment * dy / second, -moment * dx / second
-
-
-@entry
-def torsion_energy(x, data):
-    """`k (angle - angle0)^2 / 2`."""
-    return 0.5 * data[0] * (turned(x, data) - data[2]) ** 2
-
-
+@compiled
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class TorsionSpring(ForceElement):
@@ -179,7 +168,6 @@ class TorsionSpring(ForceElement):
     damping: float = 0.0
     angle: float = 0.0
     name: str | None = None
-    law = torsion
     dissipates = True
 
     def __post_init__(self):
@@ -192,46 +180,62 @@ class TorsionSpring(ForceElement):
             angle=number(self.label, "angle", self.angle, "rad"),
         )
 
-    @property
-    def compiled_energy(self) -> Any:
-        """That of its angle."""
-        return torsion_energy
-
     def sides(self) -> tuple:
         """Its two directions."""
         a, b = (side.facing(other) if isinstance(side, Ground) else side for side, other in ((self.a, self.b), (self.b, self.a)))
         return a.d, b.d
 
-    def numbers(self) -> list:
-        """k, c, angle0, and cosine and sine of the angle from a to b at rest."""
+    @property
+    def turn(self) -> NDArray:
+        """Cosine and sine of the angle from a to b at rest."""
         a, b = (side.rest for side in self.sides())
         turn = b / a / abs(b / a)
-        return [self.stiffness, self.damping, self.angle, turn.real, turn.imag]
+        return np.array([turn.real, turn.imag])
 
-    def _angle(self, x):
-        a, b = (side.rest for side in self.sides())
-        d, e = x[0] @ [1.0, 1j], x[1] @ [1.0, 1j]
-        return float(np.angle(e * a / (d * b)))
+    def forces(self, t: float, x: NDArray, v: NDArray) -> NDArray:
+        """`M i d / |d|^2` on the direction of a, the opposite on that of b, (2, 2), J; nan beyond 0.95 half-turns."""
+        dx, dy, angle = x[1, 0], x[1, 1], turned(self, x)
+        first, second = x[0, 0] * x[0, 0] + x[0, 1] * x[0, 1], dx * dx + dy * dy
+        rate = (dx * v[1, 1] - dy * v[1, 0]) / second - (x[0, 0] * v[0, 1] - x[0, 1] * v[0, 0]) / first
+        moment = self.stiffness * (angle - self.angle) + self.damping * rate if abs(angle) < FURTHEST else np.nan
+        return np.array(((-moment * x[0, 1] / first, moment * x[0, 0] / first), (moment * dy / second, -moment * dx / second)))
 
     def energy(self, x: NDArray) -> float:
         """`k (angle - angle0)^2 / 2`, J."""
-        return by_energy(self, x)
+        return 0.5 * self.stiffness * (turned(self, x) - self.angle) ** 2
 
     def undefined(self, x: NDArray) -> str:
         """Where it is turned too far."""
-        angle = self._angle(x)
+        angle = turned(self, x)
         return f"it is turned by {angle:.3g} rad, of which it holds {FURTHEST:.3g}" if abs(angle) >= FURTHEST else ""
 
 
-@entry
-def turning(t, x, v, data, f):
-    """`M i d / |d|^2` on the direction d, whose power is M times the angle's rate, and the opposite on a second one."""
+def turning(self, t, x, v):
+    """The moment of time on the direction d, the opposite on a second one."""
+    return moments(x, self.moment(t))
+
+
+def moments(x, moment):
+    """`M i d / |d|^2` on each direction d, whose power is M times the angle's rate; M is the opposite on the second."""
+    f = np.empty(x.shape)
     for i in range(x.shape[0]):
-        moment = data[0] if i == 0 else -data[0]
         square = x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1]
-        f[i, 0], f[i, 1] = -moment * x[i, 1] / square, moment * x[i, 0] / square
+        f[i, 0], f[i, 1], moment = -moment * x[i, 1] / square, moment * x[i, 0] / square, -moment
+    return f
 
 
+def turning_by_state(self, t, x, v):
+    """The same of a moment `moment(t, angle, rate)`."""
+    cosine, sine, rate, sign = 1.0, 0.0, 0.0, 1.0
+    for i in range(x.shape[0]):
+        c, s, dx, dy = self.rest[i, 0], self.rest[i, 1], x[i, 0], x[i, 1]
+        ex, ey = c * dx + s * dy, sign * (c * dy - s * dx)
+        cosine, sine = cosine * ex - sine * ey, cosine * ey + sine * ex
+        rate, sign = rate + sign * (dx * v[i, 1] - dy * v[i, 0]) / (dx * dx + dy * dy), -sign
+    return moments(x, self.moment(t, np.arctan2(sine, cosine), rate))
+
+
+@compiled
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Torque(ForceElement):
@@ -240,7 +244,7 @@ class Torque(ForceElement):
     Its work is M times the angle that d turns by. against: an attachment of another body, on which -M acts, as of a motor between two
     bodies; None: the ground. moment: a number, a profile of time, a function of time, or a function of state `moment(t, angle, rate)` of
     three arguments: the angle that d has turned by, against the other direction where there is one, rad, between -pi and pi, and its
-    rate, rad/s. A function of state is Python, and no file holds it.
+    rate, rad/s. No file holds a function of state; it is Python unless it is compiled (`polyida.compiled`).
     Raises InputError for an attachment without a direction, two of one body, and a moment that is none of these.
     """
 
@@ -248,7 +252,6 @@ class Torque(ForceElement):
     moment: Profile | Callable | float
     against: Attachment | None = None
     name: str | None = None
-    law = turning
 
     def __post_init__(self):
         require_sides(self.label, self.at, ground if self.against is None else self.against)
@@ -258,10 +261,15 @@ class Torque(ForceElement):
         if not is_of_state(self.moment, 3):
             settle(self, moment=as_profile(self.moment, self.label))
 
-    @property
-    def compiled_law(self) -> Any:
+    def compiled_functions(self) -> dict[str, Any]:
         """None where the moment is Python."""
-        return turning if isinstance(self.moment, Profile) else None
+        of_time = isinstance(self.moment, Profile)
+        return {"forces": turning if of_time else turning_by_state} if of_time or dispatcher_of(self.moment) else {}
+
+    @property
+    def rest(self) -> NDArray:
+        """The directions at rest, (sides, 2)."""
+        return np.array([[side.rest.real, side.rest.imag] for side in self.sides()])
 
     def sides(self) -> tuple:
         """The direction, or both."""
@@ -269,32 +277,35 @@ class Torque(ForceElement):
 
     def forces(self, t: float, x: NDArray, v: NDArray) -> NDArray:
         """`M i d / |d|^2`, and the opposite on a second direction, (sides, 2), J."""
-        moment: Any = self.moment
-        if isinstance(moment, Profile):
-            return by_law(turning, self, t, x, v)
-        d, signs = x @ [1.0, 1j], np.array([1.0, -1.0])[: len(x)]
-        ways = d / [side.rest for side in self.sides()]
-        angle, rate = np.angle(ways[0] / (ways[1] if len(d) > 1 else 1.0)), signs @ (v @ [1.0, 1j] / d).imag
-        f = answer(self.label, "moment(t, angle, rate)", moment(t, float(angle), float(rate))) * signs * 1j / d.conj()
-        return np.stack([f.real, f.imag], axis=1)
+        if isinstance(self.moment, Profile):
+            return turning(self, t, x, v)
+        return turning_by_state(asked(self, "moment", "t, angle, rate"), t, x, v)
 
 
-@entry
-def push(t, x, v, data, f):
-    """The force that data are."""
-    f[0, 0], f[0, 1] = data[0], data[1]
+def push(self, t, x, v):
+    """The force of time on the point."""
+    return followed(self, x, self.force[0](t), self.force[1](t))
 
 
-@entry
-def follow(t, x, v, data, f):
-    """The force of data's first two turned as the direction, the second side, has been from data's last two; none on the direction."""
-    dx, dy = x[1, 0], x[1, 1]
-    size = np.sqrt((dx * dx + dy * dy) * (data[2] * data[2] + data[3] * data[3]))
-    c, n = (dx * data[2] + dy * data[3]) / size, (dy * data[2] - dx * data[3]) / size
-    f[0, 0], f[0, 1] = c * data[0] - n * data[1], n * data[0] + c * data[1]
-    f[1, 0] = f[1, 1] = 0.0
+def push_by_state(self, t, x, v):
+    """The force of state on the point."""
+    fx, fy = self.force(t, x[0], v[0])
+    return followed(self, x, fx, fy)
 
 
+def followed(self, x, fx, fy):
+    """The force, turned as the direction, the second side if there is one, has been from rest; none on the direction."""
+    f = np.zeros(x.shape)
+    f[0, 0], f[0, 1] = fx, fy
+    if x.shape[0] > 1:
+        dx, dy, wx, wy = x[1, 0], x[1, 1], self.way[0], self.way[1]
+        size = np.sqrt((dx * dx + dy * dy) * (wx * wx + wy * wy))
+        c, n = (dx * wx + dy * wy) / size, (dy * wx - dx * wy) / size
+        f[0, 0], f[0, 1] = c * fx - n * fy, n * fx + c * fy
+    return f
+
+
+@compiled
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Force(ForceElement):
@@ -302,7 +313,7 @@ class Force(ForceElement):
 
     force: a pair (fx, fy), each a number, a profile or a function of time; or a function of state `force(t, x, v)` of place, m, and
     velocity, m/s, (2,) each, that gives (fx, fy). follower: whether it turns with the direction of the attachment from where that is in
-    the reference configuration. A function of state is Python, and no file holds it.
+    the reference configuration. No file holds a function of state; it is Python unless it is compiled (`polyida.compiled`).
     Raises InputError for a force that is none of these, and for a follower at an attachment without a direction.
     """
 
@@ -310,7 +321,6 @@ class Force(ForceElement):
     force: Sequence[Profile | Callable[[float], float] | float] | Callable[..., Any]
     follower: bool = False
     name: str | None = None
-    law = push
 
     def __post_init__(self):
         require_attachment(self.label, self.at)
@@ -324,28 +334,20 @@ class Force(ForceElement):
             raise InputError(f"{self.label}: force = {self.force!r} must be a pair of numbers or profiles, or a function of (t, x, v)")
         settle(self, force=tuple(as_profile(component, self.label) for component in self.force))
 
-    @property
-    def compiled_law(self) -> Any:
+    def compiled_functions(self) -> dict[str, Any]:
         """None where the force is Python."""
-        return None if callable(self.force) else follow if self.follower else push
+        of_state = callable(self.force)
+        return {} if of_state and not dispatcher_of(self.force) else {"forces": push_by_state if of_state else push}
+
+    @property
+    def way(self) -> NDArray:
+        """The direction at rest that it follows, (2,)."""
+        return np.array([self.at.d.rest.real, self.at.d.rest.imag]) if self.follower else np.zeros(2)
 
     def sides(self) -> tuple:
         """The point, and the direction that it follows."""
         return (self.at, self.at.d) if self.follower else (self.at,)
 
-    def numbers(self) -> list:
-        """Both components, and the direction at rest."""
-        given: Any = self.force
-        return [*given, self.at.d.rest.real, self.at.d.rest.imag] if self.follower else [*given]
-
     def forces(self, t: float, x: NDArray, v: NDArray) -> NDArray:
         """The force on the point, (1, 2), N, and nothing on a direction that it follows, (2, 2)."""
-        if self.compiled_law:
-            return by_law(self.compiled_law, self, t, x, v)
-        function: Any = self.force
-        given = answer(self.label, "force(t, x, v)", function(t, x[0], v[0]), (2,))
-        if not self.follower:
-            return given[None]
-        turn = x[1] @ [1.0, 1j] / self.at.d.rest
-        force = complex(turn / abs(turn) * (given @ [1.0, 1j]))
-        return np.array([[force.real, force.imag], [0.0, 0.0]])
+        return push_by_state(asked(self, "force", "t, x, v", (2,)), t, x, v) if callable(self.force) else push(self, t, x, v)

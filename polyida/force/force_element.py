@@ -7,48 +7,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.body.own_part import OwnPart, require_whole, writes
+from polyida.body.own_part import OwnPart, compiled_functions, require_whole
 from polyida.errors import InputError
-from polyida.given import floats, is_number
 from polyida.joint.attachment import Attachment, Ground
 from polyida.joint.formula import Vector
 from polyida.profile import Profile
 
 
 class ForceElement(OwnPart):
-    """A force on attachments, written in Python: a frozen dataclass with a field `name`, `sides()` and `forces(t, x, v)`.
+    """A force on attachments: a frozen dataclass with a field `name`, `sides()` and `forces(t, x, v)`.
 
     Its fields (numbers, profiles, attachments) are its data and are saved with it. Its functions get the places x, m, and
     velocities v, m/s, of its sides, (sides, 2) each, to read only. A side is a point, or the direction of an attachment, `at.d`: its
     "place" is then the direction d, and the force on it the generalised one, J: `M i d / |d|^2` is a moment M. What it does not
-    write of the rest is taken by differences, or is not there. A scene with such forces goes through the integrators' plain paths,
-    which its summaries say.
-    Instead of `forces` it may have `law`, a function decorated with `numba.njit`: `law(t, x, v, data, f)` fills f (sides, 2), N, where
-    data are the element's `numbers()`. Kernels call it by its address, and take its slopes by differences; where all force elements of
-    a scene have one, integrators keep their compiled loops; the energy-momentum method does where those with an energy give it as a
-    `compiled_energy` too.
+    write of the rest is taken by differences, or is not there. A scene with forces in Python goes through the integrators' plain paths,
+    which its summaries say. With `@polyida.compiled` above the class numba compiles `forces` and `energy`, and integrators keep their
+    compiled loops if all force elements of a scene are compiled.
     A force that acts only in a part of space gives a `gap`; without one it may be stepped over, and nothing in the result shows it.
     dissipates: whether what its forces do beyond its energy is reported as dissipated, and not as work. works: whether they do more than
     its energy says where nothing moves, as of a spring with an actuator; else `forces` at v = 0 must be the falling slope of an `energy`
     that is given (unless they depend on t), which `check_derivatives` reports and the energy-momentum method requires.
     """
 
-    law: Any = None
     dissipates = False
     works = False
 
-    @property
-    def compiled_law(self) -> Any:
-        """The law that kernels call, None where its forces are Python. A class with a law and `forces` says by it which of them holds."""
-        return type(self).law
-
-    @property
-    def compiled_energy(self) -> Any:
-        """The energy that kernels call, `energy(x, data)`, decorated with `numba.njit`; None where it is Python or there is none.
-
-        `law` at v = 0 must be its falling slope, whatever the time.
-        """
-        return None
+    def compiled_functions(self) -> dict[str, Any]:
+        """{"forces", "energy": function(self, ...)} that numba compiles, empty where it is Python."""
+        return compiled_functions(self, ForceElement, "forces", "energy")
 
     def sides(self) -> Sequence:
         """What it acts on: attachments, places of the ground (`ground.at`), directions of both (`.d`)."""
@@ -56,15 +42,7 @@ class ForceElement(OwnPart):
 
     def forces(self, t: float, x: NDArray, v: NDArray) -> NDArray:
         """Forces on the sides, (sides, 2), N; on a direction J."""
-        return by_law(self.compiled_law, self, t, x, v)
-
-    def numbers(self) -> ArrayLike | Sequence[float | Profile]:
-        """What `law` gets as data: the numbers among its fields, and of profiles among them the values at the time."""
-        found: list[float | Profile] = []
-        for value in (getattr(self, field.name) for field in fields(self)):  # type: ignore[arg-type]
-            given = floats(value)
-            found += [value] if isinstance(value, Profile) else [] if given is None else given.ravel().tolist()
-        return found
+        raise NotImplementedError
 
     def forces_x(self, t: float, x: NDArray, v: NDArray) -> NDArray | None:
         """Derivatives of the forces in the places, (sides, 2, sides, 2), N/m; None: by differences."""
@@ -105,38 +83,13 @@ class Side:
 
 def require_element(element):
     """Raise InputError unless the class of a force element is whole."""
-    law = element.compiled_law
-    require_whole(element, ForceElement, ("sides",) if law else ("sides", "forces"))
-    if law and not hasattr(law, "py_func"):
-        raise InputError(f"{element.label}: its law is {law!r:.80}; it must be a function decorated with numba.njit")
-    if law and writes(element, ForceElement, "forces") and not writes(element, ForceElement, "compiled_law"):
-        raise InputError(f"{element.label}: its class gives forces() and a law; it must give one of them")
+    require_whole(element, ForceElement, ("sides", "forces"))
 
 
-def by_law(law, element, t, x, v):
-    """What a law gives with the numbers of an element, (sides, 2)."""
-    f = np.full(x.shape, np.nan)
-    law(float(t), np.array(x), np.array(v), data_at(element, t), f)
-    return f
-
-
-def by_energy(element, x):
-    """What a `compiled_energy` gives with the numbers of its element, J."""
-    return float(element.compiled_energy(np.array(x), data_at(element, 0.0)))
-
-
-def numbers_of(element):
-    """The numbers and profiles of an element's law as one list. Raises InputError."""
-    given = element.numbers()
-    found = list(given) if isinstance(given, (list, tuple, np.ndarray)) else [given]
-    if not all(isinstance(value, Profile) or is_number(value) for value in found):
-        raise InputError(f"{element.label}: numbers() must give a list of finite numbers and profiles")
-    return found
-
-
-def data_at(element, t):
-    """What an element's law gets as data at time t."""
-    return np.array([value.value(t) if isinstance(value, Profile) else value for value in numbers_of(element)], float)
+def profiles_of(part):
+    """The profiles in a part's fields, alone or in tuples."""
+    given = (getattr(part, field.name) for field in fields(part) if field.init)
+    return [one for value in given for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, Profile)]
 
 
 def sides_of(name, element):

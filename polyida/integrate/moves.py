@@ -44,9 +44,7 @@ class Look(NamedTuple):
 
     def values(self, times):
         """Its values at an array of times."""
-        if self.profile.formula:
-            return np.broadcast_to(self.profile.value(times), times.shape)
-        return np.array([self.profile.value(t) for t in times.ravel().tolist()], float).reshape(times.shape)
+        return self.profile.over(times)
 
 
 def parts(model, begin, end, h, fine=PARTS, now=-np.inf):

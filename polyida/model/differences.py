@@ -41,14 +41,20 @@ def central(scale=1.0):
 def within(function, room, step, order=1):
     """Derivative of order 1 or 2 at s = 0 from 7 values of the function `step` apart, or nearer, all inside of `room`.
 
-    It is that of the polynomial through them, of fifth order in the step or higher, from the right where room[0] = 0.
+    It is that of the polynomial through them, of fifth order in the step or higher, from the right where room[0] = 0. room: numbers, or
+    arrays of one shape, which `function` then takes and gives.
     """
     low, high = room
-    step = min(step, (high - low) / (SPACES + 2))
-    first = min(max(-SPACES / 2 * step, low + step / 8), high - step / 8 - SPACES * step)
-    at = first / step + np.arange(SPACES + 1)
-    weights = order * np.linalg.solve(np.vander(at, increasing=True).T, np.arange(SPACES + 1.0) == order) / step**order
-    values = [np.array(function(step * s)) for s in at]
+    least, most = (np.minimum, np.maximum) if np.ndim(low) else (min, max)
+    step = least(step, (high - low) / (SPACES + 2))
+    first = least(most(-SPACES / 2 * step, low + step / 8), high - step / 8 - SPACES * step)
+    at = (first / step)[..., None] + np.arange(SPACES + 1) if np.ndim(low) else first / step + np.arange(SPACES + 1)
+    powers, chosen = np.ones((*at.shape, SPACES + 1)), np.broadcast_to(np.arange(SPACES + 1.0) == order, at.shape)
+    powers[..., 1:] = at[..., None]
+    powers = np.multiply.accumulate(powers, axis=-1)
+    weights = np.linalg.solve(np.swapaxes(powers, -1, -2), chosen[..., None])[..., 0]
+    weights = np.moveaxis(order * weights, -1, 0) / step**order
+    values = [np.array(function(step * s)) for s in np.moveaxis(at, -1, 0)]
     return sum(weight * (value - values[0]) for weight, value in zip(weights, values))  # the weights' sum is zero, but for round-off
 
 

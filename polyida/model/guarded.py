@@ -4,9 +4,9 @@ A scene is compiled and tested; it is called as it is and pays nothing.
 """
 
 from collections import defaultdict
-from contextlib import suppress
 from itertools import product
 from sys import getrefcount
+from traceback import extract_tb
 
 import numpy as np
 
@@ -20,6 +20,7 @@ SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M
 REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time by differences of differences
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias", "phi_rate_q", "phi_bias_q")
 PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "keeps_body", "initial_velocity")
+MOST = 50  # coordinates and constraints of a model whose steps are compiled throughout
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
 
@@ -62,8 +63,12 @@ def blame(model, t, state):
     if model.compiled and not model.own_forces or model.not_finite:
         return model.not_finite
     for at, ahead in product(t + REACH, (0.0, 1.0)):
-        with suppress(Exception):
+        try:
             model.call_all(at, state.q + ahead * (at - state.t) * state.v, state.v)
+        except Exception as error:  # noqa: BLE001 whatever a function of a user raises
+            if unguarded(model).by_numba and model.n + model.m <= MOST:  # the calls of larger ones name their functions
+                where = f"{model.name}.{extract_tb(error.__traceback__)[-1].name} raised {type(error).__name__}: "
+                return f"{'' if isinstance(error, InputError) else where}{error} at t = {at:.9g} s"
         if model.not_finite:
             return f"{model.not_finite} at t = {at:.9g} s"
     return ""
@@ -120,9 +125,10 @@ class Guarded(Model):
         self.flexible, self.alike, self.carries = model.flexible, model.alike, model.carries
         self.dissipating, self.parameters = model.dissipating, model.parameters
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
+        compiled = self._compiled_calls()
         for name, shape in _shapes(self.n, self.m).items():
             if writes(model, name) and (self.m or name not in OF_CONSTRAINTS):
-                setattr(self, name, self._checked(name, getattr(model, name), shape))
+                setattr(self, name, self._checked(name, compiled.get(name) or getattr(model, name), shape))
         if "mass" in vars(self):
             self.written_mass, self.mass = self.mass, self._mass
         if writes(model, "kinks"):
@@ -132,6 +138,14 @@ class Guarded(Model):
         self.gaps = self._gaps
         for name in PASSED + tuple(name for name in OWN if writes(model, name)):
             setattr(self, name, getattr(self.user, name))
+
+    def _compiled_calls(self):
+        """{name: compiled function} of a model that is too large for a table of C functions."""
+        if not self.user.by_numba:
+            return {}
+        from polyida.system.own import Compiled
+
+        return Compiled(self).calls() if self.n + self.m > MOST else {}
 
     def __getattr__(self, name):
         """What an integrator of a user's own asks of a model of theirs, by names that no Model has."""

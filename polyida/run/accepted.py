@@ -170,6 +170,9 @@ class _Watch:
 
 def _naming_function(failure, model, state):
     """The failure, with the user's function that may have caused it."""
-    bad = blame(model, failure.t if math.isfinite(failure.t) else state.t, state)
+    t = failure.t if math.isfinite(failure.t) else state.t
+    bad = blame(model, t, state)
     known = bad.partition(" gave ")[0] in failure.reason
-    return failure if known else StepFailure(failure.status, f"{bad}; {failure.reason}", failure.t, **failure.seen)
+    if known and t == failure.t:
+        return failure
+    return StepFailure(failure.status, failure.reason if known else f"{bad}; {failure.reason}", t, **failure.seen)

@@ -91,14 +91,20 @@ class Run:
         self.last, until = state, Until(self.until, state) if self.until else None
         model = guard(self.model)
         self.watch = Watch(model, state)
-        size = self._steps_alone if until or self.recorder.functions or self.progress is not None else self._steps_to_flush
         for stretch in accepted(self.integrator, model, state, self.plan["t_end"], self.counts, self.sampler.rows):
             sound, failure = self.watch.look(stretch)
             self.counts.steps -= len(stretch) - sound
-            for part in parted(stretch.part(0, sound), self.counts, size):
-                after = part.last
-                at_zero = until.crossing(state, after) if until else None
-                self.recorder.step(after if at_zero is None else at_zero)
+            whole = stretch.part(0, sound)
+            self.taken, self.quiet = 0, self._quiet(whole, until)
+            for part in parted(whole, self.counts, self._size):
+                after, begin = part.last, self.taken
+                self.taken += len(part)
+                quiet = self.taken <= self.quiet
+                at_zero = until.crossing(state, after) if until and not quiet else None
+                if quiet:
+                    self.recorder.take(begin, self.taken)
+                else:
+                    self.recorder.step(after if at_zero is None else at_zero)
                 if at_zero is not None:
                     self.sampler.step(state, Stretch.of(at_zero))
                     self.last = at_zero
@@ -115,8 +121,15 @@ class Run:
                 raise failure
         return "done", unseen(model, constant_step(self.integrator))
 
-    def _steps_alone(self):
-        return 1
+    def _quiet(self, stretch, until):
+        """How many states of a stretch need not be looked at one by one."""
+        if self.progress is not None:
+            return 0
+        quiet = self.recorder.quiet(stretch)
+        return min(quiet, until.quiet(stretch)) if until and quiet else quiet
+
+    def _size(self):
+        return max(1, min(self._steps_to_flush(), self.quiet - self.taken))
 
     def _steps_to_flush(self):
         """How many steps it takes until a flush may be due."""

@@ -5,6 +5,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_number, read_only, reals
 from polyida.integrate.state import Stretch, between
+from polyida.jit.compiled import over
 from polyida.sensor import Sensor
 
 FEW = 64  # rows of sensors to begin with
@@ -58,12 +59,23 @@ class Sampler:
             self.kept = state
 
 
+def leading(good):
+    """How many entries are True before the first that is not."""
+    return int(np.append(good, False).argmin())
+
+
 class Until:
     """Watches f(t, q, v) for a change of sign from step to step. Raises InputError where it gives no finite number."""
 
     def __init__(self, function, state):
         self.function = function
         self.sign = np.sign(self._value(state))
+        self.quiet(Stretch.of(state))  # what numba cannot compile is refused before the run
+
+    def quiet(self, stretch):
+        """How many states lead a stretch without a change of sign, of a compiled function; 0 of one in Python."""
+        values = over("until:", self.function, stretch.t, stretch.q, stretch.v)
+        return 0 if values is None or not self.sign else leading(np.sign(values[:, 0]) == self.sign)
 
     def crossing(self, before, after):
         """The state where f is zero between two accepted ones, or None. A zero at the start does not count."""
@@ -120,12 +132,34 @@ class Recorder:
             return
         values = {name: self._value(name, state) for name in self.functions}
         self.shapes = self.shapes or {name: value.shape for name, value in values.items()}
-        row = np.concatenate([[state.t], *(value.ravel() for value in values.values())])
-        if self.count == len(self._rows):
-            more = np.empty((max(FEW, self.count), len(row)))
-            self._rows = np.concatenate([self._rows, more]) if self.count else more
-        self._rows[self.count] = row
-        self.count += 1
+        if not self.count:
+            self.quiet(Stretch.of(state))  # what numba cannot compile is refused before the run
+        self._add(np.concatenate([[state.t], *(value.ravel() for value in values.values())])[None])
+
+    def quiet(self, stretch):
+        """How many states lead a stretch at which compiled sensors give finite numbers, for `take`; 0 where one is Python."""
+        if not self.functions:
+            return len(stretch)
+        found, given = [], (stretch.t, stretch.q, stretch.v)
+        for name, shape in self.shapes.items():
+            if (values := over(f"sensors: {name!r}:", self.functions[name], *given, shape=shape)) is None:
+                return 0
+            found.append(values)
+        self.ahead = np.column_stack([stretch.t, *found])
+        return leading(np.isfinite(self.ahead).all(axis=1))
+
+    def take(self, first, end):
+        """The accepted states from number `first` to before `end` of the stretch that `quiet` looked at last."""
+        if self.functions:
+            self._add(self.ahead[first:end])
+
+    def _add(self, rows):
+        count = self.count + len(rows)
+        if count > len(self._rows):
+            more = np.empty((max(FEW, count), rows.shape[1]))
+            self._rows = np.concatenate([self._rows[: self.count], more]) if self.count else more
+        self._rows[self.count : count] = rows
+        self.count = count
 
     def _value(self, name, state):
         sensor = self.functions[name]

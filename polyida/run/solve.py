@@ -120,7 +120,7 @@ def _first(model, t0, state, q0, v0, t_end, nonholonomic):
     else:
         q, v = given(known, "q0", q0), given(known, "v0", v0)
     if small_own(known) and unguarded(known).by_numba:
-        Compiled(unguarded(known))
+        Compiled(known)
     require_declared(known, float(t0), q, v, float(t_end), nonholonomic)
     if state is None:
         return consistent_state(model, t0, q0, v0)

@@ -31,7 +31,6 @@ from polyida.system.table import (
     pointer,
 )
 
-MOST = 50  # coordinates and constraints of a model that is solved so
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
 FUNCTIONS = (

@@ -9,7 +9,7 @@ import numpy as np
 from polyida.errors import StepFailure
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.step_matrix import StepMatrix
-from polyida.model.guarded import writes
+from polyida.model.guarded import MOST, writes
 from polyida.system import dense as small
 from polyida.system.own import OF_STEPS, Compiled
 from polyida.system.table import (
@@ -274,7 +274,7 @@ class CompiledTable(DenseTable):
 
     def _fill(self):
         super()._fill()
-        self.compiled, functions = Compiled(getattr(self.model, "user", self.model), self.names), self.w.functions
+        self.compiled, functions = Compiled(self.model, self.names), self.w.functions
         functions[[small.TANGENT, small.FORCE_V]] = 0
         if not self.model.needs.driven:
             functions[small.PHI_BIAS] = 0
@@ -288,7 +288,7 @@ def small_own(model):
     """Whether a model is one's own, and small, and leaves its systems to the package."""
     own = getattr(model, "user", model)
     written = any(writes(own, name) for name in ("step_matrix", "mass_system", "increments"))
-    return not (written or model.is_scene or model.n + model.m > small.MOST)
+    return not (written or model.is_scene or model.n + model.m > MOST)
 
 
 def table_of(model, linear, tied, incremental):

@@ -34,17 +34,15 @@ The other entries are for the s stages of Radau IIA; the instant of a step's beg
 
 import ctypes
 
-from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
 
 from polyida.jit import entry
+from polyida.jit.compiled import ARGUMENTS, address, call, pointer
 
-ARGUMENTS = 8
+__all__ = ["address", "c_address", "c_entry", "call", "pointer"]
 INSTANTS = 256  # that are prepared at once, at most
 STEPS = 64  # the same of steps of Radau IIA
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
-WORD = ir.IntType(64)
 # constants of compiled code
 RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
 PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT = range(11, 20)
@@ -60,38 +58,6 @@ REASONS = {  # how a step can end, and what a failure says of it
     NO_MATRIX: ("singular", "the iteration matrix is not finite"),
     SINGULAR: ("singular", "the constraints' system is singular"),
 }
-
-
-@intrinsic
-def call(typing, function, model, instant, a, b, c, d, e, f):
-    """What the C function at address `function` returns."""
-
-    def made(context, builder, sig, args):
-        kind = ir.FunctionType(WORD, [WORD] * ARGUMENTS)
-        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
-
-    return types.int64(*[types.int64] * (ARGUMENTS + 1)), made
-
-
-@intrinsic
-def address(typing, array):
-    """Of the first entry of an array."""
-
-    def made(context, builder, sig, args):
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        return builder.ptrtoint(data, WORD)
-
-    return types.int64(array), made
-
-
-@intrinsic
-def pointer(typing, number):
-    """An address as a pointer to float64."""
-
-    def made(context, builder, sig, args):
-        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
-
-    return types.CPointer(types.float64)(types.int64), made
 
 
 def c_entry(function):

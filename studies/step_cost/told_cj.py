@@ -10,7 +10,6 @@ from polyida.integrate.ida import dense, integrator
 from polyida.jit import entry
 from polyida.problems import get, plates
 from polyida.run.solve import solve
-from polyida.system.own import compiled
 from polyida.system.table import DONE
 from step_cost.side import NO_FRAMES, cells_for, cpu
 
@@ -33,7 +32,7 @@ def own(name, by_numba=False):
     problem = get(name)
     if by_numba:
         kind = type(problem.model)
-        problem.model.__class__ = compiled(type(kind.__name__, (kind,), {}))
+        problem.model.__class__ = pi.compiled(type(kind.__name__, (kind,), {}))
     return problem.model, problem.t_end, {"q0": problem.q0, "v0": problem.v0}
 
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numba import njit
 
 import polyida as pi
 from polyida.assembly.bodies.damping import symmetric_parts
@@ -13,13 +12,7 @@ from polyida.assembly.step_matrix import SceneStepMatrix
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}
 
 
-@njit
-def pull(t, x, v, data, f):
-    k, d = data
-    f[0] = -k * x[0] - d * (v[0] + 0.5 * x[0, ::-1])
-    f[1] = k * (x[0] - x[1]) - d * v[0, ::-1]
-
-
+@pi.compiled
 @dataclass(frozen=True, eq=False)
 class Pull(pi.ForceElement):
     """Whose slopes are not symmetric."""
@@ -29,10 +22,13 @@ class Pull(pi.ForceElement):
     k: float
     d: float
     name: str | None = None
-    law = pull
 
     def sides(self):
         return (self.a, self.b)
+
+    def forces(self, t, x, v):
+        first = -self.k * x[0] - self.d * (v[0] + 0.5 * x[0, ::-1])
+        return np.stack((first, self.k * (x[0] - x[1]) - self.d * v[0, ::-1]))
 
 
 def free(scenes):

@@ -5,7 +5,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.integrate import solve_ivp
 
 import polyida as pi
@@ -72,6 +71,12 @@ class Spring(pi.Body):
 
     def energy(self, z):
         return 0.5 * self.k * (abs(z[1] - z[0]) - 1.0) ** 2
+
+
+@pi.compiled
+@dataclass(frozen=True, eq=False)
+class Fast(Spring):
+    """The same, compiled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,21 +387,10 @@ class InPython(Drawn):
         return drawn_together(x, v, (self.k, self.c))
 
 
-@njit
-def drawn_law(t, x, v, data, f):
-    f[0] = data[0] * (x[1] - x[0]) + data[1] * (v[1] - v[0])
-    f[1] = -f[0]
-
-
+@pi.compiled
 @dataclass(frozen=True, eq=False)
-class ByLaw(Drawn):
-    a: object
-    b: object
-    k: float = 20.0
-    c: float = 3.0
-    name: str | None = None
-
-    law = drawn_law
+class ByNumba(InPython):
+    """The same, compiled."""
 
 
 PARTS = {
@@ -404,7 +398,7 @@ PARTS = {
     "torsion": lambda b, wheel: pi.TorsionSpring(pi.ground, wheel.at("tip"), stiffness=4.0, damping=0.3),
     "contact": lambda b, wheel: pi.Contact(b.at("a"), wheel.at("tip"), stiffness=1e3, radius=2.0),
     "python": lambda b, wheel: InPython(b.at("a"), wheel.at("tip")),
-    "law": lambda b, wheel: ByLaw(b.at("a"), wheel.at("tip"), k=10.0),
+    "compiled": lambda b, wheel: ByNumba(b.at("a"), wheel.at("tip"), k=10.0),
     "torque": lambda b, wheel: pi.Torque(wheel.at("tip"), 3.0),
     "load": lambda b, wheel: pi.PointLoad(b.at("b"), (1.0, 2.0)),
     "joint": lambda b, wheel: pi.Revolute(b.at("a"), pi.ground),
@@ -422,7 +416,7 @@ def beside(kind, *parts, **options):
     return scene.build()
 
 
-@pytest.mark.parametrize("kind", [Spring, Uneven, Formed])
+@pytest.mark.parametrize("kind", [Spring, Fast, Uneven, Formed])
 def test_the_residual_holds_each_part_once(kind):
     """By any two parts together, and by all, it changes as by each alone; without loads and speeds it is the slope of the potential."""
     random, plain = np.random.default_rng(1), beside(kind)
@@ -442,10 +436,10 @@ def test_the_residual_holds_each_part_once(kind):
         assert np.abs(gained(*parts) - sum(alone[part] for part in parts)).max() < 1e-9
 
 
-@pytest.mark.parametrize("kind", [Spring, Uneven])
-def test_every_integrator_feels_elastic_python_beside_laws(kind):
+@pytest.mark.parametrize("kind", [Spring, Uneven, Fast])
+def test_every_integrator_feels_elastic_forces_beside_compiled_ones(kind):
     """All end in one place, and the energies are in balance."""
-    runs, model = [], beside(kind, "spring", "law")
+    runs, model = [], beside(kind, "spring", "compiled")
     for method in (pi.RadauIIA(h=5e-3), pi.IDA(rtol=1e-6), pi.GeneralizedAlpha(h=1e-3), pi.EnergyMomentum(h=1e-3)):
         run = pi.solve(model, 0.03, method, output=[0.0, 0.01, 0.02, 0.03])
         energy = run.energy
@@ -463,3 +457,70 @@ def test_an_energy_that_is_not_that_of_the_elastic_force_is_told():
     for method in (pi.GeneralizedAlpha(h=1e-2), pi.EnergyMomentum(h=1e-2)):
         with pytest.raises(pi.InputError, match=r"spring: its energy must have elastic\(z\) as its slope"):
             pi.solve(model, 0.1, method)
+
+
+def hung(kind, **options):
+    """A spring of one's own that hangs on the ground, with a mass and a force element."""
+    scene = pi.Scene(gravity=(0.0, -G))
+    body = scene.add(kind(name="spring", **options))
+    scene.add(pi.Revolute(pi.ground, body.at("a"), name="hinge"))
+    scene.add(pi.SpringDamper(pi.ground.at((0.5, 1.0)), body.at("b"), 10.0, 0.5))
+    return scene.build()
+
+
+METHODS = (
+    pi.GeneralizedAlpha(h=1e-3, tolerance=1e-11, start="plain"),
+    pi.RadauIIA(h=2e-3),
+    pi.EnergyMomentum(h=1e-3, tolerance=1e-12),
+    pi.IDA(rtol=1e-8),
+)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=repr)
+def test_a_compiled_body_moves_as_in_python(method):
+    models = [hung(kind) for kind in (Spring, Fast)]
+    assert [model.compiled for model in models] == [False, True]
+    runs = [pi.solve(model, 0.1, method) for model in models]
+    assert all(run.success for run in runs) and "Python" not in runs[1].summary()
+    size = np.abs(runs[0].q[-1]).max()
+    assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < (1e-5 if isinstance(method, pi.IDA) else 1e-8) * size
+    assert np.allclose(runs[0].energy.strain[-1], runs[1].energy.strain[-1], rtol=1e-4)
+
+
+def test_a_compiled_body_has_its_tangent_in_the_factor():
+    """Stiff against its mass in a step: with its slopes in the factor Newton needs hardly more iterations."""
+    soft, stiff = (pi.solve(hung(Fast, k=k), 0.05, pi.GeneralizedAlpha(h=1e-3)) for k in (30.0, 1e7))
+    assert stiff.success and stiff.counts.newton_iterations <= 2 * soft.counts.newton_iterations
+
+
+def shorter(z):
+    return z[:1]
+
+
+def infinite(z):
+    return z / (z - z)
+
+
+def raising(z):
+    if len(z) > 1:
+        raise ValueError("late")
+    return z
+
+
+def outside(z):
+    return z * z[len(z)]
+
+
+@pytest.mark.parametrize("what", [shorter, infinite, raising, outside])
+def test_a_compiled_elastic_force_that_fails_ends_the_run_at_its_time(what):
+    what = pi.compiled(what).dispatcher
+
+    def elastic(self, z):
+        w = z[1] - z[0]
+        pull = self.k * (abs(w) - 1.0) * w / abs(w)
+        found = np.array([-pull, pull])
+        return what(found) if abs(w) > 1.02 else found
+
+    kind = dataclass(frozen=True, eq=False)(type("Failing", (Fast,), {"elastic": elastic}))
+    run = pi.solve(hung(kind), 1.0, pi.GeneralizedAlpha(h=1e-3))
+    assert not run.success and "spring" in run.message and 0.0 < run.t[-1] < 0.5

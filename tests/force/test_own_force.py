@@ -26,7 +26,7 @@ class Pull(pi.ForceElement):
 
     def forces(self, t, x, v):
         pull = self.k * (x[1] - x[0]) + self.d * (v[1] - v[0])
-        return np.stack([pull, -pull])
+        return np.stack((pull, -pull))
 
     def energy(self, x):
         return 0.5 * self.k * float((x[1] - x[0]) @ (x[1] - x[0]))
@@ -161,64 +161,27 @@ def test_parts_are_looked_at(scenes):
         scene.build()
 
 
-@njit
-def pull(t, x, v, data, f):
-    k, d = data[0], data[1]
-    for e in range(2):
-        f[0, e] = k * (x[1, e] - x[0, e]) + d * (v[1, e] - v[0, e])
-        f[1, e] = -f[0, e]
-
-
-@njit
-def gust(t, x, v, data, f):
-    f[0, 0], f[0, 1] = data[0] * np.sin(data[1] * t), -data[0] * v[0, 1] * abs(v[0, 1])
-
-
-@njit
-def half(t, x, v, data, f):
-    f[0, 0] = 1.0
-
-
-@njit
-def ceasing(t, x, v, data, f):
-    f[0, 0], f[0, 1] = 1.0, 1.0 if t < 5e-3 else np.nan
-
-
-@njit
-def broken(t, x, v, data, f):
-    f[0, 0] = x.nonsense
-
-
+@pi.compiled
 @dataclass(frozen=True, eq=False)
-class Compiled(pi.ForceElement):
-    """`Pull` by a law."""
-
-    a: object
-    b: object
-    k: float = 20.0
-    d: float = 0.0
-    name: str | None = None
-    law = pull
-
-    def sides(self):
-        return (self.a, self.b)
-
-    def energy(self, x):
-        return Pull.energy(self, x)
+class Compiled(Pull):
+    """The same, compiled."""
 
 
+@pi.compiled
 @dataclass(frozen=True, eq=False)
 class Wind(pi.ForceElement):
-    """A force that depends on time and speed, by a law."""
+    """A force that depends on time and speed, compiled."""
 
     at: object
     c: float = 0.2
     w: float = 30.0
     name: str | None = None
-    law = gust
 
     def sides(self):
         return (self.at,)
+
+    def forces(self, t, x, v):
+        return np.array([[self.c * np.sin(self.w * t), -self.c * v[0, 1] * abs(v[0, 1])]])
 
 
 @pytest.mark.parametrize("settings", [{"stages": 2}, {"stages": 2, "form": "index3"}, {"stages": 3}], ids=str)
@@ -230,9 +193,9 @@ def test_radau_takes_a_force_in_python(scenes, settings):
     assert np.abs(run.q - whole.q).max() < 1e-7 * np.abs(run.q).max()
 
 
-def by_law(law, functions=()):
-    """A Wind of another law, with further functions."""
-    return dataclass(frozen=True, eq=False)(type("Other", (Wind,), {"law": law, **dict(functions)}))
+def gusty(**functions):
+    """A Wind with other functions."""
+    return dataclass(frozen=True, eq=False)(type("Other", (Wind,), functions))
 
 
 @pytest.mark.parametrize(
@@ -245,7 +208,7 @@ def by_law(law, functions=()):
         (pi.RadauIIA(rtol=1e-6), 1e-7),
     ],
 )
-def test_a_law_is_the_same_force(scenes, method, apart):
+def test_compiled_it_is_the_same_force(scenes, method, apart):
     """As in Python, by the plain paths: to what Newton leaves, or the error of steps that IDA chooses; a start has the factor's precision."""
     models = [pulled(scenes, kind, d=2.0) for kind in (Pull, Compiled)]
     assert [model.compiled for model in models] == [False, True]
@@ -254,7 +217,7 @@ def test_a_law_is_the_same_force(scenes, method, apart):
     assert np.allclose(runs[0].energy.total[-1], runs[1].energy.total[-1], rtol=0, atol=30 * apart)
 
 
-def test_the_factor_knows_a_stiff_law(scenes):
+def test_the_factor_knows_a_stiff_compiled_force(scenes):
     """A damper far above what the plates' masses are in a step: with its slopes in the factor Newton needs hardly more iterations."""
     soft, stiff = (pi.solve(pulled(scenes, Compiled, d=d), 0.05, pi.GeneralizedAlpha(h=1e-3)) for d in (1.0, 1e6))
     assert stiff.success and stiff.counts.factorizations <= 4
@@ -277,12 +240,31 @@ def test_a_run_with_a_law_goes_on_as_if_it_had_not_stopped(scenes):
     assert np.array_equal(pi.solve(model, 0.04, method, state=half.state).q[-1], whole.q[-1])
 
 
-def test_a_law_that_ceases_to_be_finite_is_blamed(scenes):
+def ceasing(self, t, x, v):
+    return np.array([[1.0, 1.0 if t < 5e-3 else np.nan]])
+
+
+def dividing(self, t, x, v):
+    return np.array([[1.0, 1.0 / (0.0 if t > 5e-3 else 1.0)]])
+
+
+def growing(self, t, x, v):
+    return np.zeros((1 if t < 5e-3 else 2, 2))
+
+
+def raising(self, t, x, v):
+    if t > 5e-3:
+        raise ValueError("late")
+    return np.zeros((1, 2))
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-3), pi.RadauIIA(h=1e-3), pi.EnergyMomentum(h=1e-3), pi.IDA()], ids=repr)
+@pytest.mark.parametrize("forces", [ceasing, dividing, growing, raising])
+def test_a_compiled_force_that_fails_ends_the_run_at_its_time_and_is_named(scenes, method, forces):
     scene, upper = scenes.hinged()
-    scene.add(by_law(ceasing)(upper.section("right"), name="push"))
-    for method in (pi.GeneralizedAlpha(h=1e-3), pi.IDA()):
-        run = pi.solve(scene.build(), 0.01, method)
-        assert not run.success and "'push'" in run.message and run.t[-1] < 6e-3
+    scene.add(gusty(forces=forces)(upper.section("right"), name="push"))
+    run = pi.solve(scene.build(), 0.02, method)
+    assert not run.success and "push" in run.message and 2e-3 < run.t[-1] < 6.5e-3, run.message
 
 
 def lawful(scenes):
@@ -295,7 +277,7 @@ def lawful(scenes):
     return model, *(0.1 * random.standard_normal((2, model.n)))
 
 
-def test_kernels_call_laws(scenes):
+def test_kernels_call_compiled_forces(scenes):
     model, q, v = lawful(scenes)
     r, one_by_one = np.zeros((2, model.n))
     laws.add_own_forces(model.laws, model.arrays.links, model.drives(0.3), q.reshape(-1, 2), v.reshape(-1, 2), r.reshape(-1, 2))
@@ -328,36 +310,128 @@ def test_laws_beside_python_are_called_one_by_one(scenes):
 
 
 @pytest.mark.parametrize(
-    "kind, words",
+    "functions, words",
     [
-        (by_law(lambda t, x, v, data, f: None), "must be a function decorated with numba.njit"),
-        (by_law(gust, {"forces": Push.forces}), "it must give one of them"),
-        (by_law(broken), "numba does not compile its law.*nonsense"),
-        (by_law(half), "forces of 'wind' gave numbers that are not finite"),
-        (by_law(gust, {"numbers": lambda self: "two"}), "numbers.. must give a list of finite numbers"),
+        ({"forces": lambda self, t, x, v: np.zeros((1, 2)) * x.nonsense}, "cannot be compiled by numba.*nonsense"),
+        ({"forces": lambda self, t, x, v: np.zeros((1, 2)) * self.nonsense}, "cannot be compiled by numba.*nonsense"),
+        ({"forces": lambda self, t, x, v: 0.0}, "must return an array of 2 dimensions of real numbers"),
+        ({"forces": lambda self, t, x, v: x * 1j}, "must return an array of 2 dimensions of real numbers"),
+        ({"forces": lambda self, t, x, v: np.zeros((2, 2))}, "forces must return real numbers of shape"),
+        ({"forces": lambda self, t, x: x}, "|".join(["positional argument", "its arguments must be"])),
+        ({"forces": lambda self, t, places, v: v}, "its arguments must be .self, t, x, v., not 'places'"),
+        ({"energy": lambda self, x: x}, "must return a number"),
+        ({"energy": lambda self, x: 0.0 if type(x) is list else None}, "cannot be compiled|must return a number"),
     ],
 )
-def test_what_is_wrong_with_a_law_is_told(scenes, kind, words):
+def test_what_is_wrong_with_a_compiled_force_is_told(scenes, functions, words):
     scene, upper = scenes.hinged()
-    with pytest.raises(pi.InputError, match=words):
-        scene.add(kind(upper.section("right"), name="wind"))
+    scene.add(gusty(**functions)(upper.section("right"), name="wind"))
+    with pytest.raises((pi.InputError, TypeError), match=f"(wind|positional).*({words})|{words}"):
         pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
 
 
-def test_files_hold_a_law(scenes, tmp_path):
+def writing(self, t, x, v):
+    x[0, 0] += 1.0
+    return np.zeros((1, 2))
+
+
+def test_a_compiled_force_cannot_write_into_its_arguments(scenes):
+    scene, upper = scenes.hinged()
+    scene.add(gusty(forces=writing)(upper.section("right")))
+    with pytest.raises(pi.InputError, match="wind|readonly|read-only"):
+        scene.build()
+
+
+@pi.compiled
+@dataclass(frozen=True, eq=False)
+class Everything(pi.ForceElement):
+    """Reads numbers, arrays, a profile, a tuple of profiles and a compiled function."""
+
+    at: object
+    size: int
+    table: object
+    move: object
+    pair: object
+    further: object
+    _hidden: float = 0.5
+    on: bool = True
+    name: str | None = None
+
+    def sides(self):
+        return (self.at,)
+
+    def forces(self, t, x, v):
+        pull = self.size * self.table[1, 0] + self.move(t) * self._hidden + self.further(x[0, 0]) if self.on else 0.0
+        return np.array([[pull, self.pair[0](t) + self.pair[1].value(t) * self.move.value(t)]])
+
+
+@pi.compiled
+def cubed(x):
+    return powered(x) + 0.1
+
+
+def powered(x):
+    return x**3
+
+
+def test_a_compiled_force_reads_its_fields(scenes):
+    scene, upper = scenes.hinged()
+    wave, table = pi.profile.sine(2.0, 1.5, 0.3), np.arange(6.0).reshape(3, 2)
+    scene.add(Everything(upper.section("right"), 3, table, wave, (wave, pi.profile.constant(2.0)), cubed))
+    model = scene.build()
+    own, q = model.own_forces.each[0], 0.1 * np.random.default_rng(1).standard_normal(model.n)
+    r = np.zeros((model.n_nodes, 2))
+    laws.add_own_forces(model.laws, model.arrays.links, model.drives(0.3), q.reshape(-1, 2), 0.0 * r, r)
+    expected = -own.A.T @ own.forces(0.3, own.places(q), np.zeros((1, 2))).ravel()
+    assert model.compiled and np.abs(expected).max() > 1.0 and np.abs(r.ravel() - expected).max() < 1e-12
+
+
+def early(self, t, x, v):
+    return np.array([[self.pair[0](t - 0.1), 0.0]])
+
+
+def test_a_profile_is_known_at_the_time_of_the_force_alone(scenes):
+    scene, upper = scenes.hinged()
+    wave = pi.profile.sine(2.0, 1.5)
+    kind = dataclass(frozen=True, eq=False)(type("Early", (Everything,), {"forces": early}))
+    scene.add(kind(upper.section("right"), 3, 0.0, wave, (wave, wave), cubed, name="early"))
+    run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
+    assert not run.success
+
+
+def test_a_function_of_state_may_be_compiled(scenes):
+    functions = (
+        lambda e, rate: 5.0 * e**3 + 0.3 * rate,
+        lambda t, angle, rate: np.sin(angle) - 0.3 * rate + t,
+        lambda t, x, v: (x[0] * v[1], t),
+    )
+    runs = []
+    for made in (lambda f: f, pi.compiled, njit):
+        scene = pi.Scene()
+        body = scene.add(pi.RigidBody(0.5, 0.02, {"A": (0.1, 0.2)}, name="body"))
+        at, (further, moment, force) = body.at("A"), map(made, functions)
+        scene.add(pi.SpringDamper(pi.ground.at((0.3, 1.0)), at, 30.0, force=further))
+        scene.add(pi.Torque(at, moment))
+        scene.add(pi.Force(at, force, follower=True))
+        model = scene.build()
+        assert model.compiled == bool(runs)
+        runs.append(pi.solve(model, 0.02, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-11, start="plain")))
+    assert all(np.abs(run.q - runs[0].q).max() < 1e-11 for run in runs)
+
+
+def test_files_hold_a_compiled_force(scenes, tmp_path):
     run = pi.solve(pulled(scenes, Compiled, d=2.0), 5e-3, pi.GeneralizedAlpha(h=1e-3))
     run.save(tmp_path / "run.h5")
     assert np.array_equal(pi.load(tmp_path / "run.h5").energy.total, run.energy.total)
 
 
-@njit
-def swirl(t, x, v, data, f):
-    f[0, 0], f[0, 1] = data[0] * x[0, 1], 0.0
+def swirl(self, t, x, v):
+    return np.array([[self.c * x[0, 1], 0.0]])
 
 
 def test_the_step_matrix_and_its_transpose_know_laws(scenes):
     scene, upper = scenes.hinged()
-    scene.add(by_law(swirl)(upper.section("right"), c=1e6))
+    scene.add(gusty(forces=swirl)(upper.section("right"), c=1e6))
     model, b = scene.build(), np.random.default_rng(3).standard_normal((2, 1000))
     system, (q, b) = model.step_matrix(), (1e-4 * b[0, : model.n], b[1, : model.n])
     at = 0.3, q, np.zeros(model.n), np.zeros(model.n), np.zeros(model.m)
@@ -367,35 +441,6 @@ def test_the_step_matrix_and_its_transpose_know_laws(scenes):
     assert np.abs(one - other).max() > 1e-2 * np.abs(one).max()
     for transposed, exact in ((False, one), (True, other)):
         assert np.abs(system.solve(q, b, transposed) - exact).max() < 1e-3 * np.abs(exact).max()
-
-
-@njit
-def raising(t, x, v, data, f):
-    f[:] = 0.0
-    if t > 5e-3:
-        raise ValueError("late")
-
-
-@njit
-def writing(t, x, v, data, f):
-    data[0] *= 2.0
-    x[0, 0] += 1.0
-    f[:] = 0.0
-
-
-@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-3), pi.IDA()])
-def test_a_law_that_raises_stops_the_run(scenes, method):
-    scene, upper = scenes.hinged()
-    scene.add(by_law(raising)(upper.section("right")))
-    run = pi.solve(scene.build(), 0.02, method)
-    assert not run.success and 2e-3 < run.t[-1] < 0.02
-
-
-def test_a_law_writes_into_copies(scenes):
-    scene, upper = scenes.hinged()
-    scene.add(by_law(writing)(upper.section("right"), c=0.25))
-    model = scene.build()
-    assert pi.solve(model, 0.01, pi.GeneralizedAlpha(h=1e-3)).success and model.laws.numbers[0] == 0.25
 
 
 @dataclass(frozen=True, eq=False)

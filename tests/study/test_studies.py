@@ -61,6 +61,7 @@ COSTS = {  # parts of the study of a step's cost, and what their rows hold
     "beside alpha": "ida_ms alpha_ms ratio residuals_per_step solves_per_step factorizations_per_step",
     "frames": "ratio first_ratio none_ms extra_us new_memory_us",
     "threads": "one_thread_ms two_threads_ms speedup lowest highest triad_one_gb_s triad_two_gb_s triad_speedup factor_mb limit halves_by_turns_ms halves_at_once_ms",
+    "own functions": "python_us compiled_us ready_us",
     "told cj": "cpu_s ratio apart steps residuals factorizations rejected told_steps told_residuals told_factorizations",
 }
 

@@ -218,9 +218,134 @@ def test_what_cannot_be_compiled_is_refused_before_the_run(kind):
         pi.solve(by_numba(kind)(), 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.5])
 
 
-def test_only_models_are_compiled():
-    with pytest.raises(pi.InputError, match="subclass of polyida.Model"):
-        compiled(dict)
+@pytest.mark.parametrize("given", [dict, 3.0, "force"])
+def test_what_is_no_part_and_no_function_is_not_compiled(given):
+    with pytest.raises(pi.InputError, match="must be a function, or a subclass of polyida.Model, ForceElement or Body"):
+        compiled(given)
+
+
+class Outside(Free):
+    def force(self, t, q, v):
+        return np.array([9.0 * q[0] ** 3, 4.0 * q[2 if t > 0.1 else 1] - 1.0])
+
+
+def test_an_index_out_of_bounds_ends_the_run_and_is_named():
+    run = pi.solve(by_numba(Outside)(), 0.3, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.5])
+    assert not run.success and "Outside.force raised IndexError" in run.message and 0.08 < run.t[-1] < 0.11
+
+
+class Interrupts(Free):
+    late = False
+
+    def force(self, t, q, v):
+        if self.late:
+            raise KeyboardInterrupt
+        return np.array([9.0 * q[0] ** 3, 4.0 * q[1] - 1.0])
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-2), pi.RadauIIA(h=1e-2)], ids=["alpha", "Radau"])
+def test_ctrl_c_in_a_function_in_python_stops_the_run_at_its_step(method):
+    model = Interrupts()
+
+    def watch(t, q, v):
+        model.late = t > 0.1
+        return 1.0
+
+    run = pi.solve(model, 0.3, method, q0=[1.0, 0.5], until=watch)
+    assert run.status == "interrupted" and 0.1 < run.t[-1] < 0.3
+
+
+class Chain(pi.Model):
+    """Springs in a row with damping, as many as no dense table takes, the ends on a curve."""
+
+    n, m, needs = 60, 1, pi.Needs(mass_varies=False, driven=False)
+    late = 1.0
+
+    def mass(self, q):
+        return np.eye(60)
+
+    def force(self, t, q, v):
+        g = 3.0 * q**3 + 0.1 * v
+        g[1:] += 100.0 * (q[1:] - q[:-1])
+        g[:-1] -= 100.0 * (q[1:] - q[:-1])
+        if t > self.late:
+            raise ValueError("late")
+        return g
+
+    def phi(self, t, q):
+        return np.array([q[59] - q[0] ** 2])
+
+    def phi_q(self, t, q):
+        B = np.zeros((1, 60))
+        B[0, 59], B[0, 0] = 1.0, -2.0 * q[0]
+        return B
+
+
+@pytest.mark.parametrize("method", [pi.GeneralizedAlpha(h=1e-3), pi.RadauIIA(h=1e-3), pi.IDA(max_step=1e-3)], ids=["alpha", "Radau", "IDA"])
+def test_functions_of_large_models_are_compiled(method):
+    """The same motion; a failure names the function and its time."""
+    fast, q0 = by_numba(Chain), np.linspace(1.0, 1.0, 60)
+    runs = [pi.solve(kind(), 0.01, method, q0=q0) for kind in (Chain, fast)]
+    assert all(run.success for run in runs) and np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-9
+    model = fast()
+    model.late = 5e-3
+    run = pi.solve(model, 0.01, method, q0=q0)
+    assert run.status == "exception" and "Chain.force: a compiled function" in run.message and 3e-3 < run.t[-1] < 6e-3
+
+
+def at_half(t, q, v):
+    return q[0] - 0.5
+
+
+def two_rows(t, q, v):
+    return np.array([[q[0], t], [v[0], 1.0]])
+
+
+def length(t, q, v):
+    return np.sqrt(q[0] ** 2 + q[1] ** 2)
+
+
+def failing(t, q, v):
+    if t > 0.1:
+        raise ValueError("late")
+    return 1.0
+
+
+def ceasing(t, q, v):
+    return 1.0 / (1.0 if t < 0.1 else 0.0) if t < 0.1 else np.nan
+
+
+RUN = dict(integrator=pi.GeneralizedAlpha(h=1e-3), q0=[1.0, 0.5])
+
+
+def test_until_and_sensors_are_the_same_compiled():
+    runs = []
+    for made in (lambda f: f, compiled):
+        sensors = {"rows": made(two_rows), "length": made(length)}
+        runs.append(pi.solve(Free(), 2.0, until=made(at_half), sensors=sensors, **RUN))
+    assert runs[0].status == runs[1].status == "stopped" and runs[0].t[-1] == runs[1].t[-1] > 0.1
+    for name in ("rows", "length"):
+        assert np.array_equal(runs[0].sensors[name], runs[1].sensors[name])
+    assert np.array_equal(runs[0].sensors.t, runs[1].sensors.t) and np.array_equal(runs[0].q, runs[1].q)
+
+
+@pytest.mark.parametrize("function, error", [(failing, ValueError), (ceasing, pi.InputError)])
+@pytest.mark.parametrize("asked", ["until", "sensor"])
+def test_a_compiled_until_or_sensor_that_fails_stops_the_run_there(function, error, asked):
+    options = {"until": compiled(function)} if asked == "until" else {"sensors": {"odd": compiled(function)}}
+    with pytest.raises(error, match=r"late|t = 0\.1") as caught:
+        pi.solve(Free(), 0.3, **options, **RUN)
+    assert 0.098 < caught.value.trajectory.t[-1] < 0.1011
+
+
+def unknown(t, q, v):
+    return float(eval("1.0"))
+
+
+@pytest.mark.parametrize("options", [{"until": compiled(unknown)}, {"sensors": {"odd": compiled(unknown)}}], ids=["until", "sensor"])
+def test_an_until_or_sensor_that_cannot_be_compiled_is_refused(options):
+    with pytest.raises(pi.InputError, match="(until|odd).*unknown cannot be compiled by numba"):
+        pi.solve(Free(), 0.1, **options, **RUN)
 
 
 class Swing(pi.Model):

@@ -4,7 +4,6 @@ from dataclasses import fields, replace
 
 from polyida.assembly.scene_model import SceneModel
 from polyida.joint.attachment import Attachment
-from polyida.profile import Profile
 
 
 def rebuilt(model, parts, gravity=None):
@@ -35,12 +34,6 @@ def with_profile(model, old, new):
 def holding_profile(part, old, new):
     """The part with another profile in its fields, alone or in a tuple, in place of one; itself where it has not that."""
     return _with(part, lambda value: new if value is old else value)
-
-
-def profiles_of(part):
-    """The profiles in a part's fields, alone or in tuples."""
-    given = (getattr(part, field.name) for field in fields(part) if field.init)
-    return [one for value in given for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, Profile)]
 
 
 def _with(part, change):

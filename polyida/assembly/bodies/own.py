@@ -31,7 +31,7 @@ def _placed(blocks, n):
 class Elastic(OwnForce):
     """The elastic force of a body of one's own, as a force on its pairs."""
 
-    strain = python = True
+    strain = True
     switches = False
 
     def __init__(self, placed, n_pairs):

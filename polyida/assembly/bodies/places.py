@@ -94,8 +94,8 @@ class PlacedBody:
 
     @property
     def python(self):
-        """Whether kernels cannot do without its class."""
-        return self.uneven is not None or self.elastic
+        """Whether kernels cannot do without Python."""
+        return self.uneven is not None or (self.elastic and not self.body.compiled_functions())
 
     @cached_property
     def massless(self):
@@ -126,7 +126,7 @@ class PlacedBody:
 
     @property
     def elastic(self):
-        """Whether its elastic force is Python: kernels take a form in place of it."""
+        """Whether it has an elastic force of its own: kernels take a form in place of it."""
         return self.form is None and writes(self.body, Body, "elastic")
 
     @property

@@ -1,5 +1,6 @@
-"""The force elements of a scene: forces that are Python, on places that are linear in q."""
+"""The force elements of a scene in Python, on places that are linear in q."""
 
+from contextlib import nullcontext
 from copy import copy
 from dataclasses import fields, replace
 
@@ -21,7 +22,7 @@ class OwnForce:
 
     sizes: of what each side says, (sides, 1): the scene's, m, or one of a direction; derivatives are taken over NEAR of them. strain:
     whether its energy is that of a body's strain.
-    not_finite: in words, which of its functions last gave what is not finite for arguments that are; else empty.
+    not_finite: in words, which of its functions last raised, or gave what is not finite for arguments that are; else empty.
     """
 
     strain = False
@@ -78,8 +79,8 @@ class OwnForce:
     @property
     def python(self):
         """Whether its forces or its energy are Python."""
-        element = self.element
-        return not element.compiled_law or (not element.compiled_energy and writes(element, ForceElement, "energy"))
+        functions = self.element.compiled_functions()
+        return not functions or ("energy" not in functions and writes(self.element, ForceElement, "energy"))
 
     @property
     def switches(self):
@@ -116,16 +117,18 @@ class OwnForce:
 
     def _call(self, name, shape, *given, numbers=reals):
         try:
-            result = getattr(self.element, name)(*(read_only(x) if isinstance(x, np.ndarray) else x for x in given))
-        except ValueError as error:
-            if "read-only" not in str(error):
-                raise
-            wrong = "writes into its arguments, which belong to the integrator: take a copy first"
-            raise InputError(f"{self.name}: {name} {wrong}") from error
-        found = numbers(result)
-        if found is None or found.shape != shape:
-            what = f"{type(result).__name__} of shape {_shape(result)}"
-            raise InputError(f"{self.name}: {name} must return {SORT[numbers]} numbers of shape {shape}, not {what}")
+            with np.errstate(all="ignore") if self.element.by_numba else nullcontext():
+                result = getattr(self.element, name)(*(read_only(x) if isinstance(x, np.ndarray) else x for x in given))
+            found = numbers(result)
+            if found is None or found.shape != shape:
+                what = f"{type(result).__name__} of shape {_shape(result)}"
+                raise InputError(f"{self.name}: {name} must return {SORT[numbers]} numbers of shape {shape}, not {what}")
+        except Exception as error:
+            self.not_finite = f"{name} of {self.name!r} raised {type(error).__name__}: {error}"
+            if isinstance(error, ValueError) and "read-only" in str(error):
+                wrong = "writes into its arguments, which belong to the integrator: take a copy first"
+                raise InputError(f"{self.name}: {name} {wrong}") from error
+            raise
         bad = not np.isfinite(found).all() and all(np.isfinite(x).all() for x in given)
         self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite{self._why(given)}" if bad else ""
         return found
@@ -149,11 +152,9 @@ class OwnForces:
         """These with a profile, wherever it is one of their fields, greater by `by`."""
         return OwnForces([own.pushed(profile, by) for own in self.each], self.n)
 
-    def take_from(self, r, t, q, v, only_strain=False):
-        """Take the forces from r (n,), in place; only_strain: those of bodies' strain alone."""
+    def take_from(self, r, t, q, v):
+        """Take the forces from r (n,), in place."""
         for own in self.each:
-            if only_strain and not own.strain:
-                continue
             r -= own.A.T @ own.forces(t, own.places(q), own.velocities(v)).ravel()
 
     def slopes(self, t, q, v, c_v, c_q):

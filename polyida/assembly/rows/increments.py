@@ -22,9 +22,8 @@ def drive_table(model, times, ends):
     inner = np.array(times)
     inner[[0, -1]] = ends
     for k, profile in enumerate(model.profiles):
-        value = (profile.value, times if k in driving else inner)
-        for column, (function, at) in enumerate((value, (profile.d1, inner), (profile.d2, inner))):
-            table[:, k, column] = function(at) if profile.formula else [function(t) for t in at]
+        for order, at in enumerate((times if k in driving else inner, inner, inner)):
+            table[:, k, order] = profile.over(at, order)
     return table
 
 
@@ -68,8 +67,7 @@ def _gains(model, begin, times, before, after, h):
 
 def _sharpen(profile, begin, h, rate, gains, rows, size):
     at = begin[:, None] + h[:, None] * (0.5 + NODES)
-    second = profile.d2(at) if profile.formula else np.array([[profile.d2(t) for t in row] for row in at])
-    second = np.broadcast_to(second, at.shape)
+    second = profile.over(at, 2)
     change, ahead = h * _sum(second, WEIGHTS), h * h * _sum(second, WEIGHTS * (0.5 - NODES))
     whole = h * rate + ahead
     apart = np.abs(np.stack([whole - gains[rows, 0], change - gains[rows, 2]], axis=1))

@@ -243,6 +243,5 @@ class UnitRows:
         """The angles that turn rows, (times, profiles, 3), without derivatives, which the slopes of rows do not ask for."""
         drives = np.zeros((len(times), len(self.model.profiles), 3))
         for k in self.turning:
-            profile = self.model.profiles[k]
-            drives[:, k, 0] = profile.value(times) if profile.formula else [profile.value(t) for t in times.tolist()]
+            drives[:, k, 0] = self.model.profiles[k].over(times)
         return drives

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.adjoint.parameters.driven.times import ORDERS, element_work, over
-from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
+from polyida.adjoint.parameters.rebuilt import holding_profile
 from polyida.assembly.own.forces import OwnForce
 from polyida.assembly.rows.increments import drive_table
-from polyida.force.force_element import ForceElement
+from polyida.force.force_element import ForceElement, profiles_of
 from polyida.given import complex_of_pairs
 from polyida.model.differences import along
 
@@ -101,12 +101,12 @@ def _dot(a, b):
 
 
 def _add_element(model, name, element, work, found):
-    """Profiles of a force element, by differences of its forces: a law gets their values, forces in Python perhaps their rates too."""
+    """Profiles of a force element, by differences of its forces, which take their rates too if they are Python."""
     own = OwnForce(name, element, model)
     for drive, profile in enumerate(model.profiles):
         if not any(known is profile for known in profiles_of(element)):
             continue
-        for order, function in enumerate(ORDERS[:1] if element.compiled_law else ORDERS):
+        for order, function in enumerate(ORDERS[:1] if element.by_numba else ORDERS):
             of_time, size = getattr(profile, function), max(1.0, np.abs(over(profile, work.t, order)).max())
 
             def pushed(s, profile=profile, function=function, of_time=of_time):

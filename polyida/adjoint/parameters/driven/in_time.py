@@ -7,11 +7,11 @@ import numpy as np
 from polyida.adjoint.parameters.driven.drives import drive_works
 from polyida.adjoint.parameters.driven.times import ORDERS, element_work, over
 from polyida.adjoint.parameters.parameter import total
-from polyida.adjoint.parameters.rebuilt import holding_profile, profiles_of
+from polyida.adjoint.parameters.rebuilt import holding_profile
 from polyida.assembly.own.forces import OwnForce
-from polyida.force.force_element import ForceElement
+from polyida.force.force_element import ForceElement, profiles_of
 from polyida.model.differences import FIRST_ORDER_STEP, along
-from polyida.profile import REACH
+from polyida.profile import REACH, Profile
 
 SCALE = REACH[1] / FIRST_ORDER_STEP  # s, over which functions of time of one's own vary
 
@@ -41,7 +41,8 @@ def _by_profiles(model, work):
 
 def _by_our_law(element):
     """Whether time is in its forces by profiles alone."""
-    return bool(element.compiled_law) and element.compiled_law.py_func.__module__.startswith("polyida.")
+    functions = (value for value in vars(element).values() if callable(value) and not isinstance(value, Profile))
+    return type(element).__module__.startswith("polyida.") and not any(functions)
 
 
 def _of_element(own, element, work):

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from polyida.force.force_element import numbers_of
 from polyida.integrate.kinks import beside
 from polyida.model.differences import FIRST_ORDER_STEP, along, around, within
-from polyida.profile import Profile
 
 ORDERS = ("value", "d1", "d2")
 
@@ -58,15 +56,5 @@ def at_sides(own, x):
 def element_work(own, element, work):
     """`-w . A^T f` of each entry, (k,), of an element on the sides of an OwnForce, which is of one like it."""
     x, v = own.rest + at_sides(own, work.q), at_sides(own, work.v)
-    forces = _by_law(element, work.t, x, v) if element.compiled_law else [element.forces(*state) for state in zip(work.t.tolist(), x, v)]
+    forces = [element.forces(*state) for state in zip(work.t.tolist(), x, v)]
     return -np.einsum("kie,kie->k", at_sides(own, work.w), np.reshape(forces, x.shape))
-
-
-def _by_law(element, t, x, v):
-    law, forces, given = element.compiled_law, np.full(x.shape, np.nan), numbers_of(element)
-    data = np.empty((len(t), len(given)))
-    for i, number in enumerate(given):
-        data[:, i] = over(number, t) if isinstance(number, Profile) else number
-    for k, at in enumerate(t.tolist()):
-        law(at, x[k], v[k], data[k], forces[k])
-    return forces
