@@ -9,7 +9,7 @@ import numpy as np
 from polyida.errors import StepFailure
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.step_matrix import StepMatrix
-from polyida.model.guarded import MOST, writes
+from polyida.model.guarded import MOST, unguarded, writes
 from polyida.system import dense as small
 from polyida.system.own import OF_STEPS, Compiled
 from polyida.system.table import (
@@ -188,8 +188,8 @@ class DenseTable(PythonTable):
 
         inner, end = (lambda at=at: float(w.t[at]) for at in (small.INNER, small.END))
         q, v, a, lam = (x.copy for x in (w.q, w.v, w.a, w.lam))
-        whole = writes(getattr(model, "user", model), "residual")
-        asks = writes(getattr(model, "user", model), "objection")
+        whole = writes(unguarded(model), "residual")
+        asks = writes(unguarded(model), "objection")
 
         def accepted(*_):
             if objection := model.objection(end(), q()):
@@ -286,7 +286,7 @@ class CompiledTable(DenseTable):
 
 def small_own(model):
     """Whether a model is one's own, and small, and leaves its systems to the package."""
-    own = getattr(model, "user", model)
+    own = unguarded(model)
     written = any(writes(own, name) for name in ("step_matrix", "mass_system", "increments"))
     return not (written or model.is_scene or model.n + model.m > MOST)
 
@@ -304,4 +304,4 @@ def small_table(model, incremental=False):
     """The table of a model that is solved with dense matrices, or None where it is not."""
     if not small_own(model):
         return None
-    return (CompiledTable if getattr(model, "user", model).by_numba else DenseTable)(model, incremental)
+    return (CompiledTable if unguarded(model).by_numba else DenseTable)(model, incremental)

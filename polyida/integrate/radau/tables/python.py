@@ -8,6 +8,7 @@ from polyida.integrate.radau.rows import Rows
 from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.lu import SingularSystem, dense
+from polyida.model.guarded import unguarded
 from polyida.system import table as of
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 from polyida.system.table import DONE, NOT_FINITE, REASONS, SINGULAR
@@ -221,4 +222,4 @@ def table_of(model, linear, tableau, tied, kind):
     """The table of a model. linear: as the integrator has it; kind: makes its matrices where no compiled code does."""
     if linear == "kkt" or not small_own(model):
         return PythonStages(model, tableau, tied, kind)
-    return (CompiledStages if getattr(model, "user", model).by_numba else DenseStages)(model, tableau, tied)
+    return (CompiledStages if unguarded(model).by_numba else DenseStages)(model, tableau, tied)
