@@ -9,6 +9,7 @@ import pytest
 
 import polyida as pi
 from polyida.errors import StepFailure
+from polyida.integrate.state import asked, constant_step
 from polyida.problems import plates
 from polyida.run.accepted import STANDSTILL
 
@@ -240,3 +241,11 @@ def test_counts_of_numpy_are_numbers():
 
     run = solved(Counting())
     assert run.success and type(run.counts.solves) is int and run.counts.solves == 10
+
+
+def test_what_an_integrator_does_not_declare_has_a_default():
+    steps = SimpleNamespace(h=1e-3)
+    assert constant_step(steps) == 1e-3 and constant_step(SimpleNamespace()) == 0.0
+    assert constant_step(SimpleNamespace(h=1e-3, adaptive=True)) == 0.0
+    assert asked(steps, "told")({}) == asked(steps, "cost")(None) == "" and asked(steps, "require")(None) is None
+    assert asked(steps, "writes_rows") is asked(steps, "nonholonomic") is False and asked(steps, "rtol") is None
