@@ -7,6 +7,8 @@ from numbers import Real
 
 import numpy as np
 
+from polyida.errors import InputError
+
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imaginary unit does to (x, y)
 
 
@@ -107,3 +109,26 @@ def pairs_of(numbers):
 def complex_of_pairs(pairs):
     """Pairs (..., 2) as complex numbers (...)."""
     return pairs[..., 0] + 1j * pairs[..., 1]
+
+
+def positive(part, name, value, unit):
+    """The value as a float; raises InputError naming part and value where it is not a finite number above zero."""
+    if not is_number(value) or value <= 0:
+        raise InputError(f"{part}: {name} = {value!r} must be a positive number of {unit}")
+    return float(value)
+
+
+def number(part, name, value, unit, least=-math.inf):
+    """The value as a float; raises InputError naming part and value where it is not a finite number of `least` or more."""
+    if not (is_number(value) and value >= least):
+        least = "" if least == -math.inf else f", {least:g} or more"
+        raise InputError(f"{part}: {name} = {value!r} must be a number of {unit}{least}")
+    return float(value)
+
+
+def vector2(part, name, value):
+    """The value as two floats; raises InputError naming part and value otherwise."""
+    pair = floats(value)
+    if pair is None or pair.shape != (2,):
+        raise InputError(f"{part}: {name} = {value!r} must be two finite numbers")
+    return pair

@@ -9,7 +9,6 @@ from polyida.assembly.build import sides_held
 from polyida.assembly.closing import Assembly, close
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.body import Body
-from polyida.body.material import number, vector2
 from polyida.body.own_part import OwnPart
 from polyida.body.plate import Plate
 from polyida.body.point_mass import PointMass
@@ -17,7 +16,7 @@ from polyida.brief import counted, cut, settings, short, table
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, require_element
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.given import is_number, is_one_of
+from polyida.given import is_number, is_one_of, number, vector2
 from polyida.joint.joint import Joint
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile

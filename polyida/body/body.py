@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.body.material import vector2
 from polyida.body.own_part import OwnPart, compiled_functions, require_whole, writes
 from polyida.errors import InputError
-from polyida.given import complexes, floats, is_one_of, on_pairs, pairs_of
+from polyida.given import complexes, floats, is_one_of, on_pairs, pairs_of, vector2
 from polyida.joint.attachment import Attachment
 from polyida.joint.formula import Row, Vector
 

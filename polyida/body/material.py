@@ -1,10 +1,9 @@
 """St. Venant-Kirchhoff material of a plate."""
 
-import math
 from dataclasses import dataclass
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_one_of, settle
+from polyida.given import is_number, is_one_of, settle
 from polyida.keywords import named_keywords
 
 NUMBERS = ("E", "nu", "rho", "viscosity", "mass_damping")
@@ -66,26 +65,3 @@ class Material:
     def across(self) -> float:
         """Ratio of the stress across the plane to xx + yy: Hooke's nu in plane strain, which is St. Venant-Kirchhoff's at small strains."""
         return self.nu if self.plane == "strain" else 0.0
-
-
-def positive(part, name, value, unit):
-    """The value as a float; raises InputError naming part and value where it is not a finite number above zero."""
-    if not is_number(value) or value <= 0:
-        raise InputError(f"{part}: {name} = {value!r} must be a positive number of {unit}")
-    return float(value)
-
-
-def number(part, name, value, unit, least=-math.inf):
-    """The value as a float; raises InputError naming part and value where it is not a finite number of `least` or more."""
-    if not (is_number(value) and value >= least):
-        least = "" if least == -math.inf else f", {least:g} or more"
-        raise InputError(f"{part}: {name} = {value!r} must be a number of {unit}{least}")
-    return float(value)
-
-
-def vector2(part, name, value):
-    """The value as two floats; raises InputError naming part and value otherwise."""
-    pair = floats(value)
-    if pair is None or pair.shape != (2,):
-        raise InputError(f"{part}: {name} = {value!r} must be two finite numbers")
-    return pair

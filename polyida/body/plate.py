@@ -7,9 +7,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.body.material import Material, positive, vector2
+from polyida.body.material import Material
 from polyida.errors import InputError
-from polyida.given import is_number, is_one_of, settle
+from polyida.given import is_number, is_one_of, positive, settle, vector2
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.keywords import named_keywords
 from polyida.mesh import PolygonMesh

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from polyida.body.material import positive
-from polyida.given import settle
+from polyida.given import positive, settle
 from polyida.joint.attachment import Attachment, labelled, require_attachment
 from polyida.keywords import named_keywords
 

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.body import Body
 from polyida.body.field_body import FieldBody, moments_of, rigid_fields
-from polyida.body.material import Material, positive, vector2
+from polyida.body.material import Material
 from polyida.body.plate import Plate
 from polyida.errors import InputError
-from polyida.given import is_number, settle
+from polyida.given import is_number, positive, settle, vector2
 from polyida.joint.formula import Row, Vector, dot
 from polyida.keywords import named_keywords
 from polyida.mesh import PolygonMesh

@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.body.material import number, positive
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.given import settle
+from polyida.given import number, positive, settle
 from polyida.jit.compiled import compiled
 from polyida.joint.attachment import require_places, require_sides
 from polyida.keywords import named_keywords

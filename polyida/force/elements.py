@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.body.material import number
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.given import is_flag, reals, settle
+from polyida.given import is_flag, number, reals, settle
 from polyida.jit.compiled import compiled, dispatcher_of
 from polyida.joint.attachment import Attachment, Ground, ground, require_attachment, require_directions, require_places, require_sides
 from polyida.keywords import named_keywords

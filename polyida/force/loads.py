@@ -6,9 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.body.material import vector2
 from polyida.errors import InputError
-from polyida.given import settle
+from polyida.given import settle, vector2
 from polyida.joint.attachment import Attachment, labelled, require_attachment
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile, constant

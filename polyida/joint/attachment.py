@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.body.material import vector2
 from polyida.errors import InputError
+from polyida.given import vector2
 from polyida.joint.formula import Piece, Vector
 
 ROUND = 1e-6  # second moments that differ by less are equal: which is the larger would be up to round-off

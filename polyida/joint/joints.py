@@ -6,9 +6,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from polyida.body.material import positive
 from polyida.errors import InputError
-from polyida.given import is_number, settle
+from polyida.given import is_number, positive, settle
 from polyida.joint.attachment import Attachment, Ground, ground, labelled, require_attachment, require_places
 from polyida.joint.formula import Row, Vector, along, cross, dot
 from polyida.joint.joint import FORCE, Joint

@@ -11,7 +11,7 @@ with b = m H^2 / (12 L^2).
 
 import numpy as np
 
-from polyida.body.material import positive
+from polyida.given import positive
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
 from polyida.problems.plates import GRAVITY, HEIGHT, LENGTH, RUBBER, THICKNESS, TIP_MASS, Material, double_plate

@@ -9,11 +9,10 @@ from scipy.sparse import csr_array
 
 from polyida.assembly.loads import gravity_at
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.material import vector2
 from polyida.body.plate import Plate
 from polyida.brief import brief
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, pairs_of
+from polyida.given import complex_of_pairs, pairs_of, vector2
 from polyida.io.frames import each
 from polyida.mesh import PolygonMesh
 

@@ -13,10 +13,9 @@ two windows: Bayo, Avello, Nonlinear Dynamics 5 (1994) 209.
 
 import numpy as np
 
-from polyida.body.material import positive
 from polyida.body.rigid_body import RigidBody
 from polyida.errors import InputError
-from polyida.given import is_whole
+from polyida.given import is_whole, positive
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
 from polyida.problems import Problem
