@@ -51,7 +51,7 @@ class Model:
     n: int
     m: int
     needs: Needs = Needs()
-    by_numba = False  # True of a model whose functions numba compiles (system/own.py)
+    by_numba = False  # True of a model whose functions numba compiles (jit/compiled.py)
     is_scene = False  # True of a scene, whose functions are tested and called as they are
     parameters: tuple[str, ...] = ()  # names of attributes, numbers or arrays, in which gradients of runs are taken
     alike = False  # True where all coordinates are of one kind, m: Newton's |dq| is then their plain root mean square, by mass elsewhere

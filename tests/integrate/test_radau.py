@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida import problems
+from polyida import compiled, problems
 from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.rows import Rows
 from polyida.integrate.radau.tableau import radau, through, through_zero
@@ -16,7 +16,6 @@ from polyida.integrate.start import consistent_acceleration
 from polyida.linear.kkt import SCALINGS
 from polyida.model import differences
 from polyida.problems.plates import double_plate, double_plate_motors
-from polyida.system.own import compiled
 
 FIELDS = ("t", "q", "v", "a", "lam")
 
