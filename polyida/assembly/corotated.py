@@ -22,8 +22,6 @@ from polyida.linear.cholesky.fronts import solve_fronts
 from polyida.linear.cholesky.team import Team, solve_together
 from polyida.linear.cholesky.triangular import solve_band, solve_columns
 
-UNIT = (lambda c, n: np.stack([c, -n], axis=1), lambda c, n: np.stack([n, c], axis=1))  # A^T of a unit along x and along y
-
 
 @pack
 class Corotated(NamedTuple):
@@ -58,17 +56,18 @@ class Room(NamedTuple):
     team: Team | None = None
 
 
-def corotated(model, blocks, rotation, backend="auto", phase=1.0):
+def corotated(model, blocks, rotation, backend="auto", phase=1.0, before=None):
     """(Corotated, name of its back-end) for the tangent blocks and raw nodal rotations at hand; phase as `factor` has it.
 
-    Raises NotFactorable.
+    before: a Corotated of the model that is no longer needed; it is filled anew where the factor is of its kind. Raises NotFactorable.
     """
-    made, name = factor(model, blocks, backend, phase)
-    frame, place = rotation / np.linalg.norm(rotation, axis=1, keepdims=True), model.once(column_places, of_shape=True)
-    reach = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), made.band.dtype)
-    result = Corotated(made, frame, place, reach, model.once(border, of_shape=True))
-    fill_reach(model.arrays.links, result)
-    return result, name
+    made, name = factor(model, blocks, backend, phase, before and before.factor)
+    if before is None or made is not before.factor:
+        place = model.once(column_places, of_shape=True)
+        reach = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), made.band.dtype)
+        before = Corotated(made, np.empty_like(rotation), place, reach, model.once(border, of_shape=True))
+    fill_reach(before, before.reach, rotation, model.once(unit_loads, of_shape=True), scratch(before))
+    return before, name
 
 
 def column_places(model):
@@ -83,25 +82,41 @@ def columns_together(border):
     return 2 * int(np.diff(border.point_start).max(initial=0))
 
 
-def fill_reach(s, c, product=None):
-    """X = S_ref^-1 A^T in the factor's own frame, one column a component of a point; S_ref^-1 M A^T with M's `product`.
+def unit_loads(model):
+    """A^T of unit forces at points, (columns, nodes, 2): the first, second ... column of all bodies together, for these are not coupled."""
+    pattern, weights = model.once(border, of_shape=True), model.point_weights.conj()
+    groups, loads = np.split(pattern.points, pattern.point_start[1:-1]), np.zeros((columns_together(pattern), model.n_nodes), complex)
+    for k in range(0, len(loads), 2):
+        loads[k] = weights[[group[k // 2] for group in groups if len(group) > k // 2]].sum(axis=0)
+        loads[k + 1] = 1j * loads[k]
+    return loads.view(float).reshape(*loads.shape, 2)
 
-    Bodies are not coupled in S_ref: the first columns of all of them are found by one solve, then the second ones.
-    """
-    order, behind, points = c.factor.order, c.factor.band.shape[1], np.split(c.border.points, c.border.point_start[1:-1])
-    x = np.zeros((columns_together(c.border), len(order) + behind), c.reach.dtype)
-    for column, values in enumerate(x):
-        load = np.zeros((len(c.frame), 2))
-        for f in (group[column // 2] for group in points if len(group) > column // 2):
-            part = slice(s.point_ptr[f], s.point_ptr[f + 1])
-            load[s.point_nodes[part]] = UNIT[column % 2](*s.point_weights[part].T)
-        values[order] = load.ravel() if product is None else product(load).ravel()
-    all_triangular(c.factor, x)
-    for group in points:
-        for i, f in enumerate(group):
-            first, end, at = c.place[f]
-            for axis in range(2):
-                c.reach[at + axis * (end - first) : at + (axis + 1) * (end - first)] = x[2 * i + axis][order.reshape(-1, 2)[first:end]]
+
+def scratch(c):
+    """Of one solve, single precision: behind the coordinates there are as many zeros as the band is wide."""
+    return np.zeros(len(c.factor.order) + c.factor.band.shape[1], c.reach.dtype)
+
+
+@entry
+def fill_reach(c, reach, rotation, loads, x):
+    """reach = S_ref^-1 loads by the columns of the points, in the factor's own frame; rotation: raw, of that frame, or empty."""
+    for i in range(rotation.shape[0]):
+        size = np.sqrt(rotation[i, 0] ** 2 + rotation[i, 1] ** 2)
+        c.frame[i, 0], c.frame[i, 1] = rotation[i, 0] / size, rotation[i, 1] / size
+    order, b = c.factor.order, c.border
+    for column in range(loads.shape[0]):
+        for i in range(loads.shape[1]):
+            x[order[2 * i]], x[order[2 * i + 1]] = loads[column, i, 0], loads[column, i, 1]
+        for k in range(order.shape[0], x.shape[0]):
+            x[k] = np.float32(0.0)
+        triangular(c.factor, x)
+        for n in range(b.point_start.shape[0] - 1):
+            e = b.point_start[n] + column // 2
+            if e < b.point_start[n + 1]:
+                first, end, at = c.place[b.points[e], 0], c.place[b.points[e], 1], c.place[b.points[e], 2]
+                at += column % 2 * (end - first) - first
+                for i in range(first, end):
+                    reach[at + i, 0], reach[at + i, 1] = x[order[2 * i]], x[order[2 * i + 1]]
 
 
 def room(model, system):
@@ -129,13 +144,6 @@ def triangular(f, x):
         solve_band(f.band, x)
     else:
         solve_columns(f.start, f.rows, f.values, f.reciprocal, x)
-
-
-@entry
-def all_triangular(f, x):
-    """Each row of x <- S_ref^-1 x in the factor's order; behind a row's n numbers it holds as many zeros as the band is wide."""
-    for column in x:
-        triangular(f, column)
 
 
 @part

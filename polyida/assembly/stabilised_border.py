@@ -33,7 +33,7 @@ class StabilisedRoom(NamedTuple):
 def stabilised_room(model, dtype=float):
     """Scratch for the borders of a model's step matrices, float or complex."""
     pattern, links, points = model.once(border_with_rates, of_shape=True), model.arrays.links, (model.n_points, 2)
-    numbers, flat = border_room(model, pattern, dtype), overlap(model, pattern)
+    numbers, flat = border_room(model, pattern, dtype), model.once(overlaps, of_shape=True)
     at = 0
     for begin, end in zip(pattern.block, pattern.block[1:]):
         size = int(np.sqrt(end - begin)) // 2
@@ -48,20 +48,32 @@ def border_with_rates(model):
     return border(model, rates=True)
 
 
-def massive(model, system, damping=None):
+def overlaps(model):
+    """`A A^T` body by body."""
+    return overlap(model, model.once(border_with_rates, of_shape=True))
+
+
+def massive(model, system, damping=None, before=None):
     """The Corotated `system` with columns `S^-1 (M + damping) A^T`, M of the plates.
 
-    damping (n, n): C/c, so that c times the columns is that of c M + C; without it C B^T dmu, as good as zero, is left out.
+    damping (n, n): C/c, so that c times the columns is that of c M + C; without it C B^T dmu, as good as zero, is left out. before: one made
+    for the same system, which is filled anew.
     """
+    loads = model.once(momenta)
+    if damping is not None:
+        units = model.once(corotated.unit_loads, of_shape=True)
+        loads = loads + (damping @ units.reshape(len(units), -1).T).T.reshape(units.shape)
+    before = system._replace(reach=np.zeros_like(system.reach)) if before is None else before
+    corotated.fill_reach(system, before.reach, system.frame[:0], loads, corotated.scratch(system))
+    return before
 
-    def product(a):
-        result = np.zeros_like(a)
-        momentum(model.arrays, a, result)
-        return result if damping is None else result + (damping @ a.ravel()).reshape(a.shape)
 
-    result = system._replace(reach=np.zeros_like(system.reach))
-    corotated.fill_reach(model.arrays.links, result, product)
-    return result
+def momenta(model):
+    """M A^T of the plates, as `unit_loads`."""
+    loads = np.zeros_like(model.once(corotated.unit_loads, of_shape=True))
+    for load, unit in zip(loads, model.once(corotated.unit_loads, of_shape=True)):
+        momentum(model.arrays, unit, load)
+    return loads
 
 
 @part

@@ -22,7 +22,7 @@ class SceneStepMatrix(StepMatrix):
 
     def __init__(self, model, linear="auto"):
         super().__init__(model)
-        self.linear, self.solves = linear, corotated.columns_together(model.once(border, of_shape=True))
+        self.linear, self.solves, self.corotated = linear, corotated.columns_together(model.once(border, of_shape=True)), None
 
     def factor(self, t, q, v, a, lam, c_m, c_v, parts=None):
         """Factor S at q; t and v are for force elements, t and lam for the joints' curvature in `solve`. Raises SingularSystem.
@@ -32,13 +32,14 @@ class SceneStepMatrix(StepMatrix):
         model, self.made_at, self.c_m, self.at = self.model, np.concatenate([[t], q, v, a, lam]), c_m, (t, lam)
         blocks = symmetric_blocks(model, q.reshape(-1, 2), c_m, c_v) if parts is None else combined(c_m, c_v, *parts)
         phase = abs(c_v) / c_v if np.iscomplexobj(blocks) else 1.0
+        before, self.corotated = self.corotated, None
         try:
-            self.corotated, self.backend = corotated.corotated(model, blocks, model.rotation(q), self.linear, phase)
+            self.corotated, self.backend = corotated.corotated(model, blocks, model.rotation(q), self.linear, phase, before)
         except NotFactorable as error:
             raise SingularSystem(str(error)) from None
-        self.room = corotated.room(model, self.corotated)
+        self.room = self.room if self.corotated is before else corotated.room(model, self.corotated)
         if model.laws is not None:
-            coupling = model.arrays.links.coupling
+            coupling, self.room.own[...] = model.arrays.links.coupling, 0.0
             add_own_curvature(model.laws, coupling, model.drives(t), model.dz(q), model.dz(v), 1.0, c_v, self.room.own)
 
     def beside(self, c_m, c_v, change):

@@ -5,44 +5,6 @@ import numpy as np
 from polyida.jit import entry, part
 
 
-@entry
-def solve_small(matrix, b):
-    """b <- matrix^-1 b by elimination with row equilibration and partial pivoting; overwrites both. False where it is singular."""
-    n = b.shape[0]
-    for i in range(n):
-        size = 0.0
-        for j in range(n):
-            size = max(size, abs(matrix[i, j]))
-        if not size > 0.0:
-            return False
-        for j in range(n):
-            matrix[i, j] /= size
-        b[i] /= size
-    for k in range(n):
-        p = k
-        for i in range(k + 1, n):
-            if abs(matrix[i, k]) > abs(matrix[p, k]):
-                p = i
-        if not abs(matrix[p, k]) > 1e-300:
-            return False
-        if p != k:
-            for j in range(k, n):
-                matrix[k, j], matrix[p, j] = matrix[p, j], matrix[k, j]
-            b[k], b[p] = b[p], b[k]
-        for i in range(k + 1, n):
-            if matrix[i, k] != 0.0:
-                factor = matrix[i, k] / matrix[k, k]
-                for j in range(k + 1, n):
-                    matrix[i, j] -= factor * matrix[k, j]
-                b[i] -= factor * b[k]
-    for i in range(n - 1, -1, -1):
-        total = b[i]
-        for j in range(i + 1, n):
-            total -= matrix[i, j] * b[j]
-        b[i] = total / matrix[i, i]
-    return True
-
-
 @part
 def factor(matrix, pivots):
     """P matrix = L U in place, by rows, with partial pivoting: False if it is singular. pivots (n,): the row taken at each step."""
@@ -92,3 +54,22 @@ def clear(matrix):
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0
+
+
+@entry
+def solve_small(matrix, b):
+    """b <- matrix^-1 b, with rows divided by their largest entry first; overwrites both. False where it is singular."""
+    for i in range(b.shape[0]):
+        size = 0.0
+        for j in range(b.shape[0]):
+            size = max(size, abs(matrix[i, j]))
+        if not size > 0.0:
+            return False
+        for j in range(b.shape[0]):
+            matrix[i, j] /= size
+        b[i] /= size
+    pivots = np.empty(b.shape[0], np.int64)
+    if not factor(matrix, pivots):
+        return False
+    solve(matrix, pivots, b)
+    return True

@@ -12,7 +12,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.linear.independence import MOST, coordinate_sizes, involved, least, rows_of
-from polyida.linear.lu import LU
+from polyida.linear.lu import LU, block_matrix
 
 DEPENDENT = 1e-6  # smallest singular value of the rows of phi_q, made of length one, below which they are
 SCALINGS = ("none", "bottasso", "physical")
@@ -43,20 +43,7 @@ def scaling_factors(kind, step_square, tangent):
 def assemble(tangent, phi_q, scaling=Scaling(), pull=None):
     """The scaled matrix, (n + m, n + m): dense where S is dense, CSC otherwise. pull: B of the upper right block, where it is another."""
     pull = phi_q if pull is None else pull
-    if hasattr(tangent, "tocsc"):
-        from scipy.sparse import block_array, csr_array
-
-        border = csr_array(phi_q)
-        if not border.shape[0]:
-            return (scaling.row * tangent).tocsc()
-        return block_array([[scaling.row * tangent, scaling.row * scaling.column * csr_array(pull).T], [border, None]], format="csc")
-    n, m = tangent.shape[0], phi_q.shape[0]
-    matrix = np.zeros((n + m, n + m), np.result_type(tangent, float))
-    matrix[:n, :n] = scaling.row * tangent
-    border, pull = (B.toarray() if hasattr(B, "toarray") else B for B in (phi_q, pull))
-    matrix[:n, n:] = scaling.row * scaling.column * pull.T
-    matrix[n:, :n] = border
-    return matrix
+    return block_matrix([[scaling.row * tangent, scaling.row * scaling.column * pull.T], [phi_q, None]])
 
 
 class KKT:

@@ -1,4 +1,4 @@
-"""LU factors of any square matrix, dense or sparse, real or complex; and how many factors of any kind are kept."""
+"""LU factors of any square matrix, dense or sparse, real or complex; matrices made of blocks; and how many factors of any kind are kept."""
 
 import numpy as np
 
@@ -14,6 +14,25 @@ class SingularSystem(Exception):
 def dense(matrix):
     """The matrix, dense or scipy.sparse, as a dense array of floats."""
     return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix, float)
+
+
+def block_matrix(blocks):
+    """The matrix made of rows of blocks, None for zeros: CSC where the first of them is sparse, dense otherwise."""
+    heights = [next(block.shape[0] for block in row if block is not None) for row in blocks]
+    widths = [next(block.shape[1] for block in column if block is not None) for column in zip(*blocks)]
+    if hasattr(blocks[0][0], "tocsc"):
+        from scipy.sparse import block_array, csr_array
+
+        rows = [[block for block, width in zip(row, widths) if width] for row, height in zip(blocks, heights) if height]
+        return block_array([[None if block is None else csr_array(block) for block in row] for row in rows], format="csc")
+    kinds = [block.dtype for row in blocks for block in row if block is not None]
+    matrix = np.zeros((sum(heights), sum(widths)), np.result_type(float, *kinds))
+    rows, columns = np.cumsum([0, *heights]), np.cumsum([0, *widths])
+    for i, row in enumerate(blocks):
+        for j, block in enumerate(row):
+            if block is not None:
+                matrix[rows[i] : rows[i + 1], columns[j] : columns[j + 1]] = block.toarray() if hasattr(block, "toarray") else block
+    return matrix
 
 
 class LU:

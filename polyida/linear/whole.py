@@ -11,35 +11,18 @@ c, 1/s, is what a method's rate of q and v grows by with them, real or complex; 
 import numpy as np
 
 from polyida.linear.condition import scaled
-from polyida.linear.lu import LU
+from polyida.linear.lu import LU, block_matrix
 
 
 def joined(c, K, slope, lam, mu, on_q, on_v):
     """The matrix, (N, N), of slope = c M + C, columns lam and mu (or None) and constraint rows on dq and dv: CSC where K is sparse."""
     if hasattr(K, "tocsc"):
-        return _sparse(c, K, slope, lam, mu, on_q, on_v)
-    (n, m), columns = lam.shape, lam.shape[1] * (1 if mu is None else 2)
-    J = np.zeros((2 * n + columns, 2 * n + columns), np.result_type(c, float))
-    J[:n, :n], J[:n, n : 2 * n] = c * np.eye(n), -np.eye(n)
-    J[n : 2 * n, :n], J[n : 2 * n, n : 2 * n] = K, slope.toarray() if hasattr(slope, "toarray") else slope
-    J[n : 2 * n, 2 * n : 2 * n + m] = lam
-    if mu is not None:
-        J[:n, 2 * n + m :] = mu
-    J[2 * n :, :n], J[2 * n :, n : 2 * n] = on_q, on_v
-    return J
-
-
-def _sparse(c, K, slope, lam, mu, on_q, on_v):
-    from scipy.sparse import block_array, csr_array, eye_array
-
-    n, m = lam.shape
-    first, second = [c * eye_array(n), -eye_array(n)], [K, csr_array(slope)]
-    if not m:
-        return block_array([first, second], format="csc")
-    lam, below = csr_array(lam), [csr_array(on_q), csr_array(on_v), None]
-    if mu is None:
-        return block_array([[*first, None], [*second, lam], below], format="csc")
-    return block_array([[*first, None, csr_array(mu)], [*second, lam, None], [*below, None]], format="csc")
+        from scipy.sparse import eye_array as eye
+    else:
+        eye = np.eye
+    unit = eye(K.shape[0])
+    rows = [[c * unit, -unit, None, mu], [K, slope, lam, None], [on_q, on_v, None, None]]
+    return block_matrix(rows if mu is not None else [row[:3] for row in rows])
 
 
 def typical(c, K, slope):

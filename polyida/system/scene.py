@@ -17,7 +17,7 @@ from polyida.assembly.rows.tie import Tie, velocity_rate
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.rows.tie import tie as tie_of
 from polyida.jit import pack, part
-from polyida.linear.cholesky.helpers import Helpers
+from polyida.linear.cholesky.team import Helpers
 from polyida.linear.dense import clear
 from polyida.machine import threads
 from polyida.system.table import (

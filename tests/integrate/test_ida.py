@@ -12,8 +12,7 @@ from polyida.errors import InputError, StepFailure
 from polyida.integrate.ida.dense import DenseSolve
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.ida.linear import ReducedSolve
-from polyida.integrate.ida.predicted import Predicted
+from polyida.integrate.ida.linear import Predicted, ReducedSolve
 from polyida.integrate.ida.whole import WholeSolve, whole_matrix
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts, State
@@ -335,6 +334,17 @@ def test_max_step_and_restart():
     assert np.diff([s.t for s in states]).max() <= 0.01 * (1 + 1e-12)
     again = list(IDA(rtol=1e-8, atol=1e-10).steps(model, states[-1], 1.0, Counts()))
     assert again[-1].q[0] == pytest.approx(np.cos(1.0), abs=1e-4)
+
+
+def test_a_run_goes_on_from_each_state_of_a_stretch():
+    p = problems.get("pendulum")
+    stretches = IDA(form="ggl2").steps(p.model, consistent_state(p.model, 0.0, p.q0, p.v0), 1.0, Counts()).stretches
+    stretch = next(each for each in stretches if len(each) > 2)
+    part, last = stretch.part(1, len(stretch), 2), stretch.last
+    assert part.state(0).restart and (part.state(0).q == stretch.state(1).q).all() and part.state(0).t == stretch.t[1]
+    assert (part.state(0).memory["mu"] == stretch.state(1).memory["mu"]).all() and last.memory.keys() == stretch.state(0).memory.keys()
+    assert last is stretch.state(len(stretch) - 1) is stretch.part(1, len(stretch)).last  # so that a frame of it is known to be there
+    assert last.restart and last.memory["rtol"] == IDA().relative(guard(p.model), last.memory["sizes"])
 
 
 class Crash(Exception):

@@ -6,9 +6,8 @@ from scipy.sparse import csc_array, csr_array, diags_array
 
 import polyida as pi
 from polyida import problems
-from polyida.linear.border import Border
 from polyida.linear.lu import LU, SingularSystem
-from polyida.linear.step_matrix import StepMatrix, WholeMatrix
+from polyida.linear.step_matrix import Border, StepMatrix, WholeMatrix
 
 
 @pytest.fixture

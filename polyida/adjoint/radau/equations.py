@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.linear.condition import scaled
-from polyida.linear.lu import LU, dense
+from polyida.linear.lu import LU, block_matrix
 
 ROUNDS = 2  # solves with a step's factor: the second takes what round-off left
 
@@ -140,11 +140,11 @@ class Linearised:
         r = [[self._r_e(i, j) for j in stages] + [only(i, j, self.B[i].T) for j in stages] for i in stages]
         phi = [[only(i, j, self.B[i]) for j in stages] + [None] * len(stages) for i in stages]
         if not self.tied:
-            return joined(r + phi if self.model.m else [row[: len(stages)] for row in r])
+            return block_matrix(r + phi if self.model.m else [row[: len(stages)] for row in r])
         r = [row + [self._r_v(i, j) @ self.DB[j] for j in stages] for i, row in enumerate(r)]
         rate = [[self._rate_e(i, j) for j in stages] + [None] * len(stages) for i in stages]
         rate = [row + [only(i, j, self.B[i] @ self.DB[i]) for j in stages] for i, row in enumerate(rate)]
-        return joined(r + [row + [None] * len(stages) for row in phi] + rate)
+        return block_matrix(r + [row + [None] * len(stages) for row in phi] + rate)
 
     def _r_e(self, i, j):
         """`K + C dv/de + M da/de`, `dv/de = W/h + D^-1 T`, `da/de = W/h dv/de`."""
@@ -169,19 +169,3 @@ class Linearised:
 def _each(matrices, x):
     """The transpose of each on its row of x, (s, .)."""
     return np.array([matrix.T @ row for matrix, row in zip(matrices, x)])
-
-
-def joined(blocks):
-    """One matrix of blocks, of which some are None: CSC where the first is sparse, else dense."""
-    if hasattr(blocks[0][0], "tocsc"):
-        from scipy.sparse import block_array, csr_array
-
-        return block_array([[None if block is None else csr_array(block) for block in row] for row in blocks], format="csc")
-    heights = [next(block.shape[0] for block in row if block is not None) for row in blocks]
-    widths = [next(block.shape[1] for block in column if block is not None) for column in zip(*blocks)]
-    matrix, rows, columns = np.zeros((sum(heights), sum(widths))), np.cumsum([0, *heights]), np.cumsum([0, *widths])
-    for i, row in enumerate(blocks):
-        for j, block in enumerate(row):
-            if block is not None:
-                matrix[rows[i] : rows[i + 1], columns[j] : columns[j + 1]] = dense(block)
-    return matrix

@@ -12,7 +12,7 @@ What is left of the exact equations goes round again.
 
 import numpy as np
 
-from polyida.linear.border import Border
+from polyida.linear.step_matrix import Border
 
 
 class Modes:

@@ -6,7 +6,7 @@ from polyida.adjoint.alpha.plain import PlainSweep, Sent, Swept
 from polyida.adjoint.scene import steps
 from polyida.adjoint.scene.products import arrays_of, scratch
 from polyida.assembly.rows.increments import drive_table
-from polyida.linear.cholesky.helpers import Helpers
+from polyida.linear.cholesky.team import Helpers
 from polyida.machine import threads
 from polyida.objective.slopes import Slopes
 from polyida.system import scene as tables

@@ -81,12 +81,12 @@ class Room(NamedTuple):
 def room(system):
     """Room for a System."""
     form, n, m = system.form, system.model.n, system.model.m
-    k = m if form.combined else m * len(form.rows)
-    offsets = [(0 if form.combined else m * form.rows.index(order)) if order in form.rows else -1 for order in range(3)]
-    weights = [system.rate**2, 2.0 * system.rate, 1.0] if form.combined else [1.0] * 3
+    k, offsets, weights = system.size - 2 * n, np.full(3, -1), np.ones(3)
+    for order, weight, at in system.levels:
+        offsets[order], weights[order] = at.start, weight
     flags = form.stabilised, form.integrated, system.rows_vary and system.holds_phi, system.rows_vary, False
     shapes = (system.size,), (n,), (m,), (m, n), (m,), (n, n), (k, n), (k, n), (2, m, n), (n + k, n + k)
-    numbers = np.array(offsets, np.int64), np.array(weights, float), np.array(flags, np.int64), np.zeros(2)
+    numbers = offsets, weights, np.array(flags, np.int64), np.zeros(2)
     return Room(*numbers, *map(np.zeros, shapes), np.zeros(n + k, np.int64), np.zeros(n + k), np.zeros(n + k), np.zeros((2, k)))
 
 

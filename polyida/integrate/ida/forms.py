@@ -16,11 +16,12 @@ Unknowns y = (q, v, multipliers); equations
 Sources: Gear, Gupta, Leimkuhler 1985 (ggl2); Gear 1988 and Anantharaman, Hiller 1991 (ggl1); Baumgarte 1972.
 """
 
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
-from polyida.integrate.state import State
+from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import dense
 from polyida.model.differences import along, reach_along
 
@@ -49,65 +50,28 @@ FORMS = {
 }
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """Blocks of the iteration matrix at one state: M, C (or None), B (m, n) and the rows P + cj Q0 + cj^2 Q1 on dq."""
-
-    M: np.ndarray
-    C: np.ndarray
-    B: np.ndarray
-    P: np.ndarray
-    Q0: np.ndarray
-    Q1: np.ndarray
-    stabilised: bool
-    integrated: bool
-
-    @property
-    def border(self):
-        """Whether there are constraints at all."""
-        return self.B.shape[0] > 0
-
-    @property
-    def n(self):
-        return self.B.shape[1]
-
-    @property
-    def m(self):
-        return self.B.shape[0]
-
-    def rows(self, cj):
-        """(rows on dq, rows on dv) at this cj, the first with dv = cj dq already in."""
-        velocity = self.Q0 + cj * self.Q1
-        return self.P + cj * velocity, velocity
-
-    def columns(self, cj):
-        """The border's columns: B^T for lam and, where there is mu, (cj M + C) B^T, side by side."""
-        lam = self.B.T
-        return np.hstack([lam, self.damping_product(cj, lam)]) if self.stabilised else lam
-
-    def damping_product(self, cj, x):
-        """(cj M + C) x."""
-        product = cj * (self.M @ x)
-        return product if self.C is None else product + self.C @ x
-
-
 class System:
-    """A model in one form: IDA's residual F(t, y, y'), its blocks, and the way from a State to (y, y') and back.
+    """A model in one form: IDA's residual F(t, y, y'), blocks of its matrix, and the way from a State to (y, y') and back.
 
-    `limits`: t is held to this range, so that at a kink a smooth piece sees its own side. `rate`: w of Baumgarte.
+    rate: w of Baumgarte. levels: of each derivative of phi its order, its weight and the constraint rows to which it is added. limits: t is
+    held to this range, so that at a kink a smooth piece sees its own side.
     """
 
     def __init__(self, model, form, rate):
-        self.model, self.form, self.rate = model, FORMS[form], rate
+        self.model, self.form = model, FORMS[form]
         self.limits = (-np.inf, np.inf)
         self._seen = np.nan, np.zeros(0), None
-        self.size = 2 * model.n + (2 if self.form.stabilised else 1) * model.m
+        m, combined, weights = model.m, self.form.combined, (rate**2, 2.0 * rate, 1.0)
+        starts = [0 if combined else m * i for i in range(len(self.form.rows))]
+        self.levels = [(k, weights[k] if combined else 1.0, slice(at, at + m)) for k, at in zip(self.form.rows, starts)]
+        self.size = 2 * model.n + (2 if self.form.stabilised else 1) * m
 
     def split(self, y, yp):
-        """q, v, a, lam, mu (None without) as views of y and y'."""
+        """q, v, a, lam, mu (None without) as views of y and y', (size,) or (k, size)."""
         n, m = self.model.n, self.model.m
-        multipliers = (yp if self.form.integrated else y)[2 * n :]
-        return y[:n], y[n : 2 * n], yp[n : 2 * n], multipliers[:m], multipliers[m:] if self.form.stabilised else None
+        multipliers = (yp if self.form.integrated else y)[..., 2 * n :]
+        mu = multipliers[..., m:] if self.form.stabilised else None
+        return y[..., :n], y[..., n : 2 * n], yp[..., n : 2 * n], multipliers[..., :m], mu
 
     def pack(self, state):
         """(y, y') at a consistent State."""
@@ -116,11 +80,6 @@ class System:
         y[:n], y[n : 2 * n], yp[:n], yp[n : 2 * n] = state.q, state.v, state.v, state.a
         (yp if self.form.integrated else y)[2 * n : 2 * n + m] = state.lam
         return y, yp
-
-    def state(self, t, y, yp):
-        """The State at (t, y, y'); mu, zero but for truncation, is kept in its memory."""
-        q, v, a, lam, mu = self.split(y, yp)
-        return State(t, q, v, a, lam, {} if mu is None else {"mu": mu})
 
     def tolerances(self, atol_q, atol_v):
         """Absolute tolerances of y, (size,), from those of q and v."""
@@ -139,7 +98,10 @@ class System:
         res[n : 2 * n] = model.residual(t, q, v, a, lam)
         if model.m:
             B = None if self.form.rows == (0,) else self.phi_q(t, q)
-            res[2 * n :] = self.constraint_rows(t, q, v, a, B)
+            res[2 * n :] = 0.0
+            for order, weight, at in self.levels:
+                value = model.phi(t, q) if order == 0 else B @ v + model.phi_t(t, q) if order == 1 else B @ a + model.phi_bias(t, q, v)
+                res[2 * n :][at] += weight * value
             if mu is not None:
                 res[:n] += B.T @ mu
 
@@ -173,12 +135,12 @@ class System:
         """Whether phi itself is a row."""
         return 0 in self.form.rows and not self.form.combined
 
-    def opened(self, state, allowed):
-        """What has drifted from phi = 0 by more than `allowed`, in q, at a State, or None; of a form that holds phi nothing has."""
+    def opened(self, t, q, allowed):
+        """What has drifted from phi = 0 by more than `allowed`, in q, at (t, q), or None; of a form that holds phi nothing has."""
         if not self.model.m or self.holds_phi:
             return None
-        t, model = self.clamp(state.t), self.model
-        apart = np.abs(model.phi(t, state.q)) / np.linalg.norm(dense(model.phi_q(t, state.q)), axis=1)
+        t, model = self.clamp(t), self.model
+        apart = np.abs(model.phi(t, q)) / np.linalg.norm(dense(model.phi_q(t, q)), axis=1)
         worst = int(apart.argmax())
         return None if apart[worst] <= allowed else f"{model.constraint_name(worst)} has drifted apart by {apart[worst]:.2g}"
 
@@ -186,26 +148,15 @@ class System:
         """t held to `limits`."""
         return min(max(t, self.limits[0]), self.limits[1])
 
-    def constraint_rows(self, t, q, v, a, B):
-        """c(t, q, v, a), one block of m rows after the other."""
-        model = self.model
-        values = {0: lambda: model.phi(t, q), 1: lambda: B @ v + model.phi_t(t, q), 2: lambda: B @ a + model.phi_bias(t, q, v)}
-        rows = [values[order]() for order in self.form.rows]
-        return self._sum(rows) if self.form.combined else np.concatenate(rows)
-
-    def _sum(self, rows):
-        position, velocity, acceleration = rows
-        return acceleration + 2 * self.rate * velocity + self.rate**2 * position
-
     def at(self, t, y, yp):
         """(t, q, v, a, lam) for the model."""
         return self.clamp(t), *self.split(y.copy(), yp.copy())[:4]
 
-    def blocks(self, t, y, yp):
-        """The Blocks at (t, y, y')."""
-        model, (t, q, v, a, _) = self.model, self.at(t, y, yp)
-        C = model.force_v(t, q, v) if model.needs.velocity_forces else None
-        return Blocks(model.mass(q), C, *self._rows(t, q, v, a), self.form.stabilised, self.form.integrated)
+    def slope(self, t, y, yp, cj):
+        """D = cj M + C at (t, y, y')."""
+        model, (t, q, v, *_) = self.model, self.at(t, y, yp)
+        D = cj * model.mass(q)
+        return D + model.force_v(t, q, v) if model.needs.velocity_forces else D
 
     @property
     def rows_vary(self):
@@ -213,16 +164,16 @@ class System:
         needs = self.model.needs
         return self.model.m > 0 and (needs.driven or needs.phi_q_varies) and max(self.form.rows) < 2
 
-    def with_rows_at(self, blocks, t, y, yp):
-        """The Blocks with the constraint rows of (t, y, y')."""
-        B, P, Q0, Q1 = self._rows(*self.at(t, y, yp)[:4])
-        return replace(blocks, B=B, P=P, Q0=Q0, Q1=Q1)
-
-    def _rows(self, t, q, v, a):
-        """B and the form's rows (P, Q0, Q1)."""
+    def rows(self, t, y, yp, cj):
+        """B (m, n) and the slopes (P, Q) of the constraint rows: in q, and in v with v' = cj v."""
+        t, q, v, a, _ = self.at(t, y, yp)
         B = dense(self.phi_q(t, q))
-        triples = [self._derivatives(order, t, q, v, a, B) for order in self.form.rows]
-        return B, *(self._sum(rows) if self.form.combined else np.vstack(rows) for rows in zip(*triples))
+        P, Q = np.zeros((2, self.size - 2 * self.model.n, self.model.n))
+        for order, weight, at in self.levels:
+            on_q, on_v, on_a = self._derivatives(order, t, q, v, a, B)
+            P[at] += weight * on_q
+            Q[at] += weight * (on_v + cj * on_a)
+        return B, P, Q
 
     def _derivatives(self, order, t, q, v, a, B):
         """(c_q, c_v, c_a) of one derivative of phi; d(phi_q v)/dq is phi_q's slope along v, by symmetry."""
@@ -244,3 +195,37 @@ class System:
         step = NEAR * reach_along(q, direction)
         ahead, behind = (dense(self.model.phi_q(t + s * time, q + s * direction)) for s in (step, -step))
         return (ahead - behind) / (2 * step)
+
+
+class Accepted(Stretch):
+    """Accepted states of a System at the times t (k,), from rows y and y' (k, size); each has the memory that a run goes on from.
+
+    mu, zero but for truncation, is in that memory.
+    """
+
+    def __init__(self, system, memory, t, y, yp):
+        *state, mu = (None if x is None else np.ascontiguousarray(x) for x in system.split(y, yp))
+        super().__init__(t, *state)
+        self._memory, self._mu = memory, mu
+
+    @property
+    def last(self):
+        """The last State."""
+        self._last = self._last or self._state(len(self) - 1)
+        return self._last
+
+    def state(self, k):
+        """The State number k, counted from 0."""
+        return self.last if k == len(self) - 1 else self._state(k)
+
+    def _state(self, k):
+        memory = self._memory if self._mu is None else {"mu": self._mu[k]} | self._memory
+        return State(float(self.t[k]), self.q[k], self.v[k], self.a[k], self.lam[k], dict(memory))
+
+    def part(self, first, end, every=1):
+        """The same of the states from number `first` to before `end`, or of each `every`-th of them."""
+        made, at = copy(self), slice(first, end, every)
+        made._last = self.last if end >= len(self) and every == 1 else None
+        for name in ("t", "q", "v", "a", "lam", "_mu"):
+            setattr(made, name, None if getattr(self, name) is None else getattr(self, name)[at])
+        return made

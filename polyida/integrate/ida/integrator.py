@@ -1,6 +1,7 @@
 """IDA of SUNDIALS: variable-step, variable-order BDF on a stabilised form of the model's equations."""
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -10,17 +11,18 @@ from numpy.typing import NDArray
 from polyida.errors import InputError, StepFailure
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.ida.error_lines import error_lines_kept
-from polyida.integrate.ida.forms import FORMS, System
+from polyida.integrate.ida.forms import FORMS, Accepted, System
 from polyida.integrate.ida.linear import ReducedSolve
 from polyida.integrate.ida.whole import SCALINGS, WholeSolve
 from polyida.integrate.kinks import at_kink, beside, segments, stops
 from polyida.integrate.moves import cells_of
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run, typical_sizes
 from polyida.integrate.start import far_side
-from polyida.integrate.state import Counts, State
+from polyida.integrate.state import Counts, State, States
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.system.python import small_table
+from polyida.system.table import INSTANTS
 
 LINEAR = ("auto", "kkt", "whole")
 AIM, WAYS, FLEXIBLE_WAYS = (
@@ -32,6 +34,7 @@ VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a numb
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
 OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
+LONGEST = 5e-3  # s, that a stretch of states takes, unless a step takes longer
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
 STATUS = {
     -2: "accuracy",
@@ -166,6 +169,9 @@ class IDA:
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
         State.memory: "mu" of the stabilised forms, and "sizes", from which "rtol" and "tolerances" came; a run that goes on keeps them.
         """
+        return States(self._stretches(model, state, t_end, counts), counts)
+
+    def _stretches(self, model, state, t_end, counts):
         sizes = sizes_of_run(model, state, t_end)
         run, look = _Run(self, model, sizes, counts), cells_of(math.inf, t_end - state.t)
         for begin, end in segments(model, state.t, t_end):
@@ -175,8 +181,9 @@ class IDA:
                 state = far_side(model, state, limits[0])
             if at_kink(model, end):
                 limits = (limits[0], beside(end, -1))
-            for state in run.piece(state, begin, stops(model, state, begin, end, *look), limits):
-                yield state
+            for stretch in run.piece(state, begin, stops(model, state, begin, end, *look), limits):
+                yield stretch
+            state = stretch.last
 
 
 def _check(name, value, right, wanted):
@@ -243,64 +250,69 @@ class _Run:
             self.refused, self.blamed = (t, np.array(y[: self.model.n])), self.model.not_finite
 
     def piece(self, state, begin, times, limits):
-        """Accepted States on the smooth piece from begin to the last of `times`, all of which it hits.
+        """Stretches of accepted states on the smooth piece from begin to the last of `times`, all of which it hits.
 
-        The model's time is held to `limits`.
+        The model's time is held to `limits`. A stretch ends before it takes LONGEST, for progress and Ctrl-C wait for it.
         """
         self.system.limits = limits
         y, yp = self.system.pack(state)
         self.linear.begin(begin, y)
         self.solver.init_step(begin, y, yp)
-        t = begin
+        self.t, self.q, most = begin, state.q, 1 if self.model.switching else INSTANTS
         for end in times:
-            for state in self._up_to(end, t, state):
-                yield state
-            t = end
+            while self.t < end:
+                made, until = [], time.perf_counter() + LONGEST
+                try:
+                    with error_lines_kept as printed:
+                        while self.t < end and len(made) < most and time.perf_counter() < until:
+                            self._step(end, printed, made)
+                except BaseException:
+                    if made:
+                        yield self._stretch(made)
+                    raise
+                if made:
+                    yield self._stretch(made)
 
-    def _up_to(self, end, t, state):
-        while t < end:
-            if self.steps >= self.settings.max_num_steps:
-                raise self._failure("too many steps", f"more than {self.steps} steps (max_num_steps)", state)
-            if self.standing >= STANDSTILL:
-                raise self._failure("step too small", "the step has shrunk to the round-off of t", state)
-            self.attempts, self.tried = 0, math.nan
-            with error_lines_kept() as printed:
-                result = self.solver.step(end, method="onestep", tstop=end)
-            if result.status < 0:
-                reason = (printed.message or result.message).rstrip(".")
-                raise self._failure(STATUS.get(result.status, "ida"), reason, state)
-            self._count_step(t, float(result.t))
-            t = float(result.t)
-            self.linear.accept(t, result.y)
-            before, state = state, self.system.state(t, result.y, result.yp)
-            state.memory.update(self.memory)
-            if objection := self.system.objection(t, state.q):
-                raise self._failure("objection", objection, before)
-            if opened := self.system.opened(state, OPEN * self.sizes[0]):
-                raise self._failure("drift", f"{opened}; a form that holds phi, or a tighter rtol, keeps it closed", before)
-            self.refused = self.refused if self.standing else None
-            if not state.t > before.t:
-                state = before  # a step below the round-off of t: no instant of its own
-                continue
-            yield state
+    def _stretch(self, made):
+        return Accepted(self.system, self.memory, *map(np.array, zip(*made)))
 
-    def _count_step(self, before, t):
+    def _step(self, end, printed, made):
+        """Take a step; one below the round-off of t has no instant of its own."""
+        if self.steps >= self.settings.max_num_steps:
+            raise self._failure("too many steps", f"more than {self.steps} steps (max_num_steps)")
+        if self.standing >= STANDSTILL:
+            raise self._failure("step too small", "the step has shrunk to the round-off of t")
+        self.attempts, self.tried = 0, math.nan
+        result = self.solver.step(end, method="onestep", tstop=end)
+        if result.status < 0:
+            reason = (printed.message or result.message).rstrip(".")
+            raise self._failure(STATUS.get(result.status, "ida"), reason)
+        t, y = float(result.t), result.y
+        q, self.last_step = y[: self.model.n], t - self.t
         self.steps += 1
         self.counts.steps += 1
         self.counts.rejected += max(self.attempts - 1, 0)
-        self.last_step = t - before
         self.standing = self.standing + 1 if self.last_step < 16 * math.ulp(t) else 0
+        self.linear.accept(t, y)
+        if objection := self.system.objection(t, q):
+            raise self._failure("objection", objection)
+        if opened := self.system.opened(t, q, OPEN * self.sizes[0]):
+            raise self._failure("drift", f"{opened}; a form that holds phi, or a tighter rtol, keeps it closed")
+        self.refused = self.refused if self.standing else None
+        if t > self.t:
+            self.t, self.q = t, q
+            made.append((t, y, result.yp))
 
-    def _failure(self, status, reason, state):
+    def _failure(self, status, reason):
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
         if self.refused:
             why = self.model.objection(*self.refused)
             status, reason = (
                 ("objection", f"{why}; {reason}") if why else (status, f"{self.blamed or 'the residual is not finite'}; {reason}")
             )
-        phi = np.abs(self.model.phi(state.t, state.q))
-        tried = float(self.tried - state.t)
+        phi = np.abs(self.model.phi(self.t, self.q))
+        tried = float(self.tried - self.t)
         seen = {"steps": self.steps, "step": tried if tried > 0 else self.last_step}
         if phi.size:
             seen |= {"worst constraint": self.model.constraint_name(int(phi.argmax())), "|phi|": float(phi.max())}
-        return StepFailure(status, f"IDA: {reason}", state.t, **seen)
+        return StepFailure(status, f"IDA: {reason}", self.t, **seen)

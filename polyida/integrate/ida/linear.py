@@ -11,7 +11,7 @@ The first row gives dv; what remains is `S = K + cj C + cj^2 M` bordered by as m
 
 What IDA is given as its residual is `J^-1 F`, which has the same zeros and the same Newton corrections: its own linear system is then
 that of the identity, and its GMRES, without a preconditioner, is done after one product that hands the vector through. IDA tells cj
-only with that product, after the residual; it is known before from what IDA predicts (`predicted.py`). Should it be another, the product
+only with that product, after the residual; it is known before from what IDA predicts (`Predicted`). Should it be another, the product
 is the true one, `J(expected)^-1 J(cj) = 1 + (cj - expected) J(expected)^-1 dF/dy'`.
 
 This solve as IDA's preconditioner would be told cj. It takes the same steps, but two calls more an iteration, of five arrays each, which the
@@ -24,14 +24,54 @@ from contextlib import suppress
 
 import numpy as np
 
-from polyida.integrate.ida.predicted import Predicted
-from polyida.linear.border import MANY, Border
 from polyida.linear.lu import SingularSystem
-from polyida.linear.step_matrix import StepMatrix
+from polyida.linear.step_matrix import MANY, Border, StepMatrix
 
+MOST = 5  # order of a backward differentiation formula, at most
+LEADS = np.cumsum(1 / np.arange(1, MOST + 1)).tolist()  # cj h of the orders, whatever the steps before
+SHORTEST = float(np.finfo(float).tiny)  # s
 SAME_CJ = 1e-3  # relative change of cj below which the factor serves on
 STEEPEST = 1e60  # 1/s: cj above it, of a step that is lost in the round-off of t, has no factor: its powers would overflow
 LATE = 2  # iterations of one step after which the factor is made anew where it is
+
+
+class Predicted:
+    """The order of the step that IDA is trying, and its cj, which IDA tells nobody before the residual.
+
+    In a step of order k IDA begins with the polynomial through the last k + 1 accepted states. Of each q (n,) one number is kept: its product
+    with a vector of no direction in particular.
+    """
+
+    def __init__(self, n, most):
+        self.vector, self.most = np.random.default_rng(0).uniform(0.5, 1.5, n), most
+        self.times, self.differences = [], []
+
+    def begin(self, t, q):
+        """Nothing but the state at t is known: IDA starts with order 1."""
+        self.times, self.differences = [t], [float(self.vector @ q)]
+
+    def accept(self, t, q):
+        """A step ended with q at t; one that is lost in the round-off of t tells nothing."""
+        if t == self.times[0]:
+            return
+        times, differences = [t, *self.times[: self.most]], [float(self.vector @ q)]
+        for earlier, before in zip(times[1:], self.differences):
+            differences.append((differences[-1] - before) / (t - earlier))
+        self.times, self.differences = times, differences
+
+    def order(self, t, q):
+        """The order whose prediction for t is nearest to q."""
+        seen, value, product, found, nearest = float(self.vector @ q), self.differences[0], 1.0, 1, np.inf
+        for k in range(1, len(self.times)):
+            product *= t - self.times[k - 1]
+            value += product * self.differences[k]
+            if abs(value - seen) < nearest:
+                found, nearest = k, abs(value - seen)
+        return found
+
+    def cj(self, t, q):
+        """The cj of a step to t."""
+        return LEADS[self.order(t, q) - 1] / max(t - self.times[0], SHORTEST)
 
 
 class Correction:
@@ -106,8 +146,8 @@ class ReducedSolve(Correction):
         self.step = StepMatrix(system.model)
 
     def setup(self, t, y, yp, cj):
-        """Evaluate the blocks at (t, y, y'), factor S."""
-        self.cj, self.blocks, self.border = cj, self.system.blocks(t, y, yp), None
+        """Factor S at (t, y, y')."""
+        self.cj, self.D, self.border = cj, self.system.slope(t, y, yp, cj), None
         self.counts.tangents += 1
         self.counts.factorizations += 1
         with suppress(SingularSystem):  # then it has no solve
@@ -118,28 +158,26 @@ class ReducedSolve(Correction):
 
         Where phi is a row and not linear, what it bends by on the way to q - dq is taken out too: one iteration closes it.
         """
-        vary = self.system.rows_vary
-        if self.border is None or (vary and self.system.model.m <= MANY):
-            self._make_border(t, y, yp)
-        n, m, blocks, q, r1 = self.blocks.n, self.blocks.m, self.blocks, y[: self.blocks.n].copy(), r[: self.blocks.n]
-        free = self.step.solve(q, r[n : 2 * n] + blocks.damping_product(self.cj, r1))
-        below = r[2 * n :] + self.velocity_rows @ r1
+        system, model = self.system, self.system.model
+        n, m, vary, q, r1 = model.n, model.m, system.rows_vary, y[: model.n].copy(), r[: model.n]
+        if self.border is None or (vary and m <= MANY):
+            self._make_border(t, y, yp, q)
+        free, below = self.step.solve(q, r[n : 2 * n] + self.D @ r1), r[2 * n :] + self.Q @ r1
         dq, w = self.border.solve(free, self.rows, below, self.corner)
-        if vary and self.system.holds_phi:
-            phi, at = self.system.model.phi, self.system.clamp(t)
-            below[:m] += phi(at, q - dq) - phi(at, q) + r[2 * n : 2 * n + m]
+        if vary and system.holds_phi:
+            at = system.clamp(t)
+            below[:m] += model.phi(at, q - dq) - model.phi(at, q) + r[2 * n : 2 * n + m]
             dq, w = self.border.solve(free, self.rows, below, self.corner)
-        z[:n], z[n : 2 * n], z[2 * n :] = dq, self.cj * dq - r1, w / self.cj if blocks.integrated else w
-        if blocks.stabilised:
-            z[n : 2 * n] += blocks.B.T @ w[m:]
+        z[:n], z[n : 2 * n], z[2 * n :] = dq, self.cj * dq - r1, w / self.cj if system.form.integrated else w
+        if system.form.stabilised:
+            z[n : 2 * n] += self.B.T @ w[m:]
 
-    def _make_border(self, t, y, yp):
-        """Rows, columns and corner of (t, y, y') on the factor at hand."""
-        if self.system.rows_vary:
-            self.blocks = self.system.with_rows_at(self.blocks, t, y, yp)
-        blocks = self.blocks
-        self.rows, self.velocity_rows = blocks.rows(self.cj)
-        self.corner = np.zeros((len(self.rows), len(self.rows)))
-        if blocks.stabilised:
-            self.corner[:, blocks.m :] = self.velocity_rows @ blocks.B.T
-        self.border = Border(self.step.solve(y[: blocks.n].copy(), blocks.columns(self.cj)))
+    def _make_border(self, t, y, yp, q):
+        """Rows, columns and corner of (t, y, y') on the factor at hand: B^T for lam, D B^T for mu."""
+        self.B, P, self.Q = self.system.rows(t, y, yp, self.cj)
+        self.rows, columns = P + self.cj * self.Q, self.B.T
+        self.corner = np.zeros((len(P), len(P)))
+        if self.system.form.stabilised:
+            self.corner[:, self.system.model.m :] = self.Q @ columns
+            columns = np.hstack([columns, self.D @ columns])
+        self.border = Border(self.step.solve(q, columns))

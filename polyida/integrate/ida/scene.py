@@ -148,7 +148,7 @@ class SceneSolve(Correction):
 
     def __init__(self, system, counts, order):
         super().__init__(system, counts, order)
-        self.step, self.kernel = system.model.step_matrix(), solve.typed()
+        self.step, self.kernel, self.massive = system.model.step_matrix(), solve.typed(), None
 
     def setup(self, t, y, yp, cj):
         """Factor S at y."""
@@ -163,7 +163,8 @@ class SceneSolve(Correction):
             return
         self.cj, self.counts.backend = cj, step.backend
         damping = step.model.force_v(*at[:2], np.zeros_like(at[2])) / cj if step.model.damped else None
-        self.massive = massive(step.model, step.corotated, damping)
+        before = self.massive if self.massive and self.massive.factor is step.corotated.factor else None
+        self.massive = massive(step.model, step.corotated, damping, before)
         self.counts.solves += 2 * step.solves
 
     def reduced(self, t, y, yp, r, z):

@@ -35,12 +35,10 @@ def sizes(scaling, form, n, m, cj, s):
 
 def whole_matrix(system, t, y, yp, cj):
     """(J, typical size s of S) at (t, y, y'): CSC where the model's matrices are sparse, dense otherwise."""
-    blocks = system.blocks(t, y, yp)
+    D, (B, P, Q) = system.slope(t, y, yp, cj), system.rows(t, y, yp, cj)
     K = system.model.tangent(*system.at(t, y, yp), 0.0, 0.0, 1.0)
-    slope = cj * blocks.M if blocks.C is None else cj * blocks.M + blocks.C
-    columns = (cj if blocks.integrated else 1.0) * blocks.B.T
-    mu = columns if blocks.stabilised else None
-    return whole.joined(cj, K, slope, columns, mu, blocks.P, blocks.Q0 + cj * blocks.Q1), whole.typical(cj, K, slope)
+    columns = (cj if system.form.integrated else 1.0) * B.T
+    return whole.joined(cj, K, D, columns, columns if system.form.stabilised else None, P, Q), whole.typical(cj, K, D)
 
 
 class WholeSolve(Correction):

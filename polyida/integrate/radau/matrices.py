@@ -4,8 +4,8 @@ from functools import partial
 
 import numpy as np
 
-from polyida.linear.border import Border
 from polyida.linear.lu import LU
+from polyida.linear.step_matrix import Border
 
 
 class Matrices:

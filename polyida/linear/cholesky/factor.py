@@ -40,20 +40,23 @@ def symbolic_of(model):
     return symbolic(*model.pattern, model.reference)
 
 
-def factor(model, blocks, backend="auto", phase=1.0):
+def factor(model, blocks, backend="auto", phase=1.0, before=None):
     """(Factor, its name) of the plates' matrix, given as blocks (nnz, 2, 2) on the model's nodal pattern.
 
     backend: "auto" and "fronts" are the multifrontal Cholesky, "band" LAPACK's or, where S is complex, ours, "superlu" SuperLU.
-    Where `phase` S, or its real part, is not positive definite both Cholesky factors give way to SuperLU's L D L^T. Raises NotFactorable.
+    Where `phase` S, or its real part, is not positive definite both Cholesky factors give way to SuperLU's L D L^T. before: a Factor of the
+    model, whose panels a multifrontal one takes over: it is then that Factor itself. Raises NotFactorable.
     """
     indptr, indices = model.pattern
     if not np.isfinite(blocks).all():
         raise NotFactorable("the tangent is not finite")
     if backend in ("auto", "fronts"):
         known = model.once(symbolic_of, of_shape=True)
-        panels = factorize(known, blocks, phase)
+        again = before is not None and before.kind == FRONTS and before.panels.dtype == single(blocks)
+        panels = factorize(known, blocks, phase, panels=before.panels if again else None)
         if panels is not None:
-            return _empty(FRONTS, known.order, panels.dtype)._replace(fronts=known, panels=panels), "multifrontal Cholesky"
+            made = before if again else _empty(FRONTS, known.order, panels.dtype)._replace(fronts=known, panels=panels)
+            return made, "multifrontal Cholesky"
     if backend == "band":
         band = (_complex_band if np.iscomplexobj(blocks) else _band)(_band_of(indptr, indices, blocks, model.n), phase)
         if band is not None:

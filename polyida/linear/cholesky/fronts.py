@@ -16,15 +16,15 @@ entry = partial(jit.entry, fastmath=FAST)
 part = partial(jit.part, fastmath=FAST)
 
 
-def factorize(symbolic, blocks, phase=1.0, dtype=None):
+def factorize(symbolic, blocks, phase=1.0, dtype=None, panels=None):
     """Panels, float32 or complex64, of the factor of blocks (nnz, 2, 2) on symbolic's pattern; None where not positive definite.
 
     Complex blocks are symmetric, not Hermitian, and so is their factor; positive definite is then the real part of `phase` times them,
     and with it that of every pivot. Of each pair of blocks only the one in the row of the node that is eliminated first is read.
-    dtype: that of the panels, single precision by default.
+    dtype: that of the panels, single precision by default; panels: those to fill.
     """
     blocks = np.ascontiguousarray(blocks, np.result_type(blocks, float))
-    panels = np.empty(symbolic.panel[-1], dtype or single(blocks))
+    panels = np.empty(symbolic.panel[-1], dtype or single(blocks)) if panels is None else panels
     numbers = np.empty(symbolic.size**2 + symbolic.depth, blocks.dtype)
     places = np.empty(len(symbolic.nodes) + len(symbolic.children), np.int32)
     return panels if fill_panels(symbolic, blocks, blocks.dtype.type(phase), panels, numbers, places) else None

@@ -15,6 +15,7 @@ import numpy as np
 from polyida import jit
 from polyida.jit import pack
 from polyida.jit.signal import leave, seen
+from polyida.linear.cholesky.factor import FRONTS
 from polyida.linear.cholesky.fronts import FAST, ascend, descend, spread
 
 entry = partial(jit.entry, fastmath=FAST)
@@ -180,3 +181,20 @@ def at_work(t, factor, x):
         t.signals[CALLED :: 2 * LINE] = GONE
         for other in started:
             other.join()
+
+
+class Helpers:
+    """`count` threads, this one included; factors on the same fronts have the same team."""
+
+    def __init__(self, count):
+        self.count, self.team = count, None
+
+    @contextmanager
+    def at_work(self, factor, room):
+        """The room of solves with the factor, which are shared within this; as it was where there is one thread, or the factor has no fronts."""
+        if self.count == 1 or factor.kind != FRONTS:
+            yield room
+            return
+        self.team = self.team or team(factor.fronts, self.count, factor.panels.dtype)
+        with at_work(self.team, factor, room.x):
+            yield room._replace(team=self.team)
