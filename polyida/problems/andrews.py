@@ -1,7 +1,5 @@
 """Andrews' squeezing mechanism of the IVP test set: seven bodies, three closed loops; M depends on q, forces on v."""
 
-from functools import cached_property
-
 import numpy as np
 
 from polyida.model import Model, Needs
@@ -33,6 +31,7 @@ TURNS = np.array(
     ],
     float,
 )
+TURNED = TURNS.T.astype(complex)
 ARMS = np.array([[rr, -d, 1j * ss, 0, 0, 0, 0], [rr, -d, 0, 1j * e, -zt, 0, 0], [rr, -d, 0, 0, 0, -zf, 1j * u]])
 Q0 = np.array(
     [-0.06171389001427645, 0, 0.45527981916307037, 0.22266839016588588, 0.48736497954384256, -0.22266839016588588, 1.2305474445498212]
@@ -40,9 +39,14 @@ Q0 = np.array(
 ENDS = np.array([xb + 1j * yb, xa + 1j * ya, xa + 1j * ya])
 
 
-def _pairs(loops):
-    """Complex (3, ...) to real (6, ...): x and y of every loop."""
-    return np.stack([loops.real, loops.imag], axis=1).reshape(6, *loops.shape[1:])
+def _turned(q):
+    """exp(i angle) of every arm, (7,)."""
+    return np.exp(1j * (TURNS @ q))
+
+
+def _couplings(masses):
+    """What couples beta and Theta, Phi and delta, Omega and epsilon."""
+    return masses[1] * da * rr, masses[3] * zt * h, masses[5] * u * k
 
 
 def _spring(gamma):
@@ -63,30 +67,23 @@ class Andrews(Model):
     parameters = "torque", "stiffness", "rest", "masses"
     torque, stiffness, rest, masses = mom, c0, l0, np.array([m1, m2, m3, m4, m5, m6, m7])
 
-    @cached_property
-    def _couplings(self):
-        """What couples beta and Theta, Phi and delta, Omega and epsilon."""
-        _, m2, _, m4, _, m6, _ = self.masses.tolist()
-        return m2 * da * rr, m4 * zt * h, m6 * u * k
-
     def mass(self, q):
-        m1, m2, m3, m4, m5, m6, m7 = self.masses.tolist()
-        cos_theta, sin_phi, sin_omega = np.cos(q[THETA]), np.sin(q[PHI]), np.sin(q[OMEGA])
+        m, cos_theta, sin_phi, sin_omega = self.masses, np.cos(q[THETA]), np.sin(q[PHI]), np.sin(q[OMEGA])
         M = np.zeros((7, 7))
-        M[0, 0] = m1 * ra**2 + m2 * (rr**2 - 2 * da * rr * cos_theta + da**2) + I1 + I2
-        M[0, 1] = M[1, 0] = m2 * (da**2 - da * rr * cos_theta) + I2
-        M[1, 1] = m2 * da**2 + I2
-        M[2, 2] = m3 * (sa**2 + sb**2) + I3
-        M[3, 3] = m4 * h**2 + I4
-        M[3, 4] = M[4, 3] = m4 * (h**2 + zt * h * sin_phi) + I4
-        M[4, 4] = m4 * (zt**2 + 2 * zt * h * sin_phi + h**2) + m5 * (ta**2 + tb**2) + I4 + I5
-        M[5, 5] = m6 * k**2 + I6
-        M[5, 6] = M[6, 5] = m6 * (k**2 - u * k * sin_omega) + I6
-        M[6, 6] = m6 * (k**2 - 2 * u * k * sin_omega + u**2) + m7 * (ua**2 + ub**2) + I6 + I7
+        M[0, 0] = m[0] * ra**2 + m[1] * (rr**2 - 2 * da * rr * cos_theta + da**2) + I1 + I2
+        M[0, 1] = M[1, 0] = m[1] * (da**2 - da * rr * cos_theta) + I2
+        M[1, 1] = m[1] * da**2 + I2
+        M[2, 2] = m[2] * (sa**2 + sb**2) + I3
+        M[3, 3] = m[3] * h**2 + I4
+        M[3, 4] = M[4, 3] = m[3] * (h**2 + zt * h * sin_phi) + I4
+        M[4, 4] = m[3] * (zt**2 + 2 * zt * h * sin_phi + h**2) + m[4] * (ta**2 + tb**2) + I4 + I5
+        M[5, 5] = m[5] * k**2 + I6
+        M[5, 6] = M[6, 5] = m[5] * (k**2 - u * k * sin_omega) + I6
+        M[6, 6] = m[5] * (k**2 - 2 * u * k * sin_omega + u**2) + m[6] * (ua**2 + ub**2) + I6 + I7
         return M
 
     def mass_a_q(self, q, a):
-        p2, p4, p6 = self._couplings
+        p2, p4, p6 = _couplings(self.masses)
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), -p6 * np.cos(q[OMEGA])
         result = np.zeros((7, 7))
         result[:2, THETA] = theta * np.array([2 * a[0] + a[1], a[0]])
@@ -95,7 +92,7 @@ class Andrews(Model):
         return result
 
     def force(self, t, q, v):
-        p2, p4, p6 = self._couplings
+        p2, p4, p6 = _couplings(self.masses)
         arm, turn, length = _spring(q[GAMMA])
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), p6 * np.cos(q[OMEGA])
         return np.array(
@@ -111,7 +108,7 @@ class Andrews(Model):
         )
 
     def force_q(self, t, q, v):
-        p2, p4, p6 = self._couplings
+        p2, p4, p6 = _couplings(self.masses)
         arm, turn, length = _spring(q[GAMMA])
         along, bend = (arm.conjugate() * turn).real, (arm.conjugate() * 1j * turn).real
         theta, phi, omega = p2 * np.cos(q[THETA]), -p4 * np.sin(q[PHI]), -p6 * np.sin(q[OMEGA])
@@ -123,7 +120,7 @@ class Andrews(Model):
         return result
 
     def force_v(self, t, q, v):
-        p2, p4, p6 = self._couplings
+        p2, p4, p6 = _couplings(self.masses)
         theta, phi, omega = p2 * np.sin(q[THETA]), p4 * np.cos(q[PHI]), p6 * np.cos(q[OMEGA])
         result = np.zeros((7, 7))
         result[:2, :2] = 2 * theta * np.array([[v[1], v[0] + v[1]], [-v[0], 0]])
@@ -131,21 +128,18 @@ class Andrews(Model):
         result[5:, 5:] = 2 * omega * np.array([[0, v[6]], [-v[5] - v[6], -v[5]]])
         return result
 
-    def _arms(self, q):
-        return ARMS * np.exp(1j * (TURNS @ q))
-
     def phi(self, t, q):
-        return _pairs(self._arms(q).sum(axis=1) - ENDS)
+        return ((ARMS * _turned(q)).sum(axis=1) - ENDS).view(np.float64)
 
     def phi_q(self, t, q):
-        return _pairs(1j * self._arms(q) @ TURNS)
+        return (TURNED @ (ARMS * (1j * _turned(q))).T).view(np.float64).T
 
     def phi_bias(self, t, q, v):
-        return _pairs(-self._arms(q) @ (TURNS @ v) ** 2)
+        return -(ARMS @ (_turned(q) * (TURNS @ v) ** 2)).view(np.float64)
 
     def reaction_q(self, t, q, lam):
-        pull = lam[::2] - 1j * lam[1::2]
-        return -(TURNS.T * (pull @ self._arms(q)).real) @ TURNS
+        pull = ((lam[::2] - 1j * lam[1::2]) @ ARMS * _turned(q)).real
+        return -(TURNS.T * pull) @ TURNS
 
     def potential(self, q):
         return self.stiffness / 2 * (_spring(q[GAMMA])[2] - self.rest) ** 2 - self.torque * q[BETA]

@@ -22,7 +22,7 @@ def road(t, radius=RADIUS):
 
 def _spring(arm):
     """Force (2,) and stiffness (2, 2) of a spring of length L0 and stiffness 1 along `arm`."""
-    length = np.hypot(*arm)
+    length = np.hypot(arm[0], arm[1])
     along = np.outer(arm, arm) / length**2
     return (length - L0) * arm / length, along + (1 - L0 / length) * (np.eye(2) - along)
 
@@ -38,36 +38,33 @@ class CarAxis(Model):
     parameters = "weight", "radius"
     weight, radius = MASS, RADIUS
 
-    def _road(self, t):
-        return road(t, self.radius)
-
     def mass(self, q):
         return self.weight * np.eye(4)
 
     def force(self, t, q, v):
-        wheel = self._road(t)[0]
-        return np.concatenate([_spring(q[:2])[0], _spring(q[2:] - wheel)[0]]) + self.weight * np.array([0.0, 1.0, 0.0, 1.0])
+        wheel = road(t, self.radius)[0]
+        return np.concatenate((_spring(q[:2])[0], _spring(q[2:] - wheel)[0])) + self.weight * np.array([0.0, 1.0, 0.0, 1.0])
 
     def phi(self, t, q):
         apart = q[:2] - q[2:]
-        return np.array([q[:2] @ self._road(t)[0], apart @ apart - L**2])
+        return np.array([q[:2] @ road(t, self.radius)[0], apart @ apart - L**2])
 
     def phi_q(self, t, q):
-        return np.vstack([np.append(self._road(t)[0], [0.0, 0.0]), 2 * PAIR @ q])
+        return np.vstack((np.append(road(t, self.radius)[0], np.zeros(2)), 2 * PAIR @ q))
 
     def force_q(self, t, q, v):
         result = np.zeros((4, 4))
-        result[:2, :2], result[2:, 2:] = _spring(q[:2])[1], _spring(q[2:] - self._road(t)[0])[1]
+        result[:2, :2], result[2:, 2:] = _spring(q[:2])[1], _spring(q[2:] - road(t, self.radius)[0])[1]
         return result
 
     def reaction_q(self, t, q, lam):
         return 2 * lam[1] * PAIR
 
     def phi_t(self, t, q):
-        return np.array([q[:2] @ self._road(t)[1], 0.0])
+        return np.array([q[:2] @ road(t, self.radius)[1], 0.0])
 
     def phi_bias(self, t, q, v):
-        _, velocity, acceleration = self._road(t)
+        _, velocity, acceleration = road(t, self.radius)
         return np.array([2 * v[:2] @ velocity + q[:2] @ acceleration, 2 * v @ PAIR @ v])
 
 

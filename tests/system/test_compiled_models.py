@@ -8,6 +8,7 @@ import pytest
 import polyida as pi
 from polyida import compiled
 from polyida.model.guarded import guard
+from polyida.problems import get
 from polyida.system.python import table_of
 
 LENGTH = 0.7
@@ -110,6 +111,15 @@ def test_the_motion_is_that_of_the_functions_in_python(kind, method):
         one, other = (getattr(run, name)[-1] for run in runs)
         assert np.abs(one - other).max(initial=0.0) < 1e-6 * max(1.0, np.abs(one).max(initial=0.0)), name
     assert runs[0].counts.steps == runs[1].counts.steps
+
+
+@pytest.mark.parametrize("name", ["andrews", "car-axis", "pendulum"])
+def test_the_problems_own_models_are_compiled_as_they_stand(name):
+    problem, ends = get(name), []
+    for kind in (type(problem.model), by_numba(type(problem.model))):
+        run = pi.solve(kind(), problem.t_end / 50, pi.GeneralizedAlpha(h=problem.t_end / 1e4), q0=problem.q0, v0=problem.v0)
+        ends.append(np.concatenate([run.q[-1], run.lam[-1]]))
+    assert np.abs(ends[0] - ends[1]).max() < 1e-9 * np.abs(ends[0]).max()
 
 
 @pytest.mark.parametrize("kind", [Slider, Exact])
