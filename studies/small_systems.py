@@ -1,20 +1,25 @@
-"""A step of rigid mechanisms: generalized-alpha beside exudyn's own, Radau IIA and the energy-momentum method beside generalized-alpha."""
+"""Small systems: a step of mechanisms beside exudyn's, models of one's own beside their functions, a run's fixed cost, solve_dae."""
 
-import time
+from functools import partial
 
 import numpy as np
 
 import polyida as pi
+from levels.scenes import at_level
 from polyida.cli.study import main
+from polyida.problems import plates
 from polyida.problems.mechanisms.n_four_bar import n_four_bar
 from polyida.study.drawing import curves, drawn, legend, look, panels
 from polyida.study.rows import pick
 from polyida.study.sweeps.harness import Study
 from small_systems.in_exudyn import SETTINGS, SPARSE, Bodies
+from small_systems.in_solve_dae import peer_row
+from small_systems.own_models import SPANS, cpu, functions_row, pendulum_row
 
 H = 1e-3  # s
 STEPS = {"chain": 1000, "four-bar": 300}  # of a run of generalized-alpha; the four-bars are level after 0.7 s
 LEAST = 30  # steps of any run
+MODES = 5
 INTEGRATORS = {
     "alpha": (lambda: pi.GeneralizedAlpha(h=H), 1),
     "radau": (lambda: pi.RadauIIA(h=H), 4),
@@ -28,7 +33,14 @@ AIMS = {
     **{f"radau_over_alpha_four_bar_{n}": 6.0 for n in (10, 20, 40, 200)},
     **{f"energy_over_alpha_chain_{n}": 2.0 for n in (2, 5, 10)},
     "growth_from_40_to_200": 1.15,
+    **dict(zip(("alpha_us_pendulum", "radau_us_pendulum", "energy_us_pendulum", "alpha_over_loop_pendulum"), (1.0, 6.0, 3.0, 5.0))),
+    **{f"{key}_over_own_{name}": aim for name in SPANS for key, aim in (("alpha", 1.5), ("radau", 1.5), ("ida", 3.0))},
+    "alpha_us_reduced_plates": 8.0,
+    "radau_us_reduced_plates": 40.0,
+    **{f"run_of_10_ms_{name}": 3.0 for name in ("chain", "reduced_plates")},
+    "radau_over_solve_dae_double_pendulum": 0.02,
 }
+LEAST_AIMS = {f"{key}_python_over_compiled_andrews": 20.0 for key in ("alpha", "radau")}
 
 
 def chain(count):
@@ -41,23 +53,41 @@ def chain(count):
     return scene
 
 
-SCENES = {"chain": chain, "four-bar": n_four_bar}
+def reduced_plates(modes):
+    """The double plate, its plates with so many modes."""
+    return at_level(plates.double_plate().build(), modes)
+
+
+SCENES = {"chain": chain, "four-bar": n_four_bar, "reduced plates": reduced_plates}
 
 
 def tasks(quick):
-    """Chains of bars, and ladders of four-bars."""
+    """Chains of bars, and ladders of four-bars; models of one's own, reduced plates, whole runs."""
     sizes = {"chain": (2, 5, 10), "four-bar": (10, 40) if quick else (10, 20, 40, 200)}
-    return [{"scene": scene, "size": size, "rounds": 3 if quick else 7} for scene, all_of in sizes.items() for size in all_of]
+    own = ("pendulum",) if quick else tuple(SPANS)
+    made = [("step", scene, size) for scene, all_of in sizes.items() for size in all_of]
+    made += [("own", name, 0) for name in own]
+    made += [("pendulum", "pendulum", 0), ("reduced", "reduced plates", MODES), ("run", "chain", 2), ("run", "reduced plates", MODES)]
+    made += [("solve_dae", "double pendulum", 2)]
+    return [{"part": part, "scene": scene, "size": size, "rounds": 3 if quick else 7} for part, scene, size in made]
 
 
-def run(scene, size, rounds):
+def run(part, scene, size, rounds):
+    """The row of a part."""
+    try:
+        return PARTS[part](scene, size, rounds)
+    except ImportError as missing:
+        return {"skipped": str(missing)}
+
+
+def step_row(scene, size, rounds):
     """Microseconds of a step, medians of rounds in which all take turns, and medians of the rounds' ratios."""
     made = SCENES[scene](size)
     model, steps = made.build(), STEPS[scene]
     peer = Peer(made, steps, SPARSE if scene == "four-bar" else SETTINGS)
     for name in INTEGRATORS:
         stepped(model, name, LEAST)
-    found = [{name: stepped(model, name, steps) for name in INTEGRATORS} | peer.once() for _ in range(rounds)]
+    found = [{name: stepped(model, name, steps // share) for name, (_, share) in INTEGRATORS.items()} | peer.once() for _ in range(rounds)]
     row = {"n": model.n, "m": model.m, "exudyn": peer.said}
     row |= {f"{name}_us": float(np.median([each[name] for each in found])) for name in found[0]}
     for name, (one, other) in PAIRS.items():
@@ -66,15 +96,37 @@ def run(scene, size, rounds):
     return row | peer.apart(model, steps)
 
 
-def stepped(model, name, steps):
+def reduced_row(scene, size, rounds):
+    """Microseconds of a step of plates with a few modes."""
+    model = SCENES[scene](size).build()
+    found = [{name: stepped(model, name, STEPS["chain"]) for name in ("alpha", "radau")} for _ in range(rounds + 1)][1:]
+    return {"n": model.n, "m": model.m} | {f"{name}_us": float(np.median([each[name] for each in found])) for name in found[0]}
+
+
+def run_row(scene, size, rounds):
+    """CPU milliseconds of a whole run of 10 ms with ten steps."""
+    model = SCENES[scene](size).build()
+    found = [cpu(lambda: pi.solve(model, 10 * H, INTEGRATORS["alpha"][0]()))[0] for _ in range(5 * rounds + 1)]
+    return {"n": model.n, "m": model.m, "run_ms": 1e3 * float(np.median(found[1:]))}
+
+
+PARTS = {
+    "step": step_row,
+    "own": lambda scene, size, rounds: functions_row(scene, rounds),
+    "pendulum": lambda scene, size, rounds: pendulum_row(rounds, stepped),
+    "reduced": reduced_row,
+    "run": run_row,
+    "solve_dae": lambda scene, size, rounds: peer_row(chain(size).build(), rounds),
+}
+
+
+def stepped(model, name, steps, **start):
     """Microseconds of CPU that a step takes: what a run of `steps` takes beyond one of a fifth of them."""
-    make, share = INTEGRATORS[name]
-    long = max(LEAST, steps // share)
+    long = max(LEAST, steps)
     ends, used = (long // 5, long), []
     for end in ends:
-        begin = time.process_time()
-        done = pi.solve(model, end * H, make(), every=10**9)
-        used.append(time.process_time() - begin)
+        seconds, done = cpu(partial(pi.solve, model, end * H, INTEGRATORS[name][0](), every=10**9, **start))
+        used.append(seconds)
         if not done.success:
             raise RuntimeError(f"{name}: {done.message}")
     return 1e6 * (used[1] - used[0]) / (ends[1] - ends[0])
@@ -112,31 +164,37 @@ class Peer:
 
 
 def figures(rows):
-    """The ratios by scene and size, and the exponent with which a step of generalized-alpha grows."""
+    """The ratios by scene and size, and the exponent with which a step of generalized-alpha grows; microseconds and milliseconds of the rest."""
     found, alpha = {}, {}
-    for row in pick(rows):
+    for row in pick(rows, part="step"):
         label = f"{row['scene'].replace('-', '_')}_{row['size']}"
         found |= {f"{name}_{label}": row[name] for name in PAIRS if name in row}
         alpha[row["scene"], row["size"]] = row["alpha_us"]
     small, large = (alpha.get(("four-bar", size)) for size in (40, 200))
     if small and large:
         found["growth_from_40_to_200"] = float(np.log(large / small) / np.log(5))
+    for row in (row for row in pick(rows) if row["part"] != "step"):
+        label = row["scene"].replace(" ", "_")
+        found |= {f"{name}_{label}": row[name] for name in row if name.endswith(("_us", "_over_own", "_compiled", "_loop", "_dae"))}
+        found |= {f"run_of_10_ms_{label}": row["run_ms"]} if "run_ms" in row else {}
     return found
 
 
 def notes(rows):
     """Aims that are not reached."""
     found = figures(rows)
-    return [f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in AIMS.items() if name in found and not found[name] <= aim]
+    missed = [f"{name}: {found[name]:.3g}, aim at most {aim:.3g}" for name, aim in AIMS.items() if name in found and not found[name] <= aim]
+    less = [f"{name}: {found[name]:.3g}, aim at least {aim:.3g}" for name, aim in LEAST_AIMS.items() if name in found and found[name] < aim]
+    return missed + less + sorted({f"left out: {row['skipped']}" for row in rows if row.get("skipped")})
 
 
 @drawn
 def draw(rows):
     """CPU time of a step against the number of coordinates."""
-    scenes = [scene for scene in SCENES if pick(rows, scene=scene)]
+    scenes = [scene for scene in SCENES if pick(rows, scene=scene, part="step")]
     made, axes = panels(len(scenes), width=9.0, height=3.4)
     for axis, scene in zip(axes, scenes):
-        own = sorted(pick(rows, scene=scene), key=lambda row: row["n"])
+        own = sorted(pick(rows, scene=scene, part="step"), key=lambda row: row["n"])
         for i, name in enumerate((*INTEGRATORS, "exudyn")):
             known = [row for row in own if f"{name}_us" in row]
             if known:
@@ -148,14 +206,14 @@ def draw(rows):
 
 study = Study(
     "small_systems",
-    "A step of rigid mechanisms",
+    "Small systems",
     tasks,
     run,
     figures,
     draw,
     notes=notes,
-    headline=tuple(AIMS),
-    columns=("scene", "size", "n", "m", "alpha_us", "exudyn_us", "radau_us", "energy_us", *PAIRS, "exudyn", "apart_m"),
+    headline=(*AIMS, *LEAST_AIMS),
+    columns=("part", "scene", "size", "n", "m", "alpha_us", "exudyn_us", "radau_us", "energy_us", *PAIRS, "run_ms", "exudyn", "apart_m"),
 )
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ TARGETS = {  # figure: scene, error of the tip, m
     "radau_gain2_1e-5": ("scene 2", 1.2e-5),
     "radau_gain2_1e-6": ("scene 2", 1e-6),
 }
+EQUAL = 2e-6  # m: error of the tip at which steps chosen by rtol are compared with equal ones
 STEPS = tuple(1 / n for n in (500, 1000, 2000, 4000, 8000, 16_000, 32_000, 45_000))
 TOLERANCES = (1e-5, 3e-6, 1e-6, 3e-7, 1e-7, 3e-8, 1e-8, 3e-9, 1e-9)
 RADAU_STEPS = tuple(1 / n for n in (40, 60, 80, 100, 140, 200, 280, 400))
@@ -99,13 +100,19 @@ def at_error(row, solvers, error):
 
 
 def gains(rows, alpha="alpha"):
-    """{figure: median over the rounds of generalized-alpha's seconds over Radau's; "..._s" and "..._alpha_s": both}."""
+    """{figure: median over the rounds of generalized-alpha's seconds over Radau's; "..._s" and "..._alpha_s": both}; and of Radau's with
+    steps by rtol over the best of its equal steps and tolerances.
+    """
     found = {}
     for name, (scene, error) in TARGETS.items():
         for row in rows:
             if row["scene"] == scene and row.get("points"):
                 ours, theirs = (at_error(row, solvers, error) for solvers in (RADAU, (alpha,)))
                 found |= {name: np.median(theirs / ours), f"{name}_s": np.median(ours), f"{name}_alpha_s": np.median(theirs)}
+    for row in rows:
+        if row.get("points"):
+            chosen, equal = (at_error(row, solvers, EQUAL) for solvers in (RADAU[:1], RADAU[1:]))
+            found[f"radau_rtol_over_steps_{row['scene'][-1]}"] = np.median(chosen / equal)
     return found
 
 

@@ -12,16 +12,16 @@ from dataclasses import replace
 from functools import partial
 
 import polyida
-from polyida.integrate.start import consistent_state
-from polyida.integrate.state import Counts
+from polyida import Counts, consistent_state, solve
 from polyida.problems.plates import double_plate
-from polyida.run.solve import solve
 
 LARGE = 50_000  # coordinates from which on a run's start is dear
 NO_FRAMES = 10**9  # keep every so many steps: the first and the last frame alone
 MEMBERS = {  # the tolerances are given: a default may be another one on the other side
     "alpha": lambda: polyida.GeneralizedAlpha(h=1e-3, tolerance=1e-4),
     "ida": lambda: polyida.IDA(rtol=1e-5, atol=(1e-7, 1e-4)),
+    "radau": lambda: polyida.RadauIIA(h=5e-3, tolerance=1e-8),
+    "energy": lambda: polyida.EnergyMomentum(h=1e-3),
 }
 
 
@@ -59,11 +59,11 @@ def one_run(model, member, short, long):
 
 
 def step(model, member, short, long):
-    """{"ms_per_step", "steps", "newton_iterations" a step} of one measurement."""
+    """{"ms_per_step", "steps", "newton_iterations" and "factorizations" a step} of one measurement."""
     (begin, first), (end, last) = between(model, member, short, long)
     steps = last.steps - first.steps
-    iterations = (last.newton_iterations - first.newton_iterations) / steps
-    return {"ms_per_step": 1e3 * (end - begin) / steps, "steps": steps, "newton_iterations": iterations}
+    counts = {kind: (getattr(last, kind) - getattr(first, kind)) / steps for kind in ("newton_iterations", "factorizations")}
+    return {"ms_per_step": 1e3 * (end - begin) / steps, "steps": steps} | counts
 
 
 def main(cells, integrator, short, long):

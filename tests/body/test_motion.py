@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.assembly.bodies import motion as motions
+from polyida.problems.mechanisms.n_four_bar import n_four_bar
 
 V, SPIN = (0.7, -0.4), 3.0
 INTEGRATORS = {
@@ -245,3 +247,14 @@ def test_the_start_is_continuous_in_the_motion_that_is_given(scenes, kind, drive
     across = 0.5 * -np.sin(leads) - 0.3 * np.cos(leads)
     moved = 0.5 * about_end * 2.0**2 if drive == "motor" else 0.5 * mass * (0.34 - (across * arm) ** 2 * mass / about_end)
     assert energy(model, still) == pytest.approx(moved, rel=1e-9)
+
+
+def test_many_bodies_start_in_sparse_matrices_as_in_dense_ones(monkeypatch):
+    model, found = n_four_bar(40).build(), []
+    for rows in (10**9, motions.MANY):
+        monkeypatch.setattr(motions, "MANY", rows)
+        found.append(pi.consistent_state(model))
+    assert np.abs(found[0].v - found[1].v).max() < 1e-12 < np.abs(found[0].v).max()
+    monkeypatch.setattr(motions.np.linalg, "lstsq", None)
+    monkeypatch.setattr(motions.np.linalg, "eigvalsh", None)
+    pi.consistent_state(model)

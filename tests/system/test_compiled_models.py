@@ -113,7 +113,7 @@ def test_the_motion_is_that_of_the_functions_in_python(kind, method):
     assert runs[0].counts.steps == runs[1].counts.steps
 
 
-@pytest.mark.parametrize("name", ["andrews", "car-axis", "pendulum"])
+@pytest.mark.parametrize("name", ["andrews", "car-axis"])
 def test_the_problems_own_models_are_compiled_as_they_stand(name):
     problem, ends = get(name), []
     for kind in (type(problem.model), by_numba(type(problem.model))):

@@ -1,6 +1,7 @@
 """How bodies move at the start: as rigid, by the velocity and spin that they were given, as far as their joints let them; slopes of that."""
 
 import warnings
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,8 @@ from polyida.given import complex_of_pairs, is_number, pairs_of, vector2
 NOTHING = 1e-12  # of the largest: masses and inertias of a motion that are none
 CHANGED = 0.1  # of the root of the kinetic energy, by which joints may change a motion before it is told
 TOLD = 3  # bodies that a warning names
+MANY = 100  # rows from which on a sparse factor pays
+INDEPENDENT = 1e-8  # smallest pivot of the Gram matrix of unit rows that proves that none depends on others
 
 
 def motion_of(body):
@@ -77,15 +80,37 @@ def _change(model, t, q, R, wanted):
     if not model.m:
         return np.zeros_like(wanted)
     rows, roots = asked_of_motions(model, t, q, R)
-    return -roots @ np.linalg.lstsq(rows @ roots, rows @ wanted + model.phi_t(t, q), rcond=NOTHING)[0]
+    return -roots @ _least_norm(rows @ roots, rows @ wanted + model.phi_t(t, q))
+
+
+def _least_norm(A, b):
+    """The shortest x that meets A x = b in the least-squares sense: of many independent rows by their Gram matrix, refined once."""
+    if A.shape[0] > MANY:
+        from scipy.sparse.linalg import splu
+
+        lengths = np.sqrt(A.multiply(A).sum(axis=1))
+        some = np.flatnonzero(lengths > NOTHING * lengths.max())  # others keep bodies rigid
+        rows, right = A[some] / lengths[some, None], b[some] / lengths[some]
+        with suppress(RuntimeError):  # of a singular matrix
+            gram = splu((rows @ rows.T).tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            if gram.U.diagonal().min() > INDEPENDENT:
+                x = rows.T @ gram.solve(right)
+                return x + rows.T @ gram.solve(right - rows @ x)
+    return np.linalg.lstsq(A.toarray(), b, rcond=NOTHING)[0]
 
 
 def asked_of_motions(model, t, q, R):
-    """`phi_q R` (m, 3 bodies), and roots with `roots roots^T` the inverse of the metric `R^T M R`, without motions that have no mass."""
-    metric = (R.T @ model.mass(q) @ R).toarray()
-    units = 1.0 / np.sqrt(np.maximum(np.diag(metric), NOTHING * np.diag(metric).max()))
-    sizes, axes = np.linalg.eigh(units[:, None] * metric * units)
-    return (model.phi_q(t, q) @ R).toarray(), units[:, None] * axes[:, sizes > NOTHING] / np.sqrt(sizes[sizes > NOTHING])
+    """`phi_q R` (m, 3 bodies), and roots with `roots roots^T` the inverse of the metric `R^T M R`, without motions that have no mass; sparse."""
+    from scipy.sparse import block_diag, csr_array
+
+    metric = csr_array(R.T @ model.mass(q) @ R)
+    diagonal, blocks = metric.diagonal(), metric.tobsr((3, 3))  # a body's motions are coupled with each other alone
+    units = (1.0 / np.sqrt(np.maximum(diagonal, NOTHING * diagonal.max()))).reshape(-1, 3)
+    by_body = np.zeros((len(units), 3, 3))
+    by_body[blocks.indices] = blocks.data
+    sizes, axes = np.linalg.eigh(units[:, :, None] * by_body * units[:, None])
+    roots = [unit[:, None] * axis[:, size > NOTHING] / np.sqrt(size[size > NOTHING]) for unit, size, axis in zip(units, sizes, axes)]
+    return csr_array(model.phi_q(t, q) @ R), block_diag(roots, format="csr")
 
 
 def _warn_of_change(model, names, R, wanted, changed):
@@ -136,7 +161,7 @@ def motion_slopes(model, t, q, bar):
     """
     wanted, R = motions_given(model), rigid_motions(model, q)
     rows, roots = asked_of_motions(model, t, q, R)
-    least = np.linalg.pinv(rows @ roots, rcond=NOTHING)
+    least = np.linalg.pinv((rows @ roots).toarray(), rcond=NOTHING)
     pushed, rate = R.T @ bar, rows @ wanted + model.phi_t(t, q)
     kappa = least.T @ (roots.T @ pushed)
     motions, change = pushed - rows.T @ kappa, -roots @ (least @ rate)

@@ -57,21 +57,24 @@ class Kept(Result):
         return [name for name in self.quantities if any(np.isfinite(found[name]).any() for found in self.histories.values())]
 
 
-def kept(study, given, known, frames, every, measure, tell):
-    """(rows, notes, histories) of one run for each of {label: [integrator]}; measure(run, frames) gives (row, history). every: as solve's."""
+def kept(made, measure, study, model, t_end, q0, v0, integrators, frames, every, progress):
+    """The Kept of class `made` from one run for each of the integrators; measure(run, frames) gives (row, history). The rest: as of `energy`."""
+    given = subject(study, model, t_end, q0, v0)
+    known = members(study, given, integrators, several=False)
     if not is_whole(frames, 2):
         raise InputError(f"{study}: frames = {frames!r} must be a whole number of at least 2")
     rows, notes, histories = [], [], {}
-    for label, (integrator,) in known.items():
-        tell(len(rows), len(known), label)
-        given.warm_up(integrator)
-        run = given.run(integrator, every=every)
-        row, histories[label] = measure(run, spread(run, frames))
-        work = {"steps": run.counts.steps, "cpu_s": float(run.cpu_seconds), "status": run.status, "message": run.message}
-        rows.append({"integrator": label, "setting": setting(integrator, [])} | row | work)
-        notes += [] if run.success else [f"{label}: {run.message}"]
-    tell(len(known), len(known), "")
-    return rows, notes, histories
+    with teller(study, progress) as tell:
+        for label, (integrator,) in known.items():
+            tell(len(rows), len(known), label)
+            given.warm_up(integrator)
+            run = given.run(integrator, every=every)
+            row, histories[label] = measure(run, spread(run, frames))
+            work = {"steps": run.counts.steps, "cpu_s": float(run.cpu_seconds), "status": run.status, "message": run.message}
+            rows.append({"integrator": label, "setting": setting(integrator, [])} | row | work)
+            notes += [] if run.success else [f"{label}: {run.message}"]
+        tell(len(known), len(known), "")
+    return made(given.name, rows, notes, histories)
 
 
 def spread(run, frames):
@@ -135,10 +138,7 @@ def energy(
     of each history, at most; rows have the largest of every `every`-th step. model, q0, v0, progress: as `work_precision`. Raises
     InputError before the first run.
     """
-    given = subject("energy", model, t_end, q0, v0)
-    known = members("energy", given, integrators, several=False)
-    with teller("energy", progress) as tell:
-        return EnergyKept(given.name, *kept("energy", given, known, frames, every, _energies, tell))
+    return kept(EnergyKept, _energies, "energy", model, t_end, q0, v0, integrators, frames, every, progress)
 
 
 def _energies(run, at):
@@ -198,10 +198,7 @@ def drift(
     frames: points of each history, at most; rows have the largest of every `every`-th step. model, q0, v0, progress: as `work_precision`.
     Raises InputError before the first run.
     """
-    given = subject("drift", model, t_end, q0, v0)
-    known = members("drift", given, integrators, several=False)
-    with teller("drift", progress) as tell:
-        return Drift(given.name, *kept("drift", given, known, frames, every, _drifts, tell))
+    return kept(Drift, _drifts, "drift", model, t_end, q0, v0, integrators, frames, every, progress)
 
 
 def _drifts(run, at):

@@ -1,0 +1,123 @@
+"""Models of one's own: what a run takes beside their functions, with these in Python and compiled; a step beside a loop in numba."""
+
+import inspect
+import time
+from functools import partial
+
+import numpy as np
+from numba import njit
+
+import polyida as pi
+from polyida.problems import get
+
+NO_FRAMES = 10**9
+RTOL = {"alpha": pi.GeneralizedAlpha(rtol=1e-6), "radau": pi.RadauIIA(rtol=1e-6), "ida": pi.IDA(rtol=1e-6)}
+SPANS = {"pendulum": 1.0, "car-axis": 0.3, "andrews": 0.03}  # s
+H = 1e-3  # s
+STEPS = {"alpha": 100_000, "radau": 20_000, "energy": 20_000}  # of the compiled pendulum
+FUNCTIONS = ("mass", "force", "phi", "phi_q", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_t", "phi_bias")
+
+
+def compiled(model):
+    """The model with its functions compiled."""
+    kind = type(model)
+    return pi.compiled(type(kind.__name__, (kind,), {}))()
+
+
+def cpu(call):
+    """(CPU seconds of this process that a call takes, what it returns)."""
+    begin = time.process_time()
+    found = call()
+    return time.process_time() - begin, found
+
+
+def functions_row(name, rounds):
+    """Of each integrator at rtol 1e-6: a run in Python over the time inside the model's functions, and over a run with these compiled."""
+    problem, row = get(name), {}
+    start, given = {"q0": problem.q0, "v0": problem.v0, "every": NO_FRAMES}, compiled(problem.model)
+    for key, integrator in RTOL.items():
+        go = partial(pi.solve, t_end=SPANS[name], integrator=integrator, **start)
+        calls = calls_of(problem.model, go)
+        go(given)
+        turns = [(cpu(partial(go, problem.model))[0], inside(problem, calls), cpu(partial(go, given))[0]) for _ in range(rounds)]
+        python, own, fast = np.array(turns).T
+        row |= {f"{key}_over_own": float(np.median(python / own)), f"{key}_python_over_compiled": float(np.median(python / fast))}
+    return {"n": problem.model.n, "m": problem.model.m} | row
+
+
+def calls_of(model, go):
+    """{function: how often a run calls it}."""
+    calls, kind = dict.fromkeys(FUNCTIONS, 0), type(model)
+
+    def counted(name):
+        function = getattr(kind, name)
+
+        def call(self, *given):
+            calls[name] += 1
+            return function(self, *given)
+
+        return call
+
+    go(type(kind.__name__, (kind,), {name: counted(name) for name in FUNCTIONS if name in vars(kind)})())
+    return {name: count for name, count in calls.items() if count}
+
+
+def inside(problem, calls, repeats=200):
+    """CPU seconds inside the functions of a model that are called so often."""
+    n, m = problem.model.n, problem.model.m
+    state, seconds = {"t": 0.1, "q": problem.q0, "v": problem.v0 + 0.1, "a": np.ones(n), "lam": np.ones(m)}, 0.0
+    for name, count in calls.items():
+        function = getattr(problem.model, name)
+        given = [state[key] for key in inspect.signature(function).parameters]
+        seconds += count * cpu(partial(repeated, function, given, repeats))[0] / repeats
+    return seconds
+
+
+def repeated(function, given, times):
+    """Call a function so often."""
+    for _ in range(times):
+        function(*given)
+
+
+@njit
+def pendulum_loop(steps, iterations, h, rho):
+    """Generalized-alpha on the pendulum as one would write it in C: x after so many steps of so many iterations."""
+    alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
+    gamma = 0.5 + alpha_f - alpha_m
+    beta, g = 0.25 * (0.5 + gamma) ** 2, 9.81
+    c_a = (1 - alpha_m) / ((1 - alpha_f) * beta * h * h)
+    x, y, u, w, ax, ay, sx, sy, lam = -1.0, 0.0, 0.0, 0.0, 0.0, -g, 0.0, -g, 0.0
+    for _ in range(steps):
+        px, py = (alpha_f * ax - alpha_m * sx) / (1 - alpha_m), (alpha_f * ay - alpha_m * sy) / (1 - alpha_m)
+        x, y = x + h * u + h * h * ((0.5 - beta) * sx + beta * px), y + h * w + h * h * ((0.5 - beta) * sy + beta * py)
+        u, w = u + h * ((1 - gamma) * sx + gamma * px), w + h * ((1 - gamma) * sy + gamma * py)
+        sx, sy, ax, ay = px, py, 0.0, 0.0
+        for _ in range(iterations):
+            r, s, phi = ax + lam * x, ay + g + lam * y, 0.5 * (x * x + y * y - 1.0)
+            k = c_a + lam  # S = (c_a + lam) I, B = (x, y)
+            dlam = (k * phi - x * r - y * s) / (x * x + y * y)
+            dx, dy = -(r + x * dlam) / k, -(s + y * dlam) / k
+            x, y, lam, ax, ay = x + dx, y + dy, lam + dlam, ax + c_a * dx, ay + c_a * dy
+            u, w, sx, sy = u + gamma / (beta * h) * dx, w + gamma / (beta * h) * dy, sx + dx / (beta * h * h), sy + dy / (beta * h * h)
+    return x
+
+
+def pendulum_row(rounds, stepped):
+    """Microseconds of a step of the compiled pendulum, and of the loop with as many iterations. stepped: as of mechanisms."""
+    problem, model = get("pendulum"), compiled(get("pendulum").model)
+    start = {"q0": problem.q0, "v0": problem.v0}
+    run = pi.solve(model, 1.0, pi.GeneralizedAlpha(h=H), **start)
+    iterations = round(run.counts.newton_iterations / run.counts.steps)
+    loop, steps = partial(pendulum_loop, STEPS["alpha"], iterations, H, 0.9), STEPS["alpha"]
+    loop()
+    rows = [
+        {name: stepped(model, name, count, **start) for name, count in STEPS.items()} | {"loop": 1e6 * cpu(loop)[0] / steps}
+        for _ in range(rounds + 1)
+    ]
+    found = {f"{name}_us": float(np.median([row[name] for row in rows[1:]])) for name in rows[0]}
+    return {
+        "n": 2,
+        "m": 1,
+        "iterations": iterations,
+        "alpha_over_loop": float(np.median([row["alpha"] / row["loop"] for row in rows[1:]])),
+    } | found
