@@ -81,25 +81,54 @@ def repeated(function, given, times):
 
 @njit
 def pendulum_loop(steps, iterations, h, rho):
-    """Generalized-alpha on the pendulum as one would write it in C: x after so many steps of so many iterations."""
+    """Generalized-alpha on the pendulum as one would write it in C, its matrices dense and eliminated with exchanges: the place behind so many
+    steps of so many iterations.
+    """
     alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
     gamma = 0.5 + alpha_f - alpha_m
-    beta, g = 0.25 * (0.5 + gamma) ** 2, 9.81
-    c_a = (1 - alpha_m) / ((1 - alpha_f) * beta * h * h)
-    x, y, u, w, ax, ay, sx, sy, lam = -1.0, 0.0, 0.0, 0.0, 0.0, -g, 0.0, -g, 0.0
+    beta, M, K, force = 0.25 * (0.5 + gamma) ** 2, np.eye(2), np.zeros((2, 2)), np.array([0.0, 9.81])
+    c_a, c_v, c_s = (1 - alpha_m) / ((1 - alpha_f) * beta * h * h), gamma / (beta * h), 1 / (beta * h * h)
+    q, v, a, s, lam, A = np.array([-1.0, 0.0]), np.zeros(2), -force, -force, 0.0, np.zeros((3, 4))
     for _ in range(steps):
-        px, py = (alpha_f * ax - alpha_m * sx) / (1 - alpha_m), (alpha_f * ay - alpha_m * sy) / (1 - alpha_m)
-        x, y = x + h * u + h * h * ((0.5 - beta) * sx + beta * px), y + h * w + h * h * ((0.5 - beta) * sy + beta * py)
-        u, w = u + h * ((1 - gamma) * sx + gamma * px), w + h * ((1 - gamma) * sy + gamma * py)
-        sx, sy, ax, ay = px, py, 0.0, 0.0
+        for i in range(2):
+            ahead = (alpha_f * a[i] - alpha_m * s[i]) / (1 - alpha_m)
+            q[i] += h * v[i] + h * h * ((0.5 - beta) * s[i] + beta * ahead)
+            v[i] += h * ((1 - gamma) * s[i] + gamma * ahead)
+            s[i], a[i] = ahead, 0.0
         for _ in range(iterations):
-            r, s, phi = ax + lam * x, ay + g + lam * y, 0.5 * (x * x + y * y - 1.0)
-            k = c_a + lam  # S = (c_a + lam) I, B = (x, y)
-            dlam = (k * phi - x * r - y * s) / (x * x + y * y)
-            dx, dy = -(r + x * dlam) / k, -(s + y * dlam) / k
-            x, y, lam, ax, ay = x + dx, y + dy, lam + dlam, ax + c_a * dx, ay + c_a * dy
-            u, w, sx, sy = u + gamma / (beta * h) * dx, w + gamma / (beta * h) * dy, sx + dx / (beta * h * h), sy + dy / (beta * h * h)
-    return x
+            A[2, 2], A[2, 3] = 0.0, -0.5 * (q[0] * q[0] + q[1] * q[1] - 1.0)
+            for i in range(2):
+                A[i, 2] = A[2, i] = q[i]
+                A[i, 3] = -force[i] - q[i] * lam
+                for j in range(2):
+                    A[i, 3] -= M[i, j] * a[j]
+                    A[i, j] = c_a * M[i, j] + K[i, j] + (lam if i == j else 0.0)
+            eliminate(A)
+            lam += A[2, 3]
+            for i in range(2):
+                d = A[i, 3]
+                q[i], v[i], s[i], a[i] = q[i] + d, v[i] + c_v * d, s[i] + c_s * d, a[i] + c_a * d
+    return q
+
+
+@njit
+def eliminate(A):
+    """Solve `A[:, :n] x = A[:, n]` in place, x in the last column, by rows of the largest pivot."""
+    n = len(A)
+    for k in range(n):
+        p = k
+        for i in range(k + 1, n):
+            p = i if abs(A[i, k]) > abs(A[p, k]) else p
+        for j in range(k, n + 1):
+            A[k, j], A[p, j] = A[p, j], A[k, j]
+        for i in range(k + 1, n):
+            share = A[i, k] / A[k, k]
+            for j in range(k + 1, n + 1):
+                A[i, j] -= share * A[k, j]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            A[k, n] -= A[k, j] * A[j, n]
+        A[k, n] /= A[k, k]
 
 
 def pendulum_row(rounds, stepped):
