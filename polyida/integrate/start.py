@@ -37,7 +37,8 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
         raise InputError(f"t0 = {t0!r} must be a finite time in s")
     require_functions(model, float(t0), q, v)
     if model.m:
-        if not _proven_independent(model, State(float(t0), q, v, v, np.zeros(model.m))):
+        state = State(float(t0), q, v, v, np.zeros(model.m))
+        if not (model.is_scene and model.looks_apart == 1 and UnitRows(model, state).begin(state)):  # no proof, which takes linear time
             require_independent(model, rows_at(model, t0, q), q)
         drawn = q0 is None and model.is_scene
         remedy = "draw its bodies where they begin, or let scene.assemble() move them" if drawn else "give a consistent q0"
@@ -54,11 +55,6 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
         v = on_velocity(model, t0, q, v)
     a, lam = consistent_acceleration(model, t0, q, v)
     return State(float(t0), q, v, a, lam)
-
-
-def _proven_independent(model, state):
-    """Whether compiled code proves that the rows of a scene's phi_q are independent: in time linear in the number of bodies."""
-    return model.is_scene and model.looks_apart == 1 and UnitRows(model, state).begin(state)
 
 
 def restarted(model, state):

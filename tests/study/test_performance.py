@@ -312,7 +312,7 @@ def test_a_ratio_is_that_of_now_over_before(monkeypatch, tmp_path):
 
         def __call__(self):
             self.load *= 1.5
-            return {"ms_per_step": self.cost * self.load, "steps": 10, "newton_iterations": 1.0}
+            return {"ms_per_step": self.cost * self.load, "steps": 10, "newton_iterations": 1.0, "factorizations": 0.0}
 
         def __enter__(self):
             return self
