@@ -162,7 +162,9 @@ def performance(name, task):
         return times | counts | {"n": task["dof"], "steps": 10, "stiffness_error": 1e-6, "mass_error": 1e-6}
     if name == "small_systems":
         if task["part"] != "step":
-            return {"n": 2, "m": 1} | dict.fromkeys(("alpha_us", "run_ms", "alpha_over_own", "alpha_over_loop", "radau_over_solve_dae"), 100.0)
+            return {"n": 2, "m": 1} | dict.fromkeys(
+                ("alpha_us", "run_ms", "alpha_over_own", "alpha_over_loop", "radau_over_solve_dae"), 100.0
+            )
         times = dict.fromkeys(("alpha_us", "exudyn_us", "radau_us", "energy_us"), 10.0 * task["size"])
         ratios = dict.fromkeys(("alpha_over_exudyn", "radau_over_alpha", "energy_over_alpha"), 1.0)
         return {"n": 4 * task["size"], "m": 3 * task["size"], "exudyn": "sparse, full Newton", "apart_m": 1e-8} | times | ratios
