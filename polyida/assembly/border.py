@@ -17,7 +17,7 @@ import numpy as np
 from polyida.assembly.arrays import starts
 from polyida.jit import pack, part
 from polyida.linear.dense import solve_small
-from polyida.linear.elimination import Elimination, eliminate, elimination, expand, magnitude, positions
+from polyida.linear.elimination import Elimination, eliminate, elimination, expand, magnitude, positions, solve_again
 
 ACCURATE = (
     1e-10  # of the sum of an equation's terms: 1e-13 is what elimination leaves of 200 windows of a ladder, more where pivots are too small
@@ -239,6 +239,13 @@ def solve_border(b, w):
 
 
 @part
+def solve_border_again(b, w):
+    """The same for another right-hand side."""
+    solve_again(b.elimination, w.values, w.right, w.x)
+    return is_accurate(b, w) or solve_pivoted(b, w)
+
+
+@part
 def assemble(b, w):
     """w.values = I_w + F G E, and the right-hand side."""
     for k in range(w.values.shape[0]):
@@ -321,4 +328,6 @@ def solve_pivoted(b, w):
     assemble(b, w)
     matrix = np.empty((count, count), w.x.dtype)
     expand(b.elimination, w.values, matrix, w.x)
+    for k in range(w.values.shape[0]):
+        w.values[k] = np.nan  # no factors are there for another right-hand side
     return solve_small(matrix, w.x)

@@ -12,7 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import corotated
-from polyida.assembly.border import Border, BorderRoom, border, border_room, look, overlap, put_slopes, solve_border, width
+from polyida.assembly.border import (
+    Border,
+    BorderRoom,
+    border,
+    border_room,
+    look,
+    overlap,
+    put_slopes,
+    solve_border,
+    solve_border_again,
+    width,
+)
 from polyida.assembly.equilibrium import momentum
 from polyida.assembly.rows import joints
 from polyida.jit import pack, part
@@ -77,22 +88,23 @@ def momenta(model):
 
 
 @part
-def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, dq, r1, r3, r4, dlam, dmu):
+def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r1, r3, r4, dlam, dmu):
     """Fill dlam, dmu (m,); move dq (nodes, 2), S^-1 r2 of the plates, by them; leave w.swing. False where the border is singular.
 
     c, cm: the factor with its columns and with those of `massive`; cr: its Room, frames as `solve_plates` left them; dz, vz: displacements
-    and velocities of the points; c_v: c. r1 (nodes, 2), or None where it is zero. Of the last equation c times the one before is taken,
+    and velocities of the points; c_v: c; anew: whether the border is made of these, or is that of before. r1 (nodes, 2), or None where it is zero. Of the last equation c times the one before is taken,
     which leaves `Hz A dq + Bz A A^T Bz^T dmu = r4 + Bz A r1 - c r3`.
     """
     b, y, m = w.border, w.room, r3.shape[0]
-    corotated.points_matrix(s, c, cr, b, y.blocks, 0)
-    corotated.points_matrix(s, cm, cr, b, y.blocks, 1)
-    add_masses(s, b, c_v, y.blocks)
-    joints.joint_jacobian(s, drives, dz, cr.slopes)
-    joints.joint_rate_jacobian(s, drives, dz, vz, w.rate_slopes)
-    put_slopes(y, cr.slopes, 0)
-    put_slopes(y, w.rate_slopes, y.slots.shape[0] - w.rate_slopes.shape[0])
-    corotated.fill_curvature(s, cr, y.curvature, drives, lam, c_v * c_v)
+    if anew:
+        corotated.points_matrix(s, c, cr, b, y.blocks, 0)
+        corotated.points_matrix(s, cm, cr, b, y.blocks, 1)
+        add_masses(s, b, c_v, y.blocks)
+        joints.joint_jacobian(s, drives, dz, cr.slopes)
+        joints.joint_rate_jacobian(s, drives, dz, vz, w.rate_slopes)
+        put_slopes(y, cr.slopes, 0)
+        put_slopes(y, w.rate_slopes, y.slots.shape[0] - w.rate_slopes.shape[0])
+        corotated.fill_curvature(s, cr, y.curvature, drives, lam, c_v * c_v)
     joints.point_values(s, dq, w.moved)
     look(s, b, y, w.moved, m)
     if r1 is not None:
@@ -105,7 +117,7 @@ def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, dq, r1, r3, r4,
             for e in range(s.row_start[k], s.row_start[k + 1]):
                 p = s.row_columns[e]
                 y.right[count + m + k] -= cr.slopes[e] * w.moved[p // 2, p % 2]
-    if not solve_border(b, y):
+    if not (solve_border(b, y) if anew else solve_border_again(b, y)):
         return False
     apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu)
     return True

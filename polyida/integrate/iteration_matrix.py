@@ -10,9 +10,9 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida import whole as of_ida
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.radau import whole as of_radau
+from polyida.integrate.radau import matrices as of_radau
+from polyida.integrate.radau.matrices import Rows, lift
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.radau.rows import Rows, lift
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.sizes import weights
 from polyida.integrate.start import require_state
@@ -53,7 +53,7 @@ def iteration_matrix(model, integrator, state, scaling=None, unknown="q", h=None
 
     GeneralizedAlpha: `[[S, B^T], [B, 0]]`, (n + m, n + m), `S = beta' M + gamma' C + K`; unknown: "q" for the unknowns (dq, dlam), or "v"
     or "a", whose increments are gamma' dq and beta' dq. IDA: the whole matrix `dF/dy + cj dF/dy'` of its form, cj = 1/h, (2n + m or 2n +
-    2m)^2. RadauIIA: that of its form for one mode of the stages, of the same shape (radau/whole.py); mode: "real" or "complex", by default
+    2m)^2. RadauIIA: that of its form for one mode of the stages, of the same shape (radau/matrices.py); mode: "real" or "complex", by default
     the real one, which two stages do not have. scaling: the integrator's own, or any other that it knows. h: the step, s, in place of
     GeneralizedAlpha's and RadauIIA's own; IDA, and the others where none was given, have none. Raises InputError for an integrator, a
     scaling, an unknown, a mode or a step that there is not.

@@ -171,6 +171,28 @@ def eliminate(e, values, x):
     return True
 
 
+@entry
+def solve_again(e, values, right, x):
+    """Fill x with the solution for another right-hand side, with the factors that `eliminate` left in `values`."""
+    for f in range(e.size.shape[0]):
+        for i in range(e.pivots[f], e.size[f]):
+            values[e.start[f] + i * (e.size[f] + 1) + e.size[f]] = 0.0
+    for u in range(x.shape[0]):
+        values[e.right[u]] = right[u]
+    for f in range(e.size.shape[0]):
+        n, at, first = e.size[f], e.start[f], e.first[f]
+        wide = n + 1
+        for k in range(e.pivots[f]):
+            share = values[at + k * wide + n] * values[at + k * wide + k]
+            for i in range(k + 1, n):
+                values[at + i * wide + n] -= values[at + i * wide + k] * share
+        if e.parent[f] >= 0:
+            above, last = e.start[e.parent[f]], e.size[e.parent[f]]
+            for i in range(e.pivots[f], n):
+                values[above + e.into[first + i] * (last + 1) + last] += values[at + i * wide + n]
+    substitute(e, values, x)
+
+
 @part
 def hand_on(e, values, f):
     """Add what is left of front f to its parent."""

@@ -82,28 +82,10 @@ class Dense(NamedTuple):
 def workspace(n, m, functions, data, flags):
     """A Dense of n coordinates and m constraints."""
     N = n + m
-    arrays = [
-        np.zeros(shape)
-        for shape in (
-            (2,),
-            (n,),
-            (n,),
-            (n,),
-            (m,),
-            (n, n),
-            (n,),
-            (m,),
-            (m, n),
-            (m,),
-            (m,),
-            (2,),
-            (n, n),
-            (1 + 3 * n + m,),
-            (n, n),
-            (4, n),
-            (N, N),
-        )
-    ]
+    shapes = (
+        (2,), (n,), (n,), (n,), (m,), (n, n), (n,), (m,), (m, n), (m,), (m,), (2,), (n, n), (1 + 3 * n + m,), (n, n), (4, n), (N, N),
+    )  # fmt: skip
+    arrays = map(np.zeros, shapes)
     return Dense(
         functions, data, np.array(flags, np.int64), np.zeros((1, 2)), *arrays, np.zeros(N, np.int64), np.zeros((N, N)),
         np.zeros(N, np.int64), np.zeros(N),

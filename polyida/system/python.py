@@ -119,7 +119,11 @@ class PythonTable:
             q, v = self._array(q, model.n).copy(), self._array(v, model.n).copy()
             before = self.begin if instant == 0 else self.times[instant - 1, small.END]
             ends = (self.ends[0] if instant == 0 else before), self._at(instant)[0]
-            self.increments = model.increments(before, self._at(instant)[1], ends, self.h, q, v)
+            self.increments = [model.increments(before, self._at(instant)[1], ends, self.h, q, v)]
+
+    def _stage(self, instant):
+        """Which of the increments is that of an instant."""
+        return 0
 
     def _residual(self, instant, q, v, a, lam, r, phi):
         model, (inner, end) = self.model, self._at(instant)
@@ -137,7 +141,8 @@ class PythonTable:
         if self.increments is None:
             rows[:] = model.phi(self._at(instant)[1], self._array(q, model.n).copy())
         else:
-            rows[:], rates[:] = self.increments(self._array(dd, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
+            change = self.increments[self._stage(instant)]
+            rows[:], rates[:] = change(self._array(dd, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
 
     def _solve(self, instant, q, lam, r, phi, dq, dlam):
         n, m = self.model.n, self.model.m

@@ -7,11 +7,9 @@ import pytest
 
 import polyida as pi
 from polyida import compiled, problems
-from polyida.integrate.radau.matrices import Matrices
-from polyida.integrate.radau.rows import Rows
+from polyida.integrate.radau.matrices import Matrices, Rows, WholeModes
 from polyida.integrate.radau.tableau import radau, through, through_zero
 from polyida.integrate.radau.tables.scene import FEW
-from polyida.integrate.radau.whole import WholeModes
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.kkt import SCALINGS
 from polyida.model import differences

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from polyida.linear.elimination import eliminate, elimination, expand, positions
+from polyida.linear.elimination import eliminate, elimination, expand, positions, solve_again
 
 SHAPES = {
     "nothing": (0, []),
@@ -39,6 +39,9 @@ def test_it_solves_what_numpy_solves(shape, turn):
     assert np.array_equal(found, matrix) and np.array_equal(x, b)
     assert eliminate(made, values, x)
     assert np.allclose(x, np.linalg.solve(matrix, b), rtol=1e-12, atol=1e-13)
+    other = b[::-1] + 1.0
+    solve_again(made, values, other, x)
+    assert np.allclose(x, np.linalg.solve(matrix, other), rtol=1e-12, atol=1e-13)
 
 
 def test_every_unknown_is_eliminated_once():

@@ -11,7 +11,7 @@ from polyida.adjoint.taped.model import TapedModel
 from polyida.adjoint.taped.tape import Tape, add_to
 from polyida.adjoint.totals import OwnSlopes, Totals
 from polyida.integrate.kinks import at_kink, beside, inner_side
-from polyida.integrate.radau.rows import NOTHING
+from polyida.integrate.radau.matrices import NOTHING
 from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import Counts, State
 from polyida.model.differences import jacobian

@@ -11,8 +11,8 @@ from polyida.adjoint.steps.course import Course, Piece, every_step, reader, take
 from polyida.errors import StepFailure
 from polyida.integrate.kinks import Grid, at_kink, beside, inner_side
 from polyida.integrate.radau.loop import EXACT
+from polyida.integrate.radau.matrices import lift
 from polyida.integrate.radau.radau_iia import restarted
-from polyida.integrate.radau.rows import lift
 from polyida.integrate.radau.steps import Steps
 from polyida.integrate.sizes import extent, typical_sizes
 from polyida.integrate.start import far_side

@@ -105,7 +105,7 @@ def solve(s, c, cm, cr, w, drives, cj, integrated, damp, r, z):
     joints.spread(s.links, w.moved, w.right)
     corotated.solve_plates(s.links, c, cr, w.rotation, w.right, w.dq)
     if w.border.room.x.shape[0] and not stabilised_border(
-        s.links, c, cm, cr, w.border, drives, w.dz, w.vz, w.lam, cj, w.dq, r1, r[2 * n : 2 * n + m], r[2 * n + m :], dlam, dmu
+        s.links, c, cm, cr, w.border, drives, w.dz, w.vz, w.lam, cj, True, w.dq, r1, r[2 * n : 2 * n + m], r[2 * n + m :], dlam, dmu
     ):
         return False
     for i in range(n // 2):

@@ -1,4 +1,4 @@
-"""The states at the ends of steps, as the compiled loop left them."""
+"""The states at the ends of steps, as the compiled loop left them, and the collocation polynomial between."""
 
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -6,11 +6,32 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.integrate.radau.dense import Collocation
 from polyida.integrate.radau.loop import LEAST, PRICE, USED, H, Record
 from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST
+from polyida.integrate.radau.tableau import through, through_zero
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State
+
+
+class Collocation(NamedTuple):
+    """Called with t it gives the State there: q and v by polynomials of degree s (3rd or 4th order), a and lam of degree s - 1.
+
+    stages: e, v - v_0, v' and lam of the nodes c, each (s, ...).
+    """
+
+    t: float
+    h: float
+    q: np.ndarray
+    v: np.ndarray
+    c: np.ndarray
+    stages: tuple
+
+    def __call__(self, t):
+        s = (t - self.t) / self.h
+        moved, rest = through_zero(self.c, s), through(self.c, s)
+        e, dv, a, lam = self.stages
+        q = self.q + ((t - self.t) * self.v + moved @ e)
+        return State(float(t), q, self.v + moved @ dv, rest @ a, rest @ lam, restart=False)
 
 
 class Stretch(NamedTuple):

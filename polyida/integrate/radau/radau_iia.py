@@ -9,8 +9,7 @@ from polyida.errors import InputError
 from polyida.given import is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.kinks import at_kink, beside, run_of, stretches
 from polyida.integrate.moves import PARTS, cells_of
-from polyida.integrate.radau.march import adapt, ladder_of, march
-from polyida.integrate.radau.steps import Steps
+from polyida.integrate.radau.steps import Steps, adapt, ladder_of, march
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State
@@ -42,7 +41,7 @@ class RadauIIA:
     project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
     the model's step matrices with a border of its constraints, of a scene by one of its factors ("fronts", "band", "superlu"); "kkt": the
     whole matrix of both for each eigenvalue of W, in plain code. scaling: of the rows and columns of that, "physical", "bottasso" or "none"
-    (integrate/radau/whole.py); it acts there only. tolerance: what Newton may leave of q, in place of the share min(0.05, rtol^0.6) of
+    (integrate/radau/matrices.py); it acts there only. tolerance: what Newton may leave of q, in place of the share min(0.05, rtol^0.6) of
     atol + rtol |q|, and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error of the step before and L the model's length: of seventh
     order in h, for it adds up in v over all steps; flexible scenes bear far more: 3e-3 h^2 takes one to
     one and a half iterations a step from 200 steps a second on, and is erratic with longer ones. max_iterations: of one Newton solve.

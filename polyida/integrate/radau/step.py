@@ -49,6 +49,7 @@ ROUND = 1e-11
 CARRIED = 10.0  # steps in which the contraction of an earlier one is taken for that of the first iteration
 UNKNOWN = np.array([1.0, CARRIED])  # the marks of a Newton that has none
 FAR = 4.0  # steps longer than the last by more begin from q_0 + c h v_0: its polynomial leads nowhere there
+NOISE = 1e-15  # of the size: a later correction below that is round-off of phi, where this is taken from positions
 MOVES = 3  # of q onto phi = 0, at most
 AGAIN = 1e-9  # of the model's size: |phi| beyond which the constraints' system is made anew where q has moved to
 Q, V, A, SHARES = range(4)  # rows of Memory.past
@@ -388,6 +389,7 @@ def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
     size = np.sqrt(mean_square(y.past[SHARES], y.past[Q])) + h * np.sqrt(mean_square(y.past[SHARES], y.past[V]))
     contraction = min(2.0 * y.marks[CONTRACTION], 1.0) if y.marks[AGE] < CARRIED else 1.0
     last, worst, round_off = np.inf, 0.0, max(ROUND * size, p.least)
+    noise = 0.0 if p.carries else NOISE * size
     for iteration in range(1, p.max_iterations + 1):
         counts[RESIDUALS] += x.e.shape[0]
         counts[ITERATIONS] += 1
@@ -397,11 +399,12 @@ def newton(f, w, first, p, t, h, y, x, z, allowed, counts):
             return (NOT_FINITE if ended == DONE else ended), iteration
         if iteration > 1:
             contraction = moved / last
-            worst = max(worst, contraction)
+            worst = max(worst, contraction) if moved > noise or worst == 0.0 else worst
         z.seen[MOVED], z.seen[SPEED] = moved, contraction
         left = contraction / (1.0 - contraction) * moved if contraction < 1.0 else np.inf
         spent, stalled = iteration == p.max_iterations, iteration > 1 and contraction > SLOW
-        if left <= allowed or moved == 0.0 or (moved <= round_off and (stalled or spent)):
+        rounded = iteration > 1 and moved <= noise
+        if left <= allowed or moved == 0.0 or rounded or (moved <= round_off and (stalled or spent)):
             if iteration > 1:
                 y.marks[CONTRACTION], y.marks[AGE] = worst, 0.0
             else:

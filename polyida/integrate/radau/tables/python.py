@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from polyida.errors import InputError, StepFailure
+from polyida.errors import InputError
 from polyida.integrate.kinks import inner_side
-from polyida.integrate.radau.rows import Rows
+from polyida.integrate.radau.matrices import Rows
 from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.lu import SingularSystem, dense
 from polyida.model.guarded import unguarded
 from polyida.system import table as of
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
-from polyida.system.table import DONE, NOT_FINITE, REASONS, SINGULAR
+from polyida.system.table import DONE, REASONS, SINGULAR
 
 
 class Stages:
@@ -76,8 +76,11 @@ class PythonStages(Stages, PythonTable):
     def _stage(self, instant):
         return (instant - 1) % (self.tableau.stages + 1)
 
+    def _at(self, instant):
+        return (self.at[self._stage(instant) + 1],) * 2
+
     def _state(self, instant, q):
-        return self.at[self._stage(instant) + 1], self._array(q, self.model.n).copy()
+        return self._at(instant)[0], self._array(q, self.model.n).copy()
 
     def _hold(self, instant, q, v, *_):
         self.increments, model = None, self.model
@@ -92,24 +95,6 @@ class PythonStages(Stages, PythonTable):
         model, k = self.model, self._stage(instant)
         self.B[k] = dense(model.phi_q(*self._state(instant, q)))
         self._array(dv, model.n)[:] += self.lift * (self.B[k].T @ self._array(mu, model.m))
-
-    def _residual(self, instant, q, v, a, lam, r, phi):
-        model, (t, q) = self.model, self._state(instant, q)
-        v, a = (self._array(at, model.n).copy() for at in (v, a))
-        rows, found = self._array(phi, model.m), self._array(r, model.n)
-        found[:] = model.residual(t, q, v, a, self._array(lam, model.m).copy())
-        if self.increments is None and model.m:
-            rows[:] = model.phi(t, q)
-        return DONE if np.isfinite(found).all() and np.isfinite(rows).all() else NOT_FINITE
-
-    def _close(self, instant, q, e, dv, phi, rate, _):
-        model = self.model
-        rows, rates = self._array(phi, model.m), self._array(rate, model.m)
-        if self.increments is None:
-            rows[:] = model.phi(*self._state(instant, q))
-        else:
-            change = self.increments[self._stage(instant)]
-            rows[:], rates[:] = change(self._array(e, model.n), self._array(dv, model.n), rows.copy(), rates.copy())
 
     def _rate(self, instant, q, v, rate, known, *_):
         model, self.closed = self.model, self._state(instant, q)
@@ -129,11 +114,6 @@ class PythonStages(Stages, PythonTable):
             self.reason = str(error)
             return SINGULAR
         return DONE
-
-    def _accept(self, instant, q, *_):
-        t, q = self._state(instant, q)
-        if objection := self.model.objection(t, q):
-            raise StepFailure("objection", objection, t)
 
     def _rows(self, instant, q, v, *_):
         needs, matrices = self.model.needs, self.factored

@@ -52,7 +52,8 @@ class SceneWork(NamedTuple):
 
     damp, laws, tie: None where there is nothing of the kind. drives, gains (instants, profiles, 3): of the profiles, at each instant and from
     the step's beginning to it; rotation, turn (s, nodes, 2); points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle
-    stage; c: the tableau's; h (1,); still (nodes, 2), level (m,): zero; inverse (nodes, nodes): of M, complex, or (0, 0).
+    stage; c: the tableau's; h (1,); still (nodes, 2), level (m,): zero; inverse (nodes, nodes): of M, complex, or (0, 0); anew (2,): whether the border of
+    the real mode, of the pair, is to be made with the next solve.
     """
 
     scene: tuple
@@ -76,6 +77,7 @@ class SceneWork(NamedTuple):
     still: np.ndarray
     r: np.ndarray
     inverse: np.ndarray
+    anew: np.ndarray
 
 
 @part
@@ -178,7 +180,8 @@ def moved(s, t, wanted, x):
 
 @c_entry
 def middle_rows(w, instant, q, v, c, d, e, f):
-    """Nothing: the rows of the constraints are made in each iteration."""
+    """Have the borders of both modes made at the next residual, for all iterations of a step."""
+    w.anew[0] = w.anew[1] = 1
     return DONE
 
 
@@ -215,15 +218,15 @@ def turn_back(turn, dq):
 
 
 @part
-def solve_mode(w, instant, mode, r, closing, lam, dq, multipliers):
+def solve_mode(w, instant, number, mode, r, closing, lam, dq, multipliers):
     """dq and multipliers of one mode, rows and curvature those of the middle stage. Returns how it ended."""
     if mode is None:
         return DONE
-    return solve_border(w, instant, mode, mode.massive, mode.border, r, closing, lam, dq, multipliers)
+    return solve_border(w, instant, number, mode, mode.massive, mode.border, r, closing, lam, dq, multipliers)
 
 
 @part
-def solve_border(w, instant, mode, massive, border, r, closing, lam, dq, multipliers):
+def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq, multipliers):
     """The same; what is None is not compiled."""
     k, s, drives, c_v = stage(w, instant), w.scene.links, w.drives[instant], mode.c[0]
     c, room, rotation, dz = mode.factored, mode.room, w.rotation[k], w.dz[k]
@@ -237,8 +240,25 @@ def solve_border(w, instant, mode, massive, border, r, closing, lam, dq, multipl
         for e in range(closing.shape[1]):
             closing[f, e] = -closing[f, e]
     good = stabilised_border(
-        s, c, massive, room, border, drives, dz, w.vz, lam, c_v, dq, None, closing[0], closing[1], multipliers[0], multipliers[1]
+        s,
+        c,
+        massive,
+        room,
+        border,
+        drives,
+        dz,
+        w.vz,
+        lam,
+        c_v,
+        w.anew[number],
+        dq,
+        None,
+        closing[0],
+        closing[1],
+        multipliers[0],
+        multipliers[1],
     )
+    w.anew[number] = 0
     return DONE if good else SINGULAR
 
 
@@ -247,7 +267,7 @@ def real(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the real mode."""
     shape = (2, w.level.shape[0])
     given = pairs(w, r), carray(pointer(closing), shape), rows(w, lam), pairs(w, dq), carray(pointer(multipliers), shape)
-    return solve_mode(w, instant, w.real, given[0], given[1], given[2], given[3], given[4])
+    return solve_mode(w, instant, 0, w.real, given[0], given[1], given[2], given[3], given[4])
 
 
 @c_entry
@@ -255,7 +275,7 @@ def pair(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the complex mode."""
     shape = (2, w.level.shape[0])
     given = complex_pairs(w, r), carray(complex_pointer(closing), shape), complex_pairs(w, dq), carray(complex_pointer(multipliers), shape)
-    return solve_mode(w, instant, w.pair, given[0], given[1], rows(w, lam), given[2], given[3])
+    return solve_mode(w, instant, 1, w.pair, given[0], given[1], rows(w, lam), given[2], given[3])
 
 
 @part
@@ -343,6 +363,7 @@ class SceneStages:
             "h": np.zeros(1),
             "still": np.zeros(nodes),
             "r": np.zeros(nodes),
+            "anew": np.ones(2, np.int64),
             "inverse": inverse_mass(model) if small else np.zeros((0, 0), complex),
         }
         self.functions, self.kind, self.work, self.workspace, self.slots = np.zeros(of.ENTRIES, np.int64), None, None, 0, {}
