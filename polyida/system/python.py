@@ -41,18 +41,21 @@ class PythonTable:
     """
 
     longest = steady = 1  # at first: its functions may be slow, and Ctrl-C and progress wait for the end of a stretch
+    instants = INSTANTS
     workspace = 0
 
     def __init__(self, model, incremental):
-        self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((INSTANTS, 2))
+        self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
         self.functions, self.kept = np.zeros(ENTRIES, np.int64), []
         self._fill()
 
     def _fill(self):
-        entries = {RESIDUAL: self._residual, HOLD: self._hold, CLOSE: self._close, SOLVE: self._solve}
-        entries |= {RATE: self._rate, PROJECT: self._project, ACCEPT: self._accept}
-        for number, function in entries.items():
+        for number, function in self._entries().items():
             self.functions[number] = self._address(function)
+
+    def _entries(self):
+        entries = {RESIDUAL: self._residual, HOLD: self._hold, CLOSE: self._close, SOLVE: self._solve}
+        return entries | {RATE: self._rate, PROJECT: self._project, ACCEPT: self._accept}
 
     def _address(self, function):
         """Of a function as a C function; an exception of it is kept."""

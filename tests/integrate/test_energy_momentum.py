@@ -1,10 +1,13 @@
 """The energy-momentum method: energy and momenta exactly kept, second order, joints and motors included."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.energy.general import WithForces
+from polyida.integrate.energy import steps
+from polyida.integrate.energy.scene import PythonScene
 from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.results.motion import unbalanced
 
@@ -135,15 +138,13 @@ class Slot(pi.Joint):
 
 def test_velocities_of_frames_that_are_not_kept_are_not_made(monkeypatch):
     """Where rows turn, v of a frame is put on its constraint for that frame alone; the motion does not ask for it."""
-    from polyida.integrate.energy import at_end
-
     scene, made = pi.Scene(gravity=(0.0, -9.81)), []
     mesh = pi.mesh.rectangle(1.0, 0.1, cells=6, seed=1)
     upper, lower = (scene.add(pi.Plate(mesh, pi.Material(E=5e7, nu=0.3, rho=1100.0), thickness=0.01, origin=(x, 0.0))) for x in (0.0, 1.0))
     scene.add(pi.Revolute(pi.ground, upper.section("left")))
     scene.add(Slot(upper.section("right"), lower.section("left")))
     model = scene.build()
-    monkeypatch.setattr(at_end, "on_velocity", lambda *given: made.append(1) or on_velocity(*given))
+    monkeypatch.setattr(steps, "on_velocity", lambda *given: made.append(1) or on_velocity(*given))
     runs = [pi.solve(model, 0.05, pi.EnergyMomentum(h=1e-3), every=every) for every in (10, 1)]
     assert len(made) == 5 + 50
     assert np.array_equal(runs[0].q, runs[1].q[::10]) and np.array_equal(runs[0].v, runs[1].v[::10])
@@ -181,7 +182,6 @@ def test_ready_made_elements_keep_their_energy_without_a_new_factor(name):
     assert exchanged > 0.1  # the element acts
     assert np.ptp(run.energy.total) < ENERGY * np.ptp(run.energy.kinetic)
     assert model.switching or run.counts.factorizations == 1
-    assert "each step" not in run.summary()
 
 
 @pytest.mark.parametrize("name", ["spring", "torsion", "line", "damper", "torque"])
@@ -193,9 +193,9 @@ def test_compiled_elements_move_as_the_same_ones_in_python(name, monkeypatch):
     }
     model, integrator = two_bars((elements() | more)[name]), pi.EnergyMomentum(h=2e-3, tolerance=1e-13)
     fast = pi.solve(model, 0.3, integrator)
-    monkeypatch.setattr("polyida.integrate.energy.energy_momentum.Midpoint", WithForces)
+    monkeypatch.setattr(steps, "EnergyTable", PythonScene)
     slow = pi.solve(model, 0.3, integrator)
-    assert slow.counts.factorizations >= 100 > fast.counts.factorizations or model.switching
+    assert max(slow.counts.factorizations, fast.counts.factorizations) < 10 or model.switching
     assert slow.success and np.abs(fast.q[-1] - slow.q[-1]).max() < 1e-9
 
 
@@ -219,33 +219,38 @@ def test_frames_of_rigid_bodies_are_consistent_with_their_positions_and_velociti
             assert np.abs(run.a[k] - a).max() < 1e-9 * np.abs(a).max() and np.abs(run.lam[k] - lam).max() < 1e-9 * np.abs(lam).max()
 
 
-def test_the_summary_says_which_part_makes_each_step_factorize():
+@dataclass(frozen=True, eq=False)
+class Magnet(pi.ForceElement):
+    """Two points attract with the potential `-1 / (d + 0.5)`, J, d their distance, m."""
+
+    a: object
+    b: object
+    name: str | None = None
+
+    def sides(self):
+        return (self.a, self.b)
+
+    def forces(self, t, x, v):
+        d = np.linalg.norm(x[1] - x[0])
+        pull = (x[1] - x[0]) / (d * (d + 0.5) ** 2)
+        return np.stack([pull, -pull])
+
+    def energy(self, x):
+        return -1.0 / (np.linalg.norm(x[1] - x[0]) + 0.5)
+
+
+def test_a_force_element_in_python_keeps_the_factor_and_its_energy():
     scene = pi.Scene(gravity=(0.0, -9.81))
     bar = scene.add(pi.RigidBody(1.0, 0.1, {"left": (-0.5, 0.0), "right": (0.5, 0.0)}, origin=(0.5, 0.0), name="bar"))
     scene.add(pi.Revolute(pi.ground, bar.at("left"), name="pin"))
-    alone = pi.solve(scene.build(), 0.01, pi.EnergyMomentum(h=1e-3))
-    assert alone.counts.factorizations < alone.steps and "in each step" not in alone.summary()
-    further = lambda e, rate: 10.0 * e**3  # noqa: E731
-    scene.add(pi.SpringDamper(pi.ground.at((0.0, 1.0)), bar.at("right"), stiffness=50.0, force=further, name="spring"))
-    scene.add(pi.TorsionSpring(pi.ground, bar.at("left"), stiffness=5.0, name="torsion"))
-    with_spring = pi.solve(scene.build(), 0.01, pi.EnergyMomentum(h=1e-3))
-    assert with_spring.counts.factorizations >= with_spring.steps
-    assert "a new factorization in each step, because of 'spring'" in with_spring.summary()
-    assert "each step" not in pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3)).summary()
+    scene.add(Magnet(pi.ground.at((0.0, -1.0)), bar.at("right")))
+    run = pi.solve(scene.build(), 0.5, pi.EnergyMomentum(h=1e-3))
+    assert run.success and run.counts.factorizations < 10 and run.counts.residuals < 2.2 * run.counts.steps
+    assert np.ptp(run.energy.total) < ENERGY * np.ptp(run.energy.kinetic)
 
 
-def test_the_summary_says_that_a_model_of_ones_own_makes_each_step_factorize():
-    class Mass(pi.Model):
-        n, m = 1, 0
-
-        def mass(self, q):
-            return np.eye(1)
-
-        def force(self, t, q, v):
-            return q
-
-        def potential(self, q):
-            return 0.5 * float(q @ q)
-
-    run = pi.solve(Mass(), 0.01, pi.EnergyMomentum(h=1e-3), q0=[1.0])
-    assert run.counts.factorizations >= run.steps and "a new factorization in each step, because of functions in Python" in run.summary()
+def test_a_step_takes_hardly_more_than_two_residuals():
+    """Where a and lam of earlier steps lead is near to the end; how Newton contracts is known from earlier steps."""
+    model = two_bars(elements()["spring"])
+    run = pi.solve(model, 0.5, pi.EnergyMomentum(h=1e-3))
+    assert run.counts.residuals < 2.2 * run.counts.steps

@@ -407,14 +407,14 @@ class Carried(Swing):
 
 @pytest.mark.parametrize("kind, start", [(Swing, {"q0": [1.0, 0.0]}), (Springs, {"v0": [1.0, -1.0]}), (Carried, {"q0": [1.0, 0.0]})])
 def test_energy_momentum_is_the_same_compiled(kind, start):
-    """Both by the discrete derivative; the compiled one keeps its matrix, and energy where nothing drives."""
+    """Both by the discrete derivative; they keep their matrices, and energy where nothing drives."""
     fast = compiled(type("Fast", (kind,), {}))()
     runs = [pi.solve(model, 1.0, pi.EnergyMomentum(h=4e-3, tolerance=1e-13), **start) for model in (kind(), fast)]
     assert all(run.success for run in runs), runs[1].message
     for name in ("q", "v", "a", "lam"):
         one, other = (getattr(run, name) for run in runs)
         assert np.abs(one - other).max(initial=0.0) < 1e-8 * max(1.0, np.abs(one).max(initial=0.0)), name
-    assert runs[0].counts.factorizations >= 250 > 2 * runs[1].counts.factorizations and "each step" not in runs[1].summary()
+    assert max(run.counts.factorizations for run in runs) < 125
     if not kind.needs.driven:
         assert np.ptp(runs[1].energy.total) < 1e-10 * np.ptp(runs[1].energy.kinetic)
 
@@ -426,5 +426,6 @@ def test_only_the_energy_momentum_method_compiles_the_potential():
 
     odd = compiled(Odd)()
     assert pi.solve(odd, 0.02, pi.GeneralizedAlpha(h=1e-2)).success
-    with pytest.raises(pi.InputError, match=r"Odd\.potential cannot be compiled"):
+    with pytest.raises(pi.InputError, match=r"Odd\.potential cannot be compiled") as caught:
         pi.solve(odd, 0.02, pi.EnergyMomentum(h=1e-2))
+    assert not hasattr(caught.value, "trajectory")  # no run began

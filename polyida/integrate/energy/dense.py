@@ -1,4 +1,13 @@
-"""The table of a small model of one's own that numba compiles, for the energy-momentum method: by the discrete derivative (energy/general.py)."""
+"""The tables of models of one's own for the energy-momentum method, by the discrete derivative.
+
+The work of the force at the middle is not the difference of the potential; Gonzalez (J. Nonlinear Sci. 6 (1996) 449-467) adds what is
+missing, along M dq:
+
+    M (v_1 - v_0)/h + g(t_m, q_m, v_m) + [V_1 - V_0 - V'] M dq / (dq^T M dq) + phi_q(q_m)^T lam = 0,     V' = grad V(q_m) . dq
+
+Forces beyond the potential act at the middle. With a constraint that is at most quadratic `phi_q(q_m) dq = phi_1 - phi_0`, so it does
+no work. The matrix leaves out the derivative of the bracket, which is of second order in dq: Newton contracts without.
+"""
 
 from functools import cache
 
@@ -6,15 +15,39 @@ import numpy as np
 from numba import typeof
 
 from polyida.assembly.own.laws import NOISE
-from polyida.integrate.energy.general import SPAN
-from polyida.integrate.kinks import inner_side
 from polyida.jit import part
-from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system.dense import END, INNER, PHI, POTENTIAL, acceleration, ask, example, residual, take, vector  # fmt: skip
-from polyida.system.python import CompiledTable
-from polyida.system.table import ACCELERATION, DONE, INSTANTS, KINETIC, MIDDLE, c_address, c_entry
+from polyida.linear import dense
+from polyida.model.differences import FIRST_ORDER_STEP, along
+from polyida.system.dense import (
+    BENT,
+    END,
+    FORCE,
+    FUNCTIONS,
+    INNER,
+    MASS,
+    MASS_VARIES,
+    PHI,
+    PHI_Q,
+    POTENTIAL,
+    WHOLE,
+    ask,
+    bordered,
+    equilibrium,
+    finite,
+    take,
+    take_rows,
+    typical,
+    vector,
+    workspace,
+)  # fmt: skip
+from polyida.system.own import OF_STEPS
+from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
+from polyida.system.table import ACCELERATION, DONE, INSTANTS, KINETIC, MIDDLE, NOT_FINITE, SINGULAR, c_address, c_entry
 
+SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off
 STEP = FIRST_ORDER_STEP * SPAN  # of dq: V' from values at one and two of them to each side
+ENDS = 2 * INSTANTS  # first instant of frames, behind those of steps
+OF_ENERGY = (*OF_STEPS, "potential")
 
 
 @part
@@ -30,10 +63,18 @@ def potential(w, x, d, s):
 def middle(w, instant, states, lam, r, phi, e, f):
     """r at the middle of a step, whose time is that before the instant of its end, and phi there."""
     n, m = w.q.shape[0], w.lam.shape[0]
-    ended = residual(w, instant - 1, states + 16 * n, states + 24 * n, states + 32 * n, lam, r, phi)
+    take(w, instant - 1, states + 16 * n, states + 24 * n)
+    given_a, given_lam, found, rows = vector(states + 32 * n, n), vector(lam, m), vector(r, n), vector(phi, m)
+    for i in range(n):
+        w.a[i] = given_a[i]
+    for k in range(m):
+        w.lam[k] = given_lam[k]
+    ended = take_rows(w)
+    if ended == DONE:
+        ended = equilibrium(w, found)
     if ended != DONE:
         return ended
-    x0, x1, x, found, d = vector(states, n), vector(states + 8 * n, n), vector(states + 16 * n, n), vector(r, n), w.near[0]
+    x0, x1, x, d = vector(states, n), vector(states + 8 * n, n), vector(states + 16 * n, n), w.near[0]
     for i in range(n):
         d[i] = x1[i] - x0[i]
     ended, first = potential(w, x0, d, 0.0)
@@ -56,13 +97,12 @@ def middle(w, instant, states, lam, r, phi, e, f):
     if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
         for i in range(n):
             found[i] += bracket / size * metric[i]
-    if not m:
-        return DONE
-    take(w, instant, states + 8 * n, states + 24 * n)
-    ended, rows = ask(w, PHI, END, w.phi), vector(phi, m)
-    for k in range(m):
-        rows[k] = w.phi[k]
-    return ended
+    if m:
+        take(w, instant, states + 8 * n, states + 24 * n)
+        ended = ask(w, PHI, END, w.phi)
+        for k in range(m):
+            rows[k] = w.phi[k]
+    return NOT_FINITE if ended == DONE and not (finite(found) and finite(rows)) else ended
 
 
 @c_entry
@@ -77,20 +117,127 @@ def kinetic(w, instant, v, energy, c, d, e, f):
     return DONE
 
 
+@part
+def fill_bias(w, q, v, out):
+    """out = `(phi_q v)_q v`, by differences along v, and B at q."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    size = pace = 0.0
+    for i in range(n):
+        size, pace = max(size, abs(q[i])), max(pace, abs(v[i]))
+    step = FIRST_ORDER_STEP * min(1.0, (1.0 + size) / pace if pace > 0.0 else 1.0)
+    for k in range(m):
+        out[k] = 0.0
+    for e in range(5):
+        for i in range(n):
+            w.q[i] = q[i] + (1.0, -1.0, 2.0, -2.0, 0.0)[e] * step * v[i]
+        ended = ask(w, PHI_Q, INNER, w.B)
+        if ended != DONE:
+            return ended
+        for k in range(m):
+            for i in range(n):
+                out[k] += (8.0, -8.0, -1.0, 1.0, 0.0)[e] * w.B[k, i] * v[i] / (12.0 * step)
+    return DONE
+
+
+@c_entry
+def acceleration(w, instant, q, v, a, lam, e, f):
+    """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`, of constraints that nothing drives."""
+    n, m = w.q.shape[0], w.lam.shape[0]
+    take(w, instant, q, v)
+    for i in range(n):
+        w.a[i] = 0.0
+    for k in range(m):
+        w.lam[k] = 0.0
+    ended = ask(w, MASS, INNER, w.M) if w.flags[MASS_VARIES] else DONE
+    if ended == DONE:
+        ended = ask(w, WHOLE if w.functions[WHOLE] else FORCE, INNER, w.g)
+    bias, size = w.phi_t, typical(w.M)
+    for k in range(m):
+        bias[k] = 0.0
+    if ended == DONE and m and w.flags[BENT]:
+        ended = fill_bias(w, vector(q, n), vector(v, n), bias)
+    if ended != DONE:
+        return ended
+    bordered(w.masses, w, w.M, size)
+    if not dense.factor(w.masses, w.mass_pivots):
+        return SINGULAR
+    for i in range(n):
+        w.x[i] = -w.g[i]
+    for k in range(m):
+        w.x[n + k] = -size * bias[k]
+        bias[k] = 0.0
+    dense.solve(w.masses, w.mass_pivots, w.x)
+    out, found = vector(a, n), vector(lam, m)
+    for i in range(n):
+        out[i] = w.x[i]
+    for k in range(m):
+        found[k] = size * w.x[n + k]
+    return DONE
+
+
 @cache
 def more():
     """{number: address} of these functions, for every Dense."""
-    return {
-        number: c_address(function, typeof(example()))
-        for number, function in ((MIDDLE, middle), (KINETIC, kinetic), (ACCELERATION, acceleration))
-    }
+    kind = typeof(workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * 6))
+    return {number: c_address(function, kind) for number, function in ((MIDDLE, middle), (KINETIC, kinetic), (ACCELERATION, acceleration))}
 
 
-class EnergyOfOwn(CompiledTable):
-    """The same table with what the energy-momentum method needs; a and lam of frames where nothing drives."""
+class OfMiddles:
+    """What tables with times of their own need of the method: instants of a step's middle and of its end."""
 
-    longest = (INSTANTS - 1) // 2
-    names = (*CompiledTable.names, "potential")
+    instants = 3 * INSTANTS
+    complete = False  # whether v, a and lam of frames are made by entries of the table
+
+    def prepare(self, times, last, h):
+        """Get ready for steps between the times; last: the last one, beside it where there is a kink."""
+        steps, self.h, at = len(times) - 1, h, np.repeat(times[1:], 2)
+        at[::2] -= 0.5 * h
+        self.times[: 2 * steps] = at[:, None]
+        self.times[2 * steps - 1, INNER] = last
+
+    def prepare_ends(self, times, last):
+        """Get ready for frames at the times; the number of the first one's instant."""
+        end = ENDS + len(times)
+        self.times[ENDS:end] = times[:, None]
+        self.times[end - 1, INNER] = last
+        return ENDS
+
+    def _entries(self):
+        return super()._entries() | {MIDDLE: self._middle}
+
+
+class PythonOwn(OfMiddles, PythonTable):
+    """The table of a model of one's own in Python that is large, or solves its systems itself."""
+
+    def _middle(self, instant, states, lam, r, phi, *_):
+        model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
+        x0, x1, q, v, a = self._array(states, 5 * model.n).copy().reshape(5, -1)
+        found, rows = self._array(r, model.n), self._array(phi, model.m)
+        found[:], rows[:] = model.residual(t, q, v, a, self._array(lam, model.m).copy()), model.phi(end, x1)
+        if not (np.isfinite(found).all() and np.isfinite(rows).all()):
+            return NOT_FINITE
+        found += missing(model.potential, x0, x1, model.mass(q) @ (x1 - x0))
+        return DONE
+
+
+class DenseOwn(OfMiddles, DenseTable):
+    """The table of a small model of one's own in Python."""
+
+    def __init__(self, model):
+        super().__init__(model, False)
+        self.functions[MIDDLE] = more()[MIDDLE]
+
+    def _functions(self, w):
+        def potential(*_):
+            w.x[0] = self.model.potential(w.q.copy())
+
+        return super()._functions(w) | {"potential": potential}
+
+
+class CompiledOwn(OfMiddles, CompiledTable):
+    """The table of a small model of one's own that numba compiles; v, a and lam of frames where nothing drives."""
+
+    names = OF_ENERGY
 
     def __init__(self, model):
         super().__init__(model, False)
@@ -98,10 +245,23 @@ class EnergyOfOwn(CompiledTable):
         for number, at in more().items():
             self.functions[number] = at if number == MIDDLE or self.complete else 0
 
-    def prepare(self, times, h):
-        """Get ready for steps between the times: that of a step's middle, and that of its end."""
-        steps, model = len(times) - 1, self.model
-        at = np.repeat(times[1:], 2)
-        at[::2] -= 0.5 * h
-        self.times[: 2 * steps] = at[:, None]
-        self.times[2 * steps - 1, INNER] = inner_side(model, times[-1], h)
+
+def own_table(model):
+    """The table of a model of one's own."""
+    if not small_own(model):
+        return PythonOwn(model)
+    return (CompiledOwn if getattr(model, "user", model).by_numba else DenseOwn)(model)
+
+
+def missing(potential, x0, x1, metric, slope=None):
+    """`[V_1 - V_0 - V'] M dx / (dx^T M dx)` from x0 to x1, metric being M dx; zero where round-off is all there is.
+
+    slope: grad V at the middle, in the shape of x; None: V' by differences, which a kink of V near the middle makes wrong.
+    """
+    dx, middle = x1 - x0, 0.5 * (x0 + x1)
+    size, first, last = np.vdot(dx, metric), potential(x0), potential(x1)
+    along_dx = along(lambda s: potential(middle + s * dx), SPAN) if slope is None else np.vdot(slope, dx)
+    bracket = last - first - along_dx
+    if not (size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last))):
+        return np.zeros_like(dx)
+    return bracket / size * metric

@@ -2,25 +2,24 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from polyida.assembly.own.laws import NO_ENERGY
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
-from polyida.integrate.energy.general import General, WithForces, require_general
-from polyida.integrate.energy.midpoint import Midpoint
-from polyida.integrate.energy.steps import HALVINGS
+from polyida.integrate.energy.dense import OF_ENERGY
+from polyida.integrate.energy.steps import HALVINGS, Steps
 from polyida.integrate.kinks import Grid, at_kink, beside, enough_steps, stretches
 from polyida.integrate.rest import held
 from polyida.integrate.start import on_velocity
-from polyida.integrate.state import Counts, State
+from polyida.integrate.state import Counts, State, States, Stretch
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.check import require_energies
-from polyida.model.guarded import guard, unguarded
-from polyida.system.python import small_own
+from polyida.model.guarded import guard, require_constraints, unguarded
+from polyida.system.own import Compiled
+
+SAME = 1e-9  # of its size, by which what ought to be equal may differ
 
 
 @named_keywords
@@ -31,15 +30,14 @@ class EnergyMomentum:
     `M (v_1 - v_0)/h + f_int + B^T lam = f_ext(t_m)`, `q_1 - q_0 = h (v_0 + v_1)/2`, `phi(q_1, t_1) = 0`. The stress is that of the mean
     of the strains at both ends on the mean F, B the constraint Jacobian of the mean q and mean time: without moving motors and damping
     the energy changes by what Newton leaves, for `f_int . (q_1 - q_0) = W_1 - W_0` and `B (q_1 - q_0) = 0`. Velocities of the frames are
-    on their constraint. Second order in q, v, a and lam; a and lam of a frame follow from its q and v: in the loop where no
-    body is a plate, else for each frame that is kept, which costs half to two thirds of a step (integrate/energy/at_end.py). Damping enters at the middle of the step and only takes energy.
+    on their constraint. Second order in q, v, a and lam; a and lam follow from q and v, for the frames that are kept: on plates that costs
+    half to two thirds of a step. Damping enters at the middle of the step and only takes energy.
 
     It takes every scene, force elements and bodies of one's own by the discrete derivative of their energy, and every model of one's own that gives
-    `potential`, with a constant mass and phi at most quadratic in q (integrate/energy/general.py). Other forces act at the middle. That
+    `potential`, with a constant mass and phi at most quadratic in q (integrate/energy/dense.py). Other forces act at the middle. That
     the energy is kept where phi_q varies needs `Needs(driven=False)`: else phi may do work, and v is put on its constraint at the cost of it.
 
-    Scenes of plates, bodies, joints, loads and compiled force elements, and small models of one's own that numba compiles, go through a compiled
-    loop, which keeps its factor. With other force elements, bodies and models each step makes a new factorization, which the run's summary says.
+    All models go through one compiled loop, which keeps its factor while Newton contracts; it calls force elements, bodies and models in Python back.
 
     h: step, s; a run takes the largest not above h that divides its time evenly, and at least four steps behind a kink where
     the loads are no straight lines. tolerance: Newton's, of h^2 times the size of the
@@ -51,8 +49,6 @@ class EnergyMomentum:
     h: float
     tolerance: float = 1e-10
     max_iterations: int = 40
-
-    writes_rows = True  # into the places of a run's frames
 
     def __post_init__(self):
         for name, good, want in (
@@ -69,43 +65,50 @@ class EnergyMomentum:
         Forces must be those of the energies that are given, where elements and models say that they are conservative.
         """
         if not model.is_scene:
-            require_general(model)
+            require_own(model)
         require_energies(guard(model), 0.0, np.zeros(model.n))
 
-    def cost(self, model: Model) -> str:
-        """What a summary says of steps that cost more than those of a scene without Python; empty for these."""
-        kind = _kind(model)
-        if kind is Midpoint:
-            return ""
-        parts = [own.name for own in model.own_forces.each if own.python] if kind is WithForces else []
-        return f"a new factorization in each step, because of {', '.join(map(repr, parts)) or 'functions in Python'}"
+    def steps(self, model: Model, state: State, t_end: float, counts: Counts) -> Iterator[State]:
+        """Accepted states after `state` up to t_end, one a step. Raises StepFailure."""
+        return States(self._stretches(model, state, t_end, counts), counts)
 
-    def steps(self, model: Model, state: State, t_end: float, counts: Counts, rows: Any = None) -> Iterator[State]:
-        """Accepted states after `state` up to t_end, one a step; rows: of a run's frames, see Steps. Raises StepFailure."""
-        kind = _kind(model)
+    def _stretches(self, model, state, t_end, counts):
         for begin, end, most in stretches(model, state.t, t_end, self.h):
-            state = _ready(model, state, begin)
-            count = enough_steps(model, state, begin, end, min(self.h, most))
-            grid = Grid(begin, end, count)
+            v = on_velocity(
+                model, beside(begin, 1) if at_kink(model, begin) else begin, state.q, state.v
+            )  # a motor's speed may have jumped
+            state = State(state.t, state.q, v, state.a, state.lam, state.memory)
+            grid = Grid(begin, end, enough_steps(model, state, begin, end, min(self.h, most)))
             for state in held(model, state, grid, counts):
                 grid = grid._replace(done=grid.done + 1)
                 counts.steps += 1
-                yield state
-            stepper = kind(self, model, grid.h, counts, beside(end, -1) if at_kink(model, end) else end, 0 if model.switching else HALVINGS)
-            stepper.rows = rows or stepper.rows
-            for state in stepper.run(state, grid):
-                counts.steps += 1
-                yield state
+                yield Stretch.of(state)
+            if grid.done == grid.count:
+                continue
+            for ends in Steps(self, model, grid.h, counts, 0 if model.switching else HALVINGS).run(state, grid):
+                counts.steps += len(ends)
+                yield ends
+            state = ends.last
 
 
-def _kind(model):
-    """The kind of steps that a model takes."""
-    if not model.is_scene:
-        return Midpoint if small_own(model) and unguarded(model).by_numba else General
-    return Midpoint if model.compiled and (model.laws is None or NO_ENERGY not in model.laws.energies) else WithForces
+def require_own(model):
+    """Raise InputError, naming what is in the way, unless the discrete derivative takes a model of one's own.
+
+    What its functions are like is seen at places drawn at random.
+    """
+    model, random = guard(model, "EnergyMomentum"), np.random.default_rng(0)
+    require_constraints(model)
+    q, d = random.standard_normal((2, model.n))
+    part, else_ = f"EnergyMomentum: {model.name}", "; use GeneralizedAlpha or IDA"
+    if model.potential(q) is None:
+        raise InputError(f"{part} gives no potential(q), so there is no energy to keep{else_}")
+    if model.needs.mass_varies and not _equal(model.mass(q), model.mass(q + d)):
+        raise InputError(f"{part}: its mass varies with q; it must be constant{else_}")
+    if model.m and not _equal(model.phi(0.0, q + d) - model.phi(0.0, q - d), 2.0 * model.phi_q(0.0, q) @ d):
+        raise InputError(f"{part}: its phi(t, q) is not quadratic in q, at most, which its constraints must be to do no work{else_}")
+    if unguarded(model).by_numba:
+        Compiled(model, OF_ENERGY)
 
 
-def _ready(model, state, begin):
-    """The state with v on the constraint that holds from `begin` on: a motor's speed may have jumped. The rest is Newton's first guess."""
-    v = on_velocity(model, beside(begin, 1) if at_kink(model, begin) else begin, state.q, state.v)
-    return State(state.t, state.q, v, state.a, state.lam, state.memory)
+def _equal(one, other):
+    return abs(one - other).max() <= SAME * (abs(one).max() + abs(other).max())

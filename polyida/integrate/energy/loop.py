@@ -1,33 +1,72 @@
-"""The compiled loop of the energy-momentum method: stretches of steps of a model, through its table (system/table.py).
+"""The compiled loop of the energy-momentum method: stretches of steps of any model, through its table (system/table.py).
 
 Newton on dq of the end. The derivative of the residual is `S/2`, `S = (4/h^2) M + (2/h) C + K` at the middle, which is a step matrix, but for
 what is not symmetric and for the Jacobian of phi at the end in place of that at the middle. Both are near enough for Newton to contract, and
 what it converges to is the exact residual's root.
+
+Newton begins where a and lam of the earlier steps lead: each is extrapolated by the polynomial that would have been nearest in the last step.
+It ends after one correction if the contraction that was measured in earlier steps leaves less than the tolerance.
 """
 
 import numpy as np
 
-from polyida.integrate.energy.steps import SLOW
 from polyida.jit import entry, part
 from polyida.system import table
 from polyida.system.table import DONE, NOT_FINITE, REFACTOR, address, call
 
 # constants of compiled code: rows of `now` (NOW, n), the first five as MIDDLE takes them, and of `rows` (ROWS, m)
-Q0, Q1, QM, VM, AM, V0, V1, V, GUESS, R, DQ = range(11)
-NOW = 11
-LAM, KNOWN, PHI, DLAM, RATE = range(5)
-ROWS = 5
+Q0, Q1, QM, VM, AM, V0, V1, R, DQ, A = range(10)  # from A on: backward differences of the accelerations of the last steps
+TERMS = 5
+NOW = A + TERMS
+PHI, DLAM, LAM, KNOWN = range(4)  # from KNOWN on: those of the multipliers
+ROWS = KNOWN + TERMS
+ORDER, ORDER_LAM, CONTRACTION, AGE, ERRORS = range(
+    5
+)  # of `marks`: orders of the polynomials; the contraction and its age in steps; scratch
+MARKS = ERRORS + TERMS
 FREE, DRIVEN, TURNING = range(3)  # what v_1 needs: nothing; to be put on its constraint; that in frames alone, as fast as it was
 EPS = 2.0**-52
+SLOW = 0.3  # contraction above which the matrix is made anew
+FRESHEN = 10  # steps after which the contraction is measured again
+UNSEEN = 2.0**-4  # share of the tolerance that Newton may leave by the contraction of an earlier step
 
 
 @part
-def predict(h, now, rows):
-    """The end where the last accelerations lead."""
+def extrapolate(x, first, order, out):
+    """x[out] = the polynomial of an order through the last values, one step ahead."""
+    for i in range(x.shape[1]):
+        total = x[first, i]
+        for j in range(1, order + 1):
+            total += x[first + j, i]
+        x[out, i] = total
+
+
+@part
+def remember(x, value, first, errors):
+    """Take x[value] into the backward differences; the order of the polynomial that would have been nearest to it."""
+    for j in range(TERMS):
+        errors[j] = 0.0
+    for i in range(x.shape[1]):
+        new = x[value, i]
+        for j in range(TERMS):
+            old = x[first + j, i]
+            x[first + j, i] = new
+            new -= old
+            errors[j] += new * new
+    best = 0
+    for j in range(1, TERMS):
+        if errors[j] < errors[best]:
+            best = j
+    return float(best)
+
+
+@part
+def predict(h, now, rows, marks):
+    """The end where the accelerations lead."""
+    extrapolate(now, A, int(marks[ORDER]), AM)
+    extrapolate(rows, KNOWN, int(marks[ORDER_LAM]), LAM)
     for i in range(now.shape[1]):
-        now[Q1, i] = now[Q0, i] + h * now[V0, i] + 0.5 * h * h * now[GUESS, i]
-    for k in range(rows.shape[1]):
-        rows[LAM, k] = rows[KNOWN, k]
+        now[Q1, i] = now[Q0, i] + h * (now[V0, i] + 0.5 * h * now[AM, i])
 
 
 @part
@@ -55,7 +94,7 @@ def correct(now, rows):
 
 
 @part
-def newton(f, w, instant, h, tolerance, most, extent, now, rows, counts):
+def newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts):
     """Newton's iteration from the predicted end. Returns how it ended and the last |dq|."""
     before = 0.0
     places = address(now[Q1]), address(rows[LAM]), address(now[R]), address(rows[PHI]), address(now[DQ]), address(rows[DLAM])
@@ -74,8 +113,12 @@ def newton(f, w, instant, h, tolerance, most, extent, now, rows, counts):
         moved, size, pull, finite = correct(now, rows)
         if not finite:
             return NOT_FINITE, before
-        rate = moved / before if before > 0.0 else 1.0
-        if moved <= 4.0 * EPS * size or (iteration > 0 and rate < 1.0 and moved * rate / (1.0 - rate) <= tolerance * h * h * pull):
+        rate, share = (1.0 + marks[AGE]) * marks[CONTRACTION], UNSEEN
+        if before > 0.0:
+            rate, share = moved / before, 1.0
+            marks[CONTRACTION], marks[AGE] = max(rate, 0.5 * marks[CONTRACTION] if iteration == 1 else marks[CONTRACTION]), 0.0
+        known = (before > 0.0 or marks[AGE] < FRESHEN) and rate < 1.0
+        if moved <= 4.0 * EPS * size or (known and moved * rate / (1.0 - rate) <= share * tolerance * h * h * pull):
             return call(f[table.ACCEPT], w, instant, places[0], 0, 0, 0, 0, 0), moved
         if iteration > 1 and rate > SLOW:
             close = moved <= 256.0 * EPS * (size + extent)
@@ -85,77 +128,93 @@ def newton(f, w, instant, h, tolerance, most, extent, now, rows, counts):
 
 
 @part
-def put(f, w, instant, now, rows):
+def put(f, w, instant, q, v, level):
     """v onto the velocity constraint of the end."""
-    ended = call(f[table.RATE], w, instant, address(now[Q1]), address(now[V]), address(rows[RATE]), 0, 0, 0)
-    return call(f[table.PROJECT], w, instant, address(rows[RATE]), address(now[V]), 0, 0, 0, 0) if ended == DONE else ended
+    ended = call(f[table.RATE], w, instant, q, v, level, 0, 0, 0)
+    return call(f[table.PROJECT], w, instant, level, v, 0, 0, 0, 0) if ended == DONE else ended
 
 
 @part
-def put_as_fast(f, w, instant, now, rows, energies):
-    """The same, v with the kinetic energy that it had."""
-    call(f[table.KINETIC], w, instant, address(now[V]), address(energies), 0, 0, 0, 0)
-    ended = put(f, w, instant, now, rows)
-    call(f[table.KINETIC], w, instant, address(now[V]), address(energies) + 8, 0, 0, 0, 0)
-    if energies[1] > 0.0:
-        faster = np.sqrt(energies[0] / energies[1])
-        for i in range(now.shape[1]):
-            now[V, i] *= faster
-    return ended
-
-
-@part
-def finish(f, w, instant, h, kind, now, rows, energies, q, v, a, lam):
+def finish(f, w, instant, h, kind, now, rows, marks, q, v):
     """Make the frame of the end, and take that as the next beginning."""
+    total = 0.0
     for i in range(now.shape[1]):
-        now[V, i] = now[V1, i] = 2.0 * (now[Q1, i] - now[Q0, i]) / h - now[V0, i]
-    ended, total = DONE, 0.0
+        now[V1, i] = 2.0 * (now[Q1, i] - now[Q0, i]) / h - now[V0, i]
+        now[AM, i] = (now[V1, i] - now[V0, i]) / h
     if kind == DRIVEN:
-        ended = put(f, w, instant, now, rows)
-        for i in range(now.shape[1]):
-            now[V1, i] = now[V, i]
-    elif kind == TURNING and f[table.ACCELERATION]:
-        ended = put_as_fast(f, w, instant, now, rows, energies)
+        ended = put(f, w, instant, address(now[Q1]), address(now[V1]), address(rows[DLAM]))
+        if ended != DONE:
+            return ended
     for i in range(now.shape[1]):
-        q[i], v[i] = now[Q1, i], now[V, i]
+        q[i], v[i] = now[Q1, i], now[V1, i]
         total += 0.0 * v[i]
-    if ended == DONE and f[table.ACCELERATION]:
-        ended = call(f[table.ACCELERATION], w, instant, address(q), address(v), address(a), address(lam), 0, 0)
-    if ended != DONE or total != 0.0:
-        return NOT_FINITE if ended == DONE else ended
+    if total != 0.0:
+        return NOT_FINITE
     for i in range(now.shape[1]):
-        now[GUESS, i] = (2.0 * (now[Q1, i] - now[Q0, i]) / h - 2.0 * now[V0, i]) / h
         now[V0, i], now[Q0, i] = now[V1, i], now[Q1, i]
-    for k in range(rows.shape[1]):
-        rows[KNOWN, k] = rows[LAM, k]
+    marks[ORDER] = remember(now, AM, A, marks[ERRORS:])
+    marks[ORDER_LAM] = remember(rows, LAM, KNOWN, marks[ERRORS:])
+    marks[AGE] += 1.0
     return DONE
 
 
 @entry
-def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, counts, qs, vs, accelerations, lams):
+def stretch(f, w, first, c, h, tolerance, most, extent, kind, now, rows, marks, counts, qs, vs):
     """Steps until the frames or the factor's use end: (steps, how it ended, last |dq|).
 
     f, w: addresses of the table's functions and of the model's workspace; first: number of the first step; c (2,): 4/h^2 and 2/h. counts (3,): of residuals,
-    solves and matrices made. Frames go to qs, vs, accelerations (steps, n), lams (steps, m); the last two are of no length where they are made when they are asked for,
-    vs then holds what the next step begins with.
+    solves and matrices made. q and v that the next steps begin with go to qs, vs (steps, n).
     """
-    moved, energies = 0.0, np.zeros(2)
+    moved = 0.0
     for k in range(qs.shape[0]):
         instant = 2 * (first + k) + 1
-        predict(h, now, rows)
-        ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, counts)
+        predict(h, now, rows, marks)
+        ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts)
         if f[table.FACTOR] and ended in (REFACTOR, NOT_FINITE):
-            predict(h, now, rows)
+            forget(marks)
+            predict(h, now, rows, marks)
             fill_middle(h, now)
             places = address(now[QM]), address(now[VM]), address(now[AM]), address(rows[LAM]), address(c)
             ended = call(f[table.FACTOR], w, instant - 1, places[0], places[1], places[2], places[3], places[4], 0)
             counts[2] += 1
             if ended == DONE:
-                ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, counts)
-        if ended != DONE:
-            return k, ended, moved
-        j = min(k, lams.shape[0] - 1)
-        ended = finish(f, w, instant, h, kind, now, rows, energies, qs[k], vs[k], accelerations[j], lams[j])
+                ended, moved = newton(f, w, instant, h, tolerance, most, extent, now, rows, marks, counts)
+        if ended == DONE:
+            ended = finish(f, w, instant, h, kind, now, rows, marks, qs[k], vs[k])
         if ended != DONE:
             return k, ended, moved
     return qs.shape[0], DONE, moved
+
+
+@part
+def forget(marks):
+    """Begin as with a new matrix: from the last accelerations, with a contraction that is not known."""
+    marks[ORDER] = marks[ORDER_LAM] = 0.0
+    marks[CONTRACTION], marks[AGE] = 1.0, FRESHEN
+
+
+@entry
+def put_as_fast(f, w, first, qs, vs, level):
+    """Velocities (steps, n) onto the velocity constraints of the ends from `first` on, each with the kinetic energy that it had. How it ended."""
+    energy = np.zeros(1)
+    for k in range(qs.shape[0]):
+        v = address(vs[k])
+        call(f[table.KINETIC], w, first + k, v, address(energy), 0, 0, 0, 0)
+        before = energy[0]
+        ended = put(f, w, first + k, address(qs[k]), v, address(level))
+        if ended != DONE:
+            return ended
+        call(f[table.KINETIC], w, first + k, v, address(energy), 0, 0, 0, 0)
+        if energy[0] > 0.0:
+            vs[k] *= np.sqrt(before / energy[0])
+    return DONE
+
+
+@entry
+def forces(f, w, first, qs, vs, accelerations, lams):
+    """Consistent accelerations and multipliers of the ends from `first` on. How it ended."""
+    for k in range(qs.shape[0]):
+        ended = call(f[table.ACCELERATION], w, first + k, address(qs[k]), address(vs[k]), address(accelerations[k]), address(lams[k]), 0, 0)
+        if ended != DONE:
+            return ended
+    return DONE

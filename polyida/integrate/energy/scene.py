@@ -1,4 +1,4 @@
-"""The table of a scene for the energy-momentum method: its forces at the middle of a step, constraints at the end."""
+"""The tables of scenes for the energy-momentum method: their forces at the middle of a step, constraints at the end."""
 
 import numpy as np
 from numba import carray
@@ -12,9 +12,10 @@ from polyida.assembly.rows.tie import constrain
 from polyida.element import kernels as elements
 from polyida.element import stabilisation
 from polyida.element.paired import two_states
-from polyida.integrate.kinks import inner_side
+from polyida.integrate.energy.dense import ENDS, OfMiddles, missing
 from polyida.jit import entry, part
 from polyida.linear.dense import clear
+from polyida.system.python import PythonTable
 from polyida.system.scene import (
     COSINE,
     DV,
@@ -107,29 +108,14 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
     """Inner, inertia and damping forces of all plates into r."""
     least = 1e300
     for b in range(s.body_operator.shape[0]):
-        o, n0 = s.body_operator[b], s.body_node[b]
-        p, e = s.at[o], s.at[o + 1]
-        indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
-        det = two_states.internal_force_midpoint(
-            s.layout[p[0] : e[0]],
-            s.corners[p[1] : e[1]],
-            s.gradients[p[2] : e[2]],
-            s.weights[p[3] : e[3]],
-            n0,
-            s.body_c1[b],
-            s.body_nu[b],
-            s.body_viscosity[b] / h,
-            u0,
-            u1,
-            r,
-            rotation,
-        )
-        least = compact.lesser(least, det)
-        elements.mass_product(indptr, indices, mass, s.body_density[b], n0, a, r)
+        o, n0, density = s.body_operator[b], s.body_node[b], s.body_density[b]
+        given = s.body_c1[b], s.body_nu[b], s.body_viscosity[b] / h, u0, u1, r, rotation
+        least = compact.lesser(least, two_states.internal_force_midpoint(*kernels.cells(s, o), n0, *given))
+        elements.mass_product(*kernels.on_pattern(s, o, s.mass), density, n0, a, r)
         if s.body_drag[b] != 0.0:
-            elements.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, vm, r)
+            elements.mass_product(*kernels.on_pattern(s, o, s.mass), s.body_drag[b] * density, n0, vm, r)
         if s.body_stabilisation[b] != 0.0:
-            stabilisation.force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, um, r)
+            stabilisation.force(*kernels.on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, um, r)
     return least
 
 
@@ -160,29 +146,75 @@ def acceleration(w, instant, q, v, a, lam, e, f):
 
 
 class EnergyTable(SceneTable):
-    """The same table with what the energy-momentum method needs; a and lam of frames where no body is a plate."""
+    """The table of a scene without Python in it; v, a and lam of frames where no body is a plate."""
 
-    longest = (INSTANTS - 1) // 2
     entries = {number: FUNCTIONS[number] for number in (SOLVE, RATE, PROJECT, ACCEPT)} | {MIDDLE: middle}
 
     def __init__(self, model):
         super().__init__(model, model.m > 0 and (not model.bodies or model.needs.driven), False)
-        if not model.bodies:
+        self.w["drives"], self.complete = np.zeros((3 * INSTANTS + 2, len(model.profiles), 3)), not model.bodies
+        if self.complete:
             self.entries = self.entries | {KINETIC: kinetic, ACCELERATION: acceleration}
             self.w["solid"] = Solid(*model.once(masses), *np.zeros((2, model.n_nodes, 2)))
 
     @property
-    def complete(self):
-        """Whether it makes v, a and lam of frames."""
-        return ACCELERATION in self.entries
+    def workspace(self):
+        """Address of the workspace."""
+        return self.work.address
 
-    def prepare(self, times, h):
-        """Get ready for steps between the times."""
+    def prepare(self, times, last, h):
+        """Get ready for steps between the times; last: the last one, beside it where there is a kink."""
         at = np.repeat(times, 2)[1:]
         at[1::2] = times[1:] - 0.5 * h
-        ends = inner_side(self.model, times[0], -h), inner_side(self.model, times[-1], h)
-        self.w["drives"][: len(at)] = drive_table(self.model, at, ends)
+        self.w["drives"][1 : len(at)] = drive_table(self.model, at[1:], (at[1], last))
         self.w["numbers"][H] = h
+
+    def prepare_ends(self, times, last):
+        """Get ready for frames at the times; the number of the first one's instant."""
+        ends = (last if len(times) == 1 else times[0]), last
+        self.w["drives"][ENDS + 1 : ENDS + 1 + len(times)] = drive_table(self.model, times, ends)
+        return ENDS
+
+
+class PythonScene(OfMiddles, PythonTable):
+    """The table of a scene with force elements or bodies of one's own in Python.
+
+    Plates, loads, masses and joints by the exact form of `equilibrium`, each force element and elastic body by the discrete derivative of
+    its own energy on its own places.
+    """
+
+    def __init__(self, model):
+        super().__init__(model, False)
+        self.rotation, self.points = np.zeros((model.n_nodes, 2)), np.zeros((2, model.n_points, 2))
+
+    def _middle(self, instant, states, lam, r, phi, *_):
+        model, (t, _), (end, _) = self.model, self._at(instant - 1), self._at(instant)
+        given, out = (self._array(at, size * model.n).copy().reshape(-1, 2) for at, size in ((states, 5), (r, 1)))
+        given, rows = given.reshape(5, -1, 2), self._array(phi, model.m)
+        lam = self._array(lam, model.m).copy()
+        det = equilibrium(model.arrays, model.drives(t), self.h, given, lam, rows.copy(), *self.points, out, self.rotation)
+        if not det > 0.0:
+            return INVERTED if det <= 0.0 else NOT_FINITE
+        u0, u1, um, vm, a = given.reshape(5, -1)
+        found = out.ravel()
+        if model.uneven_mass is not None:
+            found += model.uneven_mass @ a
+        if model.uneven_drag is not None:
+            found += model.uneven_drag @ vm
+        for own in model.own_forces.each:
+            found -= own.A.T @ self._own(own, t, u0, u1, vm).ravel()
+        self._array(r, model.n)[:], rows[:] = found, model.phi(end, u1)
+        return DONE if np.isfinite(found).all() and np.isfinite(rows).all() else NOT_FINITE
+
+    def _own(self, own, t, u0, u1, vm):
+        """Forces of one of them, (sides, 2)."""
+        x0, x1 = own.places(u0), own.places(u1)
+        middle = 0.5 * (x0 + x1)
+        force = own.forces(t, middle, own.velocities(vm))
+        if not np.isfinite(force).all():
+            return force
+        held = own.conservative(t, middle)
+        return force - missing(own.energy, x0, x1, x1 - x0, None if held is None else -held)
 
 
 def masses(model):
