@@ -12,11 +12,11 @@ from polyida.assembly.arrays import concatenated, starts
 from polyida.assembly.build import operator_arrays
 from polyida.assembly.equilibrium import cells
 from polyida.assembly.loads import dead_loads, steady
-from polyida.element.lanes import LANES
 from polyida.element.paired import cells as kernels
 from polyida.errors import InputError
 from polyida.given import read_only, reals
 from polyida.jit import entry
+from polyida.jit.intrinsics import LANES
 
 OF_FACTORS = ("_mass", "_even_mass", "_mass_factor", "drawn")  # what a model keeps that follows from them, its arrays and bodies apart
 WHAT = ("stiffness", "mass")

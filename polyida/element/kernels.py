@@ -10,28 +10,6 @@ zero and large translations cost no digits.
 
 import numpy as np
 
-from polyida.element.lanes import (
-    LANES,
-    add_pair,
-    gather,
-    lane,
-    load,
-    load2,
-    load4,
-    load8,
-    load_float,
-    load_integer,
-    load_pair,
-    misalignment,
-    prefetch_blocks,
-    scatter_add,
-    spread,
-    store,
-    zero_pair,
-    zeros2,
-    zeros3,
-    zeros4,
-)
 from polyida.element.material import (
     add,
     add_cauchy,
@@ -53,6 +31,28 @@ from polyida.element.material import (
     watch,
 )
 from polyida.jit import entry, part
+from polyida.jit.intrinsics import (
+    LANES,
+    add_pair,
+    gather,
+    lane,
+    load,
+    load2,
+    load4,
+    load8,
+    load_float,
+    load_integer,
+    load_pair,
+    misalignment,
+    prefetch_blocks,
+    scatter_add,
+    spread,
+    store,
+    zero_pair,
+    zeros2,
+    zeros3,
+    zeros4,
+)
 
 
 @part

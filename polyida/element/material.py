@@ -9,7 +9,7 @@ rows, symmetric ones (11, 12, 22). Strains are built from H, not from F^T F - I,
 ones.
 """
 
-from polyida.element.lanes import pair, traced
+from polyida.jit.intrinsics import pair, traced
 
 
 @traced(2)

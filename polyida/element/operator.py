@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polyida.element.lanes import LANES
 from polyida.errors import InputError
+from polyida.jit.intrinsics import LANES
 
 CHUNK = 256
 """Cells treated at once: the work arrays then stay in the cache."""

@@ -5,9 +5,9 @@ translations cost no digits. Its tangent, factor S on the diagonal of each 2 x 2
 counterpart: S v is not zero in the rigid spin of a warped cell and would brake it.
 """
 
-from polyida.element.lanes import add_pair, load_float, load_integer, load_pair, pair, traced, zero_pair
 from polyida.element.material import scaled
 from polyida.jit import entry
+from polyida.jit.intrinsics import add_pair, load_float, load_integer, load_pair, pair, traced, zero_pair
 
 
 def factor(c1, nu):

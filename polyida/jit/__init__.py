@@ -1,50 +1,61 @@
-"""How compiled code is compiled: entry points, cached on disk, and the parts that they are made of."""
+"""How compiled code is compiled: entry points, cached on disk, and the parts that they are made of.
 
-from functools import partial, update_wrapper
+All of it goes through numba's public decorators. With a numba of a version in TESTED, `jit/compilers.py` hands these a compiler that does
+the same in a third of the time, by numba's inside. POLYIDA_PLAIN_NUMBA=1 in the environment leaves it out.
+"""
+
+from functools import lru_cache, update_wrapper
+from hashlib import sha256
 from inspect import signature
 
 import numba
 
 from polyida.jit import cache as kernel_cache
-from polyida.jit.linked import Entry, EntryCompiler, PartCompiler
 from polyida.jit.pack import pack
-from polyida.jit.shared import Call, SharedCompiler
 
-__all__ = ["entry", "leaf", "pack", "part", "shared"]
+__all__ = ["bound", "c_address", "entry", "leaf", "pack", "part", "shared", "typed"]
 
+TESTED = (0, 63), (0, 68)  # first and last version of numba that compilers.py is known to work with
 _COMMON = {"nogil": True, "error_model": "numpy"}  # releases the GIL, divides by zero as numpy does
+_INNER = _COMMON | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
-def entry(function, c=False, **options):
-    """What Python calls: cached in `cache.folder()`. Compiled code that calls it takes it in as a part. c: with a C function beside it."""
-    inner = part(function, **options)
-    return _entry(function, inner, EntryCompiler, inner, options | {"no_cfunc_wrapper": not c})
+def _optional():
+    """The module of the faster compilers; None if it is not wanted or does not know this numba."""
+    if kernel_cache.PLAIN or not TESTED[0] <= numba.version_info.short <= TESTED[1]:
+        return None
+    try:
+        from polyida.jit import compilers
+    except (ImportError, AttributeError):  # a numba that was changed within its version
+        return None
+    return compilers
+
+
+compilers = _optional()
+_parts = {"pipeline_class": compilers.PartCompiler} if compilers else {}
+
+
+def entry(function, **options):
+    """What Python calls: cached in `cache.folder()`. Compiled code that calls it takes it in as a part."""
+    if compilers:
+        inner = part(function, **options)
+        return compilers.entry(_around(function, inner), inner, compilers.EntryCompiler, _COMMON | options)
+    with kernel_cache.kept() as cached:
+        return numba.njit(cache=cached, no_cfunc_wrapper=True, **_COMMON, **options)(function)
 
 
 def shared(function, **options):
     """An entry that compiled code calls where it is: for what is large, and needed by several."""
-    result = _entry(function, part(function, **options), SharedCompiler, None, options)
-    result.part = _internal(function, partial(Call, result), options)
-    return result
-
-
-def _entry(function, inner, compiler, part, options):
-    """A function that calls `inner`, for Python; for compiled code it stands for `part`."""
-    names, made = ", ".join(signature(function).parameters), {}
-    exec(f"def outer({names}):\n    return inner({names})", {"inner": inner}, made)
-    outer, at = update_wrapper(made["outer"], function), function.__code__
-    outer.__code__ = outer.__code__.replace(co_filename=at.co_filename, co_firstlineno=at.co_firstlineno)
-    del outer.__wrapped__
-    result = Entry(outer, part, {"nopython": True, "no_cfunc_wrapper": True, **_COMMON, **options}, compiler)
-    with kernel_cache.kept() as cached:
-        if cached:
-            kernel_cache.keep(result)
-    return result
+    return (
+        compilers.shared(_around(function, part(function, **options)), function, _COMMON | options)
+        if compilers
+        else entry(function, **options)
+    )
 
 
 def part(function, **options):
     """What only compiled code calls: cached within its callers. It has no wrapper for Python: a call from there crashes."""
-    return _internal(function, PartCompiler, options)
+    return numba.njit(**_INNER, **_parts, **options)(function)
 
 
 def leaf(function):
@@ -52,5 +63,45 @@ def leaf(function):
     return part(function, forceinline=True)
 
 
-def _internal(function, compiler, options):
-    return numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=compiler, **_COMMON, **options)(function)
+@lru_cache(None)
+def c_address(inner, kinds):
+    """The address of an entry or a part as a C function of a numba signature; cached like an entry."""
+    outer = _around(inner.py_func, inner)
+    if compilers:
+        return compilers.c_address(outer, inner, kinds, _COMMON)
+    outer.__qualname__ += sha256(repr(kinds).encode()).hexdigest()[:16]  # files of its own, see `cache.Files`
+    with kernel_cache.kept() as cached:
+        made = numba.cfunc(kinds, cache=cached, nopython=True, **_COMMON)(outer)
+    _c_functions.append(made)
+    return made.address
+
+
+_c_functions: list = []  # kept, for their addresses are in use
+
+
+def bound(entry, *args):
+    """The compiled function of an entry for arguments of these very types."""
+    return entry.compile(tuple(map(numba.typeof, args)))
+
+
+def typed(entry):
+    """An entry for arguments whose types are those of its first call, and not looked at again: that costs as much as a small kernel."""
+    compiled = None
+
+    def call(*args):
+        nonlocal compiled
+        if compiled is None:
+            compiled = bound(entry, *args)
+        return compiled(*args)
+
+    return call
+
+
+def _around(function, inner):
+    """A function that calls `inner`, with the name, the place and the arguments of `function`."""
+    names, made, at = ", ".join(signature(function).parameters), {}, function.__code__
+    exec(f"def outer({names}):\n    return inner({names})", {"inner": inner}, made)
+    outer = update_wrapper(made["outer"], function)
+    outer.__code__ = outer.__code__.replace(co_filename=at.co_filename, co_firstlineno=at.co_firstlineno)
+    del outer.__wrapped__
+    return outer

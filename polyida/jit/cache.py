@@ -26,10 +26,10 @@ UNUSED = 3600.0  # s: a younger folder may be that of a process that is just sta
 # a file that compiles, or whose formulas are traced into compiled code, or whose tuples compiled code takes apart by place, or that
 # says that compiled code has constants from it
 _MAKES_KERNELS = re.compile(
-    rb"^(?:from|import) (?:numba|polyida import jit|polyida\.(?:jit|element\.lanes))\b|^class \w+\(NamedTuple\)|^# constants of compiled code",
-    re.MULTILINE,
+    rb"^(?:from|import) (?:numba|polyida import jit|polyida\.jit)\b|^class \w+\(NamedTuple\)|^# constants of compiled code", re.MULTILINE
 )
-_lock = threading.Lock()
+PLAIN = os.environ.get("POLYIDA_PLAIN_NUMBA", "0") not in ("", "0")  # whether the faster compilers are not wanted
+_lock = threading.RLock()
 
 
 def sources(folder):
@@ -65,8 +65,8 @@ def folder():
 
 
 def _digest(package):
-    """Hash of the kernels' sources and of numba's version."""
-    digest = hashlib.sha256(numba.__version__.encode())
+    """Hash of the kernels' sources, of numba's version and of which compilers are at work."""
+    digest = hashlib.sha256(f"{numba.__version__} {PLAIN}".encode())
     for path, content in sources(package):
         digest.update(f"\n{os.path.relpath(path, package)} {len(content)}\n".encode() + content)
     return digest.hexdigest()[:16]
@@ -144,10 +144,3 @@ class Files:
 
     def _path(self, key):
         return os.path.join(self.folder, f"{self.name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc")
-
-
-def keep(entry):
-    """Let numba keep what an entry compiles, in `Files`; within `kept`."""
-    entry.enable_caching()
-    cached = entry._cache
-    cached._cache_file = Files(cached.cache_path, cached._impl.filename_base)

@@ -14,20 +14,18 @@ from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import carray, types
-from numba.core.errors import NumbaError
+from numba import NumbaError, carray, types
 from numba.extending import intrinsic, lower_builtin, models, overload_method, register_model
 
 from polyida.errors import InputError
 from polyida.given import read_only
 from polyida.jit import cache as kernel_cache
+from polyida.jit.intrinsics import pointer, real
 from polyida.keywords import named_keywords
 from polyida.profile import Profile
 
 ARGUMENTS = 8
 DONE, RAISED, WRONG_SHAPE = 0, 8, 9  # as in system/table.py
-WORD, DOUBLE = ir.IntType(64), ir.DoubleType()
 SIGNATURE = types.int64(*[types.int64] * ARGUMENTS)
 KINDS = {"b": np.bool_, "i": np.int64, "u": np.int64, "f": np.float64, "c": np.complex128}
 
@@ -246,48 +244,6 @@ def _require_result(label, found, dimensions, of_complex):
 
 
 @intrinsic
-def call(typing, function, data, instant, a, b, c, d, e, f):
-    """What the C function at address `function` returns."""
-
-    def made(context, builder, sig, args):
-        kind = ir.FunctionType(WORD, [WORD] * ARGUMENTS)
-        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
-
-    return types.int64(*[types.int64] * (ARGUMENTS + 1)), made
-
-
-@intrinsic
-def address(typing, array):
-    """Of the first entry of an array."""
-
-    def made(context, builder, sig, args):
-        data = context.make_array(sig.args[0])(context, builder, args[0]).data
-        return builder.ptrtoint(data, WORD)
-
-    return types.int64(array), made
-
-
-@intrinsic
-def pointer(typing, number):
-    """An address as a pointer to float64."""
-
-    def made(context, builder, sig, args):
-        return builder.inttoptr(args[0], DOUBLE.as_pointer())
-
-    return types.CPointer(types.float64)(types.int64), made
-
-
-@intrinsic
-def real(typing, number):
-    """The number at an address."""
-
-    def made(context, builder, sig, args):
-        return builder.load(builder.inttoptr(args[0], DOUBLE.as_pointer()))
-
-    return types.float64(types.int64), made
-
-
-@intrinsic
 def frozen(typing, array):
     """An array of somebody else's memory, to read only."""
     return array.copy(readonly=True)(array), lambda context, builder, sig, args: args[0]
@@ -306,7 +262,7 @@ PROFILE, PAIR = ProfileType(), types.UniTuple(types.float64, 2)
 @register_model(ProfileType)
 class _Model(models.PrimitiveModel):
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, ir.ArrayType(DOUBLE, 2))
+        super().__init__(manager, kind, manager.lookup(PAIR).get_value_type())
 
 
 @intrinsic

@@ -9,22 +9,10 @@ import hashlib
 from functools import cached_property
 
 import numpy as np
+from numba import types
+from numba.extending import NativeValue, lower_getattr_generic, models, register_model, typeof_impl, unbox
 
-from polyida.jit.internals import (
-    AttributeTemplate,
-    NativeValue,
-    infer_getattr,
-    ir,
-    lower_getattr_generic,
-    models,
-    populate_array,
-    register_model,
-    typeof_impl,
-    types,
-    unbox,
-)
-
-WORD = ir.IntType(64)
+WORD = 8  # bytes
 
 
 def pack(cls):
@@ -56,16 +44,20 @@ def _words(value):
     return [int(value) % 2**64 if isinstance(value, int | np.integer | np.bool_) else int(np.array(value, float).view(np.uint64))]
 
 
-class PackType(types.Type):
-    """A pack with fields of these names and types; places: where in the block each begins."""
+class PackType(types.BaseNamedTuple):
+    """A pack of fields (name, type). numba finds the types of attributes of named tuples by `fields` and `[]`."""
 
     def __init__(self, label, fields):
-        self.fields, place = {}, 0
-        for name, kind in fields:
-            self.fields[name] = kind, place
-            place += _size(kind)
-        digest = hashlib.sha256(repr(fields).encode()).hexdigest()[:16]
-        super().__init__(name=f"{label}_{digest}")
+        self.fields, self.types = tuple(name for name, _ in fields), tuple(kind for _, kind in fields)
+        places = np.cumsum([0, *map(_size, self.types)])
+        self.places = dict(zip(self.fields, zip(self.types, map(int, places))))  # where in the block each begins
+        super().__init__(name=f"{label}_{hashlib.sha256(repr(fields).encode()).hexdigest()[:16]}")
+
+    def __getitem__(self, number):
+        return self.types[number]
+
+    def __len__(self):
+        return len(self.types)
 
 
 def _size(kind):
@@ -89,12 +81,7 @@ def _kind(kind):
     return types.float64 if isinstance(kind, types.Float) else types.int64 if isinstance(kind, types.Integer) else kind
 
 
-@register_model(PackType)
-class _Model(models.PrimitiveModel):
-    """The address of the block."""
-
-    def __init__(self, manager, kind):
-        super().__init__(manager, kind, WORD.as_pointer())
+register_model(PackType)(models.OpaqueModel)  # the address of the block
 
 
 @unbox(PackType)
@@ -102,44 +89,40 @@ def _unboxed(kind, value, c):
     number = c.pyapi.object_getattr_string(value, "address")
     address = c.pyapi.long_as_voidptr(number)
     c.pyapi.decref(number)
-    return NativeValue(c.builder.bitcast(address, WORD.as_pointer()))
-
-
-@infer_getattr
-class _Fields(AttributeTemplate):
-    key = PackType
-
-    def generic_resolve(self, kind, name):
-        """The type of a field."""
-        return kind.fields[name][0] if name in kind.fields else None
+    return NativeValue(address)
 
 
 @lower_getattr_generic(PackType)
 def _field(context, builder, kind, block, name):
     """A field, read from the block."""
-    field, place = kind.fields[name]
-    words = [_word(builder, block, place + k) for k in range(_size(field))]
+    field, place = kind.places[name]
+    words = [_word(context, builder, block, place + k) for k in range(_size(field))]
     if isinstance(field, types.Array):
         return _array(context, builder, field, words)
     if isinstance(field, PackType):
-        return builder.inttoptr(words[0], WORD.as_pointer())
+        return builder.inttoptr(words[0], block.type)
     if field is types.none:
         return context.get_dummy_value()
     if isinstance(field, types.Boolean):
-        return builder.trunc(words[0], ir.IntType(1))
+        return builder.trunc(words[0], context.get_value_type(field))
     return builder.bitcast(words[0], context.get_value_type(field))
 
 
-def _word(builder, block, place):
+def _word(context, builder, block, place):
     """A word of the block, which nothing writes to."""
-    word = builder.load(builder.gep(block, [WORD(place)]))
+    kind = context.get_value_type(types.int64)
+    word = builder.load(builder.bitcast(builder.gep(block, [kind(WORD * place)]), kind.as_pointer()))
     word.set_metadata("invariant.load", builder.module.add_metadata([]))
     return word
 
 
 def _array(context, builder, kind, words):
     """An array that Python keeps."""
-    array, size = context.make_array(kind)(context, builder), context.get_abi_sizeof(context.get_data_type(kind.dtype))
-    data = builder.inttoptr(words[0], array.data.type)
-    populate_array(array, data, words[1 : 1 + kind.ndim], words[1 + kind.ndim :], WORD(size), None)
+    array, size = context.make_array(kind)(context, builder), words[0].type(context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    items, lengths = words[0].type(1), types.UniTuple(types.int64, kind.ndim)
+    for length in words[1 : 1 + kind.ndim]:
+        items = builder.mul(items, length)
+    array.data, array.itemsize, array.nitems = builder.inttoptr(words[0], array.data.type), size, items
+    array.shape = context.make_tuple(builder, lengths, words[1 : 1 + kind.ndim])
+    array.strides = context.make_tuple(builder, lengths, words[1 + kind.ndim :])
     return array._getvalue()

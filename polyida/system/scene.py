@@ -17,6 +17,7 @@ from polyida.assembly.rows.tie import Tie, velocity_rate
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.rows.tie import tie as tie_of
 from polyida.jit import pack, part
+from polyida.jit.intrinsics import pointer
 from polyida.linear.cholesky.team import Helpers
 from polyida.linear.dense import clear
 from polyida.machine import threads
@@ -37,7 +38,6 @@ from polyida.system.table import (
     SOLVE,
     c_address,
     c_entry,
-    pointer,
 )
 
 SHARED = 20_000  # coordinates from which on the threads that are asked for share the solves

@@ -36,10 +36,9 @@ import ctypes
 
 from numba import types
 
-from polyida.jit import entry
-from polyida.jit.compiled import ARGUMENTS, address, call, pointer
+from polyida import jit
+from polyida.jit.compiled import ARGUMENTS
 
-__all__ = ["address", "c_address", "c_entry", "call", "pointer"]
 INSTANTS = 256  # that are prepared at once, at most
 STEPS = 64  # the same of steps of Radau IIA
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
@@ -60,12 +59,9 @@ REASONS = {  # how a step can end, and what a failure says of it
 }
 
 
-def c_entry(function):
-    """A function of compiled code that has a C function beside it."""
-    return entry(function, c=True)
+c_entry = jit.entry  # a function of a table; compiled code takes it in as a part
 
 
 def c_address(function, kind):
-    """The address of a function `f(workspace, instant, 6 addresses)` for workspaces of a type, as a C function."""
-    made = function.compiled_for(kind, *[types.int64] * (ARGUMENTS - 1))
-    return made.library.get_pointer_to_function(made.fndesc.llvm_cfunc_wrapper_name)
+    """The address of an entry `f(workspace, instant, 6 addresses)` for workspaces of a type, as a C function."""
+    return jit.c_address(function, types.int64(kind, *[types.int64] * (ARGUMENTS - 1)))

@@ -7,7 +7,7 @@ import numpy as np
 
 import polyida as pi
 from polyida.integrate.ida import dense, integrator
-from polyida.jit import entry
+from polyida.jit import entry, typed
 from polyida.problems import get, plates
 from polyida.run.solve import solve
 from polyida.system.table import DONE
@@ -89,7 +89,7 @@ class Told(integrator._Run):
         rtol, *atol = settings.tolerances(model, sizes)
         self.linear.predicted, self.fresh = Handed(), False
         self.small = isinstance(self.linear, dense.DenseSolve)
-        self.evaluate, self.correct = evaluate.typed(), correct.typed()
+        self.evaluate, self.correct = typed(evaluate), typed(correct)
         self.solver = IDA(
             self._told_residual,
             rtol=rtol,

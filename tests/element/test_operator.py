@@ -7,7 +7,7 @@ from polyida.errors import InputError
 
 def cell_gradients(op):
     """Gradients and weights of every cell, unpacked: lists of (p, n, 2) and (p,), the last corner's restored."""
-    from polyida.element.lanes import LANES
+    from polyida.jit.intrinsics import LANES
 
     gradients, weights = [None] * op.n_cells, [None] * op.n_cells
     for b, (n, p, corner, g, w, _) in enumerate(op.layout):

@@ -6,7 +6,8 @@ import numpy as np
 
 from polyida.assembly.rows.joints import point_values, spread
 from polyida.jit import entry, pack, part
-from polyida.jit.compiled import DONE, address, call
+from polyida.jit.compiled import DONE
+from polyida.jit.intrinsics import address, call
 
 # constants of compiled code
 NO_ENERGY = -1

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.element.lanes import LANES
+from polyida.jit.intrinsics import LANES
 
 CHUNK = 512  # blocks of cells whose strains are held at a time
 

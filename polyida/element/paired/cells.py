@@ -7,10 +7,10 @@ number of frames at once. Arguments as in kernels.py; results are added to the a
 """
 
 from polyida.element.kernels import _differences, _gradient, _room
-from polyida.element.lanes import LANES, load, load_integer, store, traced
 from polyida.element.material import first_piola
 from polyida.element.paired.two_state_material import two_state_piola
 from polyida.jit import entry
+from polyida.jit.intrinsics import LANES, load, load_integer, store, traced
 
 
 @traced(1)

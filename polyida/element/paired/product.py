@@ -10,10 +10,10 @@ Arguments as in kernels.py.
 """
 
 from polyida.element.kernels import _differences, _gradient, _room
-from polyida.element.lanes import LANES, load, load2, scatter_add, store, traced, zeros2, zeros4
 from polyida.element.material import add_outer, add_rotation, add_times, carried, difference, second_piola, strain
 from polyida.element.paired.two_state_material import two_state_strain
 from polyida.jit import entry, part
+from polyida.jit.intrinsics import LANES, load, load2, scatter_add, store, traced, zeros2, zeros4
 
 
 def symmetric_part(h, d):

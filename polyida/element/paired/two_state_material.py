@@ -12,8 +12,8 @@ in (a k), (b l) unless W is parallel to F. Matrices are tuples by rows, symmetri
 
 from itertools import product
 
-from polyida.element.lanes import traced
 from polyida.element.material import carried, second_piola, strain
+from polyida.jit.intrinsics import traced
 
 
 @traced(2)

@@ -10,10 +10,10 @@ Arguments as in kernels.py.
 import numpy as np
 
 from polyida.element.kernels import _gradient, _room
-from polyida.element.lanes import LANES, gather, lane, load, load2, load4, load8, scatter_add, spread, store, zeros2, zeros4
 from polyida.element.material import add, add_rotation, add_stiffness, add_times, difference, negative, watch
 from polyida.element.paired.two_state_material import advanced, all_moduli_times, combination, two_state_moduli, two_state_piola
 from polyida.jit import entry, part
+from polyida.jit.intrinsics import LANES, gather, lane, load, load2, load4, load8, scatter_add, spread, store, zeros2, zeros4
 
 SECOND_ALONE = (1.0, 0.0, 0.0, 1.0)
 """State = first field, direction = second."""

@@ -14,6 +14,7 @@ from polyida.element import stabilisation
 from polyida.element.paired import two_states
 from polyida.integrate.energy.dense import ENDS, OfMiddles, missing
 from polyida.jit import entry, part
+from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import clear
 from polyida.system.python import PythonTable
 from polyida.system.scene import (
@@ -46,7 +47,6 @@ from polyida.system.table import (
     SINGULAR,
     SOLVE,
     c_entry,
-    pointer,
 )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from polyida.errors import StepFailure
 from polyida.integrate.ida.forms import NEAR
 from polyida.integrate.ida.linear import Correction
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, pack, part, typed
 from polyida.linear import dense
 from polyida.linear.dense import clear
 from polyida.model.differences import FIRST_ORDER_STEP
@@ -343,7 +343,7 @@ class DenseSolve(Correction):
 
     def __init__(self, system, counts, order, table):
         super().__init__(system, counts, order)
-        self.table, self.room, self.kernel, self.again = table, room(system), correct.typed(), solve.typed()
+        self.table, self.room, self.kernel, self.again = table, room(system), typed(correct), typed(solve)
         self.objects = table.w.functions[ACCEPTED] != 0
 
     def begin(self, t, y):

@@ -16,7 +16,7 @@ from polyida.assembly.rows import joints
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.linear import Correction
-from polyida.jit import entry, pack
+from polyida.jit import entry, pack, typed
 from polyida.linear.dense import clear
 from polyida.linear.lu import SingularSystem
 
@@ -127,7 +127,7 @@ class SceneSystem(System):
 
     def __init__(self, model, form, rate):
         super().__init__(model, form, rate)
-        self.room, self.kernel = room(model), residual.typed()
+        self.room, self.kernel = room(model), typed(residual)
         self.damp = np.empty((model.n_nodes, 2)) if model.damped else None
 
     def residual(self, t, y, yp, res):
@@ -148,7 +148,7 @@ class SceneSolve(Correction):
 
     def __init__(self, system, counts, order):
         super().__init__(system, counts, order)
-        self.step, self.kernel, self.massive = system.model.step_matrix(), solve.typed(), None
+        self.step, self.kernel, self.massive = system.model.step_matrix(), typed(solve), None
 
     def setup(self, t, y, yp, cj):
         """Factor S at y."""

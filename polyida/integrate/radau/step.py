@@ -22,7 +22,8 @@ import numpy as np
 
 from polyida.integrate.sizes import ROUND_OFF
 from polyida.jit import pack, part
-from polyida.system.table import (
+from polyida.jit.intrinsics import address, call
+from polyida.system.table import (  # fmt: skip
     ACCELERATION,
     ACCEPT,
     CLOSE,
@@ -40,9 +41,7 @@ from polyida.system.table import (
     ROWS,
     SINGULAR,
     TURN,
-    address,
-    call,
-)  # fmt: skip
+)
 
 SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
 ROUND = 1e-11

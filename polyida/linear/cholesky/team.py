@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida import jit
-from polyida.jit import pack
-from polyida.jit.signal import leave, seen
+from polyida.jit import bound, pack
+from polyida.jit.intrinsics import leave, seen
 from polyida.linear.cholesky.factor import FRONTS
 from polyida.linear.cholesky.fronts import FAST, ascend, descend, spread
 
@@ -169,8 +169,8 @@ def at_work(t, factor, x):
         return
     t.signals[:] = 0
     args = factor.fronts, factor.panels, x, t
-    bound = serve.bound(*args, 1)
-    others = [Thread(target=bound, args=(*args, who), daemon=True) for who in range(1, len(t.late))]
+    serving = bound(serve, *args, 1)
+    others = [Thread(target=serving, args=(*args, who), daemon=True) for who in range(1, len(t.late))]
     started = []
     try:
         for other in others:

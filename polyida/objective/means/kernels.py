@@ -7,9 +7,9 @@ Arguments as there; the body's nodes begin at 0.
 
 from polyida.assembly import equilibrium
 from polyida.element.kernels import _differences, _gradient, _room
-from polyida.element.lanes import LANES, lane, load, load2, scatter_add, store, traced, zeros2
 from polyida.element.material import add_energy, add_times, carried, determinant, difference, second_piola, strain
 from polyida.jit import entry
+from polyida.jit.intrinsics import LANES, lane, load, load2, scatter_add, store, traced, zeros2
 
 
 @entry

@@ -9,8 +9,8 @@ import numpy as np
 from polyida.assembly.build import compact_of
 from polyida.assembly.factors import Shares
 from polyida.element import kernels as element
-from polyida.element.lanes import LANES
 from polyida.given import settle
+from polyida.jit.intrinsics import LANES
 from polyida.keywords import named_keywords
 from polyida.objective.means import kernels
 from polyida.objective.means.time_mean import TimeMean, chosen, deforming, named, power, power_mean, relative

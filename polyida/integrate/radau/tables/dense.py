@@ -4,10 +4,10 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import carray, typeof, types
-from numba.extending import intrinsic
+from numba import carray, typeof
 
 from polyida.jit import pack, part
+from polyida.jit.intrinsics import address, complex_pointer
 from polyida.linear import dense as lu
 from polyida.linear.lu import KEPT as SLOTS
 from polyida.system import dense
@@ -34,21 +34,11 @@ from polyida.system.dense import (
     take_rows,
     vector,
 )
-from polyida.system.table import DONE, NO_MATRIX, SINGULAR, address, c_address, c_entry
+from polyida.system.table import DONE, NO_MATRIX, SINGULAR, c_address, c_entry
 
 CHOSEN, MADE, TIED = range(
     3
 )  # of DenseStages.state: the slot in use, whether its matrices are made with the rows at hand, and whether there is mu
-
-
-@intrinsic
-def complex_pointer(typing, number):
-    """An address as a pointer to complex128."""
-
-    def made(context, builder, sig, args):
-        return builder.inttoptr(args[0], context.get_value_type(sig.return_type))
-
-    return types.CPointer(types.complex128)(types.int64), made
 
 
 @pack

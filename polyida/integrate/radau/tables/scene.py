@@ -23,12 +23,12 @@ from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilis
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
-from polyida.integrate.radau.tables.dense import complex_pointer
 from polyida.jit import pack, part
+from polyida.jit.intrinsics import complex_pointer, pointer
 from polyida.linear.dense import clear
 from polyida.system import table as of
 from polyida.system.scene import add_forces
-from polyida.system.table import CALLBACK, DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR, c_address, c_entry, pointer
+from polyida.system.table import CALLBACK, DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR, c_address, c_entry
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix

@@ -1,17 +1,23 @@
-"""Eight numbers at a time: numba types for short vectors that LLVM keeps in registers.
+"""Instructions that compiled code has beside those of numba: short vectors, addresses, calls by address, numbers shared by threads.
 
-The kernels treat LANES cells of equal vertex count side by side. An explicit vector type makes the machine code
+The kernels of elements treat LANES cells of equal vertex count side by side. An explicit vector type makes the machine code
 independent of what an auto-vectoriser guesses and stays portable: LLVM splits a vector to fit the machine. Arithmetic
 goes through `traced`: a plain Python function of straight-line formulas is run once on stand-ins that emit the
 instructions. That costs numba no type inference, so kernels compile fast, and the same function works on numpy
 arrays. Accesses are not checked for bounds.
+
+All of it is numba.extending and llvmlite.ir, which are public.
 """
 
-from polyida.jit.internals import AbstractTemplate, infer_global, intrinsic, ir, lower_builtin, models, register_model, signature, types
+from inspect import signature
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 
 LANES = 8
 
-INT32 = ir.IntType(32)
+INT32, INT64 = ir.IntType(32), ir.IntType(64)
 
 
 class Vector(types.Type):
@@ -79,15 +85,18 @@ def traced(outputs, vector=lanes):
     result = vector if outputs == 1 else types.UniTuple(vector, outputs)
 
     def decorate(function):
-        def generic(self, args, kws):
-            return signature(result, *args)
+        @type_callable(function)
+        def typed(context):
+            def typer(*args):
+                return result
+
+            typer.pysig = signature(function)
+            return typer
 
         def lower(context, builder, sig, args):
             values = function(*(_stand_in(builder, *item) for item in zip(sig.args, args)))
             return values.value if outputs == 1 else context.make_tuple(builder, result, [v.value for v in values])
 
-        template = type(f"Traced_{function.__name__}", (AbstractTemplate,), {"key": function, "generic": generic})
-        infer_global(function, types.Function(template))
         lower_builtin(function, types.VarArg(types.Any))(lower)
         return function
 
@@ -123,8 +132,12 @@ def _joined(builder, parts):
 
 def _address(context, builder, array_type, array, index, element):
     """Pointer to item `index` of the array's flat data, seen as `element`."""
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), element.as_pointer())
+    return builder.bitcast(builder.gep(_data(context, builder, array_type, array), [index]), element.as_pointer())
+
+
+def _data(context, builder, array_type, array):
+    """Pointer to the first item of the array."""
+    return context.make_array(array_type)(context, builder, array).data
 
 
 def _read(builder, pointer, element):
@@ -217,7 +230,7 @@ def misalignment(typing_context, array):
     """Numbers to skip so that the array begins on a 64-byte boundary."""
 
     def generate(context, builder, sig, args):
-        address = builder.ptrtoint(context.make_array(sig.args[0])(context, builder, args[0]).data, ir.IntType(64))
+        address = builder.ptrtoint(_data(context, builder, sig.args[0], args[0]), INT64)
         return builder.and_(builder.lshr(builder.neg(address), address.type(3)), address.type(7))
 
     return types.intp(array), generate
@@ -292,3 +305,63 @@ def prefetch_blocks(typing_context, array, places, start, offset):
         return context.get_dummy_value()
 
     return types.void(array, places, types.intp, types.intp), generate
+
+
+@intrinsic
+def call(typing_context, function, model, instant, a, b, c, d, e, f):
+    """What the C function at address `function`, of nine int64, returns."""
+
+    def generate(context, builder, sig, args):
+        kind = ir.FunctionType(INT64, [INT64] * (len(args) - 1))
+        return builder.call(builder.inttoptr(args[0], kind.as_pointer()), args[1:])
+
+    return types.int64(*[types.int64] * 9), generate
+
+
+@intrinsic
+def address(typing_context, array):
+    """Of the first entry of an array."""
+    return types.int64(array), lambda context, builder, sig, args: builder.ptrtoint(_data(context, builder, sig.args[0], args[0]), INT64)
+
+
+@intrinsic
+def real(typing_context, number):
+    """The float64 at an address."""
+    return types.float64(types.int64), lambda context, builder, sig, args: builder.load(
+        builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+    )
+
+
+def pointer_to(item):
+    """A function of compiled code: an address as a pointer to items of a numba type."""
+    kind = types.CPointer(item)
+
+    @intrinsic
+    def pointer(typing_context, number):
+        return kind(types.int64), lambda context, builder, sig, args: builder.inttoptr(args[0], context.get_value_type(kind))
+
+    return pointer
+
+
+@intrinsic
+def seen(typing_context, numbers, at):
+    """numbers[at], int64, as it is now, with all that a thread wrote before it left that number there."""
+
+    def generate(context, builder, sig, args):
+        return builder.load_atomic(_address(context, builder, sig.args[0], args[0], args[1], INT64), "acquire", 8)
+
+    return types.int64(numbers, types.int64), generate
+
+
+@intrinsic
+def leave(typing_context, numbers, at, number):
+    """numbers[at] = number, int64, for other threads to see."""
+
+    def generate(context, builder, sig, args):
+        builder.store_atomic(args[2], _address(context, builder, sig.args[0], args[0], args[1], INT64), "release", 8)
+        return context.get_dummy_value()
+
+    return types.void(numbers, types.int64, types.int64), generate
+
+
+pointer, complex_pointer = pointer_to(types.float64), pointer_to(types.complex128)

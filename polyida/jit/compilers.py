@@ -1,0 +1,291 @@
+"""Compilers that do what numba's does in a third of the time. The package works without them: all of numba's inside that it knows is here.
+
+numba by itself optimises every function and makes machine code of it, and again of every function that calls it, with all below. Here parts
+are only lowered, and optimised with the entry that takes them in; entries that are `shared` are called where they are.
+"""
+
+import atexit
+import gc
+from contextlib import contextmanager
+from functools import cache, partial
+from importlib import import_module
+from typing import NamedTuple
+
+import numba
+from numba.core import ir, typed_passes, untyped_passes
+from numba.core.base import BaseContext
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, Flags
+from numba.core.compiler_machinery import AnalysisPass, PassManager, register_pass
+from numba.core.registry import CPUDispatcher
+from numba.core.types.functions import BaseFunction
+
+from polyida.jit import cache as kernel_cache
+
+
+class Entry(CPUDispatcher):
+    """What Python calls; for compiled code it stands for its part."""
+
+    def __init__(self, function, part, compiler, options):
+        super().__init__(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options}, pipeline_class=compiler)
+        self.part = part
+
+    @property
+    def _numba_type_(self):
+        return self.part._numba_type_
+
+
+def entry(outer, part, compiler, options):
+    """An Entry that is kept in `cache.Files`."""
+    made = Entry(outer, part, compiler, options)
+    with kernel_cache.kept() as cached:
+        if cached:
+            made.enable_caching()
+            made._cache._cache_file = kernel_cache.Files(made._cache.cache_path, made._cache._impl.filename_base)
+    return made
+
+
+def c_address(outer, part, kinds, options):
+    """The address of a function as a C function."""
+    made = entry(outer, part, EntryCompiler, options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": False})
+    made.compile(kinds)
+    known = made.overloads[kinds.args]
+    return known.library.get_pointer_to_function(known.fndesc.llvm_cfunc_wrapper_name)
+
+
+def shared(outer, function, options):
+    """An entry whose part is a call of it."""
+    made = entry(outer, None, SharedCompiler, options)
+    wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    made.part = numba.njit(pipeline_class=partial(Call, made), **wrappers, **options)(function)
+    return made
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class Borrow(AnalysisPass):
+    """Leave out the counting of references of a function that makes no arrays: its callers hold what it is given."""
+
+    _name = "borrow"
+
+    def __init__(self):
+        super().__init__()
+
+    def run_pass(self, state):
+        """Switch the counting off where no call returns what is counted, nor the function itself."""
+        held = state.targetctx.data_model_manager
+        made = [
+            state.typemap[x.target.name]
+            for block in state.func_ir.blocks.values()
+            for x in block.find_insts(ir.Assign)
+            if isinstance(x.value, ir.Expr) and x.value.op not in VIEWS
+        ]
+        if not any(held[kind].contains_nrt_meminfo() for kind in {*made, state.return_type}):
+            state.flags.nrt = False
+            state.targetctx = state.targetctx.subtarget(enable_nrt=False)
+        return False
+
+
+VIEWS = {"getitem", "static_getitem", "getattr", "build_tuple", "exhaust_iter", "cast"}  # which hand on what is held elsewhere
+PASSES = (
+    untyped_passes.TranslateByteCode,
+    untyped_passes.FixupArgs,
+    untyped_passes.IRProcessing,
+    untyped_passes.RewriteSemanticConstants,
+    untyped_passes.DeadBranchPrune,
+    untyped_passes.GenericRewrites,
+    untyped_passes.ReconstructSSA,
+    untyped_passes.DeadBranchPrune,
+    typed_passes.NopythonTypeInference,
+    typed_passes.PreLowerStripPhis,
+    typed_passes.IRLegalization,
+    typed_passes.AnnotateTypes,
+    Borrow,
+    typed_passes.NativeLowering,
+    typed_passes.NoPythonBackend,
+)
+
+
+class EntryCompiler(Compiler):
+    """numba's compiler with the passes that kernels need."""
+
+    def __init__(self, typing, target, library, args, result, flags, local):
+        super().__init__(typing, target, library, args, result, Options(flags), local)
+
+    def define_pipelines(self):
+        """Passes from bytecode to machine code, for functions without closures, literals, parallel loops and array expressions."""
+        passes = PassManager("kernel")
+        for one in PASSES:
+            passes.add_pass(one, one.name())
+        passes.finalize()
+        return [passes]
+
+    def compile_extra(self, func):
+        """The function compiled."""
+        with thrifty():
+            return super().compile_extra(func)
+
+
+class PartCompiler(EntryCompiler):
+    """A compiler whose results are only good for linking."""
+
+    def __init__(self, typing, target, library, *rest):
+        super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *rest)
+
+
+class _PartLibrary(JITCodeLibrary):
+    """A part and all that it calls, not optimised, without machine code."""
+
+    def finalize(self):
+        """Take in what the part calls."""
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    @property
+    def codegen(self):
+        """That a function's environment is set through: without machine code it has no place."""
+        return _Nowhere
+
+
+class _Nowhere:
+    @staticmethod
+    def set_env(name, environment):
+        """Nothing."""
+
+
+class SharedCompiler(EntryCompiler):
+    """Gives a function a name that is the same in every process, so that what calls it can be kept on disk."""
+
+    def _compile_bytecode(self):
+        self.state.func_id.unique_id = 0
+        return super()._compile_bytecode()
+
+
+class Call:
+    """In place of a compiler, for a function that compiled code calls: the name of the entry, which is compiled where it is not yet."""
+
+    def __init__(self, entry, typing, target, library, args, *rest):
+        self.entry, self.target, self.args = entry, target, tuple(args)
+
+    def compile_extra(self, function):
+        """What numba knows of the entry, without its code."""
+        self.entry.compile(self.args)
+        made, ready = self.entry.overloads[self.args], Ready(function.__module__, function.__name__, self.args)
+        library = _Elsewhere(self.target.codegen(), ready)
+        known = self.target.get_executable(library, made.fndesc, made.environment)
+        self.target.insert_user_function(known, made.fndesc, [library])
+        return made._replace(entry_point=known, library=library, metadata={})
+
+
+class Ready(NamedTuple):
+    """Done when kept code that calls the entry `name` of a module is loaded: the entry is, too."""
+
+    module: str
+    name: str
+    args: tuple
+
+    def __call__(self):
+        getattr(import_module(self.module), self.name).compile(self.args)
+
+
+class _Elsewhere(JITCodeLibrary):
+    """No code, and what to do before it is called."""
+
+    def __init__(self, codegen, ready):
+        super().__init__(codegen, "elsewhere")
+        self._reload_init, self._finalized = {ready}, True
+
+    def _get_module_for_linking(self):
+        return self._final_module
+
+
+class Options(Flags):
+    """Options of a compilation; numba compares them ten thousand times, each time all that there are."""
+
+    def __hash__(self):
+        return hash(tuple(sorted(self._values)))
+
+    def __eq__(self, other):
+        return self._values == other._values if isinstance(other, Flags) else NotImplemented
+
+
+@contextmanager
+def thrifty():
+    """Python's search for cycles, a tenth of the time, waits, and numba is spared questions asked before; within another, nothing."""
+    if BaseFunction.get_call_type is _typed:
+        yield
+        return
+    running = gc.isenabled()
+    gc.disable()
+    _put(SPARED)
+    _forgo_last_search()
+    try:
+        yield
+    finally:
+        _put(PLAIN)
+        if running:
+            _age()
+            gc.enable()
+
+
+def _put(methods):
+    for (owner, name), method in methods.items():
+        setattr(owner, name, method)
+
+
+def _age():
+    """Put what was made with the old objects, that are looked through rarely; not where a caller keeps some frozen."""
+    if not gc.get_freeze_count():
+        gc.freeze()
+        gc.unfreeze()
+
+
+@cache
+def _forgo_last_search():
+    """A process that has compiled ends without a search through what numba made, a second; the system takes it all back."""
+    atexit.register(gc.freeze)
+
+
+def _typed(function, context, args, kws):
+    """Signature of a builtin for types of arguments, asked for once: numba tries all versions of an operator, each time it meets one."""
+    return _ASK(function, context, args, kws) if kws else _signature(function, context, tuple(args))
+
+
+@cache
+def _signature(function, context, args):
+    return _ASK(function, context, args, {})
+
+
+def _found(context, key, sig, _firstcall=True):
+    """The implementation of a function; of arrays' `__array__`, which has none, without a search through all registries at every use."""
+    return _FIND(context, key, sig, _firstcall and key != "__array__")
+
+
+@cache
+def _sized(context, kind):
+    """Bytes of a type in LLVM, which parses a module to tell."""
+    return _SIZE(context, kind)
+
+
+def _variables(self, value):
+    """Variables within a value of numba's representation; most values are places in the source and names, which hold none."""
+    kind = type(value)
+    if kind is ir.Var:
+        return [value]
+    if kind is ir.Loc or kind is str or value is None:
+        return []
+    return _LIST(self, value)
+
+
+PLAIN = {
+    (owner, name): getattr(owner, name)
+    for owner, name in (
+        (BaseFunction, "get_call_type"),
+        (BaseContext, "get_function"),
+        (BaseContext, "get_abi_sizeof"),
+        (ir.Inst, "_rec_list_vars"),
+    )
+}
+_ASK, _FIND, _SIZE, _LIST = PLAIN.values()
+SPARED = dict(zip(PLAIN, (_typed, _found, _sized, _variables)))
