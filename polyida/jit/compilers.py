@@ -16,7 +16,7 @@ from numba.core import ir, typed_passes, untyped_passes
 from numba.core.base import BaseContext
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
-from numba.core.compiler_machinery import AnalysisPass, PassManager, register_pass
+from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
 from numba.core.types.functions import BaseFunction
 
@@ -61,31 +61,6 @@ def shared(outer, function, options):
     return made
 
 
-@register_pass(mutates_CFG=False, analysis_only=True)
-class Borrow(AnalysisPass):
-    """Leave out the counting of references of a function that makes no arrays: its callers hold what it is given."""
-
-    _name = "borrow"
-
-    def __init__(self):
-        super().__init__()
-
-    def run_pass(self, state):
-        """Switch the counting off where no call returns what is counted, nor the function itself."""
-        held = state.targetctx.data_model_manager
-        made = [
-            state.typemap[x.target.name]
-            for block in state.func_ir.blocks.values()
-            for x in block.find_insts(ir.Assign)
-            if isinstance(x.value, ir.Expr) and x.value.op not in VIEWS
-        ]
-        if not any(held[kind].contains_nrt_meminfo() for kind in {*made, state.return_type}):
-            state.flags.nrt = False
-            state.targetctx = state.targetctx.subtarget(enable_nrt=False)
-        return False
-
-
-VIEWS = {"getitem", "static_getitem", "getattr", "build_tuple", "exhaust_iter", "cast"}  # which hand on what is held elsewhere
 PASSES = (
     untyped_passes.TranslateByteCode,
     untyped_passes.FixupArgs,
@@ -99,7 +74,6 @@ PASSES = (
     typed_passes.PreLowerStripPhis,
     typed_passes.IRLegalization,
     typed_passes.AnnotateTypes,
-    Borrow,
     typed_passes.NativeLowering,
     typed_passes.NoPythonBackend,
 )

@@ -4,6 +4,7 @@ import numpy as np
 
 LEAST = 4 * np.finfo(float).eps  # pivot over n times the largest entry that may be round-off of zero
 SYMMETRIC_MODE = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
+# constants of compiled code, some of them
 KEPT = 6  # factors that are kept, of the steps h used last
 
 
