@@ -16,11 +16,13 @@ from polyida.study.drawing import drawn, panels, picture
 from polyida.study.rows import each, pick
 from polyida.study.sweeps.harness import Study
 
+IMPORT, BUILD = "import polyida as pi\nfrom polyida.problems.plates import double_plate", "model = double_plate().build()"
 STEP = "pi.solve(model, 1e-3, pi.GeneralizedAlpha(h=1e-3))"
 JOBS = {  # job: its parts in order, executed one after the other
-    "alpha": {
-        "import": "import polyida as pi\nfrom polyida.problems.plates import double_plate",
-        "build": "model = double_plate().build()",
+    "alpha": {"import": IMPORT, "build": BUILD, "run": f"assert {STEP}.success"},
+    "alpha by plain numba": {
+        "import": f"import os\nos.environ['POLYIDA_PLAIN_NUMBA'] = '1'\n{IMPORT}",
+        "build": BUILD,
         "run": f"assert {STEP}.success",
     },
     "main job": {
@@ -79,7 +81,7 @@ def of_children():
 
 
 def figures(rows):
-    """Medians: `cold_alpha_cpu_s`, `warm_alpha_cpu_s` and those of the main job."""
+    """Medians: `cold_alpha_cpu_s`, `warm_alpha_cpu_s` and those of the other jobs."""
     found = {}
     for job in each(rows, "job"):
         for cache in ("cold", "warm"):
@@ -94,7 +96,7 @@ def notes(rows):
     found = figures(rows)
     missed = [f"{name}: {found[name]:.3g}, aim at most {aim:g}" for name, aim in AIMS.items() if found.get(name, 0) > aim]
     return [
-        "alpha: import, mesh and model of the double plate, one step of generalized-alpha",
+        "alpha: import, mesh and model of the double plate, one step of generalized-alpha; by plain numba: with POLYIDA_PLAIN_NUMBA=1",
         "main job: the double plate for its whole time, generalized-alpha, IDA, Radau IIA and the refined run, nothing drawn or written",
         "CPU seconds of new processes on one thread; others that work on the machine meanwhile make them longer",
         *missed,
