@@ -4,14 +4,16 @@ A scene is compiled and tested; it is called as it is and pays nothing.
 """
 
 from collections import defaultdict
+from inspect import signature
 from itertools import product
 from sys import getrefcount
 from traceback import extract_tb
 
 import numpy as np
 
-from polyida.errors import InputError
+from polyida.errors import DONE, REASONS, InputError, StepFailure
 from polyida.given import floats, is_number, is_whole, read_only
+from polyida.jit.own_data import OwnData
 from polyida.model import Model, Needs, require_model
 from polyida.model.differences import FIRST_ORDER_STEP
 
@@ -21,6 +23,21 @@ REACH = np.arange(-4, 5) * FIRST_ORDER_STEP  # s, of a second derivative in time
 OF_CONSTRAINTS = ("phi", "phi_q", "reaction_q", "phi_t", "phi_rate", "phi_bias", "phi_rate_q", "phi_bias_q")
 PASSED = ("rows", "joints", "attachment", "position", "constraint_name", "keeps_body", "initial_velocity")
 MOST = 50  # coordinates and constraints of a model whose steps are compiled throughout
+SHAPES = {  # of what the functions return, in n and m
+    "mass": "nn",
+    "force": "n",
+    "phi": "m",
+    "phi_q": "mn",
+    "phi_t": "m",
+    "residual": "n",
+    "force_q": "nn",
+    "force_v": "nn",
+    "mass_a_q": "nn",
+    "reaction_q": "nn",
+    "phi_bias": "m",
+    "potential": "",
+}
+OF_STEPS = tuple(name for name in SHAPES if name != "potential")  # which only the energy-momentum method asks for
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
 
@@ -143,8 +160,6 @@ class Guarded(Model):
         """{name: compiled function} of a model that is too large for a table of C functions."""
         if not self.user.by_numba:
             return {}
-        from polyida.system.own import Compiled
-
         return Compiled(self).calls() if self.n + self.m > MOST else {}
 
     def __getattr__(self, name):
@@ -299,3 +314,37 @@ def _entries(found):
 def writes(model, name):
     """Whether a model writes a function of Model's anew."""
     return getattr(type(model), name) is not getattr(Model, name) or name in vars(model)
+
+
+class Compiled:
+    """The C functions that a model writes, {name: address}, and `data`, the address of what they read as self. Raises InputError."""
+
+    def __init__(self, guarded, wanted=OF_STEPS):
+        model, n, m = guarded.user, guarded.n, guarded.m
+        written = [name for name in wanted if writes(model, name) and (m or name not in OF_CONSTRAINTS)]
+        self.functions = functions = {name: getattr(type(model), name) for name in written}
+        self.own, self.sizes = OwnData(model, functions.values()), {"n": n, "m": m}
+        given = {"t": ("t",), "q": ("b", (n,)), "v": ("c", (n,)), "a": ("d", (n,)), "lam": ("e", (m,))}
+        self.kept = {name: self.own.c_function(function, given, self._shape(name)) for name, function in functions.items()}
+        self.addresses, self.data = {name: made.address for name, made in self.kept.items()}, self.own.words.ctypes.data
+
+    def _shape(self, name):
+        return tuple(self.sizes[letter] for letter in SHAPES[name])
+
+    def calls(self):
+        """{name: function of Python that calls the C function}. They raise StepFailure."""
+        return {name: self._call(name, self.functions[name].__qualname__, made.ctypes) for name, made in self.kept.items()}
+
+    def _call(self, name, label, function):
+        arguments, shape, places = list(signature(getattr(Model, name)).parameters)[1:], self._shape(name), ("t", "q", "v", "a", "lam")
+
+        def call(*given):
+            values = {argument: np.ascontiguousarray(value, float) for argument, value in zip(arguments, given)}
+            found = np.empty(shape)
+            at = (values[place].ctypes.data if place in values else 0 for place in places)
+            if (ended := function(self.data, 0, *at, found.ctypes.data)) != DONE:
+                status, reason = REASONS[ended]
+                raise StepFailure(status, f"{label}: {reason}", float(values.get("t", [np.nan])[0]))
+            return found
+
+        return call

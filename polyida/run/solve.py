@@ -23,11 +23,10 @@ from polyida.keywords import named_keywords
 from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
 from polyida.model.check import require_declared
-from polyida.model.guarded import guard, unguarded
+from polyida.model.guarded import Compiled, guard, unguarded
 from polyida.run.run import Run
 from polyida.run.sampling import Recorder, require_sensors
 from polyida.sensor import Sensor
-from polyida.system.own import Compiled
 from polyida.system.python import small_own
 
 if TYPE_CHECKING:

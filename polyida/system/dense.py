@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
+from polyida.errors import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import pack, part
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system.table import ACCEPT, CLOSE, DONE, FACTOR, HOLD, NOT_FINITE, PROJECT, RATE, RESIDUAL, SINGULAR, SOLVE, c_address, c_entry
+from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, c_address, c_entry
 
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)

@@ -6,29 +6,12 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from polyida.errors import StepFailure
+from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFailure
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.step_matrix import StepMatrix
-from polyida.model.guarded import MOST, unguarded, writes
+from polyida.model.guarded import MOST, OF_STEPS, Compiled, unguarded, writes
 from polyida.system import dense as small
-from polyida.system.own import OF_STEPS, Compiled
-from polyida.system.table import (
-    ACCEPT,
-    CALLBACK,
-    CLOSE,
-    DONE,
-    ENTRIES,
-    HOLD,
-    INSTANTS,
-    NOT_FINITE,
-    PROJECT,
-    RAISED,
-    RATE,
-    REASONS,
-    RESIDUAL,
-    SINGULAR,
-    SOLVE,
-)
+from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
 SHORT, LONG = 5e-3, 20e-3  # s
 

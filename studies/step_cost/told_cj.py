@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 
 import polyida as pi
+from polyida.errors import DONE
 from polyida.integrate.ida import dense, integrator
 from polyida.jit import entry, typed
 from polyida.problems import get, plates
 from polyida.run.solve import solve
-from polyida.system.table import DONE
 from step_cost.side import NO_FRAMES, cells_for, cpu
 
 LENGTH = 1.0  # m, of a bar

@@ -9,10 +9,10 @@ from polyida.adjoint.alpha.plain import PlainSweep, Sent
 from polyida.adjoint.scene import steps as loop
 from polyida.adjoint.scene.products import products_at
 from polyida.adjoint.scene.sweep import SceneSweep
+from polyida.errors import REFACTOR
 from polyida.model.differences import along
 from polyida.objective.slopes import Slopes
 from polyida.system import scene as compiled_loop
-from polyida.system.table import REFACTOR
 
 H, STEPS = 1e-3, 8
 DAMPED = {"viscosity": 1e-3, "mass_damping": 2.0}

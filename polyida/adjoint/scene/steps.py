@@ -7,9 +7,9 @@ import numpy as np
 
 from polyida.adjoint.scene import products
 from polyida.adjoint.scene.corrections import correct, hold
+from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.integrate.alpha.step import SLOW, nearest, pairs
 from polyida.jit import entry, pack, part
-from polyida.system.table import DONE, REFACTOR, SINGULAR
 
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 

@@ -6,11 +6,11 @@ from polyida.adjoint.alpha.plain import PlainSweep, Sent, Swept
 from polyida.adjoint.scene import steps
 from polyida.adjoint.scene.products import arrays_of, scratch
 from polyida.assembly.rows.increments import drive_table
+from polyida.errors import DONE
 from polyida.linear.cholesky.team import Helpers
 from polyida.machine import threads
 from polyida.objective.slopes import Slopes
 from polyida.system import scene as tables
-from polyida.system.table import DONE
 
 SHARE = 1e-2  # of what Newton leaves, over what it is compared with, that refinement leaves of w
 LEAST = 1e-11  # of |w|: no less

@@ -8,7 +8,7 @@ from polyida.body.own_part import writes
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, Side, profiles_of, sides_of
 from polyida.given import pairs_of
-from polyida.jit.compiled import OwnData
+from polyida.jit.own_data import OwnData
 from polyida.profile import polynomial
 
 

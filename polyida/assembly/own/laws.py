@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.rows.joints import point_values, spread
+from polyida.errors import DONE
 from polyida.jit import entry, pack, part
-from polyida.jit.compiled import DONE
 from polyida.jit.intrinsics import address, call
 
 # constants of compiled code

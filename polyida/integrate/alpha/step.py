@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.errors import DONE, NOT_FINITE, REFACTOR, TOO_FAR, TOO_NEAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.system import table
-from polyida.system.table import DONE, NOT_FINITE, REFACTOR, TOO_FAR, TOO_NEAR
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew

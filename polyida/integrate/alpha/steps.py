@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.errors import StepFailure
+from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR, StepFailure
 from polyida.integrate.alpha import step
 from polyida.integrate.alpha.march import calm_error
 from polyida.integrate.kinks import at_kink, inner_side
@@ -12,7 +12,7 @@ from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import Kept, SingularSystem
 from polyida.memory import room
 from polyida.system.python import table_of
-from polyida.system.table import DONE, HALF_TURN, INSTANTS, INVERTED, NOT_FINITE, REASONS, REFACTOR, SINGULAR, TOO_FAR, TOO_NEAR
+from polyida.system.table import INSTANTS
 
 ADAPTIVE = 32  # steps of a stretch whose step may change any time
 

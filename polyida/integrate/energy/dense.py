@@ -15,9 +15,11 @@ import numpy as np
 from numba import typeof
 
 from polyida.assembly.own.laws import NOISE
+from polyida.errors import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import part
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP, along
+from polyida.model.guarded import OF_STEPS
 from polyida.system.dense import (
     BENT,
     END,
@@ -40,9 +42,8 @@ from polyida.system.dense import (
     vector,
     workspace,
 )  # fmt: skip
-from polyida.system.own import OF_STEPS
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
-from polyida.system.table import ACCELERATION, DONE, INSTANTS, KINETIC, MIDDLE, NOT_FINITE, SINGULAR, c_address, c_entry
+from polyida.system.table import ACCELERATION, INSTANTS, KINETIC, MIDDLE, c_address, c_entry
 
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off
 STEP = FIRST_ORDER_STEP * SPAN  # of dq: V' from values at one and two of them to each side

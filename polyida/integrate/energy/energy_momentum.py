@@ -16,8 +16,7 @@ from polyida.integrate.state import Counts, State, States, Stretch
 from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.check import require_energies
-from polyida.model.guarded import guard, require_constraints, unguarded
-from polyida.system.own import Compiled
+from polyida.model.guarded import Compiled, guard, require_constraints, unguarded
 
 SAME = 1e-9  # of its size, by which what ought to be equal may differ
 

@@ -10,10 +10,10 @@ It ends after one correction if the contraction that was measured in earlier ste
 
 import numpy as np
 
+from polyida.errors import DONE, NOT_FINITE, REFACTOR
 from polyida.jit import entry, part
 from polyida.jit.intrinsics import address, call
 from polyida.system import table
-from polyida.system.table import DONE, NOT_FINITE, REFACTOR
 
 # constants of compiled code: rows of `now` (NOW, n), the first five as MIDDLE takes them, and of `rows` (ROWS, m)
 Q0, Q1, QM, VM, AM, V0, V1, R, DQ, A = range(10)  # from A on: backward differences of the accelerations of the last steps

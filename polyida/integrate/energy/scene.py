@@ -12,6 +12,7 @@ from polyida.assembly.rows.tie import constrain
 from polyida.element import kernels as elements
 from polyida.element import stabilisation
 from polyida.element.paired import two_states
+from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
 from polyida.integrate.energy.dense import ENDS, OfMiddles, missing
 from polyida.jit import entry, part
 from polyida.jit.intrinsics import pointer
@@ -33,21 +34,7 @@ from polyida.system.scene import (
     pairs,
     rows,
 )  # fmt: skip
-from polyida.system.table import (
-    ACCELERATION,
-    ACCEPT,
-    DONE,
-    INSTANTS,
-    INVERTED,
-    KINETIC,
-    MIDDLE,
-    NOT_FINITE,
-    PROJECT,
-    RATE,
-    SINGULAR,
-    SOLVE,
-    c_entry,
-)
+from polyida.system.table import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE, c_entry
 
 
 @c_entry

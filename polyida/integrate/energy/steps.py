@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from polyida.assembly.own.laws import NO_ENERGY
-from polyida.errors import StepFailure
+from polyida.errors import DONE, HALF_TURN, REASONS, SINGULAR, StepFailure
 from polyida.integrate.energy import loop
 from polyida.integrate.energy.dense import own_table
 from polyida.integrate.energy.scene import EnergyTable, PythonScene
@@ -21,7 +21,6 @@ from polyida.integrate.kinks import Grid, inner_side
 from polyida.integrate.start import consistent_acceleration, on_velocity
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import SingularSystem
-from polyida.system.table import DONE, HALF_TURN, REASONS, SINGULAR
 
 FAR_SHORTER = 10.0  # a step as many times shorter than the next tells nothing of its accelerations
 HALVINGS = 6  # of a step that fails

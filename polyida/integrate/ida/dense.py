@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.errors import StepFailure
+from polyida.errors import DONE, NOT_FINITE, REASONS, SINGULAR, StepFailure
 from polyida.integrate.ida.forms import NEAR
 from polyida.integrate.ida.linear import Correction
 from polyida.jit import entry, pack, part, typed
@@ -42,7 +42,6 @@ from polyida.system.dense import (
     take_rows,
     typical,
 )
-from polyida.system.table import DONE, NOT_FINITE, REASONS, SINGULAR
 
 # constants of compiled code
 STABILISED, INTEGRATED, BENDS, ANEW, MADE = range(5)  # of Room.flags; BENDS: phi is a row and not linear; ANEW: rows of every iterate

@@ -4,12 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.errors import DONE, NOT_FINITE, RAISED, WRONG_SHAPE
 from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, SHARES, UNKNOWN, A, Q, V, close, end, local_error, mean_square, take
 from polyida.integrate.radau.step import stages as solved
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.linear.lu import KEPT as SLOTS
-from polyida.system.table import DONE, MATRICES, NOT_FINITE, PREPARE, RAISED, SELECT, WRONG_SHAPE
+from polyida.system.table import MATRICES, PREPARE, SELECT
 
 PAIR = 20.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
 NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only

@@ -20,28 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.errors import DONE, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.integrate.sizes import ROUND_OFF
 from polyida.jit import pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.system.table import (  # fmt: skip
-    ACCELERATION,
-    ACCEPT,
-    CLOSE,
-    DONE,
-    HOLD,
-    NOT_FINITE,
-    OFF,
-    PAIR,
-    PROJECT,
-    RATE,
-    REACTION,
-    REAL,
-    REFACTOR,
-    RESIDUAL,
-    ROWS,
-    SINGULAR,
-    TURN,
-)
+from polyida.system.table import ACCELERATION, ACCEPT, CLOSE, HOLD, OFF, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
 
 SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
 ROUND = 1e-11

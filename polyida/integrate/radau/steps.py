@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from polyida.errors import StepFailure
+from polyida.errors import DONE, REFACTOR, StepFailure
 from polyida.integrate.kinks import PULSE, Grid, enough_steps, grid_of
 from polyida.integrate.radau import loop
 from polyida.integrate.radau.accepted import Accepted, Stretch
@@ -39,7 +39,7 @@ from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State
 from polyida.linear.lu import SingularSystem
-from polyida.system.table import ACCELERATION, DONE, REFACTOR, STEPS
+from polyida.system.table import ACCELERATION, STEPS
 
 CHUNK = 4_000_000  # bytes that the steps of a stretch leave
 SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
+from polyida.errors import DONE, NO_MATRIX, SINGULAR
 from polyida.jit import pack, part
 from polyida.jit.intrinsics import address, complex_pointer
 from polyida.linear import dense as lu
@@ -34,7 +35,7 @@ from polyida.system.dense import (
     take_rows,
     vector,
 )
-from polyida.system.table import DONE, NO_MATRIX, SINGULAR, c_address, c_entry
+from polyida.system.table import c_address, c_entry
 
 CHOSEN, MADE, TIED = range(
     3

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.errors import InputError
+from polyida.errors import DONE, REASONS, SINGULAR, InputError
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.matrices import Rows
 from polyida.integrate.radau.tables import dense as small
@@ -11,7 +11,6 @@ from polyida.linear.lu import SingularSystem, dense
 from polyida.model.guarded import unguarded
 from polyida.system import table as of
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
-from polyida.system.table import DONE, REASONS, SINGULAR
 
 
 class Stages:

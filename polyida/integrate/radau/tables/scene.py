@@ -20,6 +20,7 @@ from polyida.assembly.rows.increments import stage_tables
 from polyida.assembly.rows.tie import Tie, constrain, tie
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
+from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
@@ -28,7 +29,7 @@ from polyida.jit.intrinsics import complex_pointer, pointer
 from polyida.linear.dense import clear
 from polyida.system import table as of
 from polyida.system.scene import add_forces
-from polyida.system.table import CALLBACK, DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR, c_address, c_entry
+from polyida.system.table import CALLBACK, c_address, c_entry
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix
