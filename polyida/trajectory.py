@@ -248,7 +248,7 @@ class Trajectory:
         rtol, model = None if asked(self.integrator, "adaptive") is False else asked(self.integrator, "rtol"), self.model
         of_model = []
         if model is not None:
-            of_model = [model.remark, asked(self.integrator, "cost")(model), hint_of_rigid(model, self.q, rtol)]
+            of_model = [model.remark, hint_of_rigid(model, self.q, rtol)]
             of_model += [hint_of_left_out(model, self.t, self.q, self.a) if model.few else "", grown(self._motion("summary"))]
         unknown = self.missing if model is None and self.missing != Trajectory.missing else ""
         told = "".join(f", {what}" for what in (told, *of_model, unknown) if what)

@@ -216,10 +216,6 @@ class Declared:
         """What a summary says of the steps, from the memory of the last state."""
         return ""
 
-    def cost(self, model):
-        """What a summary says of steps that cost more than others would."""
-        return ""
-
 
 _DECLARED = Declared()
 

@@ -19,7 +19,7 @@ from polyida.errors import DONE, NOT_FINITE, SINGULAR
 from polyida.jit import part
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP, along
-from polyida.model.guarded import OF_STEPS
+from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system.dense import (
     BENT,
     END,
@@ -251,7 +251,7 @@ def own_table(model):
     """The table of a model of one's own."""
     if not small_own(model):
         return PythonOwn(model)
-    return (CompiledOwn if getattr(model, "user", model).by_numba else DenseOwn)(model)
+    return (CompiledOwn if unguarded(model).by_numba else DenseOwn)(model)
 
 
 def missing(potential, x0, x1, metric, slope=None):
