@@ -31,7 +31,7 @@ TURNS = np.array(
     ],
     float,
 )
-TURNED = TURNS.T.astype(complex)
+TURNED = TURNS.astype(complex)
 ARMS = np.array([[rr, -d, 1j * ss, 0, 0, 0, 0], [rr, -d, 0, 1j * e, -zt, 0, 0], [rr, -d, 0, 0, 0, -zf, 1j * u]])
 Q0 = np.array(
     [-0.06171389001427645, 0, 0.45527981916307037, 0.22266839016588588, 0.48736497954384256, -0.22266839016588588, 1.2305474445498212]
@@ -39,9 +39,9 @@ Q0 = np.array(
 ENDS = np.array([xb + 1j * yb, xa + 1j * ya, xa + 1j * ya])
 
 
-def _turned(q):
-    """exp(i angle) of every arm, (7,)."""
-    return np.exp(1j * (TURNS @ q))
+def _arms(q):
+    """The arms of every loop as they stand, complex (3, 7)."""
+    return ARMS * np.exp(1j * (TURNS @ q))
 
 
 def _couplings(masses):
@@ -129,16 +129,17 @@ class Andrews(Model):
         return result
 
     def phi(self, t, q):
-        return ((ARMS * _turned(q)).sum(axis=1) - ENDS).view(np.float64)
+        return (_arms(q).sum(axis=1) - ENDS).view(np.float64)
 
     def phi_q(self, t, q):
-        return (TURNED @ (ARMS * (1j * _turned(q))).T).view(np.float64).T
+        loops = (1j * _arms(q)) @ TURNED
+        return np.stack((loops.real, loops.imag), axis=1).reshape(6, 7)
 
     def phi_bias(self, t, q, v):
-        return -(ARMS @ (_turned(q) * (TURNS @ v) ** 2)).view(np.float64)
+        return -(_arms(q) @ ((TURNS @ v) ** 2).astype(np.complex128)).view(np.float64)
 
     def reaction_q(self, t, q, lam):
-        pull = ((lam[::2] - 1j * lam[1::2]) @ ARMS * _turned(q)).real
+        pull = ((lam[::2] - 1j * lam[1::2]) @ _arms(q)).real
         return -(TURNS.T * pull) @ TURNS
 
     def potential(self, q):

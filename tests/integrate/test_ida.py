@@ -9,6 +9,7 @@ from scipy.interpolate import BarycentricInterpolator
 import polyida as pi
 from polyida import problems
 from polyida.errors import InputError, StepFailure
+from polyida.integrate.ida import integrator as ida
 from polyida.integrate.ida.dense import DenseSolve
 from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.integrator import IDA
@@ -479,3 +480,14 @@ def test_a_run_into_a_collapse_keeps_instants_of_their_own_and_finite_works(form
     run = pi.solve(model, 0.5, pi.IDA(form=form))
     assert run.status in ("objection", "newton") and 0.4 < run.t[-1] < 0.5
     assert np.diff(run.t).min() > 0 and all(np.isfinite(work).all() for work in run.energy.work.values())
+
+
+def test_counts_at_a_stop_do_not_depend_on_how_long_a_stretch_takes(monkeypatch):
+    counts = []
+    for seconds in (0.0, 60.0):
+        monkeypatch.setattr(ida, "LONGEST", seconds)
+        p = problems.get("pendulum")
+        run = pi.solve(p.model, 1.0, pi.IDA(), q0=p.q0, v0=p.v0, until=lambda t, q, v: q[0] - 0.5)
+        assert run.status == "stopped" and run.counts.residuals > run.counts.steps
+        counts.append(run.counts)
+    assert counts[0] == counts[1]

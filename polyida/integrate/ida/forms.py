@@ -203,10 +203,10 @@ class Accepted(Stretch):
     mu, zero but for truncation, is in that memory.
     """
 
-    def __init__(self, system, memory, t, y, yp):
+    def __init__(self, system, memory, work, t, y, yp):
         *state, mu = (None if x is None else np.ascontiguousarray(x) for x in system.split(y, yp))
         super().__init__(t, *state)
-        self._memory, self._mu = memory, mu
+        self._memory, self._mu, self.work = memory, mu, work
 
     @property
     def last(self):
@@ -226,6 +226,6 @@ class Accepted(Stretch):
         """The same of the states from number `first` to before `end`, or of each `every`-th of them."""
         made, at = copy(self), slice(first, end, every)
         made._last = self.last if end >= len(self) and every == 1 else None
-        for name in ("t", "q", "v", "a", "lam", "_mu"):
+        for name in ("t", "q", "v", "a", "lam", "_mu", "work"):
             setattr(made, name, None if getattr(self, name) is None else getattr(self, name)[at])
         return made

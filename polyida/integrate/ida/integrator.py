@@ -268,13 +268,22 @@ class _Run:
                             self._step(end, printed, made)
                 except BaseException:
                     if made:
+                        spent = self._work()
                         yield self._stretch(made)
+                        vars(self.counts).update(spent)
                     raise
                 if made:
                     yield self._stretch(made)
 
     def _stretch(self, made):
-        return Accepted(self.system, self.memory, *map(np.array, zip(*made)))
+        work, *rows = zip(*made)
+        return Accepted(self.system, self.memory, work, *map(np.array, rows))
+
+    def _work(self):
+        """The counts but for the steps, which are counted as the states are taken."""
+        work = vars(self.counts).copy()
+        del work["steps"]
+        return work
 
     def _step(self, end, printed, made):
         """Take a step; one below the round-off of t has no instant of its own."""
@@ -301,7 +310,7 @@ class _Run:
         self.refused = self.refused if self.standing else None
         if t > self.t:
             self.t, self.q = t, q
-            made.append((t, y, result.yp))
+            made.append((self._work(), t, y, result.yp))
 
     def _failure(self, status, reason):
         """StepFailure at the last accepted state, with the step tried and the constraint that is worst there."""
