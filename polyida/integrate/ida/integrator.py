@@ -264,7 +264,7 @@ class _Run:
                 made, until = [], time.perf_counter() + LONGEST
                 try:
                     with error_lines_kept as printed:
-                        while self.t < end and len(made) < most and time.perf_counter() < until:
+                        while self.t < end and len(made) < most and (not made or time.perf_counter() < until):
                             self._step(end, printed, made)
                 except BaseException:
                     if made:
