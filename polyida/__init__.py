@@ -58,7 +58,7 @@ _PLACES = {
     "FrequencyResponse": "modal.state_space",
     "gradient": "adjoint.gradient",
     "check_gradient": "adjoint.check",
-    "Gradient": "adjoint.result",
+    "Gradient": "adjoint.totals",
     "State": "integrate.state",
     "Counts": "integrate.state",
     "GeneralizedAlpha": "integrate.alpha.generalized_alpha",

@@ -1,26 +1,37 @@
-"""Gradients held against differences of what they are of."""
+"""Gradients compared with differences of what they are of, which is found again with each parameter changed."""
 
+import warnings
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.alpha.again import Again
 from polyida.adjoint.gradient import gradient
+from polyida.adjoint.history import replayed_state, step_history
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.radau.stages import RadauAgain
-from polyida.adjoint.still import StillAgain
+from polyida.adjoint.radau.stages import begun, exact_steps, within
+from polyida.adjoint.radau.stages import step_history as radau_history
+from polyida.adjoint.run import given_velocity
+from polyida.adjoint.static_and_modal import ReplayedState
 from polyida.errors import InputError
 from polyida.given import is_whole
-from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.alpha.start import started
+from polyida.integrate.alpha.steps import Steps
+from polyida.integrate.kinks import Grid, edges
 from polyida.integrate.radau.radau_iia import RadauIIA
+from polyida.integrate.start import VIOLATION, restarted
+from polyida.integrate.state import Counts
 from polyida.keywords import named_keywords
 from polyida.model.differences import EVERYWHERE, along, central
+from polyida.model.guarded import guard
 from polyida.trajectory import Trajectory
 
-AGAINS = {GeneralizedAlpha: Again, RadauIIA: RadauAgain}
 LITTLE = 1e-3  # of J: what J changes by with a whole parameter, below which that is no measure of errors
 STEP = 1e-3 / 7e-4  # of a parameter: about a thousandth between the runs, in units of what `along` takes
+TIGHT = 1e-11  # Newton's tolerance in runs that are taken again
+ITERATIONS = 25  # of Newton's method, at least, that so tight a tolerance may take
 
 
 @named_keywords
@@ -39,7 +50,9 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     if not is_whole(seed, 0):
         raise InputError(f"check_gradient: seed = {seed!r:.80} must be a whole number of at least 0")
     found, known = gradient(run, objective, parameters=parameters), parameters_of(run.model)
-    objective, again = objective.named(run.model), _again(run)
+    of_run = ReplayedRadauRun if isinstance(run, Trajectory) and isinstance(run.integrator, RadauIIA) else ReplayedRun
+    again: Any
+    objective, again = objective.named(run.model), of_run(run) if isinstance(run, Trajectory) else ReplayedState(run)
     random, errors = np.random.default_rng(seed), {}
     for name in found:
         if name == "v0":
@@ -54,13 +67,6 @@ def check_gradient(run: Any, objective: Any, parameters: Sequence[str] | None = 
     return errors
 
 
-def _again(run):
-    """What finds it again."""
-    if not isinstance(run, Trajectory):
-        return StillAgain(run)
-    return next(again for kind, again in AGAINS.items() if isinstance(run.integrator, kind))(run)
-
-
 def _way(value, random):
     """A direction in which a parameter is changed, of its size."""
     size = float(np.abs(value).max()) or 1.0
@@ -71,3 +77,72 @@ def _error(found, name, way, objective, room):
     slope = float(np.sum(found[name] * way))
     difference = float(along(objective, STEP, room))
     return abs(slope - difference) / max(abs(difference), LITTLE * abs(found.value), 1e-300)
+
+
+class ReplayedRun:
+    """A run of generalized-alpha, to be taken again by the steps of its history, at a Newton's tolerance of 1e-11."""
+
+    history_of = staticmethod(step_history)
+
+    def __init__(self, run):
+        self.run, self.model = run, guard(run.model)
+        self.history = self.history_of(run, self.model)
+        self.state = replayed_state(self.history, 0)
+        self.given, self.own = given_velocity(self.model, self.state)
+
+    def frames(self, model, moved=0.0):
+        """The run of another model, its frames at the same steps; moved: what is added to the velocities that it was given."""
+        guarded, state = guard(model), self.state
+        if self.run.plan.get("began") != "state":
+            given = self.given
+            if self.own:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")  # that joints change what bodies were given, which the run has told
+                    given = guarded.initial_velocity(state.t, state.q)
+            state = restarted(guarded, replace(state, v=given + moved))
+        states = self._taken(guarded, state, self._times(guarded))
+        kept = [states[k] for k in np.flatnonzero(self.history.frames >= 0)]
+        vectors = {name: np.array([getattr(state, name) for state in kept]) for name in ("t", "q", "v", "a", "lam")}
+        return replace(self.run, model=model, **vectors)
+
+    def _taken(self, model, state, times):
+        """The states of the history, of another model that begins with a state; times: a function of their numbers."""
+        settings = self.run.integrator
+        tolerance, most = min(TIGHT, settings.tolerance or TIGHT), max(ITERATIONS, settings.max_iterations)
+        settings = replace(settings, tolerance=tolerance, max_iterations=most)
+        states, engine = [state], Steps(settings, model, Counts())
+        for segment in self.history.segments:
+            grid, state = Grid(times(segment.first), times(segment.first + segment.count), segment.count), states[-1]
+            state = state if segment.kind == "on" else replace(state, memory=segment.memory(None))
+            engine.begin(started(settings, model, state, grid.h), grid.h)
+            states += chain.from_iterable(engine.run(grid))
+        return states
+
+    def begins(self, model):
+        """Whether a run of another model can begin where this one did, and take its steps between as many kinks."""
+        phi = guard(model).phi(self.state.t, self.state.q)
+        near = np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max())
+        return bool(near) and len(self._edges(model)) == len(self._edges(self.model))
+
+    def _times(self, model):
+        """A function of the number of a state: its time, which moves evenly with the kinks about it."""
+        own, others = self._edges(self.model), self._edges(model)
+        return lambda k: float(np.interp(self.history.states(k, k + 1)[0][0], own, others))
+
+    def _edges(self, model):
+        """The times at which the segments of a run of a model between kinks begin and end."""
+        return edges(model, float(self.run.t[0]), float(self.run.t[-1]))
+
+
+class ReplayedRadauRun(ReplayedRun):
+    """A run of Radau IIA, each step solved to round-off."""
+
+    history_of = staticmethod(radau_history)
+
+    def _taken(self, model, state, times):
+        states, engine = [state], exact_steps(model, self.run.integrator, state, float(self.run.t[-1]), Counts())
+        for segment in self.history.segments:
+            state, t = begun(model, states[-1]), times(segment.first + 1)
+            engine.limits = within(model, state.t, t)
+            states.append(engine.step(state, t - state.t, t))
+        return states

@@ -1,15 +1,19 @@
 """`gradient`: the value of an objective and its slopes in all parameters of the model, of whatever was solved."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.result import Gradient
-from polyida.adjoint.run import gradient_of_run
-from polyida.adjoint.still import gradient_of_modes, gradient_of_static
+from polyida.adjoint.alpha.backward import AlphaAdjoint
+from polyida.adjoint.radau.backward import RadauAdjoint
+from polyida.adjoint.static_and_modal import gradient_of_state
+from polyida.adjoint.totals import Gradient
 from polyida.bar import over_time, require_progress
 from polyida.errors import InputError
+from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
+from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.statics.static import Equilibrium
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.keywords import named_keywords
@@ -17,6 +21,9 @@ from polyida.machine import one_blas_thread
 from polyida.modal.modes import Modes
 from polyida.objective.objective import Objective
 from polyida.trajectory import Trajectory
+
+ADJOINTS = {GeneralizedAlpha: AlphaAdjoint, RadauIIA: RadauAdjoint}
+WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have"}
 
 
 @named_keywords
@@ -68,22 +75,36 @@ def gradient(
     require_progress("gradient", progress)
     require_bytes("gradient", memory_limit)
     with one_blas_thread():
-        if isinstance(run, Equilibrium):
-            return gradient_of_static(run, objective, names)
-        if isinstance(run, Modes):
-            return gradient_of_modes(run, objective, names)
+        if isinstance(run, (Equilibrium, Modes)):
+            return gradient_of_state(run, objective, names)
         if not isinstance(run, Trajectory):
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
         run.known_model("gradient")
         begin, end = float(run.t[0]), float(run.t[-1])
+        adjoint = _adjoint_of(run)(run, objective, names, memory_limit)
         if progress is not True:
-            return gradient_of_run(run, objective, names, progress or _nobody, memory_limit)
+            return adjoint.gradient(progress or (lambda t: None))
         with over_time(progress, begin, end) as tell:
-            return gradient_of_run(run, objective, names, lambda t: tell(begin + end - t), memory_limit)
+            return adjoint.gradient(lambda t: tell(begin + end - t))
 
 
-def _nobody(t):
-    """What is told of progress where nobody asks."""
+def _adjoint_of(run):
+    """The RunAdjoint of a run. Raises InputError where there is none."""
+    name = type(run.integrator).__name__
+    found = next((adjoint for kind, adjoint in ADJOINTS.items() if isinstance(run.integrator, kind)), None)
+    if found is None:
+        why = WHY.get(name, "has no adjoint here")
+        raise InputError(f"gradient: {name} {why}; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)")
+    found.require_settings(run.integrator)
+    if run.plan.get("began") == "run":
+        raise InputError(
+            "gradient: the run goes on from a state of another one, which depends on parameters too; solve from the start of that"
+        )
+    if len(run) < 2:
+        raise InputError("gradient: the run has no step")
+    if not run.success:
+        warnings.warn(f"gradient: the run ended early ({run.status}, t = {run.t[-1]:.6g} s): J is of its frames alone", stacklevel=5)
+    return found
 
 
 def _names(parameters):

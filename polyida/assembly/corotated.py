@@ -159,6 +159,12 @@ def solve_in_place(f, team, x):
 def solve_plates(s, c, w, rotation, r, x):
     """x (nodes, 2) = P S_ref^-1 P^T r, and the frames of nodes and points for what follows."""
     turn_frames(s, c, w, rotation)
+    solve_turned(c, w, r, x)
+
+
+@part
+def solve_turned(c, w, r, x):
+    """The same with the frames at hand."""
     order, b, turn = c.factor.order, w.x, w.turn
     for i in range(r.shape[0]):
         b[order[2 * i]] = turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1]

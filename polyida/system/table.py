@@ -30,6 +30,12 @@ The other entries are for the s stages of Radau IIA; the instant of a step's beg
 | OFF | v, a, r, p, q | r = C v + M a and p = M v, of where the factors were made, or, in a scene, at q |
 | MATRICES | q, v, a, lam, slot | K, C and M of a state, kept under a number; 0 where the caller of the driver makes them |
 | SELECT | slot, c | go on with those of a number; c: of the real mode, real and imaginary part of the complex one |
+
+The backward sweep of generalized-alpha has tables of its own (adjoint/tables) with one entry.
+
+| entry | arguments | what it does |
+|---|---|---|
+| ADJOINT | right, below, bar, w, mu, found | solve the adjoint of the step that ends at this instant (adjoint/alpha/sweep.py) |
 """
 
 import ctypes
@@ -44,8 +50,8 @@ STEPS = 64  # the same of steps of Radau IIA
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 # constants of compiled code
 RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
-PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT = range(11, 20)
-ENTRIES = 20
+PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT, ADJOINT = range(11, 21)
+ENTRIES = 21
 
 
 c_entry = jit.entry  # a function of a table; compiled code takes it in as a part

@@ -5,9 +5,8 @@ from functools import lru_cache, partial
 import numpy as np
 
 import polyida as pi
-from polyida.adjoint.alpha.plain import Sent
-from polyida.adjoint.scene import corrections, products
-from polyida.adjoint.scene.sweep import SceneSweep
+from polyida.adjoint.alpha.sweep import AdjointState, Sweep
+from polyida.adjoint.tables import products, scene
 from polyida.integrate.state import Counts
 from polyida.jit import entry
 from polyida.machine import one_blas_thread
@@ -72,19 +71,19 @@ def _products(count, s, u, v, w, x):
 @entry
 def _solves(count, s, c, room, r, phi, dq, dlam):
     for _ in range(count):
-        corrections.correct(s, c, room, r, phi, dq, dlam)
+        scene.correct(s, c, room, r, phi, dq, dlam)
 
 
 def sweep_us(model, settings, run, objective, repeats):
     """CPU microseconds of the sweep back in a step of the run, of one product and of one solve in it."""
-    sweep, count = SceneSweep(model, settings, H, Counts()), max(20, 500_000 // model.n)
+    sweep, count = Sweep(model, settings, H, Counts()), max(20, 500_000 // model.n)
     t, *frames = (np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
-    slopes, none = objective.slopes(run)(slice(1, len(run))), Sent(*np.zeros((4, model.n)))
+    slopes, none = objective.slopes(run)(slice(1, len(run))), AdjointState(*np.zeros((4, model.n)))
     swept = partial(sweep.back, t, *frames, slopes, none)
     u, v, w = (x[-1].reshape(-1, 2).copy() for x in (*frames[:2], swept().w))
-    links, system, rows = sweep.arrays.links, sweep.system, np.zeros(model.m)
+    work, system, rows = sweep.table.w, sweep.table.system, np.zeros(model.m)
     solved = system.corotated, system.room, w, rows, np.empty_like(w), rows.copy()
-    loops = {"product": (_products, (sweep.arrays, u, v, w, sweep.products)), "solve": (_solves, (links, *solved))}
+    loops = {"product": (_products, (work["scene"], u, v, w, work["products"])), "solve": (_solves, (work["scene"].links, *solved))}
     found = {"sweep": cpu(swept)[0] / len(t)}
     for name, (loop, given) in loops.items():
         loop(1, *given)

@@ -7,7 +7,7 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint.parameters import in_time, parameters_of
-from polyida.adjoint.parameters.parameter import Work, total
+from polyida.adjoint.parameters.parameter import AdjointMultipliers, total
 from polyida.model.differences import along
 from polyida.model.guarded import guard
 from polyida.problems import andrews, car_axis
@@ -22,7 +22,9 @@ def work_of(model, t=(0.1, 0.3)):
     random, frames = np.random.default_rng(1), len(t)
     q = (Q0 if model.n == 7 else 1.0) + 0.1 * random.standard_normal((frames, model.n))
     v, a, w = random.standard_normal((3, frames, model.n))
-    return Work(np.array(t), q, v, a, *(random.standard_normal((frames, m)) for m in (model.m, model.n, model.m, model.m, model.m)))
+    return AdjointMultipliers(
+        np.array(t), q, v, a, *(random.standard_normal((frames, m)) for m in (model.m, model.n, model.m, model.m, model.m))
+    )
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: type(model).__name__)
@@ -32,7 +34,7 @@ def test_slopes_are_those_of_the_models(model, guarded):
     work, known = work_of(model), parameters_of(model)
     assert tuple(known) == model.parameters and known
     for parameter in known.values():
-        value, slope = np.asarray(parameter.value), parameter.work(work)
+        value, slope = np.asarray(parameter.value), parameter.slope(work)
         assert np.shape(slope) == value.shape
         for unit in np.eye(value.size).reshape(value.size, *value.shape):
             changed = lambda s, unit=unit, value=value, p=parameter: total(p.replaced(value * (1 + s * unit)), work)  # noqa: E731
@@ -91,10 +93,10 @@ class Pulled(pi.Model):
 
 def test_a_dataclass_is_made_anew():
     model, zero = Pulled(), np.zeros((1, 2))
-    work = Work(np.array([1.0]), zero, zero, zero, np.zeros((1, 0)), np.array([[1.0, 10.0]]))
+    work = AdjointMultipliers(np.array([1.0]), zero, zero, zero, np.zeros((1, 0)), np.array([[1.0, 10.0]]))
     known = parameters_of(model)
-    assert np.allclose(known["pull"].work(work), [-1.8, -18.0], rtol=1e-10)
-    assert known["begin"].work(work) == pytest.approx(63.0, rel=1e-10)
+    assert np.allclose(known["pull"].slope(work), [-1.8, -18.0], rtol=1e-10)
+    assert known["begin"].slope(work) == pytest.approx(63.0, rel=1e-10)
     assert in_time(model, work) == pytest.approx([-63.0], rel=1e-9)
     assert np.allclose(known["pull"].start(0.0, zero[0], np.array([1.0, 4.0])), [1.5, 6.0], rtol=1e-10)
     assert known["begin"].start(0.0, zero[0], np.ones(2)) is None

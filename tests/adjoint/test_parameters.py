@@ -8,8 +8,8 @@ import pytest
 
 import polyida as pi
 from polyida.adjoint.parameters import in_time, parameters_of
-from polyida.adjoint.parameters.loads import OfMotion
-from polyida.adjoint.parameters.parameter import Work, total
+from polyida.adjoint.parameters.parameter import AdjointMultipliers, total
+from polyida.adjoint.parameters.parts import OfMotion
 from polyida.model.differences import along
 
 STEEL = pi.Material(E=2e7, nu=0.3, rho=1000.0, viscosity=1e-3, mass_damping=0.4)
@@ -72,7 +72,7 @@ def work_of(model, seed=0, frames=3):
     waves = [random.standard_normal((2, 2)) @ np.array([np.sin(2 * x[:, 0] + k), np.cos(3 * x[:, 1] + k)]) for k in range(4 * frames)]
     q, v, a, w = (np.array([0.02 * wave.T.ravel() for wave in waves[i::4]]) for i in range(4))
     lam, mu, kappa, nu = random.standard_normal((4, frames, model.m))
-    return Work(np.array([0.17, 0.32, 0.55])[:frames], q, 20 * v, 500 * a, lam, w, mu, kappa, nu)
+    return AdjointMultipliers(np.array([0.17, 0.32, 0.55])[:frames], q, 20 * v, 500 * a, lam, w, mu, kappa, nu)
 
 
 WORK = work_of(MODEL)
@@ -104,7 +104,7 @@ SEEN = [
 @pytest.mark.parametrize("name", SEEN)
 def test_a_slope_is_that_of_the_models(name):
     parameter, random = PARAMETERS[name], np.random.default_rng(3)
-    slope, unit = parameter.work(WORK), random.uniform(0.5, 1.0, np.shape(parameter.value))
+    slope, unit = parameter.slope(WORK), random.uniform(0.5, 1.0, np.shape(parameter.value))
     assert np.shape(slope) == np.shape(parameter.value)
     exact = along_value(parameter, unit, lambda model: total(model, WORK), name.endswith(LINEAR))
     noise = 3e-11 * abs(total(MODEL, WORK)) / (np.abs(parameter.value).max() or 1.0)
@@ -155,7 +155,7 @@ def test_slopes_in_time():
     model = driven()
     work = work_of(model)
     for k, found in enumerate(in_time(model, work)):
-        entry = Work(*(x[k : k + 1] for x in work))
+        entry = AdjointMultipliers(*(x[k : k + 1] for x in work))
         assert np.isclose(found, along(lambda s, entry=entry: total(model, entry._replace(t=entry.t + s)), 0.1), rtol=1e-7)
     sprung = in_time(MODEL, WORK)
     assert np.isclose(sprung[1], along(lambda s: total(MODEL, WORK._replace(t=WORK.t + [0.0, s, 0.0])), 0.1), rtol=1e-7)
@@ -180,8 +180,8 @@ def test_entries_beside_a_kink_stay_on_their_side():
     one = work_of(model, frames=1)
     for t, inside in ((0.3 - 1e-14, 0), (0.3 + 1e-14, 1), (0.5 - 1e-14, 1), (0.5 + 1e-14, 0)):
         work = one._replace(t=np.array([t]))
-        per_unit = known["load.scale"].work(work._replace(t=np.array([0.6])))
-        assert known["load.begin"].work(work) == pytest.approx(-inside * speed * per_unit, rel=1e-9, abs=1e-12)
+        per_unit = known["load.scale"].slope(work._replace(t=np.array([0.6])))
+        assert known["load.begin"].slope(work) == pytest.approx(-inside * speed * per_unit, rel=1e-9, abs=1e-12)
 
 
 def test_what_is_asked_for_alone():

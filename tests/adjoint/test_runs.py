@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.adjoint.steps.course import course_of
+from polyida.adjoint.history import step_history
 from polyida.problems.pendulum import Pendulum
 
 CLOSE = 1e-6  # asked of every parameter; at a tolerance of 1e-10 errors are about 1e-9
@@ -84,10 +84,10 @@ def test_value_and_sums():
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
 def test_segments_between_checkpoints_are_the_same_bit_by_bit(form):
     run = pi.solve(MODEL, 0.6, pi.GeneralizedAlpha(5e-4, form=form), every=20)
-    whole = course_of(run, MODEL)
+    whole = step_history(run, MODEL)
     bytes_of_all = 8 * (3 * MODEL.n + MODEL.m) * len(whole.frames)
-    parts = course_of(run, MODEL, bytes_of_all / 2)
-    assert parts.pieces == whole.pieces and np.array_equal(parts.frames, whole.frames)
+    parts = step_history(run, MODEL, bytes_of_all / 2)
+    assert parts.segments == whole.segments and np.array_equal(parts.frames, whole.frames)
     for first in range(len(whole.frames) - 100, -1, -100):
         for one, other in zip(whole.states(first, first + 100), parts.states(first, first + 100)):
             assert np.array_equal(one, other)

@@ -1,17 +1,21 @@
-"""The compiled backward sweep of a scene: its products against differences of the residual, its steps against the plain sweep."""
+"""The compiled backward sweep: a scene's products against differences of the residual, steps against those with exact matrices."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import polyida as pi
 from polyida import machine
-from polyida.adjoint.alpha.plain import PlainSweep, Sent
-from polyida.adjoint.scene import steps as loop
-from polyida.adjoint.scene.products import products_at
-from polyida.adjoint.scene.sweep import SceneSweep
+from polyida.adjoint.alpha import sweep as loop
+from polyida.adjoint.alpha.sweep import AdjointState, Sweep
+from polyida.adjoint.tables.dense import DenseAdjoint
+from polyida.adjoint.tables.products import products_at
 from polyida.errors import REFACTOR
 from polyida.model.differences import along
+from polyida.model.guarded import guard
 from polyida.objective.slopes import Slopes
+from polyida.problems import andrews, car_axis, pendulum
 from polyida.system import scene as compiled_loop
 
 H, STEPS = 1e-3, 8
@@ -79,24 +83,29 @@ def steps_of(model):
     frames = tuple(np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
     sizes = (1.0, 1e-3, 1e-6, 1e-4)
     own = Slopes(**{name: s * random.standard_normal(x.shape) for name, s, x in zip(("q", "v", "a", "lam"), sizes, frames[1:])})
-    return settings, (*frames, own, Sent(*np.zeros((4, model.n))))
+    return settings, (*frames, own, AdjointState(*np.zeros((4, model.n))))
+
+
+def exact(model, settings, h, counts):
+    """A sweep with a factor of each step's own matrices."""
+    return Sweep(model, replace(settings, linear="kkt"), h, counts)
 
 
 def swept(sweep, steps, keep=None):
     """All that a sweep gives, as one list of arrays."""
     found = sweep.back(*steps, keep=keep)
-    return [*found.sent, found.w, found.mu]
+    return [*found.bars, found.w, found.mu]
 
 
 def agree(found, wanted, tolerance=1e-9):
     return all(np.abs(x - y).max(initial=0) <= tolerance * np.abs(y).max(initial=0) for x, y in zip(found, wanted, strict=True))
 
 
-def test_steps_are_those_of_the_plain_sweep(case):
+def test_steps_are_those_with_exact_matrices(case):
     settings, steps = steps_of(case)
     counts, kept, other = pi.Counts(), *(tuple(np.zeros((2, STEPS, case.n))) for _ in range(2))
-    found = swept(SceneSweep(case, settings, H, counts), steps, kept)
-    wanted = swept(PlainSweep(case, settings, H, pi.Counts()), steps, other)
+    found = swept(Sweep(case, settings, H, counts), steps, kept)
+    wanted = swept(exact(case, settings, H, pi.Counts()), steps, other)
     assert agree([*found, *kept], [*wanted, *other])
     assert counts.factorizations == 1 and counts.solves < 6 * STEPS + 2 * case.n_points
 
@@ -106,18 +115,19 @@ def test_factors_by_cell_are_in_it(scenes):
     random = np.random.default_rng(1)
     model = model.with_factors(upper=tuple(random.uniform(0.1, 2.0, (2, 12))))
     settings, steps = steps_of(model)
-    assert agree(swept(SceneSweep(model, settings, H, pi.Counts()), steps), swept(PlainSweep(model, settings, H, pi.Counts()), steps))
+    assert agree(swept(Sweep(model, settings, H, pi.Counts()), steps), swept(exact(model, settings, H, pi.Counts()), steps))
 
 
 def test_a_factor_that_is_too_old_is_made_anew(scenes):
     model = scenes.jointed("revolute", cells=12).build()
     settings, steps = steps_of(model)
-    wanted = swept(SceneSweep(model, settings, H, pi.Counts()), steps)
+    wanted = swept(Sweep(model, settings, H, pi.Counts()), steps)
     counts = pi.Counts()
-    sweep, other = (SceneSweep(model, settings, h, counts) for h in (H, 0.2 * H))
+    sweep, other = (Sweep(model, settings, h, counts) for h in (H, 0.2 * H))
     for one in (sweep, other):
-        one._factor(*(x[-1] for x in steps[:5]))
-    sweep.system = other.system
+        one.table.take(*steps[:5])
+        one.table.prepare(STEPS - 1)
+    sweep.table.system = other.table.system
     assert agree(swept(sweep, steps), wanted) and counts.factorizations == 3
 
 
@@ -125,10 +135,10 @@ def test_a_step_that_no_factor_contracts_is_solved_directly(scenes, monkeypatch)
     model = scenes.jointed("slot", cells=12).build()
     settings, steps = steps_of(model)
     kept, other = (tuple(np.zeros((2, STEPS, model.n))) for _ in range(2))
-    wanted = swept(PlainSweep(model, settings, H, pi.Counts()), steps, other)
+    wanted = swept(exact(model, settings, H, pi.Counts()), steps, other)
     compiled, calls = loop.stretch, iter(range(99))
-    monkeypatch.setattr(loop, "stretch", lambda *given: (given[8], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
-    assert agree([*swept(SceneSweep(model, settings, H, pi.Counts()), steps, kept), *kept], [*wanted, *other])
+    monkeypatch.setattr(loop, "stretch", lambda *given: (given[5], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
+    assert agree([*swept(Sweep(model, settings, H, pi.Counts()), steps, kept), *kept], [*wanted, *other])
 
 
 def test_frames_that_an_objective_does_not_see_cost_next_to_nothing(scenes):
@@ -136,9 +146,9 @@ def test_frames_that_an_objective_does_not_see_cost_next_to_nothing(scenes):
     settings, (*frames, own, sent) = steps_of(model)
     for part in (own.q, own.v, own.a, own.lam):
         part[3:] = 0.0
-    found = SceneSweep(model, settings, H, counts).back(*frames, own, sent)
-    wanted = PlainSweep(model, settings, H, pi.Counts()).back(*frames, own, sent)
-    assert agree([*found.sent, found.w], [*wanted.sent, wanted.w]) and not found.w[3:].any()
+    found = Sweep(model, settings, H, counts).back(*frames, own, sent)
+    wanted = exact(model, settings, H, pi.Counts()).back(*frames, own, sent)
+    assert agree([*found.bars, found.w], [*wanted.bars, wanted.w]) and not found.w[3:].any()
     assert counts.factorizations == 1 and counts.solves < STEPS - 3 + 6 * 3 + 2 * model.n_points
 
 
@@ -146,12 +156,12 @@ def test_stretches_one_by_one_are_the_whole(scenes):
     model = scenes.jointed("motor to ground", cells=12).build()
     settings, (*frames, own, sent) = steps_of(model)
     counts = [pi.Counts(), pi.Counts()]
-    wanted = swept(SceneSweep(model, settings, H, counts[0]), (*frames, own, sent))
-    sweep, parts = SceneSweep(model, settings, H, counts[1]), []
+    wanted = swept(Sweep(model, settings, H, counts[0]), (*frames, own, sent))
+    sweep, parts = Sweep(model, settings, H, counts[1]), []
     for part in (slice(5, None), slice(0, 5)):
         slopes = Slopes(**{name: getattr(own, name)[part] for name in ("q", "v", "a", "lam")})
         found = sweep.back(*(x[part] for x in frames), slopes, sent)
-        sent = found.sent
+        sent = found.bars
         parts.insert(0, (found.w, found.mu))
     assert all(np.array_equal(x, y) for x, y in zip([*sent, *map(np.concatenate, zip(*parts))], wanted))
     assert vars(counts[0]) == vars(counts[1])
@@ -160,11 +170,11 @@ def test_stretches_one_by_one_are_the_whole(scenes):
 def test_w_is_as_exact_as_newton_makes_worth_while(scenes):
     model, errors = scenes.jointed("revolute", cells=12).build(), []
     _, steps = steps_of(model)
-    wanted = swept(PlainSweep(model, pi.GeneralizedAlpha(h=H), H, pi.Counts()), steps)
+    wanted = swept(exact(model, pi.GeneralizedAlpha(h=H), H, pi.Counts()), steps)
     solves = []
     for tolerance in (1e-4, 1e-6, 1e-8):
         counts = pi.Counts()
-        found = swept(SceneSweep(model, pi.GeneralizedAlpha(h=H, tolerance=tolerance), H, counts), steps)
+        found = swept(Sweep(model, pi.GeneralizedAlpha(h=H, tolerance=tolerance), H, counts), steps)
         errors.append(np.linalg.norm(found[4] - wanted[4]) / np.linalg.norm(wanted[4]))
         solves.append(counts.solves)
         assert errors[-1] < 0.1 * tolerance
@@ -177,7 +187,22 @@ def test_two_threads_give_the_same(scenes, monkeypatch):
     model = scenes.jointed("revolute").build()
     settings, steps = steps_of(model)
     try:
-        alone, together = ((pi.threads(count), swept(SceneSweep(model, settings, H, pi.Counts()), steps))[1] for count in (1, 2))
+        alone, together = ((pi.threads(count), swept(Sweep(model, settings, H, pi.Counts()), steps))[1] for count in (1, 2))
     finally:
         pi.threads(1)
     assert agree(together, alone)
+
+
+@pytest.mark.parametrize(("problem", "by_numba"), [(pendulum, False), (pendulum, True), (car_axis, True), (andrews, False)])
+def test_small_models_of_ones_own_take_compiled_steps(problem, by_numba):
+    given = problem.problem()
+    kind, settings, random = type(given.model), pi.GeneralizedAlpha(h=1e-4, tolerance=1e-11), np.random.default_rng(0)
+    model = (pi.compiled(type(kind.__name__, (kind,), {})) if by_numba else kind)()
+    run = pi.solve(model, STEPS * 1e-4, settings, q0=given.q0, v0=given.v0)
+    frames = tuple(np.array(x[1:]) for x in (run.t, run.q, run.v, run.a, run.lam))
+    own = Slopes(**{name: random.standard_normal(x.shape) for name, x in (("q", frames[1]), ("lam", frames[4]))})
+    steps, model, counts = (*frames, own, AdjointState(*np.zeros((4, model.n)))), guard(model), pi.Counts()
+    sweep = Sweep(model, settings, 1e-4, counts)
+    assert type(sweep.table) is DenseAdjoint
+    assert agree(swept(sweep, steps), swept(exact(model, settings, 1e-4, pi.Counts()), steps), 1e-7)
+    assert counts.solves == STEPS

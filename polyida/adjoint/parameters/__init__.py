@@ -2,14 +2,11 @@
 
 from typing import Any
 
-from polyida.adjoint.parameters.driven.drives import drive_works
-from polyida.adjoint.parameters.driven.in_time import in_time
-from polyida.adjoint.parameters.driven.profiles import of_profiles
-from polyida.adjoint.parameters.fields import of_fields
-from polyida.adjoint.parameters.loads import of_loads, of_motions
-from polyida.adjoint.parameters.own import of_own
+from polyida.adjoint.parameters.drives import drive_works, in_time
+from polyida.adjoint.parameters.numbers import of_fields, of_own
 from polyida.adjoint.parameters.parameter import Parameter, Shared
-from polyida.adjoint.parameters.plates import of_plates
+from polyida.adjoint.parameters.parts import of_loads, of_motions, of_plates
+from polyida.adjoint.parameters.profiles import of_profiles
 from polyida.assembly.bodies.motion import motion_slopes, moves_at
 
 __all__ = ["Parameter", "in_time", "parameters_of"]

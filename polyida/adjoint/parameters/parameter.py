@@ -1,16 +1,18 @@
-"""What a model's parameter answers: its slope in a sum over a run, and the model with another value."""
+"""A parameter of a model: its slope in a sum over a run, and the model with another value of it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.assembly.scene_model import SceneModel
+from polyida.joint.attachment import Attachment
 from polyida.model.differences import EVERYWHERE
 
 
-class Work(NamedTuple):
+class AdjointMultipliers(NamedTuple):
     """States t (k,), q, v, a (k, n), lam (k, m), and what multiplies each of their equations.
 
     w (k, n) multiplies the residual r, mu (k, m) the constraints phi, kappa (k, m) their rate `phi_q v + phi_t` and nu (k, m)
@@ -29,15 +31,15 @@ class Work(NamedTuple):
 
 
 def stacked(entries):
-    """One Work of entries of single states, or None where there is none."""
+    """One AdjointMultipliers of entries of single states, or None where there is none."""
     if not entries:
         return None
-    return Work(np.array([entry.t for entry in entries]), *(np.stack(column) for column in list(zip(*entries))[1:]))
+    return AdjointMultipliers(np.array([entry.t for entry in entries]), *(np.stack(column) for column in list(zip(*entries))[1:]))
 
 
 @dataclass(eq=False)
 class Shared:
-    """`make(model, work)`, kept for the last Work that it was asked for."""
+    """`make(model, work)`, kept for the last AdjointMultipliers that it was asked for."""
 
     make: Callable[[Any, Any], Any]
     model: Any
@@ -65,7 +67,7 @@ class Parameter:
     changes_coordinates = False  # whether the same q may be another position with it
     room = EVERYWHERE  # in which it may be changed
 
-    def work(self, work: Work) -> Any:
+    def slope(self, work: AdjointMultipliers) -> Any:
         """The slope, of the shape of the value, of the sum over the entries of `w . r + mu . phi + kappa . rate + nu . bias`.
 
         Times stay; entries beside a kink stay on their side of it.
@@ -89,7 +91,20 @@ class Parameter:
         return {}
 
 
-def total(model: Any, work: Work) -> float:
+@dataclass(frozen=True, eq=False)
+class OfPart(Parameter):
+    """A number, or numbers, in a field of a part of a scene. part: its name. path: the names of the fields, from the part inwards."""
+
+    part: str
+    path: tuple
+
+    def replaced(self, value):
+        """The scene with the part of another value."""
+        given = tuple(value) if np.ndim(value) else value
+        return with_part(self.model, self.part, changed(self.model.parts[self.part], self.path, given))
+
+
+def total(model: Any, work: AdjointMultipliers) -> float:
     """`sum w . r + mu . phi + kappa . rate + nu . bias` of a model over the entries."""
     terms = ((model.phi, work.mu, False), (model.phi_rate, work.kappa, True), (model.phi_bias, work.nu, True))
     result = 0.0
@@ -99,3 +114,45 @@ def total(model: Any, work: Work) -> float:
             if factor is not None and model.m:
                 result += factor[k] @ (function(t, q, v) if moving else function(t, q))
     return float(result)
+
+
+def rebuilt(model, parts, gravity=None):
+    """The model of other parts of the same names, with the factors of this one."""
+    made = SceneModel(parts, model.gravity if gravity is None else gravity, model.treats_redundant)
+    return made.with_factors(**model.factors) if model.factors else made
+
+
+def changed(part, path, value):
+    """The part with another value in a field, or in that of what stands in a field: path, their names."""
+    key, *inner = path
+    return replace(part, **{key: changed(getattr(part, key), inner, value) if inner else value})
+
+
+def with_part(model, name, new):
+    """The model with a part changed; what holds on to a body holds on to the changed one."""
+    old = model.parts[name]
+    on_new = lambda value: value.on(new) if isinstance(value, Attachment) and value.body is old else value  # noqa: E731
+    return rebuilt(model, {known: new if part is old else _with(part, on_new) for known, part in model.parts.items()})
+
+
+def with_profile(model, old, new):
+    """The model with another profile wherever it has this one."""
+    parts = {name: holding_profile(part, old, new) for name, part in model.parts.items()}
+    return rebuilt(model, parts, tuple(new if g is old else g for g in model.gravity))
+
+
+def holding_profile(part, old, new):
+    """The part with another profile in its fields, alone or in a tuple, in place of one; itself where it has not that."""
+    return _with(part, lambda value: new if value is old else value)
+
+
+def _with(part, change):
+    """The part with `change` done to its fields and to what tuples among them hold; itself where that changes nothing."""
+    given = {field.name: getattr(part, field.name) for field in fields(part) if field.init}
+    found = {name: tuple(map(change, value)) if isinstance(value, tuple) else change(value) for name, value in given.items()}
+    different = {name: value for name, value in found.items() if not _same(value, given[name])}
+    return replace(part, **different) if different else part
+
+
+def _same(one, other):
+    return one is other or isinstance(one, tuple) and len(one) == len(other) and all(x is y for x, y in zip(one, other))

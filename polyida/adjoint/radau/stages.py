@@ -5,9 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.adjoint.alpha.again import Again
-from polyida.adjoint.radau.equations import Linearised
-from polyida.adjoint.steps.course import Course, Piece, every_step, reader, taken_again
+from polyida.adjoint.history import StepHistory, StepSegment, every_step, frame_reader, replayed_history
+from polyida.adjoint.radau.equations import StageEquations
 from polyida.errors import StepFailure
 from polyida.integrate.kinks import Grid, at_kink, beside, inner_side
 from polyida.integrate.radau.loop import EXACT
@@ -40,7 +39,7 @@ class Stages(NamedTuple):
     mu: np.ndarray
 
 
-class StagesAgain:
+class SolvedStages:
     """Of a model and the settings of its run, which began with a state.
 
     lift (n,): the diagonal of D^-1, lifts: whether that is made of M; tied: whether there is mu; moves_v: whether the end's v is
@@ -69,7 +68,7 @@ class StagesAgain:
     def _fully(self, state, h, failure):
         """The same by Newton's full method, where the simplified one, from between the step's ends, does not get there as the run did."""
         self._between(state, h)
-        x, full = self.engine.trial, Linearised(self.model, self.tableau, self.lift, self.tied, self.engine.counts)
+        x, full = self.engine.trial, StageEquations(self.model, self.tableau, self.lift, self.tied, self.engine.counts)
         for _ in range(MOST):
             full.at(self._stages(state, h))
             changes = full.newton()
@@ -118,13 +117,15 @@ def begun(model, state):
     return restarted(far_side(model, state, beside(state.t, 1))) if at_kink(model, state.t) else state
 
 
-def course_of(run, model, memory_limit=MEMORY_LIMIT):
-    """The Course of a run, each step a Piece of its own. Raises InputError where frames are no states, or memory is short."""
+def step_history(run, model, memory_limit=MEMORY_LIMIT):
+    """The StepHistory of a run, each step a StepSegment of its own. Raises InputError where frames are no states, or memory is short."""
     if every_step(run) and (run.integrator.adaptive or not run.counts.rejected):
-        pieces = [Piece("on" if k else "begin", 0.0, h, k, 1) for k, h in enumerate(np.diff(run.t).tolist())]
-        return Course(pieces, reader(run), np.arange(len(run)))
-    found = taken_again(run, model, memory_limit / LARGER, _accepted, True)
-    return found._replace(pieces=[piece._replace(first=piece.first + k, count=1) for piece in found.pieces for k in range(piece.count)])
+        segments = [StepSegment("on" if k else "begin", 0.0, h, k, 1) for k, h in enumerate(np.diff(run.t).tolist())]
+        return StepHistory(segments, frame_reader(run), np.arange(len(run)))
+    found = replayed_history(run, model, memory_limit / LARGER, _accepted, True)
+    return found._replace(
+        segments=[segment._replace(first=segment.first + k, count=1) for segment in found.segments for k in range(segment.count)]
+    )
 
 
 def _accepted(run, model, seen):
@@ -152,20 +153,3 @@ def _parts(settings, model, state, end):
     for k in range(1, parts.count):
         state = engine.step(state, parts.h, parts.time(k))
         yield state
-
-
-class RadauAgain(Again):
-    """As Again, each step solved to round-off."""
-
-    course_of = staticmethod(course_of)
-
-    def _exact(self, settings):
-        return settings
-
-    def _taken(self, model, state, times):
-        states, engine = [state], exact_steps(model, self.settings, state, float(self.run.t[-1]), Counts())
-        for piece in self.course.pieces:
-            state, t = begun(model, states[-1]), times(piece.first + 1)
-            engine.limits = within(model, state.t, t)
-            states.append(engine.step(state, t - state.t, t))
-        return states

@@ -1,18 +1,94 @@
-"""A model whose functions take and give vectors on a tape: what is made of them by a method's own code is differentiated backwards.
+"""Reverse accumulation: vectors on a tape, and a model whose functions take them, so that a method's own code is differentiated backward.
 
-Of each function it knows the vector-Jacobian product in q, v and its other vectors, from the model's own derivatives; the slope in
-parameters is left as an entry of `entries`: what multiplies r, phi, its rate and its bias in which state (see Work).
+Of each function of the model the vector-Jacobian products in q, v and its other vectors come from the model's own derivatives; the slope in
+parameters is left as an entry of `entries`: what multiplies r, phi, its rate and its bias in which state (see AdjointMultipliers).
 """
 
 import numpy as np
 
-from polyida.adjoint.parameters.parameter import Work
-from polyida.adjoint.taped.tape import add_to, value_of
+from polyida.adjoint.parameters.parameter import AdjointMultipliers
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate
 from polyida.integrate.state import Counts
 from polyida.linear.refined import ExactSaddle
 from polyida.model.differences import along, central
+
+
+class Tape:
+    """What was done, in order; `back` goes through it in reverse."""
+
+    def __init__(self):
+        self.done = []
+
+    def var(self, value):
+        """A vector that others are made of."""
+        return Var(self, np.array(value, float))
+
+    def noted(self, values, back):
+        """Vectors of these values, made together: back takes the bars of all of them, and adds to those of what they were made of."""
+        found = [self.var(value) for value in values]
+        self.done.append((found, back))
+        return found
+
+    def back(self):
+        """Send all bars to where they come from; nothing is left on the tape, so that it keeps no model alive."""
+        while self.done:
+            found, back = self.done.pop()
+            if any(var.bar.any() for var in found):
+                back(*(var.bar for var in found))
+
+
+class Var:
+    """A vector on a tape: value, and bar, the slope of the objective in it. Numbers and arrays may stand beside it in sums."""
+
+    __array_ufunc__ = None  # numpy leaves sums and products to this class
+
+    def __init__(self, tape, value):
+        self.tape, self.value, self.bar = tape, value, np.zeros_like(value)
+
+    def _made(self, value, *terms):
+        """A vector that is a sum of terms, (vector, factor) each; value: its own."""
+
+        def back(bar):
+            for thing, factor in terms:
+                add_to(thing, factor * bar)
+
+        return self.tape.noted([value], back)[0]
+
+    def __add__(self, other):
+        return self._made(self.value + value_of(other), (self, 1.0), (other, 1.0))
+
+    def __sub__(self, other):
+        return self._made(self.value - value_of(other), (self, 1.0), (other, -1.0))
+
+    def __rsub__(self, other):
+        return self._made(other - self.value, (self, -1.0))
+
+    def __mul__(self, factor):
+        return self._made(factor * self.value, (self, factor))
+
+    def __truediv__(self, factor):
+        return self * (1.0 / factor)
+
+    def __neg__(self):
+        return self * -1.0
+
+    def any(self):
+        """True: whether it is zero is not asked of a vector that may move."""
+        return True
+
+    __radd__, __rmul__ = __add__, __mul__
+
+
+def value_of(thing):
+    """The numbers of a Var, or what is given."""
+    return thing.value if isinstance(thing, Var) else thing
+
+
+def add_to(thing, bar):
+    """Add to the bar of a Var; what is none has no use for it."""
+    if isinstance(thing, Var):
+        thing.bar = thing.bar + bar
 
 
 class TapedModel:
@@ -28,7 +104,7 @@ class TapedModel:
         zero, rows = self._none
         vectors = [zero if x is None else value_of(x) for x in (v, a)]
         lam, w = (none if x is None else value_of(x) for x, none in ((lam, rows), (w, zero)))
-        self.entries.append(Work(t, value_of(q), *vectors, lam, w, *(more.get(name, rows) for name in ("mu", "kappa", "nu"))))
+        self.entries.append(AdjointMultipliers(t, value_of(q), *vectors, lam, w, *(more.get(name, rows) for name in ("mu", "kappa", "nu"))))
 
     def force(self, t, q, v):
         """g, with force_q and force_v."""
@@ -195,6 +271,6 @@ def residual_v(model, t, q, v, w):
 
 
 def _products(model, t, q, v, lam, w):
-    from polyida.adjoint.scene.products import products_at
+    from polyida.adjoint.tables.products import products_at
 
     return products_at(model, model.drives(t), q, v, lam, w, np.zeros(model.m))

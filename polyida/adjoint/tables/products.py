@@ -1,5 +1,6 @@
 """Products of a scene's matrices with a field at one state: `K^T w + B^T mu`, `M w` and `C^T w`, without a matrix."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,8 @@ from polyida.element import kernels, stabilisation
 from polyida.element.paired import product
 from polyida.jit import entry, pack, part
 from polyida.linear.dense import clear
+
+fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
 
 @pack

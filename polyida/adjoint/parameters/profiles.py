@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.adjoint.parameters.driven.times import kink_speeds, over, slope_over
-from polyida.adjoint.parameters.parameter import Parameter, Work
-from polyida.adjoint.parameters.rebuilt import with_profile
+from polyida.adjoint.parameters.drives import kink_speeds, over, slope_over
+from polyida.adjoint.parameters.parameter import AdjointMultipliers, Parameter, with_profile
 from polyida.assembly.loads import GRAVITY
 from polyida.errors import InputError
 from polyida.force.loads import EdgeTraction, PointLoad
@@ -25,7 +24,7 @@ DEFAULTS = tuple(kind.profile for kind in (PointLoad, EdgeTraction))  # of loads
 class OfProfile(Parameter):
     """A number of a profile, wherever the scene has that.
 
-    drive: which of the model's profiles. made: the profile of another number. scale: over which it varies with that. works: of a Work,
+    drive: which of the model's profiles. made: the profile of another number. scale: over which it varies with that. works: of AdjointMultipliers,
     what the drives are multiplied by. slopes: of (t, q, bar), the MotionSlopes of the start. asked: where the profile's own numbers say
     the same.
     """
@@ -43,7 +42,7 @@ class OfProfile(Parameter):
         """The profile as it is."""
         return self.model.profiles[self.drive]
 
-    def work(self, work):
+    def slope(self, work):
         """`sum (w . dr/dp + mu . dphi/dp + ...)` by the profile's slopes in value, rate and second derivative."""
         each = self.works(work)[:, self.drive]
         used, orders = np.flatnonzero(each.any(axis=1)), np.flatnonzero(each.any(axis=0))
@@ -59,7 +58,7 @@ class OfProfile(Parameter):
         none = np.zeros_like(found.lam)
         entries = (found.v, found.lam, found.left, none, found.kappa), (found.v, none, -found.left, none, none)  # but for loads
         v, lam, w, mu, kappa = map(np.stack, zip(*entries))
-        return self.work(Work(np.full(2, t), np.stack((q, q)), v, np.zeros_like(v), lam, w, mu, kappa))
+        return self.slope(AdjointMultipliers(np.full(2, t), np.stack((q, q)), v, np.zeros_like(v), lam, w, mu, kappa))
 
     def _slopes(self, orders, t):
         return slope_over(self.profile, self._near, self.scale(t), self._speeds, orders, t)

@@ -9,9 +9,8 @@ K, B, r and phi are those at the equilibrium; of one for small displacements tho
 
 import numpy as np
 
-from polyida.adjoint.parameters.parameter import Work
-from polyida.adjoint.result import Gradient
-from polyida.adjoint.totals import Totals
+from polyida.adjoint.parameters.parameter import AdjointMultipliers
+from polyida.adjoint.totals import Gradient, Totals
 from polyida.errors import StepFailure
 from polyida.integrate.start import VIOLATION
 from polyida.integrate.state import Counts
@@ -25,53 +24,39 @@ from polyida.objective.slopes import along_way
 TOLERANCE = 1e-13  # of Newton's method, in what differences are made of
 
 
-def gradient_of_static(equilibrium, objective, names=None):
-    """The Gradient of an objective of an Equilibrium. Raises StepFailure where the structure can move freely."""
-    totals, counts = Totals(equilibrium.model, names), Counts()
-    own = objective.slopes(equilibrium)(slice(0, 1))
+def gradient_of_state(subject, objective, names=None):
+    """The Gradient of an objective of an Equilibrium, or of Modes. Raises StepFailure where the structure can move freely."""
+    totals, counts = Totals(subject.model, names), Counts()
+    own = objective.slopes(subject)(slice(0, 1))
     totals.own(own)
-    for work in adjoint_of_static(equilibrium, own, counts):
-        totals.work(work)
-    return Gradient(objective(equilibrium), totals.slopes(), counts, totals.left_out)
+    equilibrium = subject.state if isinstance(subject, Modes) else subject
+    if isinstance(equilibrium, Equilibrium):
+        for multipliers in adjoint_of_static(equilibrium, own, counts):
+            totals.add(multipliers)
+    return Gradient(objective(subject), totals.slopes(), counts, totals.left_out)
 
 
 def adjoint_of_static(equilibrium, own, counts):
-    """Yield the Works of an equilibrium for an objective's own Slopes in it; none where these are zero."""
+    """Yield the AdjointMultipliers of an equilibrium for an objective's own Slopes in it; none where these are zero."""
     model, t, lam = guard(equilibrium.model), equilibrium.t, equilibrium.lam
     j_q, j_lam = (np.zeros(x.shape) if slope is None else slope[0] for x, slope in ((equilibrium.q, own.q), (lam, own.lam)))
     if not (j_q.any() or j_lam.any()):
         return
     still, none = np.zeros(model.n), np.zeros(model.m)
     about = (still, none) if equilibrium.linear else (equilibrium.q, lam)
-    w, mu = _solved(model, t, *about, j_q, j_lam, counts)
-    entry = (t, about[0], still, still, lam, w, mu)
-    yield Work(*(np.asarray(x, float)[None] for x in entry))
-    if equilibrium.linear:
-        yield Work(*along_way(model, t, still, none, equilibrium.q, w, mu))
-
-
-def _solved(model, t, q, lam, j_q, j_lam, counts):
-    still = np.zeros(model.n)
-    K = model.tangent(t, q, still, still, lam, 0.0, 0.0, 1.0)
+    K = model.tangent(t, about[0], still, still, about[1], 0.0, 0.0, 1.0)
     counts.tangents, counts.factorizations, counts.solves = 1, 1, 1
     try:
-        return KKT(K, model.phi_q(t, q), scaling_factors("physical", 1.0, K)).adjoint(j_q, j_lam)
+        w, mu = KKT(K, model.phi_q(t, about[0]), scaling_factors("physical", 1.0, K)).adjoint(j_q, j_lam)
     except SingularSystem:
         raise StepFailure("singular", FREE, t) from None
+    entry = (t, about[0], still, still, lam, w, mu)
+    yield AdjointMultipliers(*(np.asarray(x, float)[None] for x in entry))
+    if equilibrium.linear:
+        yield AdjointMultipliers(*along_way(model, t, still, none, equilibrium.q, w, mu))
 
 
-def gradient_of_modes(modes, objective, names=None):
-    """The Gradient of an objective of Modes."""
-    totals, counts = Totals(modes.model, names), Counts()
-    own = objective.slopes(modes)(slice(0, 1))
-    totals.own(own)
-    if isinstance(modes.state, Equilibrium):
-        for work in adjoint_of_static(modes.state, own, counts):
-            totals.work(work)
-    return Gradient(objective(modes), totals.slopes(), counts, totals.left_out)
-
-
-class StillAgain:
+class ReplayedState:
     """An Equilibrium, or Modes, to be found again; state: the equilibrium itself, or what the modes are about."""
 
     def __init__(self, subject):

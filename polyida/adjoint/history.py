@@ -1,0 +1,247 @@
+"""The steps that a run took, and what each segment of equal ones began from: read from its frames, or taken again.
+
+Where memory is short, checkpoints are kept, between which the run is taken a third time.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.integrate.kinks import enough_steps, stretches
+from polyida.integrate.state import Counts, State, States
+from polyida.integrate.switches import steps_of
+from polyida.io.frames import MEMORY_LIMIT
+
+SAME = 1e-9  # steps that differ by less of their size are equal
+NUMBERS = 10  # of a State's vectors of n numbers, its memory with them
+
+
+class StepSegment(NamedTuple):
+    """Equal steps of h from state number `first` on, `count` of them.
+
+    kind: how they began: "begin", as a run does, "cut", as within a step that failed, or "on", behind steps of `before`, s.
+    """
+
+    kind: str
+    before: float
+    h: float
+    first: int
+    count: int  # type: ignore[assignment]  # a tuple has a method of this name, of no use here
+
+    def memory(self, ahead):
+        """What generalized-alpha's memory holds of the steps before; ahead: the algorithmic acceleration that they left."""
+        return {"begin": {}, "cut": {"cut": 1.0, "h": 0.0}, "on": {"a_alg": ahead, "h": self.before}}[self.kind]
+
+
+class StepHistory(NamedTuple):
+    """All accepted states of a run in order, its beginning first, and the segments between them.
+
+    states: a function (first, end) -> (t, q, v, a, lam) of those numbers. frames (states,): which frame of the run each is, or -1.
+    """
+
+    segments: list
+    states: Any
+    frames: np.ndarray
+
+
+def replayed_state(history, number, memory=None):
+    """The State of a number, with some memory."""
+    t, *vectors = (x[0] for x in history.states(number, number + 1))
+    return State(float(t), *vectors, memory or {})
+
+
+class HistoryLimits(NamedTuple):
+    """What may be held: `steps`, where it is all of a run's; else `between` two checkpoints, and `checkpoints` of these. limit: in bytes."""
+
+    steps: float
+    between: float
+    checkpoints: float
+    limit: float
+
+    @classmethod
+    def of(cls, model, memory_limit, repeats):
+        """Of a number of bytes, half of them for checkpoints where these are of use, since steps behind them repeat."""
+        frame, half = 8 * (3 * model.n + model.m), memory_limit / 2
+        if not repeats:
+            return cls(memory_limit / frame, np.inf, np.inf, memory_limit)
+        return cls(memory_limit / frame, half / frame / 2, half / (8 * NUMBERS * model.n), memory_limit)
+
+
+class StepRecorder:
+    """What the engine of a run says of its beginnings and steps; attempts that failed are forgotten.
+
+    states: {number: State}, of all steps, or None where these have no room. checkpoints: those of them that a run can go on from. times: of
+    the states from number `first` on.
+    """
+
+    def __init__(self, state, room, first=0):
+        self.room, self.first, self.times, self.segments, self.moving = room, first, [state.t], [], "a_alg" in state.memory
+        self.states, self.checkpoints = {first: state}, {first: state}
+
+    @property
+    def last(self):
+        """The number of the last state."""
+        return self.first + len(self.times) - 1
+
+    def begun(self, ready, h):
+        """Steps of h begin at a state."""
+        self._forget(ready.t)
+        last = self.segments[-1] if self.segments else None
+        kind = "cut" if "cut" in ready.memory else "on" if last and self.moving else "begin"
+        self.segments.append(StepSegment(kind, last.h if last else 0.0, h, self.last, 0))
+        self.moving = True
+
+    def stepped(self, state):
+        """A step ended."""
+        self.times.append(state.t)
+        if self.states is not None:
+            self.states[self.last] = state
+        self.segments[-1] = self.segments[-1]._replace(count=self.segments[-1].count + 1)
+
+    def accepted(self, state):
+        """A step of the run ended: one at rest, where nobody stepped."""
+        if state.t > self.times[-1]:
+            h, last = state.t - self.times[-1], self.segments[-1] if self.segments else None
+            if self.moving or not last or abs(last.h - h) > SAME * h:
+                self.segments.append(StepSegment("on" if self.moving else "begin", last.h if last else 0.0, h, self.last, 0))
+            self.stepped(state)
+            self.moving = False
+        if state.restart and self.last - max(self.checkpoints) >= self.room.between:
+            self.checkpoints[self.last] = state
+        if self.states is not None and len(self.states) > self.room.steps:
+            self.states = None
+        if self.states is None and len(self.checkpoints) > self.room.checkpoints:
+            raise InputError(
+                f"gradient: memory_limit = {self.room.limit:.3g} bytes has no room for checkpoints of the {self.last} steps so far; allow more"
+            )
+
+    def _forget(self, t):
+        """All that came after t, of an attempt that failed."""
+        while self.segments and (self.times[-1] > t or not self.segments[-1].count):
+            last = self.segments.pop()
+            if last.count:
+                if self.states is not None:
+                    del self.states[self.last]
+                self.times.pop()
+                self.segments.append(last._replace(count=last.count - 1))
+
+
+class CheckpointedStates:
+    """The states of a recorded run: those it holds, or those behind a checkpoint, taken again and held till others are asked for.
+
+    again: a function (StepRecorder) that gives the accepted states behind its first one.
+    """
+
+    def __init__(self, again, seen):
+        self.again, self.checkpoints, self.end = again, seen.checkpoints, seen.last
+        self.states = {} if seen.states is None else seen.states
+
+    def vectors(self, first, end):
+        """(q, v, a, lam) of the states from number `first` to before `end`, (count, .) each."""
+        if first not in self.states or end - 1 not in self.states:
+            start = max(k for k in self.checkpoints if k <= first)
+            stop = min((k for k in self.checkpoints if k > max(first, end - 1)), default=self.end)
+            self.states = {}
+            kept = StepRecorder(self.checkpoints[start], HistoryLimits(*[np.inf] * 4), start)
+            for _ in self.again(kept):
+                if kept.last >= stop:
+                    break
+            self.states = kept.states
+        part = [self.states[k] for k in range(first, end)]
+        return tuple(np.array([getattr(state, name) for state in part]) for name in ("q", "v", "a", "lam"))
+
+
+def step_history(run, model, memory_limit=MEMORY_LIMIT):
+    """The StepHistory of a run: read from its frames where these are all of its steps, run again otherwise."""
+    repeats = run.integrator.h is not None and not run.integrator.adaptive  # steps behind a checkpoint are those of the run, bit by bit
+    if every_step(run) and repeats and not run.counts.rejected:
+        return _of_frames(run, model)
+    return replayed_history(run, model, memory_limit, _accepted, repeats)
+
+
+def every_step(run):
+    """Whether the frames are the ends of all steps that did not fail."""
+    return run.plan.get("every", 1) == 1 and not run.plan.get("output") and _double(run) and run.status != "stopped"
+
+
+def _double(run):
+    return run.plan.get("precision", "double") == "double"
+
+
+def _of_frames(run, model):
+    """The StepHistory of steps that nothing but h and kinks chose. Raises InputError if the run is of another model or integrator."""
+    segments, done, moving = [], 0, False
+    for begin, end, most in stretches(model, float(run.t[0]), run.plan.get("t_end", float(run.t[-1])), run.integrator.h):
+        state = State(begin, *(np.asarray(x[done], float) for x in (run.q, run.v, run.a, run.lam)))
+        count = enough_steps(model, state, begin, end, min(run.integrator.h, most))
+        h, count = (end - begin) / count, min(count, len(run) - 1 - done)
+        resting = next((k for k in range(count) if not _rests(run, done + k)), count)  # behind these a run begins anew
+        for still, number in ((True, resting), (False, count - resting)):
+            if number:
+                segments.append(StepSegment("on" if moving else "begin", segments[-1].h if segments else 0.0, h, done, number))
+                done, moving = done + number, not still
+        if done >= len(run) - 1:
+            break
+    for _, _, h, first, count in segments:
+        if abs(run.t[first + count] - run.t[first] - count * h) > SAME * h * count:
+            raise InputError(f"gradient: the run's frames from t = {run.t[first]:.9g} s on are not steps of {h:.6g} s of its model")
+    return StepHistory(segments, frame_reader(run), np.arange(len(run)))
+
+
+def _rests(run, k):
+    """Whether the step behind frame k left it as it is, at rest."""
+    return not run.v[k].any() and all(np.array_equal(x[k], x[k + 1]) for x in (run.q, run.v, run.a, run.lam))
+
+
+def frame_reader(run):
+    """A function (first, end) that gives the run's own frames."""
+    arrays = run.t, run.q, run.v, run.a, run.lam
+    return lambda first, end: tuple(np.asarray(x[first:end], float) for x in arrays)
+
+
+def replayed_history(run, model, memory_limit, accepted, repeats):
+    """The StepHistory of a run that is taken again.
+
+    accepted: a function (run, model, StepRecorder) that gives the states behind the first of a StepRecorder, and tells it of all steps.
+    repeats: whether those behind a checkpoint are the same bit by bit. Raises InputError where forces jump at a switch, where frames are no
+    states of the steps, and where memory is short.
+    """
+    begin = State(float(run.t[0]), *(np.array(x[0], float) for x in (run.q, run.v, run.a, run.lam)))
+    seen = StepRecorder(begin, HistoryLimits.of(model, memory_limit, repeats))
+    for state in accepted(run, model, seen):
+        if state.memory.get("jumped"):
+            raise InputError(
+                f"gradient: the forces jump at t = {state.t:.6g} s, where a gap changes sign or the shortest step is too long for a contact; "
+                "slopes are taken with the times of switches held, "
+                "which is right for continuous forces only; use a force that grows from zero at its gap, or differences of runs"
+            )
+        if state.t >= run.t[-1]:
+            break
+    t = np.array(seen.times)
+    frames = np.searchsorted(run.t, t)
+    frames[~np.isin(t, run.t)] = -1
+    if len(np.unique(frames[frames >= 0])) < len(run):
+        lost = np.setdiff1d(np.arange(len(run)), frames)[0]
+        raise InputError(
+            f"gradient: the frame at t = {run.t[lost]:.9g} s lies between two steps, or another run's; keep the ends of steps: "
+            "solve without `output` and `until`"
+        )
+    if seen.states is None and not repeats:
+        if not ((frames >= 0).all() and _double(run)):
+            raise InputError(
+                f"gradient: memory_limit = {memory_limit:.3g} bytes has no room for the {len(frames) - 1} steps of the run, and adaptive steps "
+                "cannot be taken again from checkpoints; allow more, or keep every step as a frame"
+            )
+        return StepHistory(seen.segments, frame_reader(run), frames)
+    kept = CheckpointedStates(lambda again: accepted(run, model, again), seen)
+    return StepHistory(seen.segments, lambda first, end: (t[first:end], *kept.vectors(first, end)), frames)
+
+
+def _accepted(run, model, seen):
+    """The accepted states of the run behind the first that `seen` has, which is told of all steps."""
+    counts = Counts()
+    own = lambda settings, state, t_end: States(settings.in_pieces(model, state, t_end, counts, watch=seen), counts)  # noqa: E731
+    for state in steps_of(own, run.integrator, model, seen.states[seen.first], run.plan["t_end"], counts):
+        seen.accepted(state)
+        yield state

@@ -1,1 +1,0 @@
-"""The steps that a run took, in its frames or taken again."""

@@ -1,1 +1,0 @@
-"""Vectors on a tape, and a model whose functions take them."""
