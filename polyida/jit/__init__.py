@@ -1,7 +1,7 @@
 """How compiled code is compiled: entry points, cached on disk, and the parts that they are made of.
 
 All of it goes through numba's public decorators. With a numba of a version in TESTED, `jit/compilers.py` hands these a compiler that does
-the same in a third of the time, by numba's inside. POLYIDA_PLAIN_NUMBA=1 in the environment leaves it out.
+the same in less time (studies/start.py), by numba's inside. POLYIDA_PLAIN_NUMBA=1 in the environment leaves it out.
 """
 
 from functools import lru_cache, update_wrapper

@@ -1,4 +1,4 @@
-"""Compilers that do what numba's does in a third of the time. The package works without them: all of numba's inside that it knows is here.
+"""Compilers that do what numba's does in less time (studies/start.py). The package works without them: all of numba's inside that it knows is here.
 
 numba by itself optimises every function and makes machine code of it, and again of every function that calls it, with all below. Here parts
 are only lowered, and optimised with the entry that takes them in; entries that are `shared` are called where they are.
