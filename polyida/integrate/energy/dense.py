@@ -15,32 +15,23 @@ import numpy as np
 from numba import typeof
 
 from polyida.assembly.own.laws import NOISE
-from polyida.errors import DONE, NOT_FINITE, SINGULAR
+from polyida.errors import DONE, NOT_FINITE
 from polyida.jit import part
-from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP, along
 from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system.dense import (
-    BENT,
     END,
-    FORCE,
-    FUNCTIONS,
     INNER,
-    MASS,
-    MASS_VARIES,
     PHI,
-    PHI_Q,
     POTENTIAL,
-    WHOLE,
+    acceleration,
     ask,
-    bordered,
     equilibrium,
+    example,
     finite,
     take,
     take_rows,
-    typical,
     vector,
-    workspace,
 )  # fmt: skip
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 from polyida.system.table import ACCELERATION, INSTANTS, KINETIC, MIDDLE, c_address, c_entry
@@ -118,68 +109,10 @@ def kinetic(w, instant, v, energy, c, d, e, f):
     return DONE
 
 
-@part
-def fill_bias(w, q, v, out):
-    """out = `(phi_q v)_q v`, by differences along v, and B at q."""
-    n, m = w.q.shape[0], w.lam.shape[0]
-    size = pace = 0.0
-    for i in range(n):
-        size, pace = max(size, abs(q[i])), max(pace, abs(v[i]))
-    step = FIRST_ORDER_STEP * min(1.0, (1.0 + size) / pace if pace > 0.0 else 1.0)
-    for k in range(m):
-        out[k] = 0.0
-    for e in range(5):
-        for i in range(n):
-            w.q[i] = q[i] + (1.0, -1.0, 2.0, -2.0, 0.0)[e] * step * v[i]
-        ended = ask(w, PHI_Q, INNER, w.B)
-        if ended != DONE:
-            return ended
-        for k in range(m):
-            for i in range(n):
-                out[k] += (8.0, -8.0, -1.0, 1.0, 0.0)[e] * w.B[k, i] * v[i] / (12.0 * step)
-    return DONE
-
-
-@c_entry
-def acceleration(w, instant, q, v, a, lam, e, f):
-    """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`, of constraints that nothing drives."""
-    n, m = w.q.shape[0], w.lam.shape[0]
-    take(w, instant, q, v)
-    for i in range(n):
-        w.a[i] = 0.0
-    for k in range(m):
-        w.lam[k] = 0.0
-    ended = ask(w, MASS, INNER, w.M) if w.flags[MASS_VARIES] else DONE
-    if ended == DONE:
-        ended = ask(w, WHOLE if w.functions[WHOLE] else FORCE, INNER, w.g)
-    bias, size = w.phi_t, typical(w.M)
-    for k in range(m):
-        bias[k] = 0.0
-    if ended == DONE and m and w.flags[BENT]:
-        ended = fill_bias(w, vector(q, n), vector(v, n), bias)
-    if ended != DONE:
-        return ended
-    bordered(w.masses, w, w.M, size)
-    if not dense.factor(w.masses, w.mass_pivots):
-        return SINGULAR
-    for i in range(n):
-        w.x[i] = -w.g[i]
-    for k in range(m):
-        w.x[n + k] = -size * bias[k]
-        bias[k] = 0.0
-    dense.solve(w.masses, w.mass_pivots, w.x)
-    out, found = vector(a, n), vector(lam, m)
-    for i in range(n):
-        out[i] = w.x[i]
-    for k in range(m):
-        found[k] = size * w.x[n + k]
-    return DONE
-
-
 @cache
 def more():
     """{number: address} of these functions, for every Dense."""
-    kind = typeof(workspace(1, 0, np.zeros(len(FUNCTIONS), np.int64), 0, (0,) * 6))
+    kind = typeof(example())
     return {number: c_address(function, kind) for number, function in ((MIDDLE, middle), (KINETIC, kinetic), (ACCELERATION, acceleration))}
 
 
