@@ -36,7 +36,7 @@ LATE = 2  # iterations of one step after which the factor is made anew where it 
 
 
 class Predicted:
-    """The order of the step that IDA is trying, and its cj, which IDA tells nobody before the residual.
+    """The order of the step that IDA is trying, and its cj. IDA does not give them before it asks for the residual.
 
     In a step of order k IDA begins with the polynomial through the last k + 1 accepted states. Of each q (n,) one number is kept: its product
     with a vector of no direction in particular.
