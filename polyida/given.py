@@ -2,6 +2,7 @@
 
 import math
 import operator
+from functools import lru_cache
 from inspect import signature
 from numbers import Real
 
@@ -40,6 +41,12 @@ def is_one_of(value, known):
 
 def takes(function, count):
     """Whether a function may be called with so many arguments, as far as it says."""
+    bound = hasattr(function, "__self__") and hasattr(function, "__func__")
+    return _takes(function.__func__, count + 1) if bound else _takes.__wrapped__(function, count)
+
+
+@lru_cache
+def _takes(function, count):
     try:
         signature(function).bind(*range(count))
     except TypeError:

@@ -9,6 +9,7 @@ import mmap
 import weakref
 from collections import defaultdict
 from contextlib import suppress
+from math import prod
 
 import numpy as np
 
@@ -28,7 +29,7 @@ def room(shapes, dtypes, limit):
 
     They lie in one piece of addresses, of half the size and so on where the system does not grant that much.
     """
-    sizes = [int(np.prod(shape)) * dtype.itemsize for shape, dtype in zip(shapes, dtypes)]
+    sizes = [prod(shape) * dtype.itemsize for shape, dtype in zip(shapes, dtypes)]
     width, spare = sum(sizes), LINE * len(sizes)
     rows = max(1, int(min(limit, MOST)) // width)
     piece, at, arrays = _piece(rows * width + spare, width + spare), 0, []

@@ -38,6 +38,8 @@ class Constraints(Model):
 
     def kinks(self, t0, t1):
         """Times in (t0, t1) at which a profile is not smooth, sorted."""
+        if not self._kinks.size:
+            return ()
         first, end = np.searchsorted(self._kinks, t0, side="right"), np.searchsorted(self._kinks, t1)
         return tuple(self._kinks[first:end].tolist())
 
@@ -81,9 +83,10 @@ class Constraints(Model):
         from scipy.sparse import csr_array
 
         s = self.arrays.links
-        return csr_array((self._slope_values(t, q), s.row_columns, s.row_start), (self.m, 2 * self.n_points))
+        return csr_array((self.slope_values(t, q), s.row_columns, s.row_start), (self.m, 2 * self.n_points))
 
-    def _slope_values(self, t, q):
+    def slope_values(self, t, q):
+        """The slopes of phi in the components of its points that may not be zero, row after row."""
         s = self.arrays.links
         slopes = np.empty(len(s.row_columns))
         rows.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
@@ -92,7 +95,7 @@ class Constraints(Model):
     def phi_z(self, t, q):
         """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
         found = np.zeros((self.m, 2 * self.n_points))
-        found[self._slope_rows, self.arrays.links.row_columns] = self._slope_values(t, q)
+        found[self._slope_rows, self.arrays.links.row_columns] = self.slope_values(t, q)
         return found
 
     @cached_property

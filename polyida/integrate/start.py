@@ -52,7 +52,7 @@ def consistent_state(model: Model, t0: float = 0.0, q0: ArrayLike | None = None,
         rate = model.phi_rate(t0, q, v)
         enough = max(1.0, np.abs(v).max(initial=0)) if v0 is not None else np.inf
         require_near(model, "v0", "phi_q v + phi_t", rate, enough, "give a consistent v0, or leave it out to have it made")
-        v = on_velocity(model, t0, q, v)
+        v = on_velocity(model, t0, q, v, rate)
     a, lam = consistent_acceleration(model, t0, q, v)
     return State(float(t0), q, v, a, lam)
 
@@ -72,9 +72,10 @@ def consistent_acceleration(model, t, q, v):
     return model.mass_system(t, q).solve(model.force(t, q, v), bias)
 
 
-def on_velocity(model, t, q, v):
-    """v moved in the metric of M onto the constraint `phi_q v + phi_t = 0` of time t."""
-    rate = model.phi_rate(t, q, v) if model.m else np.zeros(0)
+def on_velocity(model, t, q, v, rate=None):
+    """v moved in the metric of M onto the constraint `phi_q v + phi_t = 0` of time t; rate: of v, where it is known."""
+    if rate is None:
+        rate = model.phi_rate(t, q, v) if model.m else np.zeros(0)
     return v + model.mass_system(t, q).solve(np.zeros(model.n), rate)[0] if rate.any() else v
 
 

@@ -4,6 +4,7 @@ import mmap
 import os
 import tempfile
 from contextlib import suppress
+from math import prod
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,7 @@ class FrameStore:
         self._block = many if self._whole else self._few()
 
     def _bytes(self, frames):
-        return frames * sum(int(np.prod(shape)) * dtype.itemsize for shape, dtype in zip(self._shapes, self._dtypes))
+        return frames * sum(prod(shape) * dtype.itemsize for shape, dtype in zip(self._shapes, self._dtypes))
 
     def _many(self):
         """A block that frames stay in, of whole blocks of the file."""

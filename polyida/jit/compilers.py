@@ -34,6 +34,10 @@ class Entry(CPUDispatcher):
     def _numba_type_(self):
         return self.part._numba_type_
 
+    def typeof_pyval(self, val):
+        """As numba has it; the type of a pack is on it, where looking for it takes as long as a small kernel."""
+        return getattr(val, "_kind", None) or super().typeof_pyval(val)
+
 
 def entry(outer, part, compiler, options):
     """An Entry that is kept in `cache.Files`."""

@@ -26,7 +26,10 @@ class _Packed:
     @cached_property
     def address(self):
         """Of the block, which is kept as long as the tuple."""
-        block = np.array([word for value in self for word in _words(value)] or [0], np.uint64)
+        words: list[int] = []
+        for value in self:
+            words += _words(value)
+        block = np.array(words or [0], np.uint64)
         return vars(self).setdefault("_block", block).ctypes.data  # the first block stays, whichever thread made it
 
     def __reduce__(self):
@@ -36,7 +39,8 @@ class _Packed:
 def _words(value):
     """What a block holds of a field."""
     if isinstance(value, np.ndarray):
-        return [value.ctypes.data, *value.shape, *(stride % 2**64 for stride in value.strides)]
+        words = [value.__array_interface__["data"][0], *value.shape, *value.strides]
+        return words if min(words) >= 0 else [word % 2**64 for word in words]
     if value is None:
         return []
     if isinstance(value, _Packed):
@@ -69,7 +73,21 @@ def _size(kind):
 
 @typeof_impl.register(_Packed)
 def _type_of(value, context):
-    return vars(value).get("_kind") or vars(value).setdefault("_kind", _made_of(value, context))
+    known = vars(value)
+    if "_kind" not in known:
+        form = type(value), *[_form(field, context) for field in value]
+        known["_kind"] = _kinds.get(form) or _kinds.setdefault(form, _made_of(value, context))
+    return known["_kind"]
+
+
+_kinds: dict[tuple, PackType] = {}  # by what they follow from: numba takes many times as long to tell the types of arrays
+
+
+def _form(field, context):
+    """What the type of a field follows from."""
+    if isinstance(field, np.ndarray):
+        return field.dtype, field.ndim, field.flags.num
+    return _type_of(field, context) if isinstance(field, _Packed) else type(field)
 
 
 def _made_of(value, context):

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from polyida.assembly.arrays import shifting_drives, turning_drives
 from polyida.assembly.rows import joints
 
 EPS = np.finfo(float).eps
@@ -15,10 +14,10 @@ def drive_table(model, times, ends):
     ends: the first and the last time, or one beside it within the steps where there is a kink: loads and all derivatives are of
     that side. What drives phi is continuous.
     """
-    driving = _driving(model)
     table = np.empty((len(times), len(model.profiles), 3))
     if not table.size:
         return table
+    driving = _driving(model)
     inner = np.array(times)
     inner[[0, -1]] = ends
     for k, profile in enumerate(model.profiles):
@@ -29,8 +28,7 @@ def drive_table(model, times, ends):
 
 def _driving(model):
     """The profiles that drive rows of phi."""
-    links = model.arrays.links
-    return {*turning_drives(links).tolist(), *shifting_drives(links).tolist()}
+    return {*model.motor_profiles.tolist(), *model.path_profiles.tolist()}
 
 
 def gain_table(model, times, drives, h):
@@ -54,6 +52,8 @@ def stage_tables(model, starts, times, edge, h):
 def _gains(model, begin, times, before, after, h):
     """Differences; of what drives phi, where the integrals of its second derivative are the same to round-off, those, which are sharper."""
     gains = np.empty(before.shape)
+    if not gains.size:
+        return gains
     gains[:, :, 0], gains[:, :, 2] = after[:, :, 0] - before[:, :, 0], after[:, :, 1] - before[:, :, 1]
     gains[:, :, 1] = gains[:, :, 0] - h[:, None] * before[:, :, 1]
     for k in _driving(model):

@@ -1,5 +1,6 @@
 """Moves along M^-1 phi_q^T in compiled code: of positions onto phi = 0, of velocities onto `phi_q v + phi_t = 0`; and the system of M and phi_q."""
 
+import threading
 from typing import NamedTuple
 
 import numpy as np
@@ -67,21 +68,26 @@ def point_columns(model):
 
 
 class MassSystem:
-    """`[[M, B^T], [B, 0]]` of a scene at (t, q), B = phi_q; `solve` any number of right-hand sides."""
+    """`[[M, B^T], [B, 0]]` of a scene at (t, q), B = phi_q; `solve` any number of right-hand sides. Scratch is made once in each thread."""
 
     def __init__(self, model, t, q):
-        self.model, self.tie = model, tie(model)
-        joints.joint_jacobian(model.arrays.links, model.drives(t), model.dz(q), self.tie.slopes)
+        self.model, own = model, vars(model.once(_threads))
+        self.tie = own.get("tie") or own.setdefault("tie", tie(model))
+        self.slopes = model.slope_values(t, q)
 
     def solve(self, r, phi):
         """(dq, dlam) for the residuals r (n,) and phi (m,): `M dq + B^T dlam = -r`, `B dq = -phi`. Raises LinAlgError."""
         y = -self.model.mass_inverse(r) if r.any() else np.zeros(self.model.n)
         if not phi.size:
             return y, np.zeros(0)
-        dlam = np.empty(len(phi))
+        dlam, self.tie.slopes[:] = np.empty(len(phi)), self.slopes
         if not constrained(self.model.arrays.links, self.tie, np.array(phi, float), y.reshape(-1, 2), dlam):
             raise np.linalg.LinAlgError("the constraints' system is singular")
         return y, dlam
+
+
+def _threads(model):
+    return threading.local()
 
 
 @entry

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.arrays import turning_drives
 from polyida.assembly.rows import joints
 from polyida.jit import entry, pack, part
 from polyida.linear.independence import coordinate_sizes
@@ -215,7 +214,7 @@ class UnitRows:
     def __init__(self, model, state):
         self.model, (self.pattern, k, slopes, self.sizes) = model, model.once(pattern_of)
         self.links, m, n, numbers = model.arrays.links, model.m, model.n, len(self.pattern.columns)
-        self.turning = turning_drives(self.links).tolist()
+        self.turning = model.motor_profiles.tolist()
         shapes = (2, numbers), slopes, (model.n_points, 2), n, (m, 2 * k + 1), (m, k + 1), (m, k + 1), 2, (2, 1 + n)
         self.scratch = Scratch(*map(np.zeros, shapes))
         self.scratch.past[:] = state.t, *state.q
