@@ -10,7 +10,7 @@ from polyida.integrate.radau.loop import LEAST, PRICE, USED, H, Record
 from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST
 from polyida.integrate.radau.tableau import through, through_zero
 from polyida.integrate.start import consistent_acceleration
-from polyida.integrate.state import State
+from polyida.integrate.state import State, Stretch
 
 
 class Collocation(NamedTuple):
@@ -34,8 +34,10 @@ class Collocation(NamedTuple):
         return State(float(t), q, self.v + moved @ dv, rest @ a, rest @ lam, restart=False)
 
 
-class Stretch(NamedTuple):
-    """What the States of a stretch have in common: its Record, the state (t, q, v) that it began from, c, where its factors were made, and the rest of their memory."""
+class Common(NamedTuple):
+    """What the States of a stretch have in common: its Record, the state (t, q, v) that it began from, c, where its factors were made, and the rest
+    of their memory. work: the counts as a dictionary, of the number of a step; states: those that were asked for, by number.
+    """
 
     record: Record
     begin: tuple
@@ -45,6 +47,50 @@ class Stretch(NamedTuple):
     memory: dict
     place: Any
     motion: Any
+    work: Any
+    states: dict
+
+
+class Ends(Stretch):
+    """The States at the ends of the steps whose numbers are in the range `which`."""
+
+    def __init__(self, s, which):
+        self._stretch, self._which = s, which
+
+    def __len__(self):
+        return len(self._which)
+
+    def __getattr__(self, name):
+        """An array of the ends, a and lam made of the states where the loop has not."""
+        s, at = self._stretch, self._which
+        if name not in ("t", "q", "v", "a", "lam"):
+            raise AttributeError(name)
+        if name in ("a", "lam") and s.motion is not None:
+            return np.array([getattr(state, name) for state in self])
+        return getattr(s.record, name)[at.start : at.stop : at.step]
+
+    @property
+    def work(self):
+        """The counts at each of the states."""
+        return [self._stretch.work(k) for k in self._which]
+
+    @property
+    def last(self):
+        """The last State."""
+        return self.state(len(self) - 1)
+
+    def state(self, k):
+        """The State number k, counted from 0."""
+        states, k = self._stretch.states, self._which[k]
+        return states.get(k) or states.setdefault(k, Accepted(self._stretch, k))
+
+    def part(self, first, end, every=1):
+        """The ends from number `first` to before `end`, or each `every`-th of them."""
+        return Ends(self._stretch, self._which[first:end:every])
+
+    def finite(self):
+        """Whether q and v are finite, which the loop has looked at."""
+        return True
 
 
 class Accepted(State):

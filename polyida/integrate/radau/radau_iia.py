@@ -12,7 +12,7 @@ from polyida.integrate.moves import PARTS, cells_of
 from polyida.integrate.radau.steps import Steps, adapt, ladder_of, march
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run
 from polyida.integrate.start import far_side
-from polyida.integrate.state import Counts, State
+from polyida.integrate.state import Counts, State, States
 from polyida.keywords import named_keywords
 from polyida.linear.kkt import SCALINGS
 from polyida.model import Model
@@ -120,6 +120,9 @@ class RadauIIA:
 
         At a kink of the model it lands exactly and starts anew from the state consistent with the far side.
         """
+        return States(self._stretches(model, state, t_end, counts), counts)
+
+    def _stretches(self, model, state, t_end, counts):
         sizes, run = sizes_of_run(model, state, t_end), run_of(state, t_end)
         engine, most_steps = Steps(self, model, counts, sizes, run), counts.steps + counts.rejected + self.max_num_steps
         ladder, longest = ladder_of(state, self._first(sizes, t_end - state.t)), self.h or self.max_step or np.inf
@@ -135,8 +138,9 @@ class RadauIIA:
                 piece = march(engine, self, model, state, begin, end, min(self.h, most), counts)
             else:
                 piece = adapt(engine, self, model, state, begin, end, min(longest, most), counts, ladder, most_steps)
-            for state in piece:
-                yield state
+            for stretch in piece:
+                yield stretch
+                state = stretch.last
 
     def _first(self, sizes, span):
         """The first step, s."""

@@ -11,7 +11,7 @@ import numpy as np
 from polyida.errors import DONE, REFACTOR, StepFailure
 from polyida.integrate.kinks import PULSE, Grid, enough_steps, grid_of
 from polyida.integrate.radau import loop
-from polyida.integrate.radau.accepted import Accepted, Stretch
+from polyida.integrate.radau.accepted import Common, Ends
 from polyida.integrate.radau.loop import (
     FAILED,
     GOES,
@@ -37,7 +37,7 @@ from polyida.integrate.radau.tables.python import table_of
 from polyida.integrate.rest import held
 from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import start_values
-from polyida.integrate.state import State
+from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import SingularSystem
 from polyida.system.table import ACCELERATION, STEPS
 
@@ -146,27 +146,34 @@ class Steps:
     def step(self, state, h, t):
         """The State at t, a step of h on. Raises StepFailure."""
         control = Control(False, h, h, np.inf, np.inf, np.inf, at(state.t))
-        return next(self._states(state, control, np.array([t])))
+        end = next(self._stretches(state, control, np.array([t])))
+        vars(self.counts).update(end.work[-1])
+        return end.last
 
     def equal(self, state, grid):
-        """Yield the states at the ends of the rest of a grid's steps. Raises StepFailure."""
+        """Yield stretches of the states at the ends of the rest of a grid's steps. Raises StepFailure."""
         while grid.done < grid.count:
             ends = np.array([grid.time(k + 1) for k in range(grid.done, min(grid.done + self.longest, grid.count))])
             control = Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, at(state.t))
-            for state in self._states(state, control, ends, partial(_on_grid, grid)):
-                self.counts.steps += 1
-                yield state
+            for made in self._stretches(state, control, ends, partial(_on_grid, grid)):
+                self.counts.steps += len(made)
+                yield made
+                state = made.last
             grid = grid._replace(done=grid.done + len(ends))
 
     def adaptive(self, state, control, place):
-        """Yield states as the control has them; place(taken, k, rung): what their memory has besides, `taken` steps and k on. Raises StepFailure."""
-        while state.t < control.end:
-            for state in self._states(state, control, np.zeros(0), place):
-                self.counts.steps += 1
-                yield state
+        """Yield stretches of states as the control has them; place(taken, k, rung): what their memory has besides, `taken` steps and k on.
 
-    def _states(self, state, control, ends, place=_nowhere):
-        """The states of one stretch, in one piece or in several between which factors are made. Raises StepFailure."""
+        Raises StepFailure.
+        """
+        while state.t < control.end:
+            for made in self._stretches(state, control, np.zeros(0), place):
+                self.counts.steps += len(made)
+                yield made
+                state = made.last
+
+    def _stretches(self, state, control, ends, place=_nowhere):
+        """The states that the table takes at once, in one stretch or in several between which factors are made. Raises StepFailure."""
         p, y, fresh, taken = self._method(), self.memory, False, 0
         self._take(state)
         if self.guess is not None:
@@ -184,16 +191,12 @@ class Steps:
             self.at, before = None, replace(self.counts)
             if found:
                 self.made = self.kept.made.copy() if self.made is None else self.made
-                s = Stretch(
-                    o, begin, self.tableau.c, self.made, bool(self.model.carries), self._shared(), partial(place, taken), self._motion()
-                )
-            for k, done in enumerate(o.counts[:found].astype(int).tolist()):
-                self._count(before, done)
-                state = Accepted(s, k)
-                if k == found - 1:
-                    self.at = state
-                yield state
-            self._count(before, self.done.tolist())
+                memory = self._shared(), partial(place, taken), self._motion()
+                work = partial(self._work, before, o.counts)
+                made = Ends(Common(o, begin, self.tableau.c, self.made, bool(self.model.carries), *memory, work, {}), range(found))
+                self.at = state = made.last
+                yield made
+            vars(self.counts).update(self._work(before, self.done[None], 0))
             self.at = self.at or state
             taken, count, first = taken + found, count - found, first + found * (self.settings.stages + 1) * self.table.prepared
             self.table.raise_left()
@@ -207,12 +210,17 @@ class Steps:
             elif not count or control.adaptive:
                 return
 
-    def _count(self, before, done):
-        """Counts at a step."""
-        counts, (residuals, iterations, solves, factors, rejected) = self.counts, done
-        counts.residuals, counts.newton_iterations = before.residuals + residuals, before.newton_iterations + iterations
-        counts.solves, counts.rejected = before.solves + solves, before.rejected + rejected
-        counts.tangents, counts.factorizations = before.tangents + factors, before.factorizations + factors * len(self.tableau.modes)
+    def _work(self, before, done, k):
+        """The counts at step k but for the steps, of those of the work done since a stretch began."""
+        residuals, iterations, solves, factors, rejected = map(int, done[k])
+        return {
+            "residuals": before.residuals + residuals,
+            "newton_iterations": before.newton_iterations + iterations,
+            "solves": before.solves + solves,
+            "rejected": before.rejected + rejected,
+            "tangents": before.tangents + factors,
+            "factorizations": before.factorizations + factors * len(self.tableau.modes),
+        }
 
     @property
     def of_run(self):
@@ -264,21 +272,21 @@ def _table(settings, model, tableau, tied):
 
 
 def march(engine, settings, model, state, begin, end, most, counts):
-    """Yield the states at the ends of equal steps; one that fails is taken in 2, 4, ... parts. Raises StepFailure."""
+    """Yield stretches of the states at the ends of equal steps; a step that fails is taken in 2, 4, ... parts. Raises StepFailure."""
     grid = _grid(model, state, begin, end, most)
     for state in held(model, state, grid, counts):
         grid = grid._replace(done=grid.done + 1)
         state.memory.update(radau_grid=grid.after(grid.done), **engine.of_run)
         counts.steps += 1
-        yield state
+        yield Stretch.of(state)
     if "rest" in state.memory:  # what is known of steps before is not in it
         engine.begin(state)
     while grid.done < grid.count:
         done = grid.done
         try:
-            for state in engine.equal(state, grid):
-                done += 1
-                yield state
+            for made in engine.equal(state, grid):
+                done, state = done + len(made), made.last
+                yield made
             return
         except StepFailure as failure:
             counts.rejected, grid = counts.rejected + 1, grid._replace(done=done)
@@ -286,7 +294,7 @@ def march(engine, settings, model, state, begin, end, most, counts):
             counts.steps += 1
             grid = grid._replace(done=grid.done + 1)
             state.memory.update(radau_grid=grid.after(grid.done))
-            yield state
+            yield Stretch.of(state)
 
 
 def _grid(model, state, begin, end, most):
@@ -315,7 +323,7 @@ def _in_parts(engine, settings, state, grid, first, counts):
 
 
 def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most_steps):
-    """Yield states from begin to end, the step as the local error allows and not above `most`. Raises StepFailure.
+    """Yield stretches of states from begin to end, the step as the local error allows and not above `most`. Raises StepFailure.
 
     ladder: [first step, rung].
     """
@@ -325,9 +333,9 @@ def adapt(engine, settings, model, state, begin, end, most, counts, ladder, most
     place = lambda taken, k, rung: {"ladder": np.array([first, rung]), "radau_piece": np.array([end, most])}  # noqa: E731
     while state.t < end:
         try:
-            for state in engine.adaptive(state, control, place):
-                failures, ladder[1] = [], now[RUNG]
-                yield state
+            for made in engine.adaptive(state, control, place):
+                failures, ladder[1], state = [], now[RUNG], made.last
+                yield made
         except StepFailure as failure:
             rejected = int(now[FAILED]) - len(failures)
             failures += [StepFailure("step size", "the local error stays above rtol and atol", state.t)] * rejected
