@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.radau.loop import LEAST, PRICE, USED, H, Record
-from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST
+from polyida.integrate.radau.step import AGE, AHEAD, CONTRACTION, ERROR, LAST
 from polyida.integrate.radau.tableau import through, through_zero
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State, Stretch
@@ -132,6 +132,10 @@ class Accepted(State):
             "stages_v": r.dv[k],
             "a_end": r.stages_a[k, -1],
             "stages_lam": r.stages_lam[k],
+            "miss_e": r.miss_e[k],
+            "miss_lam": r.miss_lam[k],
+            "mu": r.mu[k],
+            "ahead": float(marks[AHEAD]),
             "step": float(marks[LAST]),
             "error": float(marks[ERROR]),
             "newton": marks[[CONTRACTION, AGE]],

@@ -5,7 +5,23 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, WRONG_SHAPE
-from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, LAST, SHARES, UNKNOWN, A, Q, V, close, end, local_error, mean_square, take
+from polyida.integrate.radau.step import (
+    AGE,
+    CONTRACTION,
+    ERROR,
+    LAST,
+    MARKS,
+    SHARES,
+    UNKNOWN,
+    A,
+    Q,
+    V,
+    close,
+    end,
+    local_error,
+    mean_square,
+    take,
+)
 from polyida.integrate.radau.step import stages as solved
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
@@ -19,6 +35,7 @@ SHORT = 16.0  # times that a step is apart, at least
 SHARE = 0.05  # of the allowed local error that Newton may leave
 EXACT = 1e-15  # of the model's length: what it may leave in a fixed step that none went before, as good as nothing
 NOTHING = 1e-20  # the same behind a step without any error
+ROUND_OFF = 2.0**-53  # of v, which is e over h
 MAKE, AGAIN, PAUSE, STUCK, MANY = range(100, 105)  # how a stretch may end besides: what the caller is to do, or to say
 H, PRICE, LEAST, USED, READY = range(5)  # rows of Kept.table
 RUNG, TIME, FAILED, STEP, GOES, LEFT = range(6)  # of Control.now
@@ -74,6 +91,9 @@ class Record(NamedTuple):
     dv: np.ndarray
     stages_a: np.ndarray
     stages_lam: np.ndarray
+    miss_e: np.ndarray
+    miss_lam: np.ndarray
+    mu: np.ndarray
     closed: np.ndarray
     marks: np.ndarray
     rung: np.ndarray
@@ -81,11 +101,12 @@ class Record(NamedTuple):
     counts: np.ndarray
 
 
-def record(count, stages, n, m):
+def record(count, stages, n, m, tied):
     """A Record of so many steps."""
     motion = (count,), (count, n), (count, n), (count, n), (count, m)
-    inner = (count, stages, n), (count, stages, n), (count, stages, n), (count, stages, m), (count, 2, m)
-    return Record(*map(np.empty, (*motion, *inner, (count, 4), (count,), (count, 4, SLOTS), (count, COUNTS))))
+    each, closing = (count, stages, n), (count, stages, m)
+    inner = each, each, each, closing, each, closing, (count, stages, m if tied else 0), (count, 2, m)
+    return Record(*map(np.empty, (*motion, *inner, (count, MARKS), (count,), (count, 4, SLOTS), (count, COUNTS))))
 
 
 def kept(n, m):
@@ -191,14 +212,17 @@ def allowed_error(p, y):
 
 
 @part
-def left(p, y):
-    """What Newton may leave of q in a step from there."""
+def left(p, h, y):
+    """What Newton may leave of q in a step of h from there."""
     if p.tolerance > 0.0:
         return p.tolerance
     if p.share > 0.0:
         return p.share * allowed_error(p, y)
     error = y.marks[ERROR]
-    return EXACT * p.length if error < 0.0 else max(NOTHING * p.length, SHARE * (error / p.length) ** 0.75 * error)
+    if error < 0.0:
+        return EXACT * p.length
+    round_off = max(NOTHING * p.length, ROUND_OFF * h * np.sqrt(mean_square(y.past[SHARES], y.past[V])))
+    return max(round_off, SHARE * (error / p.length) ** 0.75 * error)
 
 
 @part
@@ -223,7 +247,7 @@ def attempt(f, w, first, p, t, h, begin, goes, k, fresh, y, x, z, counts):
         select[i] = t.values[i] / h
     if f[SELECT]:
         call(f[SELECT], w, slot, address(select), 0, 0, 0, 0, 0)
-    ended, iterations = solved(f, w, first, p, t, h, y, x, z, left(p, y), counts)
+    ended, iterations = solved(f, w, first, p, t, h, y, x, z, left(p, h, y), counts)
     if ended != DONE:
         if fresh or ended in (NOT_FINITE, RAISED, WRONG_SHAPE):
             return ended, 0.0
@@ -244,13 +268,17 @@ def write(o, k, goes, h, y, x, z, kept, rung, counts):
     for i in range(z.q.shape[0]):
         o.q[k, i], o.v[k, i], o.a[k, i] = z.q[i], z.v[i], z.a[i]
         for j in range(x.e.shape[0]):
-            o.e[k, j, i], o.dv[k, j, i], o.stages_a[k, j, i] = x.e[j, i], x.dv[j, i], x.a[j, i]
+            o.e[k, j, i], o.dv[k, j, i], o.stages_a[k, j, i], o.miss_e[k, j, i] = x.e[j, i], x.dv[j, i], x.a[j, i], y.miss_e[j, i]
     for e in range(z.lam.shape[0]):
         o.lam[k, e], o.closed[k, 0, e], o.closed[k, 1, e] = z.lam[e], y.closed[0, e], y.closed[1, e]
         for j in range(x.e.shape[0]):
-            o.stages_lam[k, j, e] = x.lam[j, e]
-    for i in range(4):
+            o.stages_lam[k, j, e], o.miss_lam[k, j, e] = x.lam[j, e], y.miss_lam[j, e]
+    for j in range(y.mu.shape[0]):
+        for e in range(y.mu.shape[1]):
+            o.mu[k, j, e] = y.mu[j, e]
+    for i in range(MARKS):
         o.marks[k, i] = y.marks[i]
+    for i in range(4):
         for slot in range(SLOTS):
             o.kept[k, i, slot] = kept.table[i, slot]
     for i in range(COUNTS):

@@ -150,6 +150,20 @@ class RadauIIA:
 
 def restarted(state):
     """The state without the last step's polynomial, which leads nowhere behind a kink, or is of other stages."""
-    gone = ("stages_e", "stages_v", "a_end", "stages_lam", "step", "error", "phi", "rate", "radau_piece")
+    gone = (
+        "stages_e",
+        "stages_v",
+        "a_end",
+        "stages_lam",
+        "miss_e",
+        "miss_lam",
+        "mu",
+        "ahead",
+        "step",
+        "error",
+        "phi",
+        "rate",
+        "radau_piece",
+    )
     memory = {name: value for name, value in state.memory.items() if name not in gone}
     return State(state.t, state.q, state.v, state.a, state.lam, memory)

@@ -30,13 +30,16 @@ SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is roun
 ROUND = 1e-11
 CARRIED = 10.0  # steps in which the contraction of an earlier one is taken for that of the first iteration
 UNKNOWN = np.array([1.0, CARRIED])  # the marks of a Newton that has none
+SAME = 1e-9  # of h: steps that differ by less have the same length
 FAR = 4.0  # steps longer than the last by more begin from q_0 + c h v_0: its polynomial leads nowhere there
 NOISE = 1e-15  # of the size: a later correction below that is round-off of phi, where this is taken from positions
 MOVES = 3  # of q onto phi = 0, at most
 AGAIN = 1e-9  # of the model's size: |phi| beyond which the constraints' system is made anew where q has moved to
 Q, V, A, SHARES = range(4)  # rows of Memory.past
-CONTRACTION, AGE, LAST, ERROR = range(4)  # of Memory.marks
-MOVED, SPEED = range(2)  # of Room.seen
+CONTRACTION, AGE, LAST, ERROR, AHEAD = range(5)  # of Memory.marks
+MARKS = 5
+UNKNOWN_MISS, MOST_AHEAD = -1.0, 2.0  # of AHEAD: no miss is known; its largest value
+MOVED, SPEED, EXTENDED = range(3)  # of Room.seen
 RESIDUALS, ITERATIONS, SOLVES, FACTORS = range(4)  # of the counts
 PHI, PHI_RATE = range(2)  # of rows
 
@@ -91,27 +94,38 @@ class Memory(NamedTuple):
     """What goes from step to step.
 
     past (4, n): q, v, v' of the last stage, the shares of the coordinates in the mass; lam (m,): of the last stage; stages_v (s, n),
-    stages_lam (s, m): of the last step; closed (2, m): phi and phi' as they are carried. marks: the CONTRACTION of an earlier step and its
-    AGE in steps, so that a step may end after one iteration; LAST: the step before, s, 0 where none is known; its ERROR, -1 where unknown.
+    stages_lam (s, m): of the last step; miss_e (s, n), miss_lam (s, m): what its e and lam are beyond the polynomial of the step before it;
+    mu (s, m), or (s, 0) without: its mu, which the polynomial takes for zero;
+    closed (2, m): phi and phi' as they are carried. marks: the CONTRACTION of an earlier step and its AGE in steps, so that a step may end
+    after one iteration; LAST: the step before, s, 0 where none is known; its ERROR, -1 where unknown; AHEAD: the part of the miss that the
+    next step of the same length is expected to have again, UNKNOWN_MISS if the miss is unknown.
     """
 
     past: np.ndarray
     lam: np.ndarray
     stages_v: np.ndarray
     stages_lam: np.ndarray
+    miss_e: np.ndarray
+    miss_lam: np.ndarray
+    mu: np.ndarray
     closed: np.ndarray
     marks: np.ndarray
 
 
 @pack
 class Trial(NamedTuple):
-    """What Newton works on: e, v - v_0 and v' of the stages (s, n), their multipliers lam (s, m) and mu (s, m), or (s, 0) without."""
+    """What Newton works on: e, v - v_0 and v' of the stages (s, n), their multipliers lam (s, m) and mu (s, m), or (s, 0) without.
+
+    start_e (s, n), start_lam (s, m): e and lam of the last step's polynomial.
+    """
 
     e: np.ndarray
     dv: np.ndarray
     a: np.ndarray
     lam: np.ndarray
     mu: np.ndarray
+    start_e: np.ndarray
+    start_lam: np.ndarray
 
 
 @pack
@@ -150,10 +164,11 @@ def way(tableau):
 
 def empty(stages, n, m, tied):
     """(Memory, Trial, Room) for n coordinates and m constraints."""
-    shapes = (4, n), (m,), (stages, n), (stages, m), (2, m), (4,)
-    memory, (e, dv, a) = Memory(*map(np.zeros, shapes)), np.zeros((3, stages, n))
-    trial = Trial(e, dv, a, np.zeros((stages, m)), np.zeros((stages, m if tied else 0)))
-    shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), (stages, n), (2, stages, m), (2, stages, stages), (2,)
+    each, closing, tie = (stages, n), (stages, m), (stages, m if tied else 0)
+    memory = Memory(*map(np.zeros, ((4, n), (m,), each, closing, each, closing, tie, (2, m), (MARKS,))))
+    memory.marks[AHEAD] = UNKNOWN_MISS
+    trial = Trial(*map(np.zeros, (each, each, each, closing, tie, each, closing)))
+    shapes = (stages + 6,), (n,), (n,), (n,), (m,), (m,), (4, n), each, (2, stages, m), (2, stages, stages), (3,)
     modal = (n,), (n,), (2, m), (2, m)
     return memory, trial, Room(*map(np.zeros, (*shapes, *modal)), *(np.zeros(shape, complex) for shape in modal))
 
@@ -202,7 +217,7 @@ def combined(weights, x, out):
 
 @part
 def predict(t, h, y, x, z):
-    """Stages to begin with: on the last step's polynomial, shifted through the state; at a run's start along v.
+    """Stages to begin with: on the last step's polynomial, shifted through the state, and what it missed there; at a run's start along v.
 
     The polynomial of v, integrated, is nearer than that of q.
     """
@@ -210,6 +225,7 @@ def predict(t, h, y, x, z):
     for k in range(stages):
         for i in range(x.mu.shape[1]):
             x.mu[k, i] = 0.0
+    z.seen[EXTENDED] = 0.0
     if last == 0.0 or h > FAR * last:
         for k in range(stages):
             for i in range(x.e.shape[1]):
@@ -236,6 +252,43 @@ def predict(t, h, y, x, z):
             for o in range(stages):
                 to_e[k, j] += h * t.A[k, o] * ahead[o, j]
     combined(to_e, y.stages_v, x.e)
+    if abs(h - last) <= SAME * h:
+        add_miss(y, x, z)
+
+
+@part
+def add_miss(y, x, z):
+    """Add to the polynomial's stages what it missed in a step of the same length, and keep those of the polynomial."""
+    z.seen[EXTENDED], ahead = 1.0, max(y.marks[AHEAD], 0.0)
+    for k in range(x.e.shape[0]):
+        for i in range(x.e.shape[1]):
+            x.start_e[k, i] = x.e[k, i]
+            x.e[k, i] += ahead * y.miss_e[k, i]
+        for e in range(x.lam.shape[1]):
+            x.start_lam[k, e] = x.lam[k, e]
+            x.lam[k, e] += ahead * y.miss_lam[k, e]
+        for e in range(x.mu.shape[1]):
+            x.mu[k, e] = ahead * y.mu[k, e]
+
+
+@part
+def take_miss(y, x, z):
+    """Note what the stages are beyond the last step's polynomial, and what part of that the next step is expected to have again."""
+    if z.seen[EXTENDED] == 0.0:
+        y.marks[AHEAD] = UNKNOWN_MISS
+        return
+    known, both, before = y.marks[AHEAD] != UNKNOWN_MISS, 0.0, 0.0
+    for k in range(x.e.shape[0]):
+        for i in range(x.e.shape[1]):
+            miss, share = x.e[k, i] - x.start_e[k, i], y.past[SHARES, i]
+            both += share * miss * y.miss_e[k, i]
+            before += share * y.miss_e[k, i] * y.miss_e[k, i]
+            y.miss_e[k, i] = miss
+        for e in range(x.lam.shape[1]):
+            y.miss_lam[k, e] = x.lam[k, e] - x.start_lam[k, e]
+        for e in range(x.mu.shape[1]):
+            y.mu[k, e] = x.mu[k, e]
+    y.marks[AHEAD] = min(max(both / before, 0.0), MOST_AHEAD) if known and before > 0.0 else 0.0
 
 
 @part
@@ -515,6 +568,7 @@ def end(f, w, first, h, y, x, z):
 @part
 def take(h, error, y, x, z):
     """Go on from the step's end."""
+    take_miss(y, x, z)
     k = x.e.shape[0] - 1
     for i in range(z.q.shape[0]):
         y.past[Q, i], y.past[V, i], y.past[A, i] = z.q[i], z.v[i], x.a[k, i]

@@ -31,7 +31,25 @@ from polyida.integrate.radau.loop import (
     stretch,
 )
 from polyida.integrate.radau.matrices import Matrices, WholeModes, lift
-from polyida.integrate.radau.step import AGE, CONTRACTION, ERROR, FACTORS, LAST, MOVED, SHARES, SPEED, UNKNOWN, A, Method, Q, V, empty, way
+from polyida.integrate.radau.step import (
+    AGE,
+    AHEAD,
+    CONTRACTION,
+    ERROR,
+    FACTORS,
+    LAST,
+    MOVED,
+    SHARES,
+    SPEED,
+    UNKNOWN,
+    UNKNOWN_MISS,
+    A,
+    Method,
+    Q,
+    V,
+    empty,
+    way,
+)
 from polyida.integrate.radau.tableau import radau
 from polyida.integrate.radau.tables.python import table_of
 from polyida.integrate.rest import held
@@ -78,7 +96,7 @@ class Steps:
         self.memory, self.trial, self.room = empty(settings.stages, model.n, model.m, self.tied)
         self.kept, self.at = loop.kept(model.n, model.m), None
         self.done = np.zeros(loop.COUNTS, np.int64)
-        most = CHUNK // (8 * max(1, (3 * settings.stages + 5) * model.n))
+        most = CHUNK // (8 * max(1, (4 * settings.stages + 5) * model.n))
         self.longest = max(1, min(STEPS, most, 1 if model.switching else self.table.longest))
 
     @property
@@ -118,6 +136,9 @@ class Steps:
         if known:
             y.stages_v[:], y.stages_lam[:] = memory["stages_v"], memory["stages_lam"]
         y.marks[LAST], y.marks[ERROR] = memory["step"] if known else 0.0, memory.get("error", -1.0)
+        y.marks[AHEAD] = memory.get("ahead", UNKNOWN_MISS) if known else UNKNOWN_MISS
+        if y.marks[AHEAD] != UNKNOWN_MISS:
+            y.miss_e[:], y.miss_lam[:], y.mu[:] = memory["miss_e"], memory["miss_lam"], memory["mu"]
         if model.carries:
             y.closed[:] = start_values(model, state, self.clamp(state.t))
         self.at = state
@@ -181,7 +202,7 @@ class Steps:
         count = len(ends) or self.longest
         first = self.table.begin(self, state, control, ends)
         while True:
-            o = record(count, self.settings.stages, self.model.n, self.model.m)
+            o = record(count, self.settings.stages, self.model.n, self.model.m, self.tied)
             self.done[:], begin = 0, (state.t, state.q, state.v)
             control.now[LEFT] = control.most_steps - self.counts.steps - self.counts.rejected
             called, held = (self.table.functions, self.table.workspace, first), (control, self.kept, fresh)
