@@ -16,8 +16,8 @@ import numpy as np
 
 from polyida.assembly.arrays import starts
 from polyida.jit import pack, part
-from polyida.linear.dense import solve_small
-from polyida.linear.elimination import Elimination, eliminate, elimination, expand, magnitude, positions, solve_again
+from polyida.linear.dense import magnitude, solve_small
+from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve_again
 
 ACCURATE = (
     1e-10  # of the sum of an equation's terms: 1e-13 is what elimination leaves of 200 windows of a ladder, more where pivots are too small

@@ -6,23 +6,33 @@ from polyida.jit import entry, part
 
 
 @part
+def magnitude(x):
+    """|Re x| + |Im x|: the size of a pivot, without a root."""
+    return abs(x.real) + abs(x.imag)
+
+
+@part
 def factor(matrix, pivots):
-    """P matrix = L U in place, by rows, with partial pivoting: False if it is singular. pivots (n,): the row taken at each step."""
+    """P matrix = L U in place, by rows, with partial pivoting: False if it is singular. pivots (n,): the row taken at each step.
+
+    The diagonal of U becomes its reciprocals.
+    """
     n = matrix.shape[0]
     for k in range(n):
-        p, most = k, abs(matrix[k, k])
+        p, most = k, magnitude(matrix[k, k])
         for i in range(k + 1, n):
-            if abs(matrix[i, k]) > most:
-                p, most = i, abs(matrix[i, k])
+            if magnitude(matrix[i, k]) > most:
+                p, most = i, magnitude(matrix[i, k])
         pivots[k] = p
         if not 0.0 < most < np.inf:
             return False
         if p != k:
             for j in range(n):
                 matrix[k, j], matrix[p, j] = matrix[p, j], matrix[k, j]
+        matrix[k, k] = 1.0 / matrix[k, k]
         for i in range(k + 1, n):
             if matrix[i, k] != 0.0:
-                share = matrix[i, k] / matrix[k, k]
+                share = matrix[i, k] * matrix[k, k]
                 matrix[i, k] = share
                 for j in range(k + 1, n):
                     matrix[i, j] -= share * matrix[k, j]
@@ -45,7 +55,7 @@ def solve(matrix, pivots, b):
         total = b[i]
         for j in range(i + 1, n):
             total -= matrix[i, j] * b[j]
-        b[i] = total / matrix[i, i]
+        b[i] = total * matrix[i, i]
 
 
 @part

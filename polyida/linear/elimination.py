@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.jit import entry, pack, part
+from polyida.linear.dense import magnitude
 
 SMALL = 1e-10  # of a diagonal number: a pivot that is smaller has lost most of its digits
 
@@ -136,12 +137,6 @@ def _places(e, fronts, unknowns):
     order = np.argsort(keys)
     at = order[np.searchsorted(keys, fronts * count + unknowns, sorter=order)]
     return at - e.first[fronts]
-
-
-@part
-def magnitude(x):
-    """|Re x| + |Im x|."""
-    return abs(x.real) + abs(x.imag)
 
 
 @entry

@@ -222,7 +222,7 @@ def left(p, h, y):
     if error < 0.0:
         return EXACT * p.length
     round_off = max(NOTHING * p.length, ROUND_OFF * h * np.sqrt(mean_square(y.past[SHARES], y.past[V])))
-    return max(round_off, SHARE * (error / p.length) ** 0.75 * error)
+    return max(round_off, SHARE * (error / p.length) ** 0.6 * error)
 
 
 @part
