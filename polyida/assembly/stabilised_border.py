@@ -4,7 +4,7 @@ With B = Bz A and H = d(B v + phi_t)/dq = Hz A, S and M those of the plates, m t
 the slopes of force elements, c real or complex,
 
     S dq + A^T (w + Bz^T dlam + c m A A^T Bz^T dmu) + c M B^T dmu = r2,   w = (C + c^2 m) A dq
-    Bz A dq = r3,   (Hz + c Bz) A dq + Bz A A^T Bz^T dmu = r4 + Bz A r1
+    Bz A dq = r3,   (Hz + c Bz) A dq + Bz A A^T Bz^T dmu = r4
 """
 
 from typing import NamedTuple
@@ -88,12 +88,12 @@ def momenta(model):
 
 
 @part
-def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r1, r3, r4, dlam, dmu):
+def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r3, r4, dlam, dmu):
     """Fill dlam, dmu (m,); move dq (nodes, 2), S^-1 r2 of the plates, by them; leave w.swing. False where the border is singular.
 
     c, cm: the factor with its columns and with those of `massive`; cr: its Room, frames as `solve_plates` left them; dz, vz: displacements
-    and velocities of the points; c_v: c; anew: whether the border is made of these, or is that of before. r1 (nodes, 2), or None where it is zero. Of the last equation c times the one before is taken,
-    which leaves `Hz A dq + Bz A A^T Bz^T dmu = r4 + Bz A r1 - c r3`.
+    and velocities of the points; c_v: c; anew: whether the border is made of these, or is that of before. Of the last equation
+    c times the one before is taken, which leaves `Hz A dq + Bz A A^T Bz^T dmu = r4 - c r3`.
     """
     b, y, m = w.border, w.room, r3.shape[0]
     if anew:
@@ -107,16 +107,10 @@ def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r1, r
         corotated.fill_curvature(s, cr, y.curvature, drives, lam, c_v * c_v)
     joints.point_values(s, dq, w.moved)
     look(s, b, y, w.moved, m)
-    if r1 is not None:
-        joints.point_values(s, r1, w.moved)
     count = b.active.shape[0]
     for k in range(m):
         y.right[count + k] -= r3[k]
         y.right[count + m + k] -= r4[k] - c_v * r3[k]
-        if r1 is not None:
-            for e in range(s.row_start[k], s.row_start[k + 1]):
-                p = s.row_columns[e]
-                y.right[count + m + k] -= cr.slopes[e] * w.moved[p // 2, p % 2]
     if not (solve_border(b, y) if anew else solve_border_again(b, y)):
         return False
     apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu)

@@ -42,8 +42,7 @@ def sizes(c, s, n, m, orders, mu, unit=1.0):
 
 def raw(n, m, mu):
     """The same of a matrix as it is."""
-    ones = np.ones(2 * n + m * (2 if mu else 1))
-    return ones, ones
+    return tuple(np.ones((2, 2 * n + m * (2 if mu else 1))))
 
 
 class ScaledLU:

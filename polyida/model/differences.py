@@ -4,6 +4,7 @@ import numpy as np
 
 # constants of compiled code
 FIRST_ORDER_STEP = np.finfo(float).eps ** (1 / 5)  # balances the h^4 truncation against round-off / h
+NEAR = np.finfo(float).eps ** (1 / 3)  # step of slopes of phi_q, which only Newton sees: two values are enough
 EVERYWHERE = (-np.inf, np.inf)
 LATER = 0.37  # s: when forces are looked at again, whether time is in them
 SPACES = 6  # between the values of a difference that is not central
@@ -24,6 +25,13 @@ def along(function, scale=1.0, room=EVERYWHERE):
     near = np.array(function(step)) - function(-step)
     far = np.array(function(2 * step)) - function(-2 * step)
     return (8 * near - far) / (12 * step)
+
+
+def bend(function, here, scale):
+    """(first, second) derivative of function(s) at s = 0, where it is `here`, from values on both sides; the second to few digits."""
+    step = NEAR * scale
+    ahead, behind = np.array(function(step)), np.array(function(-step))
+    return (ahead - behind) / (2 * step), (ahead - here + behind - here) / step**2
 
 
 def reach_along(q, direction):

@@ -14,6 +14,7 @@ from polyida.system import dense as small
 from polyida.system.table import ACCEPT, CALLBACK, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
 SHORT, LONG = 5e-3, 20e-3  # s
+VIEWS = 4096  # arrays at addresses that are kept
 
 
 class PythonTable:
@@ -29,7 +30,7 @@ class PythonTable:
 
     def __init__(self, model, incremental):
         self.incremental, self.model, self.raised, self.times = incremental, model, None, np.zeros((self.instants, 2))
-        self.functions, self.kept = np.zeros(ENTRIES, np.int64), []
+        self.functions, self.kept, self.views = np.zeros(ENTRIES, np.int64), [], {}
         self._fill()
 
     def _fill(self):
@@ -94,7 +95,13 @@ class PythonTable:
             self.longest = max(1, self.longest // 2)
 
     def _array(self, at, size):
-        return np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
+        """The array (size,) at an address. Most addresses are asked for again and again."""
+        found = self.views.get((at, size))
+        if found is None:
+            if len(self.views) == VIEWS:
+                self.views.clear()
+            found = self.views[at, size] = np.frombuffer((ctypes.c_double * size).from_address(at)) if size else np.zeros(0)
+        return found
 
     def _at(self, instant):
         return float(self.times[instant, small.INNER]), float(self.times[instant, small.END])

@@ -23,13 +23,19 @@ The other entries are for the s stages of Radau IIA; the instant of a step's beg
 | entry | arguments | what it does |
 |---|---|---|
 | PREPARE | times | take (h, t and times of the instants, s + 1) of a step; 0 where all steps of a stretch are known before |
-| REACTION | q, mu, dv | dv += D^-1 B^T mu |
-| ROWS | q, v | take the constraints' rows of the middle stage |
+| REACTION | q, mu, dv, known | dv += D^-1 B^T mu; known: B is that of ROWS |
+| ROWS | q, v, a, known | take the constraints' rows of the middle stage; a is read if phi'' is a row; known: B is that of the last RESIDUAL |
 | TURN | r, back | turn the residuals (s, n) into the frame of the middle stage, or corrections back; 0 where there are no frames |
 | REAL, PAIR | r, rows, lam, dq, multipliers | the correction of a mode, radau/step.py; rows and multipliers (2, m), lam (m,) of the middle stage |
-| OFF | v, a, r, p, q | r = C v + M a and p = M v, of where the factors were made, or, in a scene, at q |
+| OFF | v, a, r, p, q, rows | r = C v + M a, p = M v, of where the factors were made or, in a scene, at q; rows: of ROWS, on v; p and rows may be 0 |
 | MATRICES | q, v, a, lam, slot | K, C and M of a state, kept under a number; 0 where the caller of the driver makes them |
-| SELECT | slot, c | go on with those of a number; c: of the real mode, real and imaginary part of the complex one |
+| SELECT | slot, c | go on with those of a number; c: of the real mode, real and imaginary part of the complex one, 0 if there is none |
+
+IDA calls those of one stage, with c = cj in the real mode and D = 1; in some of its forms phi'' is a row.
+
+| entry | arguments | what it does |
+|---|---|---|
+| BIAS | q, v, a, found | `phi_q a + phi_bias`, the second derivative of phi; B is that of the last REACTION |
 
 The backward sweep of generalized-alpha has tables of its own (adjoint/tables) with one entry.
 
@@ -50,8 +56,8 @@ STEPS = 64  # the same of steps of Radau IIA
 CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 # constants of compiled code
 RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
-PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT, ADJOINT = range(11, 21)
-ENTRIES = 21
+PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT, ADJOINT, BIAS = range(11, 22)
+ENTRIES = 22
 
 
 c_entry = jit.entry  # a function of a table; compiled code takes it in as a part

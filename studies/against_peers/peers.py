@@ -14,9 +14,11 @@ from polyida.assembly import equilibrium
 from polyida.errors import InputError
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.ida.scene import SceneSystem
+from polyida.integrate.ida.linear import Correction
+from polyida.integrate.ida.whole import FormRows
 from polyida.integrate.sizes import sizes_of_run, typical_sizes
 from polyida.integrate.start import consistent_state
+from polyida.integrate.state import Counts
 from polyida.linear.cholesky.triangular import fill_band
 
 WIDEST_BAND = 40_000  # coordinates beyond which a band factor is out of the question
@@ -162,12 +164,12 @@ def sparse_ida(model, t_end, settings=None):
     from sksundae.ida import IDA as Solver
 
     settings = settings or IDA()
-    system, jacobian = SceneSystem(model, "ggl2", settings.rate), WholeJacobian(model)
+    system, jacobian = System(model, "ggl2", settings.rate), WholeJacobian(model)
     sizes = sizes_of_run(model, consistent_state(model, 0.0, None, None), t_end)
     rtol, *atol = settings.tolerances(model, sizes)
     with warnings.catch_warnings(action="ignore"):  # it says that it takes our Jacobian and makes none of its own
         solver = Solver(
-            system.residual,
+            Correction(system, Counts(), settings.order(model)).F,
             rtol=rtol,
             atol=system.tolerances(*atol),
             jacfn=jacobian,
@@ -191,12 +193,13 @@ class FirstOrder:
 
     def __init__(self, model):
         self.model, self.calls = model, 0
-        self.system, self.slopes = SceneSystem(model, "ggl1", 0.0), System(model, "ggl1", 0.0)
+        self.system = System(model, "ggl1", 0.0)
+        self.equations = Correction(self.system, Counts(), 5)
 
     def residual(self, t, y, yp):
         """F, by the compiled residual."""
         res = np.empty(self.system.size)
-        self.system.residual(t, np.ascontiguousarray(y), np.ascontiguousarray(yp), res)
+        self.equations.F(t, np.ascontiguousarray(y), np.ascontiguousarray(yp), res)
         return res
 
     def jacobians(self, t, y, yp):
@@ -209,7 +212,7 @@ class FirstOrder:
         K, bent, slope = model.force_q(t, q, v), None, None
         if model.needs.driven:
             K, bent = K + model.reaction_q(t, q, lam), model.reaction_q(t, q, mu)
-            slope = csc_array(self.slopes._phi_q_along(1.0, v, t, q))
+            slope = csc_array(FormRows(self.system, 0.0, t, q, v, a).on_q[m:])
         wide, square = csc_array((n, m)), csc_array((m, m))
         in_y = [[bent, -unit, wide, wide], [K, None, None, None], [B, None, square, None], [slope, B, None, square]]
         in_yp = [[unit, None, None, B.T], [None, model.mass(), B.T, None], [wide.T, None, square, None], [None, wide.T, None, square]]

@@ -1,14 +1,11 @@
 """IDA with its solve as preconditioner, which is told cj, over IDA as it is, whose residual holds the solve at a guessed cj: runs in turn."""
 
-import math
 from functools import partial
 
 import numpy as np
 
 import polyida as pi
-from polyida.errors import DONE
-from polyida.integrate.ida import dense, integrator
-from polyida.jit import entry, typed
+from polyida.integrate.ida import integrator
 from polyida.problems import get, plates
 from polyida.run.solve import solve
 from step_cost.side import NO_FRAMES, cells_for, cpu
@@ -53,19 +50,6 @@ def tasks(quick):
     return [{"part": "told cj", "case": case, "pairs": 3 if quick else 7} for case in CASES if not (quick and case == "plates_1e4")]
 
 
-@entry
-def evaluate(w, f, t, y, yp):
-    """F of a small model."""
-    return dense.evaluate(w, f, t, y, yp)
-
-
-@entry
-def correct(w, f, cj, anew, z):
-    """`J^-1 F` of a small model behind `evaluate`."""
-    ended = dense.factor(w, f, cj) if anew else DONE
-    return dense.solve(w, f, f.r, z) if ended == DONE else ended
-
-
 class Handed:
     """In place of `Predicted`: the cj that IDA told last."""
 
@@ -88,8 +72,6 @@ class Told(integrator._Run):
         super().__init__(settings, model, sizes, counts)
         rtol, *atol = settings.tolerances(model, sizes)
         self.linear.predicted, self.fresh = Handed(), False
-        self.small = isinstance(self.linear, dense.DenseSolve)
-        self.evaluate, self.correct = typed(evaluate), typed(correct)
         self.solver = IDA(
             self._told_residual,
             rtol=rtol,
@@ -105,14 +87,8 @@ class Told(integrator._Run):
         self.counts.residuals += 1
         if t != self.tried:
             self.attempts, self.tried = self.attempts + 1, t
-        self.fresh, linear = True, self.linear
-        if self.small:
-            self.evaluate(linear.table.w, linear.room, self.system.clamp(t), y, yp)
-            linear.table.raise_left()
-            res[:] = linear.room.r
-        else:
-            self.system.residual(t, y, yp, res)
-        if not (math.isfinite(res.dot(res)) or np.isfinite(res).all()):
+        self.fresh = True
+        if not self.linear.F(t, y, yp, res):
             self.refused = t, np.array(y[: self.model.n])
 
     def _product(self, t, y, yp, res, vector, result, cj):
@@ -123,12 +99,7 @@ class Told(integrator._Run):
             z[:] = r
             return
         self.fresh, linear, linear.predicted.value = False, self.linear, cj
-        if self.small:
-            self.counts.factorizations += (anew := linear.due(t, y))
-            self.correct(linear.table.w, linear.room, cj, anew, z)
-            linear.table.raise_left()
-        else:
-            linear.correct(t, y, yp, res, z)
+        linear.correct(t, y, yp, linear.due(t, y), z)
         np.negative(z, out=z)
 
 

@@ -10,6 +10,7 @@ from conditioning import systems as conditioning
 from polyida import condition_number
 from polyida.errors import StepFailure
 from polyida.integrate.ida.forms import FORMS, System
+from polyida.integrate.ida.linear import Correction
 from polyida.integrate.iteration_matrix import iteration_matrix
 from polyida.integrate.radau.tableau import radau
 from polyida.linear.condition import condition
@@ -90,11 +91,12 @@ def test_a_user_s_model_and_a_singular_matrix(exact):
 def test_idas_matrix_is_the_derivative_of_its_residual(form, given):
     model, state = conditioning.state_of("soft", 4) if given == "scene" else pendulum_state()
     system, cj = System(model, form, 10.0), 50.0
-    y, yp = system.pack(state)
+    (y, yp), equations = system.pack(state), Correction(system, pi.Counts(), 5, "kkt")
+    equations.begin(state.t, y)
 
     def residual(s, direction):
         res = np.empty(system.size)
-        system.residual(state.t, y + s * direction, yp + s * cj * direction, res)
+        equations.F(state.t, y + s * direction, yp + s * cj * direction, res)
         return res
 
     J = iteration_matrix(model, pi.IDA(form=form), state, "none", h=1 / cj)

@@ -12,8 +12,10 @@ import polyida
 from against_peers import against as against_gains
 from against_peers import gain, peers
 from polyida.errors import InputError
+from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
-from polyida.integrate.ida.scene import SceneSystem
+from polyida.integrate.ida.linear import Correction
+from polyida.integrate.state import Counts
 from polyida.problems import plates
 from polyida.run.solve import solve
 from skip import savings
@@ -106,12 +108,13 @@ def slope(residual, y, yp, along_y, along_yp):
 
 
 def test_the_whole_jacobian_is_the_slope_of_the_residual(model):
-    system, jacobian, cj = SceneSystem(model, "ggl2", 0.0), peers.WholeJacobian(model), 30.0
+    system, jacobian, cj = System(model, "ggl2", 0.0), peers.WholeJacobian(model), 30.0
+    equations = Correction(system, Counts(), 5)
     random = np.random.default_rng(1)
 
     def residual(y, yp):
         res = np.empty(system.size)
-        system.residual(0.0, y, yp, res)
+        equations.F(0.0, y, yp, res)
         return res
 
     y, yp = 1e-3 * random.standard_normal((2, system.size))

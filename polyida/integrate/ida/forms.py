@@ -23,10 +23,7 @@ import numpy as np
 
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import dense
-from polyida.model.differences import along, reach_along
 
-# constants of compiled code
-NEAR = np.finfo(float).eps ** (1 / 3)  # of phi_q's slopes, which only Newton sees: two values are enough
 UNTESTED = 1e9  # absolute tolerance of what carries no error estimate, as multipliers: far above any size of theirs
 
 
@@ -51,20 +48,17 @@ FORMS = {
 
 
 class System:
-    """A model in one form: IDA's residual F(t, y, y'), blocks of its matrix, and the way from a State to (y, y') and back.
+    """A model in one form: its constraint rows, and the way from a State to (y, y') and back.
 
-    rate: w of Baumgarte. levels: of each derivative of phi its order, its weight and the constraint rows to which it is added. limits: t is
-    held to this range, so that at a kink a smooth piece sees its own side.
+    rate: w of Baumgarte. levels (k, 3): what phi, phi' and phi'' count for in each of k blocks of m rows. limits: t is held to this range, so
+    that at a kink a smooth piece sees its own side.
     """
 
     def __init__(self, model, form, rate):
         self.model, self.form = model, FORMS[form]
         self.limits = (-np.inf, np.inf)
-        self._seen = np.nan, np.zeros(0), None
-        m, combined, weights = model.m, self.form.combined, (rate**2, 2.0 * rate, 1.0)
-        starts = [0 if combined else m * i for i in range(len(self.form.rows))]
-        self.levels = [(k, weights[k] if combined else 1.0, slice(at, at + m)) for k, at in zip(self.form.rows, starts)]
-        self.size = 2 * model.n + (2 if self.form.stabilised else 1) * m
+        self.levels = np.array([[rate**2, 2.0 * rate, 1.0]]) if self.form.combined else np.eye(3)[list(self.form.rows)]
+        self.size = 2 * model.n + len(self.levels) * model.m
 
     def split(self, y, yp):
         """q, v, a, lam, mu (None without) as views of y and y', (size,) or (k, size)."""
@@ -86,45 +80,6 @@ class System:
         n, atol = self.model.n, np.empty(self.size)
         atol[:n], atol[n : 2 * n], atol[2 * n :] = atol_q, atol_v, UNTESTED
         return atol
-
-    def residual(self, t, y, yp, res):
-        """IDA's F(t, y, y') into `res`; nan, IDA's sign to try a smaller step, where the model objects."""
-        n, model, t = self.model.n, self.model, self.clamp(t)
-        q, v, a, lam, mu = self.split(y.copy(), yp.copy())
-        if self.objection(t, q):
-            res[:] = np.nan
-            return
-        np.subtract(yp[:n], v, out=res[:n])
-        res[n : 2 * n] = model.residual(t, q, v, a, lam)
-        if model.m:
-            B = None if self.form.rows == (0,) else self.phi_q(t, q)
-            res[2 * n :] = 0.0
-            for order, weight, at in self.levels:
-                value = model.phi(t, q) if order == 0 else B @ v + model.phi_t(t, q) if order == 1 else B @ a + model.phi_bias(t, q, v)
-                res[2 * n :][at] += weight * value
-            if mu is not None:
-                res[:n] += B.T @ mu
-
-    def along_rates(self, t, y, yp, x):
-        """dF/dy' x at (t, y, y'), x (size,)."""
-        n, m, model, t = self.model.n, self.model.m, self.model, self.clamp(t)
-        q, product = y[:n].copy(), np.zeros(self.size)
-        product[:n], product[n : 2 * n] = x[:n], model.mass(q) @ x[n : 2 * n]
-        B = self.phi_q(t, q) if m and (self.form.integrated or 2 in self.form.rows) else None
-        if B is not None and self.form.integrated:
-            product[n : 2 * n] += B.T @ x[2 * n : 2 * n + m]
-            product[:n] += B.T @ x[2 * n + m :]
-        if B is not None and 2 in self.form.rows:
-            product[2 * n :] = B @ x[n : 2 * n]
-        return product
-
-    def phi_q(self, t, q):
-        """The model's; made once for a residual and the solve that follows it."""
-        at, where, B = self._seen
-        if t != at or not np.array_equal(q, where):
-            B = self.model.phi_q(t, q)
-            self._seen = t, q.copy(), B
-        return B
 
     def objection(self, t, q):
         """Why the model cannot stand at an accepted (t, q), or None."""
@@ -152,49 +107,11 @@ class System:
         """(t, q, v, a, lam) for the model."""
         return self.clamp(t), *self.split(y.copy(), yp.copy())[:4]
 
-    def slope(self, t, y, yp, cj):
-        """D = cj M + C at (t, y, y')."""
-        model, (t, q, v, *_) = self.model, self.at(t, y, yp)
-        D = cj * model.mass(q)
-        return D + model.force_v(t, q, v) if model.needs.velocity_forces else D
-
     @property
     def rows_vary(self):
         """Whether phi_q does, in rows of phi and its first derivative; those of the second cost too much to be made anew."""
         needs = self.model.needs
         return self.model.m > 0 and (needs.driven or needs.phi_q_varies) and max(self.form.rows) < 2
-
-    def rows(self, t, y, yp, cj):
-        """B (m, n) and the slopes (P, Q) of the constraint rows: in q, and in v with v' = cj v."""
-        t, q, v, a, _ = self.at(t, y, yp)
-        B = dense(self.phi_q(t, q))
-        P, Q = np.zeros((2, self.size - 2 * self.model.n, self.model.n))
-        for order, weight, at in self.levels:
-            on_q, on_v, on_a = self._derivatives(order, t, q, v, a, B)
-            P[at] += weight * on_q
-            Q[at] += weight * (on_v + cj * on_a)
-        return B, P, Q
-
-    def _derivatives(self, order, t, q, v, a, B):
-        """(c_q, c_v, c_a) of one derivative of phi; d(phi_q v)/dq is phi_q's slope along v, by symmetry."""
-        zero = np.zeros_like(B)
-        if order == 0:
-            return B, zero, zero
-        slope = self._phi_q_along(1.0, v, t, q)
-        if order == 1:
-            return slope, B, zero
-        reach = reach_along(q, v)
-        curvature = along(lambda s: self._phi_q_along(1.0, v, t + s, q + s * v), reach) if slope.any() else zero
-        return curvature + self._phi_q_along(0.0, a, t, q), 2 * slope, B
-
-    def _phi_q_along(self, time, direction, t, q):
-        """d/ds phi_q(t + s time, q + s direction) at s = 0, (m, n)."""
-        needs = self.model.needs
-        if not (needs.phi_q_varies or (needs.driven and time)):
-            return np.zeros((self.model.m, self.model.n))
-        step = NEAR * reach_along(q, direction)
-        ahead, behind = (dense(self.model.phi_q(t + s * time, q + s * direction)) for s in (step, -step))
-        return (ahead - behind) / (2 * step)
 
 
 class Accepted(Stretch):

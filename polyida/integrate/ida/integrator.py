@@ -12,8 +12,8 @@ from polyida.errors import InputError, StepFailure
 from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.ida.error_lines import error_lines_kept
 from polyida.integrate.ida.forms import FORMS, Accepted, System
-from polyida.integrate.ida.linear import ReducedSolve
-from polyida.integrate.ida.whole import SCALINGS, WholeSolve
+from polyida.integrate.ida.linear import Correction
+from polyida.integrate.ida.whole import SCALINGS
 from polyida.integrate.kinks import at_kink, beside, segments, stops
 from polyida.integrate.moves import cells_of
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run, typical_sizes
@@ -21,7 +21,6 @@ from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State, States
 from polyida.keywords import named_keywords
 from polyida.model import Model
-from polyida.system.python import small_table
 from polyida.system.table import INSTANTS
 
 LINEAR = ("auto", "kkt", "whole")
@@ -32,7 +31,6 @@ AIM, WAYS, FLEXIBLE_WAYS = (
 )  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
 VELOCITY_ATOL = 1e3  # 1/s: absolute tolerance of v over that of q, where a number is given
 LOOSE = 5.0  # times rtol: tolerance of v of flexible bodies
-HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
 OPEN = 1e-2  # of the model's length: a constraint that has drifted further ends the run
 LONGEST = 5e-3  # s, that a stretch of states takes, unless a step takes longer
 STANDSTILL = 20  # so many steps in a row that hardly move t end the run; IDA alone would go on for ever
@@ -66,7 +64,7 @@ class IDA:
     imaginary axis, where their mesh modes lie; only with all of them well damped is 5 the faster) and 5 elsewhere.
     form: "ggl2" (default), "ggl1", "index2", "index1", "baumgarte" (with `rate`, w in 1/s) or "index3"; the equations
     are in integrate/ida/forms.py. index3 is there to be studied: it is slow, and fails on many models.
-    linear: "auto" takes compiled callbacks for a scene and for a model with n + m <= 50, "kkt" the general ones that any model has, all
+    linear: "auto" takes compiled functions for a scene and for a model with n + m <= 50, "kkt" the general ones that any model has, all
     through S = K + cj C + cj^2 M and a border; "whole" factors the whole matrix of (q, v, multipliers). scaling: rows and columns of the whole
     matrix divided by "characteristic" sizes (integrate/ida/whole.py) or "none"; the other two do not depend on it.
     nonholonomic: the rows `phi_rate(t, q, v) = 0`, linear in v with the slope phi_q, need not be the derivative of phi; only with form
@@ -191,29 +189,6 @@ def _check(name, value, right, wanted):
         raise InputError(f"IDA: {name} {value} {wanted}")
 
 
-def _callbacks(settings, model, counts):
-    """(system, linear): IDA's residual and linear solve; compiled for a scene in a stabilised form and for small models of a user's own."""
-    order = settings.order(model)
-    if model.compiled and FORMS[settings.form].stabilised and settings.linear == "auto" and not _top_heavy(model):
-        from polyida.integrate.ida.scene import SceneSolve, SceneSystem
-
-        system = SceneSystem(model, settings.form, settings.rate)
-        return system, SceneSolve(system, counts, order)
-    system = System(model, settings.form, settings.rate)
-    if settings.linear == "whole":
-        return system, WholeSolve(system, counts, order, settings.scaling)
-    if settings.linear == "auto" and (table := small_table(model)):
-        from polyida.integrate.ida.dense import DenseSolve
-
-        return system, DenseSolve(system, counts, order, table)
-    return system, ReducedSolve(system, counts, order)
-
-
-def _top_heavy(model):
-    """Whether a mass at a point is so far above its bodies' that the border drowns in the single precision of their factor."""
-    return model.arrays.links.point_mass.max(initial=0.0) > HEAVY * model.lightest
-
-
 class _Run:
     """One run of IDA: the solver of the binding with its callbacks, and the counting of steps."""
 
@@ -225,7 +200,8 @@ class _Run:
         rtol, *atol = settings.tolerances(model, sizes)
         self.sizes, self.memory = sizes, {"sizes": sizes, "rtol": settings.relative(model, sizes)}
         self.memory |= {} if settings.atol else {"tolerances": np.array([rtol, *atol])}
-        self.system, self.linear = _callbacks(settings, model, counts)
+        self.system = System(model, settings.form, settings.rate)
+        self.linear = Correction(self.system, counts, settings.order(model), settings.linear, settings.scaling)
         self.steps, self.standing, self.attempts = 0, 0, 0
         self.tried, self.last_step = math.nan, math.nan
         self.refused, self.blamed = None, ""  # where the residual was last not finite, and by whose doing
@@ -303,7 +279,7 @@ class _Run:
         self.counts.rejected += max(self.attempts - 1, 0)
         self.standing = self.standing + 1 if self.last_step < 16 * math.ulp(t) else 0
         self.linear.accept(t, y)
-        if objection := self.system.objection(t, q):
+        if self.linear.objects and (objection := self.system.objection(t, q)):
             raise self._failure("objection", objection)
         if opened := self.system.opened(t, q, OPEN * self.sizes[0]):
             raise self._failure("drift", f"{opened}; a form that holds phi, or a tighter rtol, keeps it closed")

@@ -1,31 +1,27 @@
-"""IDA's Newton correction: one n x n factor and a small border solve its whole iteration matrix exactly.
+"""What IDA is given in place of its residual and its linear system.
 
-IDA asks for `J d = -F`, J = dF/dy + cj dF/dy'. With y = (q, v, lam, mu) and mu only where the form has it:
-
-    |  cj I     -I               B^T |  |dq  |   |r1|     q' - v + B^T mu
-    |  K      cj M + C   B^T         |  |dv  | = |r2|     M v' + g + B^T lam
-    |  P         Q                   |  |dlam|   |rc|     the form's constraint rows c(t, q, v, v')
-                                        |dmu |            P = c_q,  Q = c_v + cj c_a
-
-The first row gives dv; what remains is `S = K + cj C + cj^2 M` bordered by as many rows as there are multipliers.
-
-What IDA is given as its residual is `J^-1 F`, which has the same zeros and the same Newton corrections: its own linear system is then
+Its residual is `J^-1 F` (integrate/ida/step.py), which has the same zeros as F and the same Newton corrections: its own linear system is then
 that of the identity, and its GMRES, without a preconditioner, is done after one product that hands the vector through. IDA tells cj
-only with that product, after the residual; it is known before from what IDA predicts (`Predicted`). Should it be another, the product
-is the true one, `J(expected)^-1 J(cj) = 1 + (cj - expected) J(expected)^-1 dF/dy'`.
+only with that product, after the residual; it is known before from what IDA predicts (`Predicted`). Should it be another, the next iteration
+has the one that was told.
 
 This solve as IDA's preconditioner would be told cj. It takes the same steps, but two calls more an iteration, of five arrays each, which the
-binding wraps one by one: 1.1 times the time of a run on the pendulum, 1.17 where numba compiles its class, 1.05 to 1.07 on the car axis, 1.04
-or less on Andrews' mechanism, chains of bars and plates (`python studies/step_cost.py`).
+binding wraps one by one: 1.15 times the time of a run on the pendulum, 1.19 where numba compiles its class, 1.0 to 1.1 on the car axis, Andrews'
+mechanism, chains of bars and plates (`python studies/step_cost.py`).
 """
 
 import math
-from contextlib import suppress
 
 import numpy as np
 
+from polyida.errors import DONE, HALF_TURN, INVERTED, NO_MATRIX, NOT_FINITE, REASONS, SINGULAR, StepFailure
+from polyida.integrate.ida.step import correction, equations, iterate
+from polyida.integrate.ida.tables import table_of
+from polyida.integrate.state import Counts
+from polyida.jit import typed
 from polyida.linear.lu import SingularSystem
-from polyida.linear.step_matrix import MANY, Border, StepMatrix
+from polyida.model.guarded import unguarded, writes
+from polyida.system.table import MATRICES, RESIDUAL
 
 MOST = 5  # order of a backward differentiation formula, at most
 LEADS = np.cumsum(1 / np.arange(1, MOST + 1)).tolist()  # cj h of the orders, whatever the steps before
@@ -75,20 +71,29 @@ class Predicted:
 
 
 class Correction:
-    """IDA's callbacks around a solve with the whole iteration matrix: `setup` factors at a cj, `reduced` solves.
+    """IDA's callbacks around the table of a System (integrate/ida/forms.py).
 
     IDA itself would keep a factor while cj moves by up to 5/3. Here S is factored whenever cj has moved: with a stale cj
     Newton contracts at up to 0.5, needs up to 1.7 times the residuals, and on flexible bodies stops further from the
     solution; the factors saved are few.
+
+    Rows are those of each iterate, where they vary: with those of the factor's state phi falls only as Newton contracts. Where phi is a row and
+    not linear, what it bends by on the way is taken out too: one iteration closes it.
     """
 
-    def __init__(self, system, counts, order):
-        self.system, self.counts, self.predicted = system, counts, Predicted(system.model.n, order)
-        self.cj, self.right = math.nan, np.empty(system.size)
+    def __init__(self, system, counts, order, linear="auto", scaling="characteristic"):
+        self.system, self.counts, self.predicted, self.cj = system, counts, Predicted(system.model.n, order), math.nan
+        self.table, self.renews = table_of(system, linear, scaling)
+        self.iterate = iterate(system, system.rows_vary and system.holds_phi and self.renews)
+        self.equations, self.correction = typed(equations), typed(correction)
+        model = unguarded(system.model)
+        self.objects = writes(model, "objection") and not (model.is_scene and self.table.single)
 
     def begin(self, t, y):
         """IDA starts anew from y at t."""
-        self.predicted.begin(t, y[: self.system.model.n])
+        n = self.system.model.n
+        self.predicted.begin(t, y[:n])
+        self.table.hold_constant(t, y[:n].copy())
         self.tried = math.nan
 
     def accept(self, t, y):
@@ -96,18 +101,63 @@ class Correction:
         self.predicted.accept(t, y[: self.system.model.n])
 
     def residual(self, t, y, yp, z):
-        """z = J^-1 F, nan where there is no inverse. False where F is not finite."""
-        self.system.residual(t, y, yp, self.right)
-        if not (math.isfinite(self.right.dot(self.right)) or np.isfinite(self.right).all()):
-            return False
-        self.correct(t, y, yp, self.right, z)
-        return True
+        """z = J^-1 F, nan where there is no inverse. False where F is not finite, or the model objects."""
+        anew, system = self.due(t, y), self.system
+        made = anew and not self.table.functions[RESIDUAL]  # of a scene, whose functions are compiled for its factor
+        if made:
+            self._make(t, y, yp)
+        if not (self.objects and system.objection(t, y[: system.model.n].copy())) and self.evaluate(t, y, yp):
+            self.correct(t, y, yp, anew, z, made)
+            return True
+        self.cj = math.nan if anew else self.cj
+        return False
 
-    def correct(self, t, y, yp, r, z):
-        """z = J^-1 r at the cj that is expected; nan where there is no inverse."""
-        if self.due(t, y):
-            self.setup(t, y, yp, self.cj)
-        self._solve(t, y, yp, r, z)
+    def F(self, t, y, yp, res):
+        """F(t, y, y') into res. False where it is not finite."""
+        if not self.table.functions[RESIDUAL]:
+            self.cj = 1.0
+            self._make(t, y, yp)
+        n, z, sound = self.system.model.n, self.iterate, self.evaluate(t, y, yp)
+        res[:n], res[n : 2 * n], res[2 * n :] = z.first, z.r, z.closing.ravel()[: self.system.size - 2 * n]
+        return sound
+
+    def evaluate(self, t, y, yp):
+        """Whether the equations could be evaluated."""
+        table = self.table
+        if not table.functions[RESIDUAL]:
+            return False
+        table.stand(self.system.clamp(t))
+        ended = self.equations(table.functions, table.workspace, self.iterate, y, yp)
+        return ended == DONE or self._told(ended, t)
+
+    def _told(self, ended, t):
+        """False, where a smaller step may help; else it raises."""
+        self.table.raise_left()
+        if ended in (NOT_FINITE, INVERTED, HALF_TURN):
+            return False
+        raise StepFailure(*REASONS[ended], t)
+
+    def correct(self, t, y, yp, anew, z, made=False):
+        """z = J^-1 F of what was evaluated, nan where there is no inverse; anew: with the matrices of here, which may be made."""
+        counts, table, ended = self.counts, self.table, SINGULAR
+        counts.tangents += anew
+        counts.factorizations += anew
+        counts.solves += 1
+        if anew and not made and not table.functions[MATRICES]:
+            self._make(t, y, yp)
+        if not math.isnan(self.cj):
+            fresh = anew or self.renews
+            ended = self.correction(table.functions, table.workspace, self.iterate, self.cj, anew, fresh, z)
+        if ended in (SINGULAR, NO_MATRIX) or (ended != DONE and not self._told(ended, t)):
+            self.cj, z[:] = math.nan, math.nan
+
+    def _make(self, t, y, yp):
+        made = Counts()
+        try:
+            self.table.make(0, 1.0 / self.cj, np.concatenate([np.ravel(x) for x in self.system.at(t, y, yp)]), made)
+        except SingularSystem:
+            self.cj = math.nan
+        self.counts.backend, self.counts.solves = made.backend, self.counts.solves + made.solves
 
     def due(self, t, y):
         """Count an iteration at the cj that is expected. Whether a factor is to be made; there is none where cj is nan."""
@@ -121,63 +171,5 @@ class Correction:
         return anew and not math.isnan(self.cj)
 
     def product(self, t, y, yp, res, vector, result, cj):
-        """J(expected)^-1 J(cj) vector: the vector itself where the expected cj is that."""
-        result[:] = vector
-        if abs(cj - self.cj) > SAME_CJ * cj:
-            self.expected, change = cj, np.empty(len(vector))
-            self._solve(t, y, yp, self.system.along_rates(t, y, yp, vector), change)
-            result += (cj - self.cj) * change
-
-    def _solve(self, t, y, yp, r, z):
-        self.counts.solves += 1
-        try:
-            if math.isnan(self.cj):
-                raise SingularSystem("there is no factor")
-            self.reduced(t, y, yp, r, z)
-        except SingularSystem:
-            z[:] = math.nan
-
-
-class ReducedSolve(Correction):
-    """The correction of `system` (integrate/ida/forms.py) for any model: its step matrix with a border."""
-
-    def __init__(self, system, counts, order):
-        super().__init__(system, counts, order)
-        self.step = StepMatrix(system.model)
-
-    def setup(self, t, y, yp, cj):
-        """Factor S at (t, y, y')."""
-        self.cj, self.D, self.border = cj, self.system.slope(t, y, yp, cj), None
-        self.counts.tangents += 1
-        self.counts.factorizations += 1
-        with suppress(SingularSystem):  # then it has no solve
-            self.step.factor(*self.system.at(t, y, yp), cj * cj, cj)
-
-    def reduced(self, t, y, yp, r, z):
-        """z = J^-1 r, constraint rows and columns those of (t, y, y'): with those of the factor's state phi falls only as Newton contracts.
-
-        Where phi is a row and not linear, what it bends by on the way to q - dq is taken out too: one iteration closes it.
-        """
-        system, model = self.system, self.system.model
-        n, m, vary, q, r1 = model.n, model.m, system.rows_vary, y[: model.n].copy(), r[: model.n]
-        if self.border is None or (vary and m <= MANY):
-            self._make_border(t, y, yp, q)
-        free, below = self.step.solve(q, r[n : 2 * n] + self.D @ r1), r[2 * n :] + self.Q @ r1
-        dq, w = self.border.solve(free, self.rows, below, self.corner)
-        if vary and system.holds_phi:
-            at = system.clamp(t)
-            below[:m] += model.phi(at, q - dq) - model.phi(at, q) + r[2 * n : 2 * n + m]
-            dq, w = self.border.solve(free, self.rows, below, self.corner)
-        z[:n], z[n : 2 * n], z[2 * n :] = dq, self.cj * dq - r1, w / self.cj if system.form.integrated else w
-        if system.form.stabilised:
-            z[n : 2 * n] += self.B.T @ w[m:]
-
-    def _make_border(self, t, y, yp, q):
-        """Rows, columns and corner of (t, y, y') on the factor at hand: B^T for lam, D B^T for mu."""
-        self.B, P, self.Q = self.system.rows(t, y, yp, self.cj)
-        self.rows, columns = P + self.cj * self.Q, self.B.T
-        self.corner = np.zeros((len(P), len(P)))
-        if self.system.form.stabilised:
-            self.corner[:, self.system.model.m :] = self.Q @ columns
-            columns = np.hstack([columns, self.D @ columns])
-        self.border = Border(self.step.solve(q, columns))
+        """The vector itself; cj is that of the next iteration."""
+        result[:], self.expected = vector, cj if abs(cj - self.cj) > SAME_CJ * cj else self.expected

@@ -25,8 +25,8 @@ import numpy as np
 
 from polyida.linear import whole
 from polyida.linear.lu import LU, dense
-from polyida.linear.step_matrix import Border
-from polyida.model.differences import along, reach_along
+from polyida.linear.step_matrix import Border, StepMatrix
+from polyida.model.differences import bend, reach_along
 
 NOTHING = 1e-12  # of the largest mass: none
 
@@ -41,14 +41,17 @@ def lift(model, shares):
 class Rows:
     """The constraints' rows at (t, q, v): B (m, n), and H and G (m, n) where there is mu.
 
-    lift: the diagonal of D^-1 (n,), or None where there is no mu.
+    lift: the diagonal of D^-1 (n,), or None where there is no mu. on_q, on_v: what the rows are on dq and dv; both: on dq, where dv = c dq,
+    with c times the first block taken from the second.
     """
 
     def __init__(self, model, t, q, v, lift):
         self.B, self.tied = dense(model.phi_q(t, q)), lift is not None
+        level = np.zeros_like(self.B)
         self.G = self.B * lift if self.tied else self.B[:0]
-        self.H = _slope(model, t, q, v, self.B) if self.tied else np.zeros((0, model.n))
-        self.both = np.vstack([self.B, self.H])
+        self.H = bend(lambda s: dense(model.phi_q(t + s, q + s * v)), self.B, reach_along(q, v))[0] if self.tied else level[:0]
+        self.both = self.on_q = np.vstack([self.B, self.H])
+        self.on_v = np.vstack([level, self.B]) if self.tied else level
 
     def below(self, c, r3, r4):
         """The right-hand sides of the rows on dq."""
@@ -61,11 +64,6 @@ class Rows:
         if self.tied:
             corner[m:, m:] = self.B @ self.G.T
         return corner
-
-
-def _slope(model, t, q, v, B):
-    """d(phi_q v + phi_t)/dq, which is the slope of phi_q along the motion."""
-    return along(lambda s: dense(model.phi_q(t + s, q + s * v)), reach_along(q, v))
 
 
 class Matrices:
@@ -85,7 +83,7 @@ class Matrices:
         """Factor, where it is not done. Raises SingularSystem."""
         if self.factors is not None:
             return
-        at, first = self._evaluated(), self.model.step_matrix(self.linear)
+        at, first = self._evaluated(), StepMatrix(self.model) if self.linear == "kkt" else self.model.step_matrix(self.linear)
         first.factor(*at, self.c[0] ** 2, self.c[0])
         more = ((c, c * slope - self.c[0] * self.slopes[0]) for c, slope in zip(self.c[1:], self.slopes[1:]))
         steps = [first, *(first.beside(c**2, c, change) for c, change in more)]
@@ -100,36 +98,40 @@ class Matrices:
         self.slopes = [c * self.M if self.C is None else c * self.M + self.C for c in self.c]
         return at
 
-    def _hold(self, B):
-        """Solve with S + s B^T B, where S may be singular: coordinates have no mass and are held by constraints alone.
+    def _hold(self, B, R):
+        """Solve with S + s B^T R, R the first block of rows, where S may be singular: constraints alone hold coordinates without mass.
 
-        With `B dq = -r3` nothing has changed but dlam, by s r3; so B is that of the rows themselves.
+        With `R dq = -r3` nothing has changed but dlam, by s r3; so these are the rows themselves.
         """
         size = float(np.abs(self.bare[0].diagonal()).max(initial=0.0))
-        self.added = size / max(float(np.abs(B).max(initial=0.0)), 1e-300) ** 2 if self.model.m else 0.0
-        BB = self.added * (B.T @ B)
+        largest = (max(float(np.abs(x).max(initial=0.0)), 1e-300) for x in (B, R))
+        self.added = size / np.prod(list(largest)) if self.model.m else 0.0
+        BB = self.added * (B.T @ R)
         self.factors = [LU(S + (type(S)(BB) if hasattr(S, "tocsc") else BB)).solve for S in self.bare]
 
     def surround(self, rows, counts):
         """Take the constraints' rows, and make the columns that belong to them."""
         if self.bare:
             counts.factorizations += len(self.bare)
-            self._hold(rows.B)
+            self._hold(rows.B, rows.both[: self.model.m])
         counts.solves += len(self.modes) * len(rows.both)
+        self.seen = (None,)
         self.rows, self.corner, self.borders = rows, rows.corner(), []
         for k, slope in enumerate(self.slopes):
             columns = np.hstack([rows.B.T, slope @ rows.G.T]) if rows.tied else rows.B.T
             self.borders.append(Border(self._free(k, columns)))
 
     def off(self, v, a):
-        """(C v + M a, M v)."""
+        """C v + M a."""
         force = self.M @ a
-        return force if self.C is None else force + self.C @ v, self.M @ v
+        return force if self.C is None else force + self.C @ v
 
     def corrections(self, k, r, r3, r4):
         """(dq, dlam, dmu) of mode k from its residuals. Raises SingularSystem."""
         m = len(self.rows.B)
-        dq, w = self.borders[k].solve(-self._free(k, r), self.rows.both, self.rows.below(self.c[k], r3, r4), self.corner)
+        if self.seen[0] != k or not np.array_equal(r, self.seen[1]):  # IDA asks for a second correction, with other rows
+            self.seen = k, r, -self._free(k, r)
+        dq, w = self.borders[k].solve(self.seen[2], self.rows.both, self.rows.below(self.c[k], r3, r4), self.corner)
         return dq, w[:m] - self.added * r3, w[m:]
 
     def _free(self, k, b):
@@ -138,9 +140,8 @@ class Matrices:
 
 def whole_matrix(c, K, slope, rows):
     """(the matrix, typical size s of S) of K, slope = c M + C and the constraints' Rows: CSC where K is sparse, else dense."""
-    level = np.zeros_like(rows.B)
-    on_v, mu = (np.vstack([level, rows.B]), rows.G.T) if rows.tied else (level, None)
-    return whole.joined(c, K, slope, rows.B.T, mu, rows.both, on_v), whole.typical(c, K, slope)
+    mu = rows.G.T if rows.tied else None
+    return whole.joined(c, K, slope, rows.B.T, mu, rows.on_q, rows.on_v), whole.typical(c, K, slope)
 
 
 def sizes(scaling, c, s, n, m, tied):
@@ -176,8 +177,11 @@ class WholeModes(Matrices):
 
     def _whole(self, k, *below):
         """The solution with no right-hand side of q', which v follows as it is. Raises SingularSystem."""
-        n, m = self.model.n, self.model.m
+        n = self.model.n
         if self.borders[k] is None:
             matrix, s = whole_matrix(self.c[k], self.K, self.slopes[k], self.rows)
-            self.borders[k] = whole.ScaledLU(matrix, *sizes(self.scaling, self.c[k], s, n, m, self.rows.tied))
+            self.borders[k] = whole.ScaledLU(matrix, *self._sizes(self.c[k], s))
         return self.borders[k].solve(np.concatenate([np.zeros(n), *below]))
+
+    def _sizes(self, c, s):
+        return sizes(self.scaling, c, s, self.model.n, self.model.m, self.rows.tied)

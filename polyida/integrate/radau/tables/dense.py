@@ -11,6 +11,7 @@ from polyida.jit import pack, part
 from polyida.jit.intrinsics import address, complex_pointer
 from polyida.linear import dense as lu
 from polyida.linear.lu import KEPT as SLOTS
+from polyida.model.differences import NEAR
 from polyida.system import dense
 from polyida.system import table as of
 from polyida.system.dense import (
@@ -23,7 +24,6 @@ from polyida.system.dense import (
     MASS,
     MASS_VARIES,
     PHI_Q,
-    REACH,
     TANGENT,
     VELOCITY,
     add_slope,
@@ -39,14 +39,15 @@ from polyida.system.table import c_address, c_entry
 
 CHOSEN, MADE, TIED = range(
     3
-)  # of DenseStages.state: the slot in use, whether its matrices are made with the rows at hand, and whether there is mu
+)  # of DenseStages.state: the slot in use, whether its matrices are made with the rows at hand, and whether a derivative of phi is a row
 
 
 @pack
 class DenseStages(NamedTuple):
     """The workspace of a model: a Dense; of the slots K, C, M (slots, n, n) and the typical size of S; the rows of the middle stage.
 
-    rows (s, m, n): B of the stages; D (n,): D^-1; c (3,): as SELECT has it; B, H, G (m, n); real, pair (N, N): the factored matrices of the modes.
+    levels (k, 3): what phi, phi' and phi'' count for in each of k blocks of m rows; of two blocks the second has mu. rows (s, m, n): B of the stages;
+    D (n,): D^-1; c (3,): as SELECT has it; B, H, N, G (m, n); real, pair (N, N): the factored matrices of the modes.
     """
 
     dense: dense.Dense
@@ -55,10 +56,12 @@ class DenseStages(NamedTuple):
     M: np.ndarray
     state: np.ndarray
     c: np.ndarray
+    levels: np.ndarray
     D: np.ndarray
     rows: np.ndarray
     B: np.ndarray
     H: np.ndarray
+    N: np.ndarray
     G: np.ndarray
     near: np.ndarray
     sizes: np.ndarray
@@ -69,14 +72,14 @@ class DenseStages(NamedTuple):
     x_pair: np.ndarray
 
 
-def workspace(d, stages, tied):
+def workspace(d, stages, levels):
     """A DenseStages around a Dense."""
     n, m = len(d.q), len(d.lam)
-    N = n + (1 + tied) * m
-    kept, few = [np.zeros((SLOTS, n, n)) for _ in range(3)], [np.zeros((m, n)) for _ in range(4)]
+    size = n + len(levels) * m
+    kept, few = [np.zeros((SLOTS, n, n)) for _ in range(3)], [np.zeros((m, n)) for _ in range(5)]
     return DenseStages(
-        d, *kept, np.array([0, 0, int(tied)]), np.zeros(3), np.ones(n), np.zeros((stages, m, n)), *few, np.zeros(2),
-        np.zeros((2, N), np.int64), np.zeros((N, N)), np.zeros(N), np.zeros((N, N), complex), np.zeros(N, complex),
+        d, *kept, np.array([0, 0, int(levels[:, 1:].any())]), np.zeros(3), levels, np.ones(n), np.zeros((stages, m, n)), *few, np.zeros(2),
+        np.zeros((2, size), np.int64), np.zeros((size, size)), np.zeros(size), np.zeros((size, size), complex), np.zeros(size, complex),
     )  # fmt: skip
 
 
@@ -104,18 +107,19 @@ def prepare(w, first, times, b, c, d, e, f):
 
 
 @c_entry
-def reaction(w, instant, q, mu, dv, d, e, f):
-    """dv += D^-1 B^T mu; B is kept for the residual there."""
-    k = (instant - 1) % (w.rows.shape[0] + 1)
-    take(w.dense, instant, q, address(w.dense.v))
-    ended, B = take_rows(w.dense), w.dense.B
-    given, moved = vector(mu, B.shape[0]), vector(dv, B.shape[1])
-    for i in range(B.shape[1]):
+def reaction(w, instant, q, mu, dv, known, e, f):
+    """dv += D^-1 B^T mu; B is kept for the residual there, or is that of the middle stage."""
+    n, m, ended, B = w.K.shape[1], w.B.shape[0], DONE, w.B
+    if not known:
+        take(w.dense, instant, q, address(w.dense.v))
+        ended, B = take_rows(w.dense), w.dense.B
+        copy(B, w.rows[(instant - 1) % (w.rows.shape[0] + 1)])
+    given, moved = vector(mu, m), vector(dv, n)
+    for i in range(n):
         total = 0.0
-        for e in range(B.shape[0]):
+        for e in range(m):
             total += B[e, i] * given[e]
         moved[i] += w.D[i] * total
-    copy(B, w.rows[k])
     return ended
 
 
@@ -171,52 +175,63 @@ def accept(w, instant, q, b, c, d, e, f):
 
 
 @part
-def along(w, q):
-    """w.H = d/ds B(t + s, q + s v) of the state at hand, of fourth order (model/differences.py)."""
-    d, step, at = w.dense, REACH * reach(w.dense), vector(q, w.dense.q.shape[0])
+def bend(w, q, a):
+    """w.H and w.N: first and second derivative of B(t + s, q + s v + s^2 a/2) at s = 0; a may be 0."""
+    d, step, at, towards = w.dense, NEAR * reach(w.dense), vector(q, w.dense.q.shape[0]), vector(a, w.dense.q.shape[0] if a else 0)
     t, ended = d.t[INNER], DONE
-    for k in range(w.H.shape[0]):
-        for i in range(w.H.shape[1]):
-            w.H[k, i] = 0.0
-    for e in range(4):
-        s, weight = (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
+    for e in range(2):
+        s = (step, -step)[e]
         for i in range(d.q.shape[0]):
             d.q[i] = at[i] + s * d.v[i]
+        for i in range(towards.shape[0]):
+            d.q[i] += 0.5 * s * s * towards[i]
         d.t[INNER] = t + s
         if ended == DONE:
             ended = ask(d, PHI_Q, INNER, d.B)
         for k in range(w.H.shape[0]):
             for i in range(w.H.shape[1]):
-                w.H[k, i] += weight * d.B[k, i]
+                change = d.B[k, i] - w.B[k, i]
+                w.N[k, i] = change if e == 0 else (w.N[k, i] + change) / (step * step)
+                w.H[k, i] = d.B[k, i] if e == 0 else (w.H[k, i] - d.B[k, i]) / (2.0 * step)
     d.t[INNER] = t
     for i in range(d.q.shape[0]):
         d.q[i] = at[i]
+    copy(w.B, d.B)
     return ended
 
 
 @part
+def row_size(w, c, level):
+    """What the rows of a block are divided by: the size of B in them."""
+    return abs(w.levels[level, 0] + c * (w.levels[level, 1] + c * w.levels[level, 2]))
+
+
+@part
 def whole(A, w, c, size):
-    """A: the matrix of a mode, with lam in units of the typical size of S, mu in those of |c|, their rows alike."""
+    """A: the matrix of a mode, with lam in units of the typical size of S, mu in those of |c|, the blocks of rows in those of B in them."""
     k, n, m, scale = w.state[CHOSEN], w.K.shape[1], w.B.shape[0], abs(c)
     K, C, M = w.K[k], w.C[k], w.M[k]
     for i in range(n):
         for j in range(n):
             A[i, j] = (K[i, j] + c * (C[i, j] + c * M[i, j])) / size
-    for e in range(m):
-        for i in range(n):
-            A[i, n + e] = A[n + e, i] = w.B[e, i]
-        for o in range(m):
-            A[n + e, n + o] = 0.0
-    if w.state[TIED]:
+        for e in range(m):
+            A[i, n + e] = w.B[e, i]
+    for level in range(w.levels.shape[0]):
+        rate, second, at = w.levels[level, 1], w.levels[level, 2], n + level * m
+        of_B, of_H, unit = w.levels[level, 0] + c * (rate + c * second), rate + 2.0 * c * second, row_size(w, c, level)
+        for e in range(m):
+            for i in range(n):
+                A[at + e, i] = (of_B * w.B[e, i] + of_H * w.H[e, i] + second * w.N[e, i]) / unit
+            for o in range(n, A.shape[0]):
+                A[at + e, o] = 0.0
+    if w.levels.shape[0] == 2:
         for e in range(m):
             for i in range(n):
                 total = 0.0 * c
                 for j in range(n):
                     total += (C[i, j] + c * M[i, j]) * w.G[e, j]
                 A[i, n + m + e] = total * (scale / size)
-                A[n + m + e, i] = (c * w.B[e, i] + w.H[e, i]) / scale
             for o in range(m):
-                A[n + e, n + m + o] = A[n + m + e, n + o] = 0.0
                 total = 0.0 * c
                 for j in range(n):
                     total += w.B[e, j] * w.G[o, j]
@@ -235,46 +250,46 @@ def factored(w, c, number, A):
 
 
 @c_entry
-def rows(w, instant, q, v, c, d, e, f):
-    """B, G and H of the middle stage, and the factors with them."""
+def rows(w, instant, q, v, a, known, e, f):
+    """B, G, H and N of the middle stage, and the factors with them."""
     m, own = w.B.shape[0], w.dense
     if w.state[MADE] and not (m and own.flags[BENT]):
         return DONE
     if m:
         take(own, instant, q, v)
+        own.flags[HELD] = known
         ended = take_rows(own)
+        own.flags[HELD] = 0
+        copy(own.B, w.B)
+        if ended == DONE and w.state[TIED] and own.flags[BENT]:
+            ended = bend(w, q, a)
+        for k in range(m):
+            for i in range(w.B.shape[1]):
+                w.G[k, i] = w.B[k, i] * w.D[i]
         if ended != DONE:
             return ended
-        copy(own.B, w.B)
-        if w.state[TIED]:
-            ended = along(w, q)
-            for k in range(m):
-                for i in range(w.B.shape[1]):
-                    w.G[k, i] = w.B[k, i] * w.D[i]
-            if ended != DONE:
-                return ended
     w.state[MADE] = 1
     if w.c[0] != 0.0 and not factored(w, w.c[0], 0, w.real):
         return SINGULAR
-    return DONE if factored(w, complex(w.c[1], w.c[2]), 1, w.pair) else SINGULAR
+    return DONE if w.c[2] == 0.0 or factored(w, complex(w.c[1], w.c[2]), 1, w.pair) else SINGULAR
 
 
 @part
-def corrected(w, A, number, scale, x, r, closing, dq, multipliers):
+def corrected(w, A, number, c, x, r, closing, dq, multipliers):
     """The correction of a mode."""
     n, m, size = w.K.shape[1], w.B.shape[0], w.sizes[number]
     for i in range(n):
         x[i] = -r[i] / size
-    for e in range(m):
-        x[n + e] = -closing[e]
-        if w.state[TIED]:
-            x[n + m + e] = -closing[m + e] / scale
+    for level in range(w.levels.shape[0]):
+        unit = row_size(w, c, level)
+        for e in range(level * m, (level + 1) * m):
+            x[n + e] = -closing[e] / unit
     lu.solve(A, w.pivots[number], x)
     for i in range(n):
         dq[i] = x[i]
     for e in range(m):
         multipliers[e] = size * x[n + e]
-        multipliers[m + e] = scale * x[n + m + e] if w.state[TIED] else 0.0 * x[0]
+        multipliers[m + e] = abs(c) * x[n + m + e] if w.levels.shape[0] == 2 else 0.0 * x[0]
 
 
 @c_entry
@@ -282,7 +297,7 @@ def real(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the real mode."""
     n, m = w.K.shape[1], w.B.shape[0]
     given = vector(r, n), vector(closing, 2 * m), vector(dq, n), vector(multipliers, 2 * m)
-    corrected(w, w.real, 0, abs(w.c[0]), w.x, given[0], given[1], given[2], given[3])
+    corrected(w, w.real, 0, w.c[0], w.x, given[0], given[1], given[2], given[3])
     return DONE
 
 
@@ -291,20 +306,45 @@ def pair(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the complex mode."""
     n, m = w.K.shape[1], w.B.shape[0]
     given = complex_vector(r, n), complex_vector(closing, 2 * m), complex_vector(dq, n), complex_vector(multipliers, 2 * m)
-    corrected(w, w.pair, 1, abs(complex(w.c[1], w.c[2])), w.x_pair, given[0], given[1], given[2], given[3])
+    corrected(w, w.pair, 1, complex(w.c[1], w.c[2]), w.x_pair, given[0], given[1], given[2], given[3])
     return DONE
 
 
 @c_entry
-def off(w, instant, v, a, r, p, e, f):
-    """r = C v + M a, p = M v."""
-    k, n = w.state[CHOSEN], w.K.shape[1]
-    slow, fast, force, momentum = vector(v, n), vector(a, n), vector(r, n), vector(p, n)
+def bias(w, instant, q, v, a, found, e, f):
+    """The second derivative of phi."""
+    own, n = w.dense, w.K.shape[1]
+    take(own, instant, q, v)
+    ended, given, value = dense.bias(own), vector(a, n), vector(found, w.B.shape[0])
+    hold_rows(w, instant)
+    own.flags[HELD] = 0
+    for k in range(w.B.shape[0]):
+        value[k] = own.phi_bias[k]
+        for i in range(n):
+            value[k] += own.B[k, i] * given[i]
+    return ended
+
+
+@c_entry
+def off(w, instant, v, a, r, p, q, rows):
+    """r = C v + M a, p = M v, rows = what the blocks of rows are on v."""
+    k, n, m = w.state[CHOSEN], w.K.shape[1], w.B.shape[0]
+    slow, fast, force, momentum = vector(v, n), vector(a, n), vector(r, n), vector(p, n if p else 0)
     for i in range(n):
-        force[i] = momentum[i] = 0.0
+        force[i] = 0.0
         for j in range(n):
             force[i] += w.C[k, i, j] * slow[j] + w.M[k, i, j] * fast[j]
+    for i in range(momentum.shape[0]):
+        momentum[i] = 0.0
+        for j in range(n):
             momentum[i] += w.M[k, i, j] * slow[j]
+    for level in range(w.levels.shape[0] if rows else 0):
+        of_H, given = 2.0 * w.levels[level, 2], vector(rows + 8 * level * m, m)
+        of_B = w.levels[level, 1] + w.c[0] * w.levels[level, 2]
+        for e in range(m):
+            given[e] = 0.0
+            for i in range(n):
+                given[e] += (of_B * w.B[e, i] + of_H * w.H[e, i]) * slow[i]
     return DONE
 
 
@@ -360,10 +400,10 @@ def select(w, slot, c, b, d, e, f, g):
 @cache
 def addresses():
     """{number: address} of all functions, for every DenseStages."""
-    example = workspace(dense.example(), 3, False)
+    example = workspace(dense.example(), 3, np.eye(1, 3))
     functions = {
         of.PREPARE: prepare, of.HOLD: hold, of.REACTION: reaction, of.RESIDUAL: residual, of.CLOSE: close, of.RATE: rate, of.PROJECT: project,
         of.ACCEPT: accept, of.ROWS: rows, of.REAL: real, of.PAIR: pair, of.OFF: off, of.ACCELERATION: acceleration, of.MATRICES: factor,
-        of.SELECT: select,
+        of.SELECT: select, of.BIAS: bias,
     }  # fmt: skip
     return {number: c_address(function, typeof(example)) for number, function in functions.items()}

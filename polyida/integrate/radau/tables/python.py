@@ -36,6 +36,7 @@ class PythonStages(Stages, PythonTable):
 
     def __init__(self, model, tableau, tied, kind):
         self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
+        self.increments, self.B = None, [None] * tableau.stages
         super().__init__(model, False)
         self.functions = np.zeros(of.ENTRIES, np.int64)
         self._fill_stages()
@@ -90,10 +91,13 @@ class PythonStages(Stages, PythonTable):
             self.increments = [model.increments(self.t, t, (begin, t), step, q, v) for t, step in steps]
         self.B = [None] * self.tableau.stages
 
-    def _reaction(self, instant, q, mu, dv, *_):
-        model, k = self.model, self._stage(instant)
+    def _reaction(self, instant, q, mu, dv, known, *_):
+        model, k, dv = self.model, self._stage(instant), self._array(dv, self.model.n)
+        if known:
+            dv += self.factored.rows.G.T @ self._array(mu, model.m)
+            return
         self.B[k] = dense(model.phi_q(*self._state(instant, q)))
-        self._array(dv, model.n)[:] += self.lift * (self.B[k].T @ self._array(mu, model.m))
+        dv += self.lift * (self.B[k].T @ self._array(mu, model.m))
 
     def _rate(self, instant, q, v, rate, known, *_):
         model, self.closed = self.model, self._state(instant, q)
@@ -114,12 +118,15 @@ class PythonStages(Stages, PythonTable):
             return SINGULAR
         return DONE
 
-    def _rows(self, instant, q, v, *_):
+    def _rows(self, instant, q, v, a, *_):
         needs, matrices = self.model.needs, self.factored
         if matrices.borders is None or needs.phi_q_varies or needs.driven:
             at = *self._state(instant, q), self._array(v, self.model.n).copy()
-            return self._tried(lambda: matrices.surround(Rows(self.model, *at, self.lift if self.tied else None), self.counts))
+            return self._tried(lambda: matrices.surround(self._made_rows(*at, a), self.counts))
         return DONE
+
+    def _made_rows(self, t, q, v, a):
+        return Rows(self.model, t, q, v, self.lift if self.tied else None)
 
     def _tried(self, act):
         try:
@@ -149,9 +156,14 @@ class PythonStages(Stages, PythonTable):
 
         return self._tried(solve)
 
-    def _off(self, instant, v, a, r, p, *_):
-        v, a, r, p = (self._array(at, self.model.n) for at in (v, a, r, p))
-        r[:], p[:] = self.factored.off(v.copy(), a.copy())
+    def _off(self, instant, v, a, r, p, q, rows):
+        n, m = self.model.n, self.model.m
+        v, a, matrices = self._array(v, n).copy(), self._array(a, n).copy(), self.factored
+        self._array(r, n)[:] = matrices.off(v, a)
+        if p:
+            self._array(p, n)[:] = matrices.M @ v
+        if rows:
+            self._array(rows, len(matrices.rows.both) if m else 0)[:] = matrices.rows.on_v @ v
 
     def _acceleration(self, instant, q, v, a, lam, *_):
         model = self.model
@@ -169,12 +181,16 @@ class PythonStages(Stages, PythonTable):
 class DenseStages(Stages, DenseTable):
     """The table of a small model: compiled code, which calls the model's functions back."""
 
-    def __init__(self, model, tableau, tied):
+    def __init__(self, model, tableau, levels):
         super().__init__(model, False)
-        self.stages = small.workspace(self.w, tableau.stages, tied)
+        self.stages = small.workspace(self.w, tableau.stages, levels)
         for number, at in small.addresses().items():
             self.functions[number] = at
         self.workspace = self.stages.address
+
+    def stand(self, t):
+        """All instants are t."""
+        self.w.times[:] = t
 
     def weigh(self, lift):
         """Take D^-1, and what does not change."""
@@ -201,4 +217,9 @@ def table_of(model, linear, tableau, tied, kind):
     """The table of a model. linear: as the integrator has it; kind: makes its matrices where no compiled code does."""
     if linear == "kkt" or not small_own(model):
         return PythonStages(model, tableau, tied, kind)
-    return (CompiledStages if unguarded(model).by_numba else DenseStages)(model, tableau, tied)
+    return dense_table(model, tableau, np.eye(1 + tied, 3))
+
+
+def dense_table(model, tableau, levels):
+    """The table of a small model; levels: of system/table.py's workspace (radau/tables/dense.py)."""
+    return (CompiledStages if unguarded(model).by_numba else DenseStages)(model, tableau, levels)

@@ -49,7 +49,7 @@ class Solver(NamedTuple):
 
 @pack
 class SceneWork(NamedTuple):
-    """The workspace of a scene and s stages: its arrays, the factors of the modes (real: None where there is no real mode) and scratch.
+    """The workspace of a scene and s stages: its arrays, the factors of the modes (None where there is none) and scratch.
 
     damp, laws, tie: None where there is nothing of the kind. drives, gains (instants, profiles, 3): of the profiles, at each instant and from
     the step's beginning to it; rotation, turn (s, nodes, 2); points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle
@@ -59,7 +59,7 @@ class SceneWork(NamedTuple):
 
     scene: tuple
     real: Solver | None
-    pair: Solver
+    pair: Solver | None
     tie: Tie | None
     damp: np.ndarray | None
     laws: Laws | None
@@ -241,23 +241,7 @@ def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq,
         for e in range(closing.shape[1]):
             closing[f, e] = -closing[f, e]
     good = stabilised_border(
-        s,
-        c,
-        massive,
-        room,
-        border,
-        drives,
-        dz,
-        w.vz,
-        lam,
-        c_v,
-        w.anew[number],
-        dq,
-        None,
-        closing[0],
-        closing[1],
-        multipliers[0],
-        multipliers[1],
+        s, c, massive, room, border, drives, dz, w.vz, lam, c_v, w.anew[number], dq, closing[0], closing[1], multipliers[0], multipliers[1]
     )
     w.anew[number] = 0
     return DONE if good else SINGULAR
@@ -292,15 +276,31 @@ def momentum(w, b, r):
 
 
 @c_entry
-def off(w, instant, v, a, r, p, q, f):
-    """r = C v + M a, p = M v, C of the plates at q."""
-    slow, force, impulse = pairs(w, v), pairs(w, r), pairs(w, p)
+def off(w, instant, v, a, r, p, q, rates):
+    """r = C v + M a, p = M v, C of the plates at q; rates (2, m) = (0, B v), B where the last residual of the stage was."""
+    slow, force = pairs(w, v), pairs(w, r)
     clear(force)
-    clear(impulse)
     momentum(w, pairs(w, a), force)
-    momentum(w, slow, impulse)
     add_forces(w.scene, w.damp, None, w.drives[instant], pairs(w, q), slow, force)
+    if p:
+        impulse = pairs(w, p)
+        clear(impulse)
+        momentum(w, slow, impulse)
+    if rates:
+        joints.point_values(w.scene.links, slow, w.points[DX])
+        row_rates(
+            w.scene.links, w.tie, w.drives[instant], w.dz[stage(w, instant)], w.points[DX], carray(pointer(rates), (2, w.level.shape[0]))
+        )
     return DONE
+
+
+@part
+def row_rates(s, t, drives, dz, vz, rates):
+    """What is None is not compiled."""
+    if t is not None:
+        joints.joint_jacobian(s, drives, dz, t.slopes)
+        for k in range(rates.shape[1]):
+            rates[1, k] = joints.along(s, t.slopes, k, vz)
 
 
 @c_entry
@@ -409,7 +409,11 @@ class SceneStages:
         if known is None or known.h != h or not np.array_equal(known.made_at, made_at):
             known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied, self.linear)
         counts.backend = known.backend
-        self.work = SceneWork(real=known.real, pair=known.pair, **self.w)
+        self.take(known.real, known.pair)
+
+    def take(self, real, pair):
+        """Go on with these Solvers, or None, of the modes; functions are compiled for the type of the workspace."""
+        self.work = SceneWork(real=real, pair=pair, **self.w)
         self.workspace, kind = self.work.address, typeof(self.work)
         if kind != self.kind:
             self.kind = kind
