@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.given import is_flag, number, reals, settle
-from polyida.jit.compiled import compiled, dispatcher_of
+from polyida.jit.compiled import compiled, is_compiled
 from polyida.joint.attachment import Attachment, Ground, ground, require_attachment, require_directions, require_places, require_sides
 from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
@@ -118,7 +118,7 @@ class SpringDamper(ForceElement):
     def compiled_functions(self) -> dict[str, Any]:
         """Without the energy of a further force; none if that is Python."""
         if self.force:
-            return {"forces": spring_with_function} if dispatcher_of(self.force) else {}
+            return {"forces": spring_with_function} if is_compiled(self.force) else {}
         return {"forces": spring, "energy": spring_energy}
 
     def sides(self) -> tuple:
@@ -263,7 +263,7 @@ class Torque(ForceElement):
     def compiled_functions(self) -> dict[str, Any]:
         """None where the moment is Python."""
         of_time = isinstance(self.moment, Profile)
-        return {"forces": turning if of_time else turning_by_state} if of_time or dispatcher_of(self.moment) else {}
+        return {"forces": turning if of_time else turning_by_state} if of_time or is_compiled(self.moment) else {}
 
     @property
     def rest(self) -> NDArray:
@@ -336,7 +336,7 @@ class Force(ForceElement):
     def compiled_functions(self) -> dict[str, Any]:
         """None where the force is Python."""
         of_state = callable(self.force)
-        return {} if of_state and not dispatcher_of(self.force) else {"forces": push_by_state if of_state else push}
+        return {} if of_state and not is_compiled(self.force) else {"forces": push_by_state if of_state else push}
 
     @property
     def way(self) -> NDArray:

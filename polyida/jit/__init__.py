@@ -4,6 +4,7 @@ All of it goes through numba's public decorators. With a numba of a version in T
 the same in less time (studies/start.py), by numba's inside. POLYIDA_PLAIN_NUMBA=1 in the environment leaves it out.
 """
 
+import warnings
 from functools import lru_cache, update_wrapper
 from hashlib import sha256
 from inspect import signature
@@ -13,7 +14,7 @@ import numba
 from polyida.jit import cache as kernel_cache
 from polyida.jit.pack import pack
 
-__all__ = ["bound", "c_address", "entry", "leaf", "pack", "part", "shared", "typed"]
+__all__ = ["bound", "c_address", "entry", "leaf", "own_address", "own_part", "pack", "part", "shared", "typed"]
 
 TESTED = (0, 63), (0, 68)  # first and last version of numba that compilers.py is known to work with
 _COMMON = {"nogil": True, "error_model": "numpy"}  # releases the GIL, divides by zero as numpy does
@@ -72,6 +73,24 @@ def c_address(inner, kinds):
     outer.__qualname__ += sha256(repr(kinds).encode()).hexdigest()[:16]  # files of its own, see `cache.Files`
     with kernel_cache.kept() as cached:
         made = numba.cfunc(kinds, cache=cached, nopython=True, **_COMMON)(outer)
+    _c_functions.append(made)
+    return made.address
+
+
+def own_part(function, boundscheck):
+    """A part of a user's: numba compiles all that it knows of Python in it."""
+    options = {"pipeline_class": compilers.OwnPartCompiler} if compilers else {}
+    return numba.njit(**_INNER, boundscheck=boundscheck, **options)(function)
+
+
+def own_address(function, kinds, kept):
+    """The address of a function that calls own parts as a C function; kept: whether its name tells it from all others, for the files."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Cannot cache compiled function")  # it holds addresses of this process
+        if compilers:
+            return compilers.c_address(function, None, kinds, _COMMON, compilers.OwnCompiler, kept)
+        with kernel_cache.kept() as cached:
+            made = numba.cfunc(kinds, cache=kept and cached, nopython=True, **_COMMON)(function)
     _c_functions.append(made)
     return made.address
 

@@ -10,6 +10,7 @@ import os
 import pickle
 import re
 import shutil
+import sys
 import tempfile
 import threading
 import time
@@ -17,9 +18,12 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
+import llvmlite
 import numba
+import numpy as np
 
 PREFIX = "kernels-"
+KEPT_OWN = 1000  # files of users' functions that stay
 KEPT = 4  # folders of other sources that stay: going back and forth between versions compiles nothing
 UNUSED = 3600.0  # s: a younger folder may be that of a process that is just starting
 
@@ -65,8 +69,9 @@ def folder():
 
 
 def _digest(package):
-    """Hash of the kernels' sources, of numba's version and of which compilers are at work."""
-    digest = hashlib.sha256(f"{numba.__version__} {PLAIN}".encode())
+    """Hash of the kernels' sources, of the versions of what compiles them and of which compilers are at work."""
+    versions = numba.__version__, llvmlite.__version__, np.__version__, sys.version
+    digest = hashlib.sha256(f"{versions} {PLAIN} {numba.config.OPT} {numba.config.BOUNDSCHECK}".encode())
     for path, content in sources(package):
         digest.update(f"\n{os.path.relpath(path, package)} {len(content)}\n".encode() + content)
     return digest.hexdigest()[:16]
@@ -95,6 +100,17 @@ def _remove_old(parent, name):
     for last, other in others[KEPT:]:
         if time.time() - last > UNUSED:
             shutil.rmtree(other, ignore_errors=True)
+
+
+@cache
+def remove_old_own(module):
+    """Of the files of users' functions, which a module compiles, the KEPT_OWN last written stay; looked at once in a process."""
+    files = []
+    for path in (folder() or Path(os.devnull)).rglob(f"{module}.*"):
+        with suppress(OSError):  # another process removed it
+            files.append((path.stat().st_mtime, path))
+    for _, path in sorted(files, reverse=True)[KEPT_OWN:]:
+        path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -138,7 +154,7 @@ class Files:
         try:
             with open(self._path(key), "rb") as file:
                 kept, data = pickle.load(file)
-        except (OSError, EOFError, pickle.UnpicklingError):
+        except Exception:  # noqa: BLE001 a damaged file raises anything
             return None
         return data if kept == key else None
 

@@ -1,19 +1,15 @@
 """Functions of users that numba compiles: `polyida.compiled`, and what such a function gives at many arguments at once."""
 
-import math
-import types as python_types
-from functools import cache, cached_property, update_wrapper
+from functools import update_wrapper
+from types import CellType, CodeType, FunctionType
 from typing import Any
 
 import numba
-import numpy as np
-from numba import NumbaError, types
 
 from polyida.errors import InputError
-from polyida.given import read_only
+from polyida.jit import own_part
 from polyida.keywords import named_keywords
-
-ARGUMENTS = 8
+from polyida.mark import is_dispatcher, machine_mark_of, of_polyida
 
 
 @named_keywords
@@ -25,6 +21,7 @@ def compiled(given: Any) -> Any:
     module, but not each other through `self`. Derivatives that are not written are formed by differences in compiled code; those that
     a ForceElement or a Body writes are for Python alone. A function that raises, or returns an array of another shape, ends the run at
     that time. A compiled function is taken where a plain one is: by profiles, `until`, sensors, and functions of state of forces.
+    The machine code is kept on disk. It is compiled anew if the functions change, or a value or function that they name.
     GeneralizedAlpha, RadauIIA and EnergyMomentum call no Python in a step of scenes, and of models of up to 50 coordinates and constraints;
     of larger ones the functions are compiled, and the rest of the step is not. IDA's binding calls Python once an iteration.
 
@@ -35,7 +32,7 @@ def compiled(given: Any) -> Any:
     if isinstance(given, type) and hasattr(given, "by_numba"):
         given.by_numba = True
         return given
-    if isinstance(given, python_types.FunctionType):
+    if isinstance(given, FunctionType):
         return CompiledFunction(given)
     raise InputError(f"compiled: {given!r:.100} must be a function, or a subclass of polyida.Model, ForceElement or Body")
 
@@ -53,80 +50,44 @@ class CompiledFunction:
     def __reduce__(self):
         return self.__qualname__
 
-    @cached_property
-    def dispatcher(self):
-        """The function for compiled code."""
-        return for_numba(self.function)
+
+def is_compiled(given):
+    """Whether a function is compiled, by `compiled` or numba.njit."""
+    return isinstance(given, CompiledFunction) or is_dispatcher(given)
 
 
-def dispatcher_of(given):
-    """What compiled code calls of a function that is compiled, by `compiled` or numba.njit; None of any other."""
-    if isinstance(given, CompiledFunction):
-        return given.dispatcher
-    return given if hasattr(given, "py_func") else None
+_made: dict = {}  # {(function, its mark): what compiled code calls of it}
 
 
-def compiled_for(label, function, *kinds):
-    """The type that a function of numba's returns for arguments of these types. Raises InputError naming it."""
-    try:
-        function.compile(kinds)
-    except NumbaError as error:
-        text = " ".join(str(error).replace("Failed in nopython mode pipeline (step: nopython frontend)", "").split())
-        advice = "leave out @polyida.compiled, or write it as numba wants"
-        raise InputError(f"{label} cannot be compiled by numba: {text:.600}; {advice}") from None
-    return function.overloads[kinds].signature.return_type
+def for_numba(given):
+    """A function as numba takes it, with functions that it names compiled too; a user's index out of bounds raises.
 
-
-def for_numba(function, known=None):
-    """A function as numba takes it, with plain functions of its module compiled too; a user's index out of bounds raises."""
-    known, ours = {} if known is None else known, function.__module__.startswith("polyida.")
-    if function not in known:
-        own = dict(function.__globals__)
-        made = python_types.FunctionType(function.__code__, own, function.__name__, function.__defaults__, function.__closure__)
-        known[function] = numba.njit(error_model="numpy", nogil=True, boundscheck=not ours)(made)
+    numba compiles it from the values that it names now, also if it was compiled before from others.
+    """
+    if is_dispatcher(given) and not _is_function(given):
+        return given
+    key = given, machine_mark_of(given)
+    if key not in _made:
+        function = given.function if isinstance(given, CompiledFunction) else getattr(given, "py_func", given)
+        own, cells = dict(function.__globals__), [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
+        own["__name__"] = __name__  # kept code imports its module: that of the function may be missing in another process
+        made = FunctionType(function.__code__, own, function.__name__, function.__defaults__, tuple(cells))
+        made.__kwdefaults__ = function.__kwdefaults__
+        _made[key] = numba.jit(**given.targetoptions)(made) if is_dispatcher(given) else own_part(made, not of_polyida(function))
         for name in names_of(function.__code__):
-            if isinstance(value := own.get(name), python_types.FunctionType):
-                own[name] = for_numba(value, known)
-            elif isinstance(value, CompiledFunction):
-                own[name] = value.dispatcher
-    return known[function]
+            if _is_function(value := own.get(name)):
+                own[name] = for_numba(value)
+        for cell in cells:
+            if _is_function(cell.cell_contents):
+                cell.cell_contents = for_numba(cell.cell_contents)
+    return _made[key]
+
+
+def _is_function(value):
+    return isinstance(value, FunctionType | CompiledFunction) or is_dispatcher(value) and not of_polyida(value) and value._can_compile
 
 
 def names_of(code):
     """Names that a function uses, with those of functions within it."""
-    inner = (name for inner in code.co_consts if isinstance(inner, python_types.CodeType) for name in names_of(inner))
+    inner = (name for inner in code.co_consts if isinstance(inner, CodeType) for name in names_of(inner))
     return dict.fromkeys([*code.co_names, *inner])
-
-
-@cache
-def _filling(label, function, dimensions, shape):
-    """A function of numba's that fills row after row of an array with what a function of rows gives, of a shape."""
-    names = [f"x{k}" for k in range(len(dimensions))]
-    row = f"if found.shape != {shape}:\n            raise ValueError\n        out[k] = found.ravel()" if shape else "out[k, 0] = found"
-    source = f"""def fill({", ".join(names)}, out):
-    for k in range(len(out)):
-        found = function({", ".join(f"{name}[k]" for name in names)})
-        {row}
-"""
-    made: dict = {"function": function}
-    exec(source, made)
-    fill = numba.njit(error_model="numpy")(made["fill"])
-    kinds = [types.Array(types.float64, dimension, "C", readonly=True) for dimension in dimensions]
-    compiled_for(f"{label} {function.__name__}", fill, *kinds, types.float64[:, ::1])
-    return fill
-
-
-def over(label, function, *given, shape=()):
-    """What a compiled function gives, of a shape, at each of the rows of arrays, (rows, numbers); None if it is Python, or raises.
-
-    Raises InputError where numba does not compile it.
-    """
-    dispatcher, found = dispatcher_of(function), np.empty((len(given[0]), math.prod(shape)))
-    if dispatcher is None:
-        return None
-    fill = _filling(label, dispatcher, tuple(x.ndim for x in given), shape)
-    try:
-        fill(*(read_only(np.ascontiguousarray(x)) for x in given), found)
-    except Exception:  # noqa: BLE001 the function is then called at one row after the other, which names the one
-        return None
-    return found

@@ -19,6 +19,8 @@ from numba.core.compiler import Compiler, Flags
 from numba.core.compiler_machinery import PassManager
 from numba.core.registry import CPUDispatcher
 from numba.core.types.functions import BaseFunction
+from numba.extending import overload
+from numba.np import arrayobj
 
 from polyida.jit import cache as kernel_cache
 
@@ -39,22 +41,29 @@ class Entry(CPUDispatcher):
         return getattr(val, "_kind", None) or super().typeof_pyval(val)
 
 
-def entry(outer, part, compiler, options):
+def entry(outer, part, compiler, options, kept=True):
     """An Entry that is kept in `cache.Files`."""
     made = Entry(outer, part, compiler, options)
     with kernel_cache.kept() as cached:
-        if cached:
+        if cached and kept:
             made.enable_caching()
             made._cache._cache_file = kernel_cache.Files(made._cache.cache_path, made._cache._impl.filename_base)
     return made
 
 
-def c_address(outer, part, kinds, options):
+def c_address(outer, part, kinds, options, compiler=None, kept=True):
     """The address of a function as a C function."""
-    made = entry(outer, part, EntryCompiler, options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": False})
+    made = entry(outer, part, compiler or EntryCompiler, options | {"no_cpython_wrapper": True, "no_cfunc_wrapper": False}, kept)
     made.compile(kinds)
     known = made.overloads[kinds.args]
+    environments = known._find_referenced_environments()
+    for one in environments:  # Python objects that compiled code prints with, of parts: they have a place now
+        known.library.codegen.set_env(one.env_name, one)
+    _in_use.append((made, environments))
     return known.library.get_pointer_to_function(known.fndesc.llvm_cfunc_wrapper_name)
+
+
+_in_use: list = []  # what an address of a C function needs
 
 
 def shared(outer, function, options):
@@ -83,11 +92,20 @@ PASSES = (
 )
 
 
-class EntryCompiler(Compiler):
-    """numba's compiler with the passes that kernels need."""
+class OwnCompiler(Compiler):
+    """numba's compiler with all its passes, for functions of users."""
 
     def __init__(self, typing, target, library, args, result, flags, local):
         super().__init__(typing, target, library, args, result, Options(flags), local)
+
+    def compile_extra(self, func):
+        """The function compiled."""
+        with thrifty():
+            return super().compile_extra(func)
+
+
+class EntryCompiler(OwnCompiler):
+    """The same with the passes that kernels need."""
 
     def define_pipelines(self):
         """Passes from bytecode to machine code, for functions without closures, literals, parallel loops and array expressions."""
@@ -97,17 +115,20 @@ class EntryCompiler(Compiler):
         passes.finalize()
         return [passes]
 
-    def compile_extra(self, func):
-        """The function compiled."""
-        with thrifty():
-            return super().compile_extra(func)
 
-
-class PartCompiler(EntryCompiler):
-    """A compiler whose results are only good for linking."""
+class _ForLinking:
+    """Of a compiler whose results are only good for linking."""
 
     def __init__(self, typing, target, library, *rest):
         super().__init__(typing, target, library or _PartLibrary(target.codegen(), "part"), *rest)
+
+
+class PartCompiler(_ForLinking, EntryCompiler):
+    """The compiler of parts."""
+
+
+class OwnPartCompiler(_ForLinking, OwnCompiler):
+    """The compiler of parts of users."""
 
 
 class _PartLibrary(JITCodeLibrary):
@@ -256,6 +277,25 @@ def _variables(self, value):
     return _LIST(self, value)
 
 
+def _wrong_shape(source, target):
+    """What an assignment of an array raises, without a text, which takes four seconds to compile."""
+
+
+def _begun(self, typing, target, library, args, result, flags, local):
+    """numba's compiler of its own functions, which are only linked here."""
+    if library is None and type(self) is Compiler and flags.no_cpython_wrapper:
+        library = _PartLibrary(target.codegen(), "numba")
+    _BEGIN(self, typing, target, library, args, result, flags, local)
+
+
+@overload(_wrong_shape)
+def _raising(source, target):
+    def found(source, target):
+        raise ValueError
+
+    return found
+
+
 PLAIN = {
     (owner, name): getattr(owner, name)
     for owner, name in (
@@ -263,7 +303,9 @@ PLAIN = {
         (BaseContext, "get_function"),
         (BaseContext, "get_abi_sizeof"),
         (ir.Inst, "_rec_list_vars"),
+        (arrayobj, "raise_with_shape_context"),
+        (Compiler, "__init__"),
     )
 }
-_ASK, _FIND, _SIZE, _LIST = PLAIN.values()
-SPARED = dict(zip(PLAIN, (_typed, _found, _sized, _variables)))
+_ASK, _FIND, _SIZE, _LIST, _, _BEGIN = PLAIN.values()
+SPARED = dict(zip(PLAIN, (_typed, _found, _sized, _variables, _wrong_shape, _begun)))

@@ -364,4 +364,4 @@ def leave(typing_context, numbers, at, number):
     return types.void(numbers, types.int64, types.int64), generate
 
 
-pointer, complex_pointer = pointer_to(types.float64), pointer_to(types.complex128)
+pointer, complex_pointer, integers = (pointer_to(kind) for kind in (types.float64, types.complex128, types.int64))

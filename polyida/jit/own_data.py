@@ -4,23 +4,28 @@ Each has the signature `int64 f(int64 data, int64 instant, int64 x 6)`, as of a 
 of `self`: numbers and arrays are words of one block, profiles their values at the time of the call. The last argument is the address of its result.
 """
 
+import ctypes
 import hashlib
+import math
 import types as python_types
 from collections import namedtuple
 from functools import cache
 from inspect import signature
 
-import numba
 import numpy as np
-from numba import carray, types
+from numba import NumbaError, TypingError, carray, types
 from numba.extending import intrinsic, lower_builtin, models, overload_method, register_model
 
 from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
 from polyida.jit import cache as kernel_cache
-from polyida.jit.compiled import ARGUMENTS, compiled_for, dispatcher_of, for_numba, names_of
-from polyida.jit.intrinsics import pointer, real
+from polyida.jit import own_address
+from polyida.jit.compiled import for_numba, is_compiled, names_of
+from polyida.jit.intrinsics import integers, pointer, real
+from polyida.mark import machine_mark_of
 from polyida.profile import Profile
 
+ARGUMENTS = 8
+CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 SIGNATURE = types.int64(*[types.int64] * ARGUMENTS)
 KINDS = {"b": np.bool_, "i": np.int64, "u": np.int64, "f": np.float64, "c": np.complex128}
 
@@ -57,8 +62,8 @@ class OwnData:
             self.python = True
 
     def _field(self, value):
-        if function := dispatcher_of(value):
-            self.functions.append(function)
+        if is_compiled(value):
+            self.functions.append(value)
             return f"function{len(self.functions) - 1}"
         if isinstance(value, Profile):
             self.profiles.append((len(self._words), value))
@@ -83,7 +88,7 @@ class OwnData:
         return f"frozen({words}[:{array.size}].reshape({array.shape}))" if array.ndim else f"{words}[0]"
 
     def c_function(self, function, given, shape, result="found", of_complex=False):
-        """The C function of `function(self, ...)`.
+        """The address of the C function of `function(self, ...)`.
 
         given: {argument: (its name in `data, instant, t, b, c, d, e, out`, its shape, whether it is complex)}. shape: of what it
         returns, () of a number. Raises InputError.
@@ -94,19 +99,18 @@ class OwnData:
         listed = "".join(f"{argument_of(*given[name])}, " for name in arguments)
         out = argument_of("out", shape or (1,), of_complex).removeprefix("frozen")
         own = ", ".join(self.fields.values()) or "0.0"
-        call = f"inner(Own({own}), {listed})"
         check = f"if found.shape != {shape}:\n        return {WRONG_SHAPE}\n    " if shape else ""
-        source = f"""def read(data, t, b, c, d, e):
-    return {call}
-def called(data, instant, t, b, c, d, e, out):
+        source = f"""def called(data, instant, t, b, c, d, e, out):
     try:
-        found = read(data, t, b, c, d, e)
+        found = inner(Own({own}), {listed})
     except Exception:
         return {RAISED}
+    require_result(found)
     {check}{out}[...] = {result}
     return {DONE}
 """
-        return _made(function, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex)
+        mark = machine_mark_of(function, *self.functions)
+        return _made(function, mark, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex)
 
 
 def argument_of(at, shape=(), of_complex=False):
@@ -118,42 +122,92 @@ def argument_of(at, shape=(), of_complex=False):
 
 
 @cache
-def _made(function, source, fields, functions, dimensions, of_complex):
-    """The C function, compiled once for data of one form."""
+def _made(function, mark, source, fields, functions, dimensions, of_complex):
+    """The address of the C function, compiled once for data of one form."""
     Own = namedtuple("self", [f"f{k}" for k in range(len(fields) or 1)])
     Own._fields = fields or Own._fields  # whose names may begin with an underscore
-    names: dict = {
-        "__name__": function.__module__,
-        "carray": carray,
-        "pointer": pointer,
-        "real": real,
-        "frozen": frozen,
-        "profile": as_profile,
-        "np": np,
-        "Own": Own,
-    }
-    names |= {f"function{k}": one for k, one in enumerate(functions)} | {"inner": for_numba(function)}
-    exec(source, names)
-    read, called = names["read"], names["called"]
-    names["read"] = numba.njit(error_model="numpy")(read)
-    label, ours = function.__qualname__, function.__module__.startswith("polyida.") and not functions
-    if not ours:
-        _require_result(label, compiled_for(label, names["read"], *[types.int64] * (ARGUMENTS - 2)), dimensions, of_complex)
-    at, digest = function.__code__, hashlib.sha256(source.encode()).hexdigest()[:16]
-    called.__code__ = called.__code__.replace(co_filename=at.co_filename, co_firstlineno=at.co_firstlineno)
-    called.__qualname__ = f"{label}.{digest}"
-    with kernel_cache.kept() as cached:
-        return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy", cache=ours and cached)(called)
+    names = {f"function{k}": for_numba(one) for k, one in enumerate(functions)} | {"Own": Own, "profile": as_profile}
+    return _address(function.__qualname__, for_numba(function), (mark, fields), source, names, dimensions, of_complex)
 
 
-def _require_result(label, found, dimensions, of_complex):
-    """Raise InputError unless a type is a number's, or an array's of so many dimensions."""
-    kinds = (types.Float, types.Integer, types.Complex) if of_complex else (types.Float, types.Integer)
-    if not dimensions and not isinstance(found, kinds):
-        raise InputError(f"{label} must return a number, not {found}")
-    if dimensions and not (isinstance(found, types.Array) and found.ndim == dimensions and isinstance(found.dtype, kinds)):
-        what = "complex" if of_complex else "real"
-        raise InputError(f"{label} must return an array of {dimensions} dimension{'s' * (dimensions > 1)} of {what} numbers, not {found}")
+def _address(label, inner, mark, source, names, dimensions, of_complex=False):
+    """The address of the C function `called` of a source that calls `inner`, whose mark tells all that the source does not, or is None."""
+    names |= {"__name__": __name__, "np": np, "carray": carray, "pointer": pointer, "integers": integers, "real": real, "frozen": frozen}
+    result = Result(dimensions, of_complex)
+    exec(source, names | {"inner": inner, "require_result": result.required()}, names)
+    called, digest = names["called"], hashlib.sha256(f"{mark} {dimensions} {of_complex} {source}".encode()).hexdigest()[:32]
+    called.__code__ = called.__code__.replace(co_filename=__file__)  # not that of the function, whose time numba looks at
+    called.__qualname__ = digest
+    kernel_cache.remove_old_own(__name__.rpartition(".")[2])
+    try:
+        return own_address(called, SIGNATURE, mark is not None)
+    except NumbaError as error:
+        raise InputError(f"{label} {result.told(error)}") from None
+
+
+class Result:
+    """What a function must return: a number, or an array of so many dimensions."""
+
+    def __init__(self, dimensions, of_complex):
+        self.dimensions, self.wrong, self.what = dimensions, [], "complex" if of_complex else "real"
+        self.kinds = (types.Float, types.Integer, types.Complex) if of_complex else (types.Float, types.Integer)
+
+    def required(self):
+        """A function of compiled code that takes nothing else."""
+
+        @intrinsic
+        def require_result(typing, found):
+            number = found.dtype if isinstance(found, types.Array) and found.ndim == self.dimensions > 0 else found
+            if not isinstance(number, self.kinds) or (number is found) == (self.dimensions > 0):
+                self.wrong.append(found)
+                raise TypingError("a wrong result")
+            return types.none(found), lambda context, builder, sig, args: context.get_dummy_value()
+
+        return require_result
+
+    def told(self, error):
+        """An error of numba in words."""
+        if self.wrong:
+            array = f"an array of {self.dimensions} dimension{'s' * (self.dimensions > 1)} of {self.what} numbers"
+            return f"must return {array if self.dimensions else 'a number'}, not {self.wrong[0]}"
+        text = " ".join(str(error).replace("Failed in nopython mode pipeline (step: nopython frontend)", "").split())
+        return f"cannot be compiled by numba: {text:.600}; leave out @polyida.compiled, or write it as numba wants"
+
+
+@cache
+def _filling(label, function, dimensions, shape):
+    """A C function that fills row after row of an array with what a compiled function gives of rows: its address, or None if it is Python."""
+    rows = [f"frozen(carray(pointer(given[{2 * k + 1}]), (count{f', given[{2 * k}]' if d > 1 else ''})))" for k, d in enumerate(dimensions)]
+    check = f"if found.shape != {shape}:\n                return {WRONG_SHAPE}" if shape else ""
+    source = f"""def called(at, count, a, b, c, d, e, out):
+    given = carray(integers(at), ({2 * len(dimensions)},))
+    rows, filled = ({", ".join(rows)},), carray(pointer(out), (count, {math.prod(shape)}))
+    try:
+        for k in range(count):
+            found = inner({", ".join(f"rows[{k}][k]" for k in range(len(dimensions)))})
+            require_result(found)
+            {check}
+            filled[k] = {"found.ravel()" if shape else "found"}
+    except Exception:
+        return {RAISED}
+    return {DONE}
+"""
+    mark, name = machine_mark_of(function), f"{label} {function.__name__}"
+    return CALLBACK(_address(name, for_numba(function), mark, source, {}, len(shape)))
+
+
+def over(label, function, *given, shape=()):
+    """What a compiled function gives, of a shape, at each of the rows of arrays, (rows, numbers); None if it is Python, or raises.
+
+    Raises InputError where numba does not compile it.
+    """
+    if not is_compiled(function):
+        return None
+    given, found = [np.ascontiguousarray(x) for x in given], np.empty((len(given[0]), math.prod(shape)))
+    fill = _filling(label, function, tuple(x.ndim for x in given), shape)
+    at = np.array([number for x in given for number in (x.size // max(1, len(x)), x.ctypes.data)], np.int64)
+    ended = fill(at.ctypes.data, len(found), 0, 0, 0, 0, 0, found.ctypes.data)
+    return found if ended == DONE else None
 
 
 @intrinsic

@@ -13,7 +13,7 @@ import numpy as np
 
 from polyida.errors import DONE, REASONS, InputError, StepFailure
 from polyida.given import floats, is_number, is_whole, read_only
-from polyida.jit.own_data import OwnData
+from polyida.jit.own_data import CALLBACK, OwnData
 from polyida.model import Model, Needs, require_model
 from polyida.model.differences import FIRST_ORDER_STEP
 
@@ -325,15 +325,15 @@ class Compiled:
         self.functions = functions = {name: getattr(type(model), name) for name in written}
         self.own, self.sizes = OwnData(model, functions.values()), {"n": n, "m": m}
         given = {"t": ("t",), "q": ("b", (n,)), "v": ("c", (n,)), "a": ("d", (n,)), "lam": ("e", (m,))}
-        self.kept = {name: self.own.c_function(function, given, self._shape(name)) for name, function in functions.items()}
-        self.addresses, self.data = {name: made.address for name, made in self.kept.items()}, self.own.words.ctypes.data
+        self.addresses = {name: self.own.c_function(function, given, self._shape(name)) for name, function in functions.items()}
+        self.data = self.own.words.ctypes.data
 
     def _shape(self, name):
         return tuple(self.sizes[letter] for letter in SHAPES[name])
 
     def calls(self):
         """{name: function of Python that calls the C function}. They raise StepFailure."""
-        return {name: self._call(name, self.functions[name].__qualname__, made.ctypes) for name, made in self.kept.items()}
+        return {name: self._call(name, self.functions[name].__qualname__, CALLBACK(address)) for name, address in self.addresses.items()}
 
     def _call(self, name, label, function):
         arguments, shape, places = list(signature(getattr(Model, name)).parameters)[1:], self._shape(name), ("t", "q", "v", "a", "lam")

@@ -44,16 +44,13 @@ The backward sweep of generalized-alpha has tables of its own (adjoint/tables) w
 | ADJOINT | right, below, bar, w, mu, found | solve the adjoint of the step that ends at this instant (adjoint/alpha/sweep.py) |
 """
 
-import ctypes
-
 from numba import types
 
 from polyida import jit
-from polyida.jit.compiled import ARGUMENTS
+from polyida.jit.own_data import ARGUMENTS
 
 INSTANTS = 256  # that are prepared at once, at most
 STEPS = 64  # the same of steps of Radau IIA
-CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
 # constants of compiled code
 RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
 PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT, ADJOINT, BIAS = range(11, 22)

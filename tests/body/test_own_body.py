@@ -513,8 +513,6 @@ def outside(z):
 
 @pytest.mark.parametrize("what", [shorter, infinite, raising, outside])
 def test_a_compiled_elastic_force_that_fails_ends_the_run_at_its_time(what):
-    what = pi.compiled(what).dispatcher
-
     def elastic(self, z):
         w = z[1] - z[0]
         pull = self.k * (abs(w) - 1.0) * w / abs(w)

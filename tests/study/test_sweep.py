@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.study.sweeps.code import mark_of
+from polyida.mark import mark_of
 
 CALLS = []
 RESERVED = ["error", "cpu_s", "wall_s", "memory_mb"]

@@ -62,8 +62,8 @@ def _made(name, part, forces, given, shape, no_energy, *result):
     functions = part.compiled_functions()
     data = OwnData(part, functions.values())
     try:
-        address = data.c_function(functions[forces], given, shape, *result).address
+        address = data.c_function(functions[forces], given, shape, *result)
         energy = functions.get("energy")
-        return data, (address, data.c_function(energy, given, ()).address if energy else no_energy)
+        return data, (address, data.c_function(energy, given, ()) if energy else no_energy)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None

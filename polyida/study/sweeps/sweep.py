@@ -15,11 +15,11 @@ from polyida.bar import teller
 from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.keywords import named_keywords
+from polyida.mark import NoMark, mark_of
 from polyida.show.style import on_axes
 from polyida.show.style import plain as plain_text
 from polyida.study.drawing import look
 from polyida.study.result import Result
-from polyida.study.sweeps.code import mark_of
 from polyida.study.sweeps.harness import Shelf, collected, package_mark
 from polyida.study.sweeps.isolation import Isolated, Serial
 from polyida.study.sweeps.measured import COSTS, RESERVED, measured, plain
@@ -192,7 +192,12 @@ def _shelf(function, folder):
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"sweep: folder = {str(folder)!r} is none and cannot be made one: {error.strerror}") from None
-    return Shelf(Path(folder), f"{polyida.__version__} {package_mark()} {mark_of(function)}", again=True)
+    try:
+        mark = mark_of(function)
+    except NoMark as error:
+        advice = "make it within the function, give what it is made of by the case, or sweep without a folder"
+        raise InputError(f"sweep: {_called(function)} uses {error}; {advice}") from None
+    return Shelf(Path(folder), f"{polyida.__version__} {package_mark()} {mark}", again=True)
 
 
 def _name(code, case):

@@ -26,10 +26,11 @@ from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
 from polyida.jit import pack, part
 from polyida.jit.intrinsics import complex_pointer, pointer
+from polyida.jit.own_data import CALLBACK
 from polyida.linear.dense import clear
 from polyida.system import table as of
 from polyida.system.scene import add_forces
-from polyida.system.table import CALLBACK, c_address, c_entry
+from polyida.system.table import c_address, c_entry
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix

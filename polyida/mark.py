@@ -1,4 +1,7 @@
-"""A mark of a function: of its code, of what it names in modules of the user's own, and of the values that come with it."""
+"""A mark of a function: of its code, of what it names in modules of the user's own, and of the values that come with it.
+
+Sweeps find their rows by it, and compiled functions of users their machine code.
+"""
 
 import copyreg
 import dis
@@ -10,15 +13,21 @@ from functools import cached_property
 from inspect import isgetsetdescriptor
 from itertools import chain
 from pathlib import Path
-from types import CellType, CodeType, FunctionType, MethodType, ModuleType
+from types import BuiltinFunctionType, CellType, CodeType, FunctionType, MethodType, ModuleType
 
-from polyida.errors import InputError
+import numpy as np
 
 PLAIN = (int, float, complex, str, bytes, bool, type(None), type(Ellipsis))
 FILLING = {"append", "extend", "insert", "add", "update", "setdefault", "clear", "pop", "popitem", "remove", "discard"}
 LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_ATTR", "LOAD_METHOD")
 STORES = (list, dict, set)  # what a function may fill
+# constants of compiled code: it is kept under a mark
+BY_VALUE = (*STORES, frozenset, np.ndarray, np.generic, np.dtype, np.ufunc, FunctionType, CodeType, ModuleType, type)
 BESIDE = ("co_code", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount", "co_kwonlyargcount", "co_flags")
+
+
+class NoMark(Exception):
+    """Nobody can say whether a value has changed."""
 
 
 def mark_of(function):
@@ -27,19 +36,39 @@ def mark_of(function):
     It is made of the code as it is loaded (comments and the places of lines are not in it), defaults, closures, and all functions,
     classes and values that the code names in modules of the user's own, and so on from there. What is installed (Python's library,
     packages, polyida) counts by its name alone. A list, dictionary or variable that a function itself fills is its log or its store and
-    does not count. Raises InputError for a value of which no mark can be made.
+    does not count. Raises NoMark for a value of which no mark can be made.
     """
-    reader = _Reader(getattr(function, "__name__", type(function).__name__))
-    reader.add(function)
+    return _marked(_Reader(), function)
+
+
+def machine_mark_of(*functions):
+    """A text that changes with all that machine code of functions depends on, for numba; None where that cannot be told.
+
+    Only Python's library, numpy and numba count by name, and polyida's own compiled functions: the folder of kernels has their versions in
+    its name. All else counts by value. There is no mark of what has an address in this process, such as C functions, nor of a function that is
+    named as an attribute of a user's module: numba may have compiled it before, from other values.
+    """
+    try:
+        return _marked(_MachineReader(), functions)
+    except NoMark:
+        return None
+
+
+def _marked(reader, thing):
+    reader.add(thing)
     return reader.digest.hexdigest()
 
 
 class _Reader:
     """Walks what a function is made of, each thing once, and digests it in the order of the walk."""
 
-    def __init__(self, name):
-        self.name, self.digest = name, hashlib.sha256()
+    def __init__(self):
+        self.digest = hashlib.sha256()
         self.seen, self.alive = {}, []  # numbers by id, and the things themselves: the id of one that is gone is given again
+
+    def by_name(self, module):
+        """Whether what a module holds counts by its name alone."""
+        return _installed(module)
 
     def note(self, *texts):
         for text in texts:
@@ -67,7 +96,7 @@ class _Reader:
         self.note(type(thing).__name__)
         if isinstance(thing, ModuleType):
             self.note(thing.__name__)
-        elif isinstance(thing, (FunctionType, type)) and _installed(thing.__module__):
+        elif isinstance(thing, (FunctionType, type)) and self.by_name(thing.__module__):
             self.note(thing.__module__, thing.__qualname__)
         elif isinstance(thing, CodeType):
             self._code(thing)
@@ -76,7 +105,7 @@ class _Reader:
         elif isinstance(thing, type):
             self._class(thing)
         elif type(thing) in (set, frozenset):
-            self._all(sorted(map(mark_of, thing)))
+            self._all(sorted(_marked(type(self)(), one) for one in thing))
         elif type(thing) in (list, tuple):
             self._all(thing)
         elif type(thing) is dict:
@@ -91,13 +120,22 @@ class _Reader:
     def _function(self, function):
         self.add(function.__code__)
         self._all([function.__defaults__, function.__kwdefaults__])
-        cells = dict(zip(function.__code__.co_freevars, function.__closure__ or ()))
-        values = {name: cell.cell_contents for name, cell in cells.items() if cell != CellType()} | _named(function)
-        assigned, filled = _stores(function.__code__)
+        cells = zip(function.__code__.co_freevars, function.__closure__ or ())
+        closed = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
+        values = closed | _named(function, closed, self.by_name)
+        assigned, filled = self._stores(function.__code__)
         for name, value in values.items():
             last = name.rpartition(".")[2]
             if last not in assigned and not (last in filled and isinstance(value, STORES)):
-                self._all([name, value])
+                self._value(name, value)
+
+    def _value(self, name, value):
+        """Digest what a function names."""
+        self._all([name, value])
+
+    def _stores(self, code):
+        """Names that do not count: of what a function assigns beside its own variables, and of what it fills."""
+        return _stores(code)
 
     def _class(self, kind):
         self._all(kind.__bases__)
@@ -113,16 +151,59 @@ class _Reader:
             reduce = copyreg.dispatch_table.get(type(thing))
             found = reduce(thing) if reduce else thing.__reduce_ex__(4)
         except Exception as error:  # noqa: BLE001, whatever a user's object answers
-            raise InputError(
-                f"sweep: {self.name} uses a {type(thing).__name__}, of which nobody can say whether it changed ({error}); make it within the "
-                "function, give what it is made of by the case, or sweep without a folder"
-            ) from None
+            raise NoMark(f"a {type(thing).__name__}, of which nobody can say whether it changed ({error})") from None
         if isinstance(found, str):
             return [type(thing), found]
         make, arguments, state, entries, items = (*found, None, None, None)[:5]
         if isinstance(state, dict):
             state = {name: value for name, value in state.items() if not isinstance(getattr(type(thing), name, None), cached_property)}
         return [make, arguments, state, list(entries or ()), list(items or ())]
+
+
+class _MachineReader(_Reader):
+    """The same for machine code: what it cannot tell by value has no mark."""
+
+    def by_name(self, module):
+        top = module.partition(".")[0] if isinstance(module, str) and module != "__main__" else ""
+        return top in sys.stdlib_module_names or top in ("numpy", "numba")
+
+    def _stores(self, code):
+        return (), ()
+
+    def _value(self, name, value):
+        if "." in name and (isinstance(value, FunctionType) or is_dispatcher(value)):
+            raise NoMark(name)
+        super()._value(name, value)
+
+    def _walk(self, thing):
+        module = getattr(thing, "__module__", None)
+        if isinstance(thing, ModuleType) and not self.by_name(thing.__name__) and hasattr(thing, "__getattr__"):
+            raise NoMark(thing.__name__)
+        if is_dispatcher(thing):
+            if of_polyida(thing):
+                self.note(thing.__module__, thing.__qualname__)
+            elif not getattr(thing, "_can_compile", False):  # for given types alone
+                raise NoMark(thing.__qualname__)
+            else:
+                super()._walk(thing)
+        elif isinstance(thing, (BuiltinFunctionType, type(np.dot))) and self.by_name(module):
+            self.note(module, thing.__qualname__)
+        elif isinstance(thing, tuple):
+            self._all([type(thing), *thing])
+        elif isinstance(thing, BY_VALUE) or type(thing).__module__ == "polyida.jit.compiled":
+            super()._walk(thing)
+        else:
+            raise NoMark(type(thing).__name__)
+
+
+def is_dispatcher(thing):
+    """Whether a thing is what numba's decorators make of a function."""
+    return hasattr(thing, "py_func") and hasattr(thing, "targetoptions")
+
+
+def of_polyida(thing):
+    """Whether a function is of this package."""
+    return str(thing.__module__).partition(".")[0] == "polyida"
 
 
 def _wrapped(thing):
@@ -136,7 +217,7 @@ def _wrapped(thing):
     if isinstance(thing, MethodType):
         return [thing.__func__, thing.__self__]
     inner = getattr(thing, "__wrapped__", None) if callable(thing) else None
-    return [inner] if isinstance(inner, FunctionType) else []
+    return [inner, getattr(thing, "targetoptions", None)] if isinstance(inner, FunctionType) else []
 
 
 def _codes(code):
@@ -162,16 +243,20 @@ def _stores(code):
     return assigned, filled
 
 
-def _named(function):
-    """{name: value} of what a function's code names: globals, and what it takes from modules of the user's own."""
+def _named(function, closed, by_name):
+    """{name: value} of what a function's code names: globals, and what it takes from modules of the user's own, also from `closed` ones."""
     names = sorted({name for code in _codes(function.__code__) for name in code.co_names})
     known = function.__globals__
     found = {name: known[name] for name in names if name in known}
-    modules = {value.__name__: value for value in [*found.values(), *_imported(function)] if isinstance(value, ModuleType)}
+    modules = {
+        value.__name__: value
+        for value in [*found.values(), *closed.values(), *_imported(function, by_name)]
+        if isinstance(value, ModuleType)
+    }
     waiting = list(modules.values())
     while waiting:
         module = waiting.pop(0)
-        if not _installed(module.__name__):
+        if not by_name(module.__name__):
             parts = {name: vars(module)[name] for name in names if name in vars(module)}
             found |= {f"{module.__name__}.{name}": value for name, value in parts.items()}
             further = {value.__name__: value for value in parts.values() if isinstance(value, ModuleType)}
@@ -180,16 +265,18 @@ def _named(function):
     return found
 
 
-def _imported(function):
+def _imported(function, by_name):
     """The modules of the user's own that a function imports when it is called."""
     found = []
     for code in _codes(function.__code__):
+        if dis.opmap["IMPORT_NAME"] not in code.co_code[::2]:
+            continue
         steps = list(dis.get_instructions(code))
         for level, _, step in zip(steps, steps[1:], steps[2:]):
             if step.opname == "IMPORT_NAME":
                 with suppress(Exception):  # what cannot be imported the case will tell
                     name = importlib.util.resolve_name("." * level.argval + step.argval, function.__globals__.get("__package__"))
-                    found += [] if _installed(name) else [importlib.import_module(name)]
+                    found += [] if by_name(name) else [importlib.import_module(name)]
     return found
 
 
