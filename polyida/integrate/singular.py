@@ -10,6 +10,8 @@ that it is neither (assembly/rows/unit_rows.py), and only the others are looked 
 from polyida.assembly.rows.unit_rows import UnitRows
 from polyida.errors import StepFailure
 from polyida.linear.independence import between, coordinate_sizes, cosine, involved, least, rows_of, way
+from polyida.model.guarded import Compiled, unguarded
+from polyida.system.python import small_own
 
 ZERO = 1e-6  # a smallest singular value that counts as none
 NEAR = 1e-3  # one that is told beside a failure
@@ -33,12 +35,19 @@ class Watch:
         varies = model.m > 0 and (model.needs.phi_q_varies or model.needs.driven)
         self.model, self.steps, self.state, self.h, self.pace = model, 0, state, 0.0, 0.0
         self.every = model.looks_apart if varies else 0
-        self.proof = UnitRows(model, state) if self.every == 1 and model.is_scene else None
+        self.proof = self._proof(state) if self.every == 1 else None
         if varies:
             self.sizes = self.proof.sizes if self.proof else coordinate_sizes(model, state.q)
             self.t = self.due = state.t
             if not (self.proof and self.proof.begin(state)):
                 self.rows, self.least = self._look(state)
+
+    def _proof(self, state):
+        """What proves in compiled code that states are sound, or None."""
+        if self.model.is_scene:
+            return UnitRows(self.model, state)
+        compiled = small_own(self.model) and unguarded(self.model).by_numba
+        return UnitRows(self.model, state, Compiled(self.model, ("phi_q",))) if compiled else None
 
     def look(self, stretch):
         """Look at the next accepted states: (how many are sound, the StepFailure where the next one, or the way to it, is singular, or None)."""

@@ -189,7 +189,9 @@ class Guarded(Model):
             last[1] = found
             return found
 
-        return SEEN.get(name, _of_all)(call)
+        checked = SEEN.get(name, _of_all)(call)
+        checked.given = call  # for who gives arrays that cannot be written
+        return checked
 
     def _require(self, name, found, shape):
         part = f"{self.name}.{name} must return an array of shape {shape}"

@@ -3,6 +3,7 @@
 import ctypes
 import time
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 
@@ -16,16 +17,16 @@ from polyida.system.table import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT
 
 SHORT, LONG = 5e-3, 20e-3  # s
 VIEWS = 4096  # arrays at addresses that are kept
+ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # of a function that takes nothing of what it is given: that costs 0.7 us a call
 
 
 class PythonTable:
     """The table of any model: every entry is a callback.
 
-    functions: the addresses; workspace: that of the model's arrays. longest: steps of a stretch, by the time that they take; steady: the same
-    where what is done depends on where a stretch ends, as with adaptive steps.
+    functions: the addresses; workspace: that of the model's arrays. longest: steps of a stretch, by the time that they take.
     """
 
-    longest = steady = 1  # at first: its functions may be slow, and Ctrl-C and progress wait for the end of a stretch
+    longest = 1  # at first: its functions may be slow, and Ctrl-C and progress wait for the end of a stretch
     instants = INSTANTS
     workspace = 0
 
@@ -42,7 +43,7 @@ class PythonTable:
         entries = {RESIDUAL: self._residual, HOLD: self._hold, CLOSE: self._close, SOLVE: self._solve}
         return entries | {RATE: self._rate, PROJECT: self._project, ACCEPT: self._accept}
 
-    def _address(self, function):
+    def _address(self, function, kind=CALLBACK):
         """Of a function as a C function; an exception of it is kept."""
 
         def called(*given):
@@ -52,7 +53,7 @@ class PythonTable:
                 self.raised = error
                 return RAISED
 
-        callback = CALLBACK(called)
+        callback = kind(called)
         self.kept.append(callback)
         return ctypes.cast(callback, ctypes.c_void_p).value
 
@@ -81,11 +82,11 @@ class PythonTable:
     def at_work(self, system):
         """(addresses of the functions, address of the workspace) with a factored system."""
         self.factored = system
-        with self._timed():
+        with self.timed():
             yield self.functions, self.workspace
 
     @contextmanager
-    def _timed(self):
+    def timed(self):
         """Let the next stretch be longer while one takes less than SHORT, shorter where it takes more than LONG."""
         begun = time.perf_counter()
         yield
@@ -172,30 +173,34 @@ class DenseTable(PythonTable):
         flags = needs.mass_varies, needs.velocity_forces, needs.driven, bent, needs.phi_q_varies, 0, 0
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for name, function in self._functions(w).items():
-            functions[small.FUNCTIONS.index(name)] = self._address(function) if function else 0
+            functions[small.FUNCTIONS.index(name)] = self._address(function, ALONE) if function else 0
         self.workspace, self.factored, self.made = w.address, None, False
 
     def _functions(self, w):
         model = self.model
 
-        def fill(out, function, *arguments):
-            def called(*_):
-                found = function(*[given() for given in arguments])
+        def fill(out, function, t, *vectors):
+            function, (first, *others) = getattr(function, "given", function), [x.copy for x in vectors]
+
+            def called():  # arrays that nobody can write, and the user may keep
+                q = first()
+                q.setflags(False)
+                found = function(t(), q, *map(_kept, others)) if others else function(t(), q)
                 out[...] = found if type(found) is np.ndarray else dense(found)
 
             return called
 
-        inner, end = (lambda at=at: float(w.t[at]) for at in (small.INNER, small.END))
-        q, v, a, lam = (x.copy for x in (w.q, w.v, w.a, w.lam))
+        inner, end = (partial(w.t.item, at) for at in (small.INNER, small.END))
+        q, v, a, lam = w.q, w.v, w.a, w.lam
         whole = writes(unguarded(model), "residual")
         asks = writes(unguarded(model), "objection")
 
-        def accepted(*_):
-            if objection := model.objection(end(), q()):
+        def accepted():
+            if objection := model.objection(end(), q.copy()):
                 raise StepFailure("objection", objection, end())
 
         return {
-            "mass": fill(w.M, model.mass, q),
+            "mass": fill(w.M, lambda t, q: model.mass(q), inner, q),
             "force": fill(w.g, model.force, inner, q, v),
             "phi": fill(w.phi, model.phi, end, q),
             "phi_q": fill(w.B, model.phi_q, inner, q),
@@ -203,7 +208,7 @@ class DenseTable(PythonTable):
             "phi_bias": fill(w.phi_bias, model.phi_bias, inner, q, v),
             "residual": fill(w.g, model.residual, inner, q, v, a, lam) if whole else None,
             "objection": accepted if asks else None,
-            "tangent": fill(w.S, model.tangent, inner, q, v, a, lam, lambda: float(w.c[0]), lambda: float(w.c[1]), lambda: 1.0),
+            "tangent": fill(w.S, lambda *given: model.tangent(*given, *w.c.tolist(), 1.0), inner, q, v, a, lam),
             "force_v": fill(w.slope, model.force_v, inner, q, v),
         }
 
@@ -218,7 +223,7 @@ class DenseTable(PythonTable):
             self.functions[number] = at
         if system is not self.factored:
             self.factored, self.w.S[...], self.w.flags[small.KEPT] = system, system.S, 0
-        with self._timed():
+        with self.timed():
             yield self.functions, self.workspace
 
     def make(self, t, q, v, a, lam, c_m, c_v):
@@ -239,6 +244,13 @@ class DenseTable(PythonTable):
                 self.w.M[...] = dense(self.model.mass(q))
             if self.model.m and not self.w.flags[small.BENT]:
                 self.w.B[...] = dense(self.model.phi_q(t, q))
+
+
+def _kept(copy):
+    """A copy that nobody can write."""
+    found = copy()
+    found.setflags(False)
+    return found
 
 
 class DenseMatrix:
@@ -268,7 +280,7 @@ class DenseMatrix:
 class CompiledTable(DenseTable):
     """The table of a small model whose functions numba compiled; what it does not write is asked of it in Python, or is a difference."""
 
-    longest = steady = INSTANTS
+    longest = INSTANTS
     names = OF_STEPS
 
     def _fill(self):

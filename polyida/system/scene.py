@@ -182,7 +182,7 @@ FUNCTIONS = {RESIDUAL: residual, HOLD: hold, CLOSE: close, SOLVE: solve, RATE: r
 class SceneTable:
     """The table of a scene without Python in it, its solves by several threads where it has `SHARED` coordinates and these are asked for."""
 
-    longest = steady = INSTANTS
+    longest = INSTANTS
     entries = FUNCTIONS
 
     def __init__(self, model, tied, incremental):

@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.rows import joints
+from polyida.errors import DONE
 from polyida.jit import entry, pack, part
+from polyida.jit.intrinsics import address, call
 from polyida.linear.independence import coordinate_sizes
 
 CLOSE = 1e-5  # a bound of the least singular value that proves enough
@@ -93,12 +95,30 @@ def _ordered(rows, columns, m):
     return reverse_cuthill_mckee(csr_array(touched @ touched.T), symmetric_mode=True).astype(np.int64)
 
 
+def dense_pattern(model, sizes):
+    """The Pattern of a phi_q without zeros, its numbers row after row."""
+    n, m = model.n, model.m
+    numbers = np.arange(m * n + 1)
+    columns = np.tile(np.arange(n), m)
+    return Pattern(n * np.arange(m + 1), columns, numbers, numbers[:-1].copy(), sizes[columns])
+
+
 @part
-def fill_rows(u, links, drives, q, w):
-    """The unit rows at q."""
-    rows = w.rows[1]
+def fill_slopes(links, drives, times, k, q, w):
+    """Those of a scene at its drives; of a model without links phi_q, by a C function at an address that reads data at another one."""
+    if links is None:
+        return call(drives[0], drives[1], 0, address(times) + 8 * k, address(q), 0, 0, 0, address(w.slopes)) == DONE
     joints.point_values(links, q.reshape((q.shape[0] // 2, 2)), w.points)
-    joints.joint_jacobian(links, drives, w.points, w.slopes)
+    joints.joint_jacobian(links, drives[k], w.points, w.slopes)
+    return True
+
+
+@part
+def fill_rows(u, links, drives, times, at, q, w):
+    """The unit rows at q, nan where the model does not give them."""
+    rows = w.rows[1]
+    if not fill_slopes(links, drives, times, at, q, w):
+        w.slopes[:] = np.nan
     for k in range(u.start.shape[0] - 1):
         square = 0.0
         for i in range(u.start[k], u.start[k + 1]):
@@ -182,11 +202,11 @@ def refer(t, q, size, volume, w):
 
 
 @entry
-def begin(u, links, drives, t, q, w):
-    """Refer to a state, whatever it is; whether it is proven sound."""
-    fill_rows(u, links, drives, q, w)
+def begin(u, links, drives, times, q, w):
+    """Refer to a state, whatever it is, at the one of the times; whether it is proven sound."""
+    fill_rows(u, links, drives, times, 0, q, w)
     size, volume = bound(u, w)
-    refer(t, q, size, volume, w)
+    refer(times[0], q, size, volume, w)
     return size > CLOSE
 
 
@@ -194,7 +214,7 @@ def begin(u, links, drives, t, q, w):
 def unproven(u, links, drives, times, qs, first, w):
     """The first of the states (count,), from number `first` on, for which nothing is proven, or their number."""
     for k in range(first, qs.shape[0]):
-        fill_rows(u, links, drives[k], qs[k], w)
+        fill_rows(u, links, drives, times, k, qs[k], w)
         square = 0.0
         for i in range(w.rows.shape[1]):
             square += (w.rows[1, i] - w.rows[0, i]) ** 2
@@ -209,26 +229,31 @@ def unproven(u, links, drives, times, qs, first, w):
 
 
 class UnitRows:
-    """The unit rows of a scene's phi_q along a run."""
+    """The unit rows of phi_q along a run, of a scene or of a small model whose functions are `compiled` (a Compiled)."""
 
-    def __init__(self, model, state):
-        self.model, (self.pattern, k, slopes, self.sizes) = model, model.once(pattern_of)
-        self.links, m, n, numbers = model.arrays.links, model.m, model.n, len(self.pattern.columns)
-        self.turning = model.motor_profiles.tolist()
-        shapes = (2, numbers), slopes, (model.n_points, 2), n, (m, 2 * k + 1), (m, k + 1), (m, k + 1), 2, (2, 1 + n)
+    def __init__(self, model, state, compiled=None):
+        self.model, self.compiled, m, n = model, compiled, model.m, model.n
+        if compiled is None:
+            self.pattern, k, slopes, self.sizes = model.once(pattern_of)
+            self.links, points, self.turning = model.arrays.links, model.n_points, model.motor_profiles.tolist()
+        else:
+            self.sizes = coordinate_sizes(model, state.q)
+            self.pattern, k, slopes, self.links, points = dense_pattern(model, self.sizes), m - 1, m * n, None, 0
+            self.drives = np.array([compiled.addresses["phi_q"], compiled.data])
+        shapes = (2, len(self.pattern.columns)), slopes, (points, 2), n, (m, 2 * k + 1), (m, k + 1), (m, k + 1), 2, (2, 1 + n)
         self.scratch = Scratch(*map(np.zeros, shapes))
         self.scratch.past[:] = state.t, *state.q
 
     def begin(self, state):
         """Refer to a state from now on, whatever it is; whether it is proven sound."""
-        drives = self._drives(np.array([state.t]))[0]
-        return begin(self.pattern, self.links, drives, float(state.t), np.array(state.q), self.scratch)
+        times = np.array([state.t])
+        return begin(self.pattern, self.links, self._drives(times), times, np.array(state.q), self.scratch)
 
     def unproven(self, stretch):
         """Yield the numbers of the states of a stretch for which nothing is proven; who asks for the next one has found that one to be sound."""
-        drives, k, count = self._drives(stretch.t), 0, len(stretch)
-        qs = np.ascontiguousarray(stretch.q)
-        while (k := unproven(self.pattern, self.links, drives, stretch.t, qs, k, self.scratch)) < count:
+        times, qs, k = np.ascontiguousarray(stretch.t), np.ascontiguousarray(stretch.q), 0
+        drives = self._drives(times)
+        while (k := unproven(self.pattern, self.links, drives, times, qs, k, self.scratch)) < len(times):
             yield k
             self.begin(stretch.state(k))
             k += 1
@@ -240,6 +265,8 @@ class UnitRows:
 
     def _drives(self, times):
         """The angles that turn rows, (times, profiles, 3), without derivatives, which the slopes of rows do not ask for."""
+        if self.links is None:
+            return self.drives
         drives = np.zeros((len(times), len(self.model.profiles), 3))
         for k in self.turning:
             drives[:, k, 0] = self.model.profiles[k].over(times)

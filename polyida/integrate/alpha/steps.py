@@ -128,7 +128,7 @@ class Steps:
         if self.taken is not None:
             self._limit(self.taken.memory)
         most = min(ADAPTIVE if self.control else np.inf, self.chunk_bytes // (48 * max(1, self.model.n)))
-        most = int(max(1, min(most, self.longest, self.table.steady if self.control else self.table.longest)))
+        most = int(max(1, min(most, self.longest, self.table.longest)))
         left, h = self.pause - self.counts.steps, self.method.h
         self.times = times = grid.times(done, min(done + (left if 0 < left < most else most), grid.count))
         self.first, self.count = 0, len(times) - 1

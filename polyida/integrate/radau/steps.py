@@ -97,7 +97,12 @@ class Steps:
         self.kept, self.at = loop.kept(model.n, model.m), None
         self.done = np.zeros(loop.COUNTS, np.int64)
         most = CHUNK // (8 * max(1, (4 * settings.stages + 5) * model.n))
-        self.longest = max(1, min(STEPS, most, 1 if model.switching else self.table.longest))
+        self.most = max(1, min(STEPS, most, 1 if model.switching else STEPS))
+
+    @property
+    def longest(self):
+        """Steps of a stretch."""
+        return min(self.most, self.table.longest)
 
     @property
     def shares(self):
@@ -174,7 +179,7 @@ class Steps:
     def equal(self, state, grid):
         """Yield stretches of the states at the ends of the rest of a grid's steps. Raises StepFailure."""
         while grid.done < grid.count:
-            ends = np.array([grid.time(k + 1) for k in range(grid.done, min(grid.done + self.longest, grid.count))])
+            ends = grid.times(grid.done, min(grid.done + self.longest, grid.count))[1:]
             control = Control(False, grid.h, grid.h, np.inf, np.inf, np.inf, at(state.t))
             for made in self._stretches(state, control, ends, partial(_on_grid, grid)):
                 self.counts.steps += len(made)
@@ -206,7 +211,8 @@ class Steps:
             self.done[:], begin = 0, (state.t, state.q, state.v)
             control.now[LEFT] = control.most_steps - self.counts.steps - self.counts.rejected
             called, held = (self.table.functions, self.table.workspace, first), (control, self.kept, fresh)
-            found, ended = stretch(*called, p, self.way, *held, y, self.trial, self.room, self.done, ends[taken:], o)
+            with self.table.timed():
+                found, ended = stretch(*called, p, self.way, *held, y, self.trial, self.room, self.done, ends[taken:], o)
             if self.done[FACTORS]:
                 self.made = None
             self.at, before = None, replace(self.counts)

@@ -5,6 +5,7 @@ stage's, R(q_k) R(q_i)^T node by node, and the correction that comes back is tur
 """
 
 import ctypes
+from contextlib import nullcontext
 from functools import partial
 from typing import NamedTuple
 
@@ -339,7 +340,7 @@ def inverse_mass(model):
 class SceneStages:
     """The table of a scene without Python in it."""
 
-    longest, single, lifts = of.STEPS, True, False
+    longest, single, lifts, timed = of.STEPS, True, False, nullcontext
 
     def __init__(self, model, tableau, tied, linear):
         self.model, self.tableau, self.tied, self.linear, s = model, tableau, tied, linear, tableau.stages
