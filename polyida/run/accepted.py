@@ -83,7 +83,7 @@ class _Watch:
     """The last good state of a run, and what stops it there."""
 
     def __init__(self, integrator, state, t_end, counts):
-        self.counts, self.known = counts, counts.as_dict()
+        self.counts, self.known = counts, vars(counts).copy()
         self.name, self.before, self.t_end, self.standing = type(integrator).__name__, state, t_end, 0
         self.slack = max(SLACK * (t_end - state.t), 64 * math.ulp(t_end))
 

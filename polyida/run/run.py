@@ -34,7 +34,7 @@ class Run:
     """
 
     def __init__(self, model, integrator, plan, store, recorder, counts, clocks, until=None, progress=None):
-        self.model, self.integrator, self.plan, self.store, self.counts = model, integrator, plan, store, counts
+        self.model, self.known, self.integrator, self.plan, self.store, self.counts = model, guard(model), integrator, plan, store, counts
         self.recorder, self.clocks, self.until, self.progress = recorder, clocks, until, progress
         self.streams, done = store.file is not None, store.count
         self.sampler = Sampler(store, counts, plan["every"], plan["output"], done)
@@ -85,13 +85,12 @@ class Run:
             with suppress(Exception):
                 self._attach(error, self._end("error", f"{type(error).__name__}: {error}"))
             raise
-        return self._end(status, "; ".join(filter(None, (message, unresolved(guard(self.model), self.integrator, self.restart.state)))))
+        return self._end(status, "; ".join(filter(None, (message, unresolved(self.known, self.integrator, self.restart.state)))))
 
     def _steps(self, state, heed):
         self.last, until = state, Until(self.until, state) if self.until else None
-        model = guard(self.model)
-        self.watch = Watch(model, state)
-        for stretch in accepted(self.integrator, model, state, self.plan["t_end"], self.counts, self.sampler.rows):
+        self.watch = Watch(self.known, state)
+        for stretch in accepted(self.integrator, self.known, state, self.plan["t_end"], self.counts, self.sampler.rows):
             sound, failure = self.watch.look(stretch)
             self.counts.steps -= len(stretch) - sound
             whole = stretch.part(0, sound)
@@ -119,7 +118,7 @@ class Run:
             if failure:
                 self.counts.steps += 1
                 raise failure
-        return "done", unseen(model, constant_step(self.integrator))
+        return "done", unseen(self.known, constant_step(self.integrator))
 
     def _quiet(self, stretch, until):
         """How many states of a stretch need not be looked at one by one."""
@@ -236,7 +235,7 @@ def _again(run, state, counts):
     """The State after the steps of a run from `state` to its last, taken anew, with what the integrator goes on from."""
     end = run.counts.steps
     state = State(state.t, state.q, state.v, state.a, state.lam, state.memory | {"pause": end})
-    steps = States(accepted(run.integrator, guard(run.model), state, run.plan["t_end"], counts), counts)
+    steps = States(accepted(run.integrator, run.known, state, run.plan["t_end"], counts), counts)
     return next(islice(steps, end - counts.steps - 1, None))
 
 

@@ -73,7 +73,7 @@ def solve(
     out: an HDF5 file to which the frames are written as they come. `polyida.load` reads it at any time, also after the
     process was killed or the disk was full, up to the last flush: that is after every `flush_every` steps or 2 s, or up
     to half as much later where a block of frames is whole by then; resume goes on from the last step by then whose memory
-    is known (generalized-alpha on a scene works in stretches of up to 256 steps). overwrite: replace an existing file, unless a process is
+    is known (generalized-alpha on a scene works in stretches of up to 1024 steps). overwrite: replace an existing file, unless a process is
     writing it. fsync: have every flush on the disk before the run goes on, so that it survives a power cut too; slow. What comes back is
     what was written, also where the file was moved, removed or replaced meanwhile; the message says so then. Without `out`, frames beyond
     `memory_limit` bytes go to a file in the folder for temporary files (TMPDIR); a trajectory with more of them than
@@ -85,7 +85,8 @@ def solve(
     An exception in a user's function goes on to the caller; its attribute `trajectory` is the run so far. Ctrl-C after the last step raises
     KeyboardInterrupt, which has the whole run as `trajectory`. Raises InputError for a wrong input, before the run starts.
     """
-    _require_start(model, t0, state, q0, v0)
+    known = guard(model)
+    _require_start(known, t0, state, q0, v0)
     require_progress("solve", progress)
     require_sensors("solve", sensors)
     begin = t0 if state is None else state.t
@@ -95,9 +96,9 @@ def solve(
     path = None if out is None else free(out, overwrite)
     clocks = time.perf_counter(), time.process_time()
     with one_blas_thread():
-        state = _first(model, t0, state, q0, v0, t_end, asked(integrator, "nonholonomic"))
-        asked(integrator, "require_reach")(guard(model), state, t_end)
-        recorder, file = Recorder(guard(model), sensors or {}), None
+        state = _first(known, t0, state, q0, v0, t_end, asked(integrator, "nonholonomic"))
+        asked(integrator, "require_reach")(known, state, t_end)
+        recorder, file = Recorder(known, sensors or {}), None
         recorder.step(state)
         if path is not None:
             file = create(path, model, integrator, model.n, model.m, plan, machine_info(), precision == "single", recorder.shapes)
@@ -110,9 +111,8 @@ def solve(
     return found
 
 
-def _first(model, t0, state, q0, v0, t_end, nonholonomic):
+def _first(known, t0, state, q0, v0, t_end, nonholonomic):
     """The state to begin with; one that is not known to be accepted is put on the constraints. What the model says of itself is looked at."""
-    known = guard(model)
     if state is not None:
         state = require_state("solve", known, state)
         t0, q, v = state.t, state.q, state.v
@@ -122,13 +122,12 @@ def _first(model, t0, state, q0, v0, t_end, nonholonomic):
         Compiled(known)
     require_declared(known, float(t0), q, v, float(t_end), nonholonomic)
     if state is None:
-        return consistent_state(model, t0, q0, v0)
+        return consistent_state(known, t0, q0, v0)
     return state if state.restart else restarted(known, state)
 
 
 def require_run(model, t_end, begin, integrator):
     """Raise InputError unless these can make a run from `begin`."""
-    guard(model)
     if not hasattr(integrator, "steps") or isinstance(integrator, type):
         raise InputError(f"solve: {integrator!r} is no integrator; use polyida.GeneralizedAlpha(...) or polyida.IDA(...)")
     if not callable(integrator.steps):
@@ -156,14 +155,14 @@ def _require_steps(begin, t_end, h):
         raise InputError(f"solve: steps of {h:g} s are lost at t = {t_end:g} s, where times are {apart:.2g} s apart")
 
 
-def _require_start(model, t0, state, q0, v0):
+def _require_start(known, t0, state, q0, v0):
     if state is None:
         if not is_number(t0):
             raise InputError(f"solve: t0 = {t0!r} must be a finite time in s")
         return
     if q0 is not None or v0 is not None:
         raise InputError("solve: give either a state or q0 and v0; the state holds both")
-    require_state("solve", guard(model), state)
+    require_state("solve", known, state)
 
 
 def _plan(begin, t_end, every, output, until, flush_every, fsync, precision):

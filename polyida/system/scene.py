@@ -1,6 +1,7 @@
 """The table of a scene: its compiled kernels as C functions."""
 
 from contextlib import contextmanager
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -179,6 +180,15 @@ def accept(w, instant, q, b, c, d, e, f):
 FUNCTIONS = {RESIDUAL: residual, HOLD: hold, CLOSE: close, SOLVE: solve, RATE: rate, PROJECT: project, ACCEPT: accept}
 
 
+@cache
+def addresses(kind, entries):
+    """The table of the functions (number, function) for workspaces of a type."""
+    found = np.zeros(ENTRIES, np.int64)
+    for number, function in entries:
+        found[number] = c_address(function, kind)
+    return found
+
+
 class SceneTable:
     """The table of a scene without Python in it, its solves by several threads where it has `SHARED` coordinates and these are asked for."""
 
@@ -233,9 +243,7 @@ class SceneTable:
         """Take a workspace; functions are compiled for its type."""
         kind = typeof(work)
         if self.work is None or kind != typeof(self.work):
-            self.functions = np.zeros(ENTRIES, np.int64)
-            for number, function in self.entries.items():
-                self.functions[number] = c_address(function, kind)
+            self.functions = addresses(kind, tuple(self.entries.items()))
         self.work = work
 
     def raise_left(self):

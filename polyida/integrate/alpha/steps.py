@@ -14,7 +14,7 @@ from polyida.memory import room
 from polyida.system.python import table_of
 from polyida.system.table import INSTANTS
 
-ADAPTIVE = 32  # steps of a stretch whose step may change any time
+ADAPTIVE = 128  # steps of a stretch whose step may change any time
 
 
 class Steps:
@@ -35,7 +35,8 @@ class Steps:
         self.tied = settings.form == "stabilised" and model.m > 0
         self.table = table_of(model, settings.linear, self.tied, settings.incremental_phi and model.carries)
         self.caution = self.table.system(settings).caution
-        self.system, self.verdict, self.longest = None, None, INSTANTS
+        self.system = self.spare = self.verdict = None
+        self.longest = INSTANTS
         self.kept, self.pause, self.rows, self.watch = Kept(), 0, _no_rows, None
 
     def begin(self, state, h):
@@ -241,7 +242,7 @@ class Steps:
 
     def _factor(self, make, t):
         """A new factor, made by make(system, method)."""
-        system = self.table.system(self.settings)
+        system = self.spare or self.table.system(self.settings)
         self.counts.tangents += 1
         self.counts.factorizations += 1
         try:
@@ -253,6 +254,8 @@ class Steps:
         self._take(system)
         if self.control:
             self.kept.keep(self.method.h, system)
+        else:
+            self.spare = system  # the next factor takes its place
 
 
 def _no_rows(count):

@@ -1,5 +1,7 @@
 """Tables of models that are written in Python, or whose matrices are made there: callbacks, which keep an exception for the caller."""
 
+from contextlib import nullcontext
+
 import numpy as np
 
 from polyida.errors import DONE, REASONS, SINGULAR, InputError
@@ -31,8 +33,10 @@ class Stages:
 class PythonStages(Stages, PythonTable):
     """The table of any model, and its matrices: `kind(model, modes, h, made_at)`; each entry is a callback.
 
-    lift (n,): D^-1. longest: steps of a stretch.
+    lift (n,): D^-1. A stretch is of one step, for matrices that are made within it are counted at its end.
     """
+
+    timed = nullcontext
 
     def __init__(self, model, tableau, tied, kind):
         self.tableau, self.tied, self.kind, self.lift, self.slots, self.reason = tableau, tied, kind, np.ones(model.n), {}, ""
