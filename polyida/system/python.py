@@ -23,11 +23,11 @@ ALONE = ctypes.CFUNCTYPE(ctypes.c_int64)  # of a function that takes nothing of 
 class PythonTable:
     """The table of any model: every entry is a callback.
 
-    functions: the addresses; workspace: that of the model's arrays. longest: steps of a stretch, by the time that they take.
+    functions: the addresses; workspace: that of the model's arrays. longest: steps of a stretch, by the time that they take, not above `most`.
     """
 
     longest = 1  # at first: its functions may be slow, and Ctrl-C and progress wait for the end of a stretch
-    instants = INSTANTS
+    instants = most = INSTANTS
     workspace = 0
 
     def __init__(self, model, incremental):
@@ -92,7 +92,7 @@ class PythonTable:
         yield
         spent = time.perf_counter() - begun
         if spent < SHORT:
-            self.longest = min(2 * self.longest, INSTANTS)
+            self.longest = min(2 * self.longest, self.most)
         elif spent > LONG:
             self.longest = max(1, self.longest // 2)
 

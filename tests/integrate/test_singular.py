@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.integrate import singular
 from polyida.integrate.state import Stretch
+from polyida.linear.independence import least
 
 ALL = {
     "alpha": pi.GeneralizedAlpha(h=2e-3),
@@ -54,6 +56,25 @@ class FourBar(pi.Model):
         return {"q0": (self.feet + [0.0, 1.0]).ravel(), "v0": np.tile([1.0, 0.0], self.bars + 1)}
 
 
+@pi.compiled
+class CompiledFourBar(FourBar):
+    """The same of one four-bar, whose functions numba compiles."""
+
+    def __init__(self):
+        super().__init__(1)
+
+    def force(self, t, q, v):
+        return np.array([0.0, 9.81, 0.0, 9.81])
+
+    def phi(self, t, q):
+        x, y, u, w = q
+        return 0.5 * (np.array([x * x + y * y, (u - 1.0) ** 2 + w * w, (u - x) ** 2 + (w - y) ** 2]) - 1.0)
+
+    def phi_q(self, t, q):
+        x, y, u, w = q
+        return np.array([[x, y, 0.0, 0.0], [0.0, 0.0, u - 1.0, w], [x - u, y - w, u - x, w - y]])
+
+
 class Toggle(pi.Model):
     """Two rods of 1 m whose end is drawn along x at 1 m/s from 1.6 m: stretched at 0.4 s, and no configuration behind."""
 
@@ -89,6 +110,17 @@ def test_a_parallelogram_stops_where_it_lies_flat(name):
     assert named(run.message) == ["phi[0]", "phi[1]", "phi[2]"]
     crank, other = run.q[-1].reshape(2, 2) - model.feet
     assert np.abs(crank - other).max() < 2e-3  # no frame is on the other branch
+
+
+@pytest.mark.parametrize("name", ["alpha", "alpha, adaptive", "radau", "IDA ggl2"])
+def test_a_compiled_model_is_looked_at_in_python_near_singular_positions_only(name, monkeypatch):
+    model, looks = CompiledFourBar(), []
+    monkeypatch.setattr(singular, "least", lambda rows: looks.append(1) or least(rows))
+    run = pi.solve(model, 0.5, ALL[name], **model.upright())
+    assert run.success and not looks
+    run = pi.solve(model, 1.0, ALL[name], **model.upright())
+    assert run.status == "singular" and named(run.message) == ["phi[0]", "phi[1]", "phi[2]"] and looks
+    assert float(run.message.split("at t = ")[1].split()[0]) == pytest.approx(FLAT, abs=1e-3)
 
 
 def test_several_singular_positions_at_once_name_three_constraints():

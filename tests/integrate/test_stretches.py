@@ -7,12 +7,25 @@ import polyida as pi
 from polyida.integrate.radau import accepted
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import Counts, State, States, Stretch, parted
+from polyida.model.guarded import guard
 
 ALPHA = pi.GeneralizedAlpha(h=1e-3)
 
 
+RADAU = pi.RadauIIA(h=1e-3)
+
+
 class OneByOne(pi.GeneralizedAlpha):
     """A user's own: its states come one by one and are copied."""
+
+    def steps(self, *arguments, **more):
+        yield from super().steps(*arguments, **more)
+
+
+class RadauOneByOne(pi.RadauIIA):
+    """The same of RadauIIA, taken for polyida's own: its states keep what they know of the motion within a step."""
+
+    __module__ = "polyida.test"
 
     def steps(self, *arguments, **more):
         yield from super().steps(*arguments, **more)
@@ -82,10 +95,11 @@ WAYS = {
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("filed", [False, True])
-def test_runs_are_those_of_states_one_by_one(model, way, filed, tmp_path):
+@pytest.mark.parametrize("integrator, single", [(ALPHA, OneByOne(h=1e-3)), (RADAU, RadauOneByOne(h=1e-3))])
+def test_runs_are_those_of_states_one_by_one(model, integrator, single, way, filed, tmp_path):
     places = ({"out": tmp_path / "a.h5", "flush_every": 30}, {"out": tmp_path / "b.h5", "flush_every": 30}) if filed else ({}, {})
-    run = pi.solve(model, 0.3, ALPHA, **WAYS[way], **places[0])
-    other = pi.solve(model, 0.3, OneByOne(h=1e-3), **WAYS[way], **places[1])
+    run = pi.solve(model, 0.3, integrator, **WAYS[way], **places[0])
+    other = pi.solve(model, 0.3, single, **WAYS[way], **places[1])
     assert run.success and run.counts == other.counts and run.message == other.message
     assert all(np.array_equal(getattr(run, name), getattr(other, name)) for name in ("t", "q", "v", "a", "lam"))
     assert np.array_equal(run.sensors.t, other.sensors.t) and run.sensors.t.size == (301 if way == "sensors" else 0)
@@ -123,3 +137,10 @@ def test_a_stretch_that_is_not_finite_in_its_middle_gives_the_states_before():
     run = pi.solve(Free(), 5.0, Torn(h=1.0), q0=[0.0, 0.0])
     assert run.status == "not finite" and "q[1] = nan at t = 4 s" in run.message
     assert run.t.tolist() == [0.0, 1.0, 2.0, 3.0] and run.counts.steps == 4
+
+
+@pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(rtol=1e-6), pi.RadauIIA(h=1e-3)])
+def test_steps_of_a_model_in_python_come_in_stretches(integrator):
+    p = pi.problems.get("pendulum")
+    taken = [len(stretch) for stretch in integrator.steps(guard(p.model), pi.consistent_state(p.model, q0=p.q0), 0.5, Counts()).stretches]
+    assert max(taken) > 16

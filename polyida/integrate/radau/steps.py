@@ -59,6 +59,7 @@ from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import SingularSystem
 from polyida.system.table import ACCELERATION, STEPS
 
+WORK = "residuals", "newton_iterations", "solves", "rejected", "tangents", "factorizations"
 CHUNK = 4_000_000  # bytes that the steps of a stretch leave
 SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
 
@@ -240,14 +241,8 @@ class Steps:
     def _work(self, before, done, k):
         """The counts at step k but for the steps, of those of the work done since a stretch began."""
         residuals, iterations, solves, factors, rejected = map(int, done[k])
-        return {
-            "residuals": before.residuals + residuals,
-            "newton_iterations": before.newton_iterations + iterations,
-            "solves": before.solves + solves,
-            "rejected": before.rejected + rejected,
-            "tangents": before.tangents + factors,
-            "factorizations": before.factorizations + factors * len(self.tableau.modes),
-        }
+        more = residuals, iterations, solves, rejected, factors, factors * len(self.tableau.modes)
+        return {name: getattr(before, name) + count for name, count in zip(WORK, more)}
 
     @property
     def of_run(self):
