@@ -14,6 +14,11 @@ from polyida.given import floats, is_number, takes
 from polyida.keywords import named_keywords
 from polyida.model.differences import around, within
 
+SHAPES = {  # coefficients of moves from 0 to 1
+    "linear": (0, 1),
+    "quintic": (0, 0, 0, 10, -15, 6),
+    "ramp": (0, 0, 0, 0, 0, 126, -420, 540, -315, 70),
+}
 REACH = {1: 2e-5, 2: 2e-4}  # s between the values that a first or second derivative is made of; it resolves 1 kHz or 100 Hz
 
 
@@ -80,19 +85,19 @@ def quintic(start: float, end: float, duration: float, begin: float = 0.0) -> Pr
 
     Velocity and acceleration vanish at both ends. Raises InputError where duration is not positive.
     """
-    return _move(start, end, duration, begin, "quintic", [0, 0, 0, 10, -15, 6])
+    return _move(start, end, duration, begin, "quintic")
 
 
 @named_keywords
 def ramp(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Move of class C^4: the ninth-degree smooth step. Raises InputError where duration is not positive."""
-    return _move(start, end, duration, begin, "ramp", [0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
+    return _move(start, end, duration, begin, "ramp")
 
 
 @named_keywords
 def linear(start: float, end: float, duration: float, begin: float = 0.0) -> Profile:
     """Straight move from start to end, with a kink at both ends. Raises InputError where duration is not positive."""
-    return _move(start, end, duration, begin, "linear", [0, 1])
+    return _move(start, end, duration, begin, "linear")
 
 
 def _require_numbers(kind, **values):
@@ -101,11 +106,11 @@ def _require_numbers(kind, **values):
             raise InputError(f"profile.{kind}: {name} = {value!r} must be a finite number")
 
 
-def _move(start, end, duration, begin, kind, coefficients):
+def _move(start, end, duration, begin, kind):
     _require_numbers(kind, start=start, end=end, duration=duration, begin=begin)
     if not duration > 0:
         raise InputError(f"profile.{kind}: start {start}, end {end}, begin {begin} s must be finite and duration {duration} s positive")
-    shape = np.polynomial.Polynomial(coefficients)
+    shape = np.polynomial.Polynomial(SHAPES[kind])
     start, end, duration, begin = map(float, (start, end, duration, begin))
     span = end - start
     value = partial(_moved, shape, span, start, span, duration, begin)

@@ -1,5 +1,6 @@
 """Radau IIA: its tableau, orders and published digits, models of every kind, scenes, kinks, going on bit for bit, failures."""
 
+from dataclasses import replace
 from functools import cache, partial
 
 import numpy as np
@@ -588,3 +589,28 @@ def test_corrections_below_round_off_of_a_body_at_rest_end_newton(settings):
     run = pi.solve(scene.build(), 0.1, pi.RadauIIA(**settings))
     angle = 0.5 * (0.1 - 0.033) / 0.11
     assert run.success and run.position("tip")[-1] == pytest.approx([np.cos(angle), np.sin(angle)], abs=1e-10)
+
+
+def test_profiles_with_a_formula_are_taken_in_compiled_code():
+    """Adaptive steps with motors and loads of all kinds, and with the same as functions without a formula, which are asked in Python."""
+    profiles = {
+        "push": pi.profile.sine(3.0, 1.5, 0.2),
+        "lift": pi.profile.linear(0.0, 4.0, duration=0.15, begin=0.1),
+        "pull": pi.profile.polynomial([0.5, -1.0, 2.0]),
+        "bend": pi.profile.ramp(0.0, 2.0, duration=0.3),
+        "drive": pi.profile.quintic(0.0, 0.6, duration=0.25, begin=0.05),
+    }
+
+    def run(of):
+        scene = pi.Scene(gravity=(0.0, -9.81))
+        upper = scene.add(pi.RigidBody.bar(1.0, 1.0, (0.0, 0.0), name="upper"))
+        lower = scene.add(pi.RigidBody.bar(1.0, 1.0, (1.0, 0.0), name="lower"))
+        scene.add(pi.Revolute(pi.ground.at((0.0, 0.0)), upper.at("left"), name="first pin"))
+        scene.add(pi.Revolute(upper.at("right"), lower.at("left"), name="second pin"))
+        scene.add(pi.AngleMotor(pi.ground, upper.at("left"), angle=of(profiles["drive"]), name="drive"))
+        for name in ("push", "lift", "pull", "bend"):
+            scene.add(pi.PointLoad(lower.at("right"), (1.0, 0.5), of(profiles[name]), name=name))
+        return pi.solve(scene.build(), 0.5, pi.RadauIIA(rtol=1e-7))
+
+    compiled, asked = run(lambda profile: profile), run(lambda profile: replace(profile, formula=()))
+    assert compiled.counts == asked.counts and np.abs(compiled.q - asked.q).max() < 1e-12

@@ -1,11 +1,19 @@
 """What phi of a scene gains in a step, from its drives and from what the step adds to the places of its points."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from polyida.assembly.rows import joints
+from polyida.jit import entry, pack, part
+from polyida.profile import SHAPES
 
-EPS = np.finfo(float).eps
+# constants of compiled code
+EPS = 2.0**-52
 NODES, WEIGHTS = (0.5 * x for x in np.polynomial.legendre.leggauss(4))  # on [-1/2, 1/2]
+AT, LATE = 0.5 + NODES, WEIGHTS * (0.5 - NODES)
+SMALL = 1e-5  # of the numbers, a difference that has lost so many digits
+POLYNOMIAL, SINE, MOVE = range(3)
 
 
 def drive_table(model, times, ends):
@@ -32,7 +40,10 @@ def _driving(model):
 
 
 def gain_table(model, times, drives, h):
-    """What every profile gains in each step of size h, (steps, profiles, 3): value, value - h rate, rate."""
+    """What every profile gains in each step of size h, (steps, profiles, 3): value, value - h rate, rate.
+
+    Differences; of what drives phi, where the integrals of its second derivative are the same to round-off, those, which are sharper.
+    """
     return _gains(model, times[:-1], times[1:], drives[:-1], drives[1:], np.full(len(times) - 1, h))
 
 
@@ -50,34 +61,142 @@ def stage_tables(model, starts, times, edge, h):
 
 
 def _gains(model, begin, times, before, after, h):
-    """Differences; of what drives phi, where the integrals of its second derivative are the same to round-off, those, which are sharper."""
-    gains = np.empty(before.shape)
-    if not gains.size:
-        return gains
-    gains[:, :, 0], gains[:, :, 2] = after[:, :, 0] - before[:, :, 0], after[:, :, 1] - before[:, :, 1]
-    gains[:, :, 1] = gains[:, :, 0] - h[:, None] * before[:, :, 1]
-    for k in _driving(model):
-        ends = after[:, k]
-        size = np.abs(before[:, k, :2]) + np.abs(ends[:, :2]) + np.abs(times[:, None] * ends[:, 1:])
-        lost = np.flatnonzero((np.abs(gains[:, k, ::2]) < 1e-5 * size).any(axis=1))
-        if lost.size:
-            _sharpen(model.profiles[k], begin[lost], h[lost], before[lost, k, 1], gains[:, k], lost, size[lost])
+    gains, lost = np.empty(before.shape), np.zeros(before.shape[:2], bool)
+    if gains.size:
+        driving = _flags(model)
+        change_each(driving, h, times, before, after, gains, lost)
+        for k in np.flatnonzero(driving):
+            rows = np.flatnonzero(lost[:, k])
+            if rows.size:
+                second = model.profiles[k].over(begin[rows, None] + h[rows, None] * AT, 2)
+                sharpen_each(k, rows, second, h, times, before, after, gains)
     return gains
 
 
-def _sharpen(profile, begin, h, rate, gains, rows, size):
-    at = begin[:, None] + h[:, None] * (0.5 + NODES)
-    second = profile.over(at, 2)
-    change, ahead = h * _sum(second, WEIGHTS), h * h * _sum(second, WEIGHTS * (0.5 - NODES))
-    whole = h * rate + ahead
-    apart = np.abs(np.stack([whole - gains[rows, 0], change - gains[rows, 2]], axis=1))
-    same = (apart <= 16 * EPS * size).all(axis=1)
-    gains[rows[same]] = np.stack([whole, ahead, change], axis=1)[same]
+def _flags(model):
+    """Whether each profile drives rows of phi."""
+    found = np.zeros(len(model.profiles), bool)
+    found[[*_driving(model)]] = True
+    return found
 
 
-def _sum(rows, weights):
-    """The weighted sum of each row, the same whatever rows are beside it, which a product of matrices does not promise."""
-    return sum(rows[:, k] * weight for k, weight in enumerate(weights))
+@entry
+def change_each(driving, h, times, before, after, gains, lost):
+    """Gains by differences (steps, profiles, 3); lost: where they may have lost digits."""
+    for i in range(h.shape[0]):
+        for k in range(driving.shape[0]):
+            lost[i, k] = change(driving[k], h[i], times[i], before[i, k], after[i, k], gains[i, k])
+
+
+@entry
+def sharpen_each(k, rows, second, h, times, before, after, gains):
+    """Sharpen the gains of profile k in some steps, with its second derivatives (rows, 4)."""
+    for e in range(rows.shape[0]):
+        i = rows[e]
+        sharpen(h[i], times[i], before[i, k], after[i, k], second[e], gains[i, k])
+
+
+@part
+def sizes(t, before, after):
+    """The size of the numbers of which the gains of value and rate are differences."""
+    return abs(before[0]) + abs(after[0]) + abs(t * after[1]), abs(before[1]) + abs(after[1]) + abs(t * after[2])
+
+
+@part
+def change(driving, h, t, before, after, gain):
+    """Fill the gain of a profile in a step of h to t by differences. Whether it drives phi and may have lost digits."""
+    gain[0], gain[2] = after[0] - before[0], after[1] - before[1]
+    gain[1] = gain[0] - h * before[1]
+    value, rate = sizes(t, before, after)
+    return driving and (abs(gain[0]) < SMALL * value or abs(gain[2]) < SMALL * rate)
+
+
+@part
+def sharpen(h, t, before, after, second, gain):
+    """Take the integrals of the second derivative (4,) instead, where they are the same to round-off."""
+    total = late = 0.0
+    for i in range(4):
+        total += second[i] * WEIGHTS[i]
+        late += second[i] * LATE[i]
+    rate, ahead = h * total, h * h * late
+    whole, (size, size_of_rate) = h * before[1] + ahead, sizes(t, before, after)
+    if abs(whole - gain[0]) <= 16 * EPS * size and abs(rate - gain[2]) <= 16 * EPS * size_of_rate:
+        gain[0], gain[1], gain[2] = whole, ahead, rate
+
+
+@pack
+class Moves(NamedTuple):
+    """The profiles of a scene as numbers, from `start` on: POLYNOMIAL: its coefficients; SINE: the sizes of value and derivatives, angular
+    frequency, phase; MOVE: start, span, duration, begin, the sizes of value and derivatives, coefficients. driving: as of `_flags`.
+    """
+
+    kind: np.ndarray
+    start: np.ndarray
+    numbers: np.ndarray
+    driving: np.ndarray
+
+
+def moves(model):
+    """(the Moves of a scene, whether all of its profiles are in it: those that have a formula are)."""
+    kinds, rows = [], []
+    for profile in model.profiles:
+        kind, *given = profile.formula or ("",)
+        if kind == "sine":
+            w = 2 * np.pi * given[1]
+            given = [given[0], given[0] * w, -given[0] * w * w, w, given[2]]
+        elif kind in SHAPES:
+            begin, end, duration, start = given
+            span = end - begin
+            given = [begin, span, duration, start, span, span / duration, span / duration**2, *SHAPES[kind]]
+        kinds.append({"polynomial": POLYNOMIAL, "sine": SINE}.get(kind, MOVE))
+        rows.append(np.array(given, float))
+    start = np.cumsum([0, *map(len, rows)])
+    return Moves(np.array(kinds, np.int64), start, np.concatenate([*rows, np.zeros(0)]), _flags(model)), all(map(len, rows))
+
+
+@part
+def profile_at(m, k, t, order):
+    """Value, first or second derivative, by the order, of a profile of Moves."""
+    x = m.numbers[m.start[k] : m.start[k + 1]]
+    if m.kind[k] == SINE:
+        angle = x[3] * t + x[4]
+        return x[order] * (np.cos(angle) if order == 1 else np.sin(angle))
+    if m.kind[k] == POLYNOMIAL:
+        return series(x, order, t)
+    s = (t - x[3]) / x[2]
+    if not 0.0 < s < 1.0:
+        return 0.0 if order else (x[1] if s >= 1.0 else 0.0) + x[0]
+    return x[4 + order] * series(x[7:], order, s) + (0.0 if order else x[0])
+
+
+@part
+def series(c, order, x):
+    """`c0 + c1 x + c2 x^2 + ...`, or its first or second derivative."""
+    total = 0.0
+    for k in range(c.shape[0] - 1, order - 1, -1):
+        factor = c[k] if order == 0 else c[k] * k if order == 1 else c[k] * k * (k - 1)
+        total = total * x + factor
+    return total
+
+
+@part
+def take_step(m, h, begin, inner, times, c, drives, gains):
+    """Fill drives (s + 1, profiles, 3) and gains, from row 1 on, of a step of h from `begin` with stages at times (s,) and c.
+
+    inner: begin, or beside it within the step where there is a kink.
+    """
+    second = np.empty(4)
+    for k in range(m.kind.shape[0]):
+        for order in range(3):
+            drives[0, k, order] = profile_at(m, k, begin if order == 0 and m.driving[k] else inner, order)
+        for i in range(c.shape[0]):
+            t, late, now, gain = times[i], c[i] * h, drives[i + 1, k], gains[i + 1, k]
+            for order in range(3):
+                now[order] = profile_at(m, k, t, order)
+            if change(m.driving[k], late, t, drives[0, k], now, gain):
+                for e in range(4):
+                    second[e] = profile_at(m, k, begin + late * AT[e], 2)
+                sharpen(late, t, drives[0, k], now, second, gain)
 
 
 class Increments:

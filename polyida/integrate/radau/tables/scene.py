@@ -17,7 +17,7 @@ from polyida.assembly import equilibrium as kernels
 from polyida.assembly.bodies.damping import symmetric_parts
 from polyida.assembly.own.laws import Laws
 from polyida.assembly.rows import joints
-from polyida.assembly.rows.increments import stage_tables
+from polyida.assembly.rows.increments import Moves, moves, stage_tables, take_step
 from polyida.assembly.rows.tie import Tie, constrain, tie
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
@@ -53,7 +53,7 @@ class Solver(NamedTuple):
 class SceneWork(NamedTuple):
     """The workspace of a scene and s stages: its arrays, the factors of the modes (None where there is none) and scratch.
 
-    damp, laws, tie: None where there is nothing of the kind. drives, gains (instants, profiles, 3): of the profiles, at each instant and from
+    damp, laws, tie: None where there is nothing of the kind. moves: the profiles that have formulas. drives, gains (instants, profiles, 3): of the profiles, at each instant and from
     the step's beginning to it; rotation, turn (s, nodes, 2); points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle
     stage; c: the tableau's; h (1,); still (nodes, 2), level (m,): zero; inverse (nodes, nodes): of M, complex, or (0, 0); anew (2,): whether the border of
     the real mode, of the pair, is to be made with the next solve.
@@ -65,6 +65,7 @@ class SceneWork(NamedTuple):
     tie: Tie | None
     damp: np.ndarray | None
     laws: Laws | None
+    moves: Moves
     drives: np.ndarray
     gains: np.ndarray
     rotation: np.ndarray
@@ -105,6 +106,14 @@ def rows(w, at):
 def stage(w, instant):
     """Number of the stage of an instant."""
     return (instant - 1) % (w.c.shape[0] + 1)
+
+
+@c_entry
+def prepare(w, first, times, b, c, d, e, f):
+    """Take the loads and motors of a step."""
+    given = carray(pointer(times), (3 + w.c.shape[0],))
+    take_step(w.moves, given[0], given[1], given[2], given[3:], w.c, w.drives[first:], w.gains[first:])
+    return DONE
 
 
 @c_entry
@@ -345,13 +354,14 @@ class SceneStages:
     def __init__(self, model, tableau, tied, linear):
         self.model, self.tableau, self.tied, self.linear, s = model, tableau, tied, linear, tableau.stages
         nodes, points, instants = (model.n_nodes, 2), (model.n_points, 2), (of.STEPS * (s + 1), len(model.profiles), 3)
-        small = model.n_nodes <= FEW
+        small, (numbers, self.formulas) = model.n_nodes <= FEW, moves(model)
         self.entries = FUNCTIONS | ({of.ACCELERATION: acceleration} if small else {})
         self.w = {
             "scene": model.arrays,
             "tie": tie(model) if model.m else None,
             "damp": np.zeros(nodes) if model.damped else None,
             "laws": model.laws,
+            "moves": numbers,
             "drives": np.zeros(instants),
             "gains": np.zeros(instants),
             "rotation": np.zeros((s, *nodes)),
@@ -384,11 +394,17 @@ class SceneStages:
             return 0
         self.prepared, self.clamp = not control.adaptive, engine.clamp
         self.functions[of.PREPARE] = 0 if self.prepared else ctypes.cast(self.callback, ctypes.c_void_p).value
+        self._compile_prepare()
         if self.prepared:
             starts = np.concatenate([[state.t], ends[:-1]])
             times = np.clip(np.column_stack([starts[:, None] + self.tableau.c[:-1] * control.h, ends]), *engine.limits)
             self._take_loads(starts, times, control.h)
         return 0
+
+    def _compile_prepare(self):
+        """Take loads and motors in compiled code, if steps ask for them, all of them have formulas, and there is a workspace."""
+        if self.functions[of.PREPARE] and self.formulas and self.kind:
+            self.functions[of.PREPARE] = c_address(prepare, self.kind)
 
     def _prepare(self, model, first, times, *_):
         try:
@@ -421,6 +437,7 @@ class SceneStages:
             self.kind = kind
             for number, function in self.entries.items():
                 self.functions[number] = c_address(function, kind)
+            self._compile_prepare()
 
     def told(self, ended, engine, control):
         """(status, reason) of how a step ended: what the model objects to at the first stage that it objects to, with the names of what is there."""
