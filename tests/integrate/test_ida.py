@@ -200,7 +200,7 @@ def test_the_compiled_table_gives_the_residual_and_correction_of_callbacks(name,
         assert np.abs(F_small - F).max() <= 1e-13 * np.abs(F).max()
         for part in np.split(np.arange(len(y)), [n, 2 * n]):
             assert np.abs(found - right)[part].max(initial=0.0) <= 1e-9 * np.abs(right[part]).max(initial=0.0)
-    assert general.counts == small.counts or small.counts.backend != general.counts.backend
+    assert replace(general.counts, backend="") == replace(small.counts, backend="")
 
 
 @pytest.mark.parametrize("form", FORMS)
