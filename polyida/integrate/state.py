@@ -41,11 +41,11 @@ class State:
 class Stretch:
     """Accepted states in a row: t (k,), q, v, a (k, n), lam (k, m), and the last of them as a State, with the memory that it may have.
 
-    Those before the last have no memory: a run cannot go on from them. work: for each state the counts of the work done up to it, but for the
+    Those before the last have no memory: a run cannot go on from them. spent: the counts of the work done up to the last state, but for the
     steps, as a dictionary; None where they are those of the whole stretch.
     """
 
-    work = None
+    spent = None
 
     def __init__(self, t, q, v, a, lam, last=None):
         self.t, self.q, self.v, self.a, self.lam, self._last = t, q, v, a, lam, last
@@ -120,15 +120,15 @@ class States:
 
 
 def parted(stretch, counts, size=lambda: 1):
-    """Yield a stretch in parts of `size()` states, with counts as at the last state of each: `steps`, and what `work` says."""
+    """Yield a stretch in parts of `size()` states, with counts as at the last state of each: `steps`, and what `spent` says."""
     done, whole = 0, len(stretch)
     counts.steps -= whole
     while done < whole:
         part = stretch.part(done, done + size())
         done += len(part)
         counts.steps += len(part)
-        if part.work:
-            vars(counts).update(part.work[-1])
+        if part.spent:
+            vars(counts).update(part.spent)
         yield part
 
 

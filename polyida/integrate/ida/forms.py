@@ -117,13 +117,18 @@ class System:
 class Accepted(Stretch):
     """Accepted states of a System at the times t (k,), from rows y and y' (k, size); each has the memory that a run goes on from.
 
-    mu, zero but for truncation, is in that memory.
+    work: for each state the counts of the work done up to it, but for the steps. mu, zero but for truncation, is in that memory.
     """
 
     def __init__(self, system, memory, work, t, y, yp):
         *state, mu = (None if x is None else np.ascontiguousarray(x) for x in system.split(y, yp))
         super().__init__(t, *state)
-        self._memory, self._mu, self.work = memory, mu, work
+        self._memory, self._mu, self._work = memory, mu, work
+
+    @property
+    def spent(self):
+        """The counts at the last state."""
+        return self._work[-1]
 
     @property
     def last(self):
@@ -143,6 +148,6 @@ class Accepted(Stretch):
         """The same of the states from number `first` to before `end`, or of each `every`-th of them."""
         made, at = copy(self), slice(first, end, every)
         made._last = self.last if end >= len(self) and every == 1 else None
-        for name in ("t", "q", "v", "a", "lam", "_mu", "work"):
+        for name in ("t", "q", "v", "a", "lam", "_mu", "_work"):
             setattr(made, name, None if getattr(self, name) is None else getattr(self, name)[at])
         return made

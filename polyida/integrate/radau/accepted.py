@@ -70,9 +70,9 @@ class Ends(Stretch):
         return getattr(s.record, name)[at.start : at.stop : at.step]
 
     @property
-    def work(self):
-        """The counts at each of the states."""
-        return [self._stretch.work(k) for k in self._which]
+    def spent(self):
+        """The counts at the last state."""
+        return self._stretch.work(self._which[-1])
 
     @property
     def last(self):

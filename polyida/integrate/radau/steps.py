@@ -174,7 +174,7 @@ class Steps:
         """The State at t, a step of h on. Raises StepFailure."""
         control = Control(False, h, h, np.inf, np.inf, np.inf, at(state.t))
         end = next(self._stretches(state, control, np.array([t])))
-        vars(self.counts).update(end.work[-1])
+        vars(self.counts).update(end.spent)
         return end.last
 
     def equal(self, state, grid):
