@@ -28,7 +28,6 @@ from polyida.jit.intrinsics import address, call
 from polyida.linear.lu import KEPT as SLOTS
 from polyida.system.table import MATRICES, PREPARE, SELECT
 
-PAIR = 20.0  # iterations that cost as much as new factors: so many beyond the least a step, and they are made anew
 NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only
 FAILURES = 20.0  # in a row
 SHORT = 16.0  # times that a step is apart, at least
@@ -237,7 +236,7 @@ def attempt(f, w, first, p, t, h, begin, goes, k, fresh, y, x, z, counts):
         if ended != DONE:
             return ended, 0.0
     slot = found(k, h)
-    if slot < 0 or (k.table[PRICE, slot] > PAIR and not fresh):
+    if slot < 0 or (k.table[PRICE, slot] > p.renewal and not fresh):
         return MAKE, 0.0
     if k.table[READY, slot] == 0.0:
         return AGAIN, 0.0

@@ -50,7 +50,8 @@ class Method(NamedTuple):
 
     tied: whether there is mu; carries: whether phi is carried by increments; moves_v: whether the step's end is moved onto phi' = 0; looks:
     whether the local error is asked for; guessed: whether the stages to begin with are on trial. low, high: the model's times are held to
-    them. extent: of the model, m; least: round-off of q = 0. tolerance: what Newton may leave of q, 0: `share` of atol + rtol |q|, or where
+    them. renewal: iterations that cost as much as new factors: so many beyond the least a step, and they are made anew. extent: of the model, m;
+    least: round-off of q = 0. tolerance: what Newton may leave of q, 0: `share` of atol + rtol |q|, or where
     share is 0 by the error of the step before, with the length of the model.
     """
 
@@ -62,6 +63,7 @@ class Method(NamedTuple):
     max_iterations: int
     low: float
     high: float
+    renewal: float
     extent: float
     least: float
     tolerance: float
