@@ -57,11 +57,9 @@ from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import SingularSystem
-from polyida.system.table import ACCELERATION, MATRICES, STEPS
+from polyida.system.table import ACCELERATION, STEPS
 
 WORK = "residuals", "newton_iterations", "solves", "rejected", "tangents", "factorizations"
-PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large models
-CALL = 4000.0  # and of a model of one coordinate, where they are made in Python, which costs as much for every model
 CHUNK = 4_000_000  # bytes that the steps of a stretch leave
 SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
 
@@ -163,7 +161,7 @@ class Steps:
             max_iterations=s.max_iterations,
             low=float(self.limits[0]),
             high=float(self.limits[1]),
-            renewal=PAIR if self.table.functions[MATRICES] else PAIR + CALL / model.n,
+            renewal=self.table.renewal,
             extent=float(model.extent or 1.0),
             least=ROUND_OFF * float(sizes[0]),
             tolerance=float(s.tolerance or 0.0),

@@ -17,6 +17,7 @@ class Stages:
     """What tables of Radau IIA have in common if the driver tells them the times step by step."""
 
     lifts = True  # whether G = B D^-1 has the D of `weigh`; else D = 1
+    renewal = 20.0  # iterations that cost as much as new factors
     prepared, single = False, False  # whether a stretch's instants are known before, whether the matrices of one slot are at hand only
 
     def begin(self, engine, state, control, ends):

@@ -34,6 +34,8 @@ from polyida.system.scene import add_forces
 from polyida.system.table import c_address, c_entry
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
+PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
+CALL = 4000.0  # and of a scene of one coordinate: the Python code around them costs as much for every scene
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix
 fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
@@ -380,6 +382,7 @@ class SceneStages:
             "inverse": inverse_mass(model) if small else np.zeros((0, 0), complex),
         }
         self.functions, self.kind, self.work, self.workspace, self.slots = np.zeros(of.ENTRIES, np.int64), None, None, 0, {}
+        self.renewal = PAIR + CALL / model.n
         self.callback, self.prepared, self.raised = CALLBACK(self._prepare), False, None
 
     def weigh(self, lift):
