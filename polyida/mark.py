@@ -46,12 +46,28 @@ def machine_mark_of(*functions):
 
     Only Python's library, numpy and numba count by name, and polyida's own compiled functions: the folder of kernels has their versions in
     its name. All else counts by value. There is no mark of what has an address in this process, such as C functions, nor of a function that is
-    named as an attribute of a user's module: numba may have compiled it before, from other values.
+    named as an attribute of a user's module: numba may have compiled it before, from other values. A mark is made once, as long as all that
+    the functions name stays the same; again each time, if they name lists, dictionaries, classes or modules of the user's own.
     """
+    mark, named, arrays = _known.get(functions, (None, (), ()))
+    same = all(space.get(name, space) is value for space, name, value in named)
+    if mark and same and all(_content(array) == content for array, content in arrays):
+        return mark
+    reader = _MachineReader()
     try:
-        return _marked(_MachineReader(), functions)
+        mark = _marked(reader, functions)
     except NoMark:
         return None
+    if reader.constant:
+        _known[functions] = mark, reader.named, reader.arrays
+    return mark
+
+
+_known: dict = {}  # {functions: (their mark, [(where they find a name, the name, its value)], [(array, its content)])}
+
+
+def _content(array):
+    return array.shape, array.dtype, array.tobytes()
 
 
 def _marked(reader, thing):
@@ -64,6 +80,7 @@ class _Reader:
 
     def __init__(self):
         self.digest = hashlib.sha256()
+        self.constant, self.named, self.arrays = True, [], []  # as of `_known`; whether no other value can change in place
         self.seen, self.alive = {}, []  # numbers by id, and the things themselves: the id of one that is gone is given again
 
     def by_name(self, module):
@@ -123,6 +140,9 @@ class _Reader:
         cells = zip(function.__code__.co_freevars, function.__closure__ or ())
         closed = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
         values = closed | _named(function, closed, self.by_name)
+        names = {name for code in _codes(function.__code__) for name in code.co_names}
+        self.named += [(function.__globals__, name, function.__globals__.get(name, function.__globals__)) for name in names]
+        self.constant = self.constant and not closed and not any("." in name for name in values)
         assigned, filled = self._stores(function.__code__)
         for name, value in values.items():
             last = name.rpartition(".")[2]
@@ -138,6 +158,7 @@ class _Reader:
         return _stores(code)
 
     def _class(self, kind):
+        self.constant = False
         self._all(kind.__bases__)
         for name, value in vars(kind).items():
             parts = _wrapped(value)
@@ -157,7 +178,7 @@ class _Reader:
         make, arguments, state, entries, items = (*found, None, None, None)[:5]
         if isinstance(state, dict):
             state = {name: value for name, value in state.items() if not isinstance(getattr(type(thing), name, None), cached_property)}
-        return [make, arguments, state, list(entries or ()), list(items or ())]
+        return [make, arguments, state, tuple(entries or ()), tuple(items or ())]
 
 
 class _MachineReader(_Reader):
@@ -177,6 +198,11 @@ class _MachineReader(_Reader):
 
     def _walk(self, thing):
         module = getattr(thing, "__module__", None)
+        array = isinstance(thing, np.ndarray)
+        if isinstance(thing, STORES) or (array and thing.dtype.hasobject):
+            self.constant = False
+        elif array:
+            self.arrays.append((thing, _content(thing)))
         if isinstance(thing, ModuleType) and not self.by_name(thing.__name__) and hasattr(thing, "__getattr__"):
             raise NoMark(thing.__name__)
         if is_dispatcher(thing):
