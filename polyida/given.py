@@ -129,7 +129,7 @@ def number(part, name, value, unit, least=-math.inf):
     """The value as a float; raises InputError naming part and value where it is not a finite number of `least` or more."""
     if not (is_number(value) and value >= least):
         least = "" if least == -math.inf else f", {least:g} or more"
-        raise InputError(f"{part}: {name} = {value!r} must be a number of {unit}{least}")
+        raise InputError(f"{part}: {name} = {value!r} must be a finite number of {unit}{least}")
     return float(value)
 
 

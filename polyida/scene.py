@@ -8,10 +8,9 @@ from numpy.typing import ArrayLike
 from polyida.assembly.build import sides_held
 from polyida.assembly.closing import Assembly, close
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.body import Body
-from polyida.body.own_part import OwnPart
+from polyida.body.body import Body, OwnPart
 from polyida.body.plate import Plate
-from polyida.body.point_mass import PointMass
+from polyida.body.rigid_body import PointMass
 from polyida.brief import counted, cut, settings, short, table
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, require_element

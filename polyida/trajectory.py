@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset
 
-    from polyida.show.run_plots import RunPlots
+    from polyida.show.plots import RunPlots
 
 
 @dataclass(frozen=True, eq=False)

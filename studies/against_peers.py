@@ -11,8 +11,8 @@ from polyida.cli.study import main
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.study.drawing import curves, drawn, legend, loglog, panels
-from polyida.study.sweeps.harness import Study
-from polyida.study.sweeps.isolation import run_isolated
+from polyida.study.harness import Study
+from polyida.study.isolation import run_isolated
 from step_cost.measure import model_of
 
 SOLVERS = LABELS | {

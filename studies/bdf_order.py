@@ -6,8 +6,8 @@ And what it costs that the error test looks at v as sharply as at q: the velocit
 from bdf_order.order import run_order, run_tested
 from polyida.cli.study import main
 from polyida.study.drawing import curves, drawn, look, panels
+from polyida.study.harness import Study
 from polyida.study.rows import column, each, last, number, pick, stopped, value
-from polyida.study.sweeps.harness import Study
 
 ORDERS = (1, 2, 3, 4, 5)
 TESTED = ("q sharply", "q and v alike")

@@ -6,8 +6,8 @@ from defaults.runs import measure
 from polyida import registry
 from polyida.cli.study import main
 from polyida.study.drawing import curves, drawn, legend, loglog, look, panels
+from polyida.study.harness import Study
 from polyida.study.rows import NAN, column, each, pick, stopped
-from polyida.study.sweeps.harness import Study
 from work_precision.integrators import cheapest
 
 AIM, REACH = 1e-4, (1e-5, 3e-4)  # error over the size: about that, and within these

@@ -10,8 +10,8 @@ from designed_in_motion.solids import LEVELS
 from polyida.cli.study import main
 from polyida.show.html import Movie
 from polyida.study.drawing import curves, drawn, legend, look, panels, picture
+from polyida.study.harness import Study
 from polyida.study.rows import each, last, pick, value
-from polyida.study.sweeps.harness import Study
 
 MOTION, STATIC, PLAIN = "in motion", tuple(designs.LOADS), ("uniform", "bar")
 DESIGNS = (MOTION, *STATIC, *PLAIN)

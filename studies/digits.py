@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from polyida import problems
 from polyida.integrate.start import consistent_acceleration
-from polyida.problems.mechanisms.levels import LEVELS
-from polyida.problems.plate_digits import DIGITS
-from polyida.study.reference.families import by_explicit, by_radau, distance
+from polyida.problems.levels import LEVELS
+from polyida.problems.plates import DIGITS
+from polyida.study.families import by_explicit, by_radau, distance
 
 
 class Tolerances(NamedTuple):

@@ -5,8 +5,8 @@ import numpy as np
 from energy.long_run import balance
 from polyida.cli.study import main
 from polyida.study.drawing import curves, digits, drawn, legend, look, panels, tag
+from polyida.study.harness import Study
 from polyida.study.rows import pick, stopped, worst
-from polyida.study.sweeps.harness import Study
 from work_precision.integrators import by_tolerance
 
 STEP = 2e-3

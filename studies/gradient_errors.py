@@ -3,8 +3,8 @@
 from gradient_errors.measure import KINDS, OBJECTIVES, SCENES, error_row
 from polyida.cli.study import main
 from polyida.study.drawing import curves, drawn, legend, look, panels
+from polyida.study.harness import Study
 from polyida.study.rows import column, each, pick, worst
-from polyida.study.sweeps.harness import Study
 
 TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 AIM = 1e-6  # at a tolerance of 1e-10

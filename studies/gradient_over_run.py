@@ -5,8 +5,8 @@ import numpy as np
 from gradient_over_run import measure
 from polyida.cli.study import main
 from polyida.study.drawing import aim_line, curves, drawn, legend, look, panels
+from polyida.study.harness import Study
 from polyida.study.rows import pick
-from polyida.study.sweeps.harness import Study
 
 DECADES = {"1e3": 1_000, "1e4": 10_000}
 SPANS = {1_000: 1.0, 3_000: 1.0, 10_000: 0.5, 30_000: 0.2}  # s

@@ -9,8 +9,8 @@ from polyida.cli.study import main
 from polyida.errors import ReductionWarning
 from polyida.show.style import INK
 from polyida.study.drawing import aim_line, curves, drawn, legend, loglog, look, panels
+from polyida.study.harness import Study
 from polyida.study.rows import column, each, number, pick, stopped
-from polyida.study.sweeps.harness import Study
 
 MODES = {"double-plate": (3, 5, 8, 10, 12), "double-plate-motors": (5, 10), "spin-up-beam": (3, 5, 8, 12, 16)}  # problem: numbers of modes
 OTHERS = (3, 5, 10)  # of problems that go at any level by themselves

@@ -4,8 +4,8 @@ from designed_in_motion.pictures import draw_densities
 from mbb_beam import beam, criteria
 from polyida.cli.study import main
 from polyida.study.drawing import curves, drawn, legend, panels, picture
+from polyida.study.harness import Study
 from polyida.study.rows import NAN, each, number, pick
-from polyida.study.sweeps.harness import Study
 
 PUBLISHED = 233.71  # 60 x 20 squares, volume 0.5, SIMP 3, radius 2.4: Andreassen et al. 2011
 SHOWN = 10  # the first iteration in the picture of the history

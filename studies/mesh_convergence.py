@@ -10,8 +10,8 @@ from polyida.cli.study import main
 from polyida.problems.spin_up_beam import EXTENSION
 from polyida.show.style import INK
 from polyida.study.drawing import aim_line, curves, drawn, legend, loglog, look, panels
+from polyida.study.harness import Study
 from polyida.study.rows import column, fitted, last, pick, value, worst
-from polyida.study.sweeps.harness import Study
 
 REFERENCES = {  # what a figure says of what errors are measured against: where that is slender, a plane body is some way from it
     "elastica": "plane body less elastica",

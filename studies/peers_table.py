@@ -4,8 +4,8 @@ from peers_table.cells import FOUND, checks_of, run
 from peers_table.rows import PEERS, ROWS
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, panels, picture
+from polyida.study.harness import Study
 from polyida.study.rows import each, pick
-from polyida.study.sweeps.harness import Study
 
 ALWAYS = ("polyida", "scikit-sundae")  # what an installed polyida has beside it
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, picture
+from polyida.study.harness import Study
 from polyida.study.rows import each, pick
-from polyida.study.sweeps.harness import Study
 from skip import savings
 
 

@@ -8,10 +8,10 @@ import polyida as pi
 from levels.scenes import at_level
 from polyida.cli.study import main
 from polyida.problems import plates
-from polyida.problems.mechanisms.n_four_bar import n_four_bar
+from polyida.problems.n_four_bar import n_four_bar
 from polyida.study.drawing import curves, drawn, legend, look, panels
+from polyida.study.harness import Study
 from polyida.study.rows import pick
-from polyida.study.sweeps.harness import Study
 from small_systems.in_exudyn import SETTINGS, SPARSE, Bodies
 from small_systems.in_solve_dae import peer_row
 from small_systems.own_models import SPANS, cpu, functions_row, pendulum_row

@@ -13,8 +13,8 @@ import numpy as np
 import polyida
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, panels, picture
+from polyida.study.harness import Study
 from polyida.study.rows import each, pick
-from polyida.study.sweeps.harness import Study
 
 IMPORT, BUILD = "import polyida as pi\nfrom polyida.problems.plates import double_plate", "model = double_plate().build()"
 STEP = "pi.solve(model, 1e-3, pi.GeneralizedAlpha(h=1e-3))"
@@ -26,7 +26,7 @@ JOBS = {  # job: its parts in order, executed one after the other
         "run": f"assert {STEP}.success",
     },
     "main job": {
-        "import": "from polyida.study.comparison.compare import compare\nfrom polyida.study.comparison.job import load",
+        "import": "from polyida.study.compare import compare\nfrom polyida.study.chosen import load",
         "build": 'job = load("double-plate")',
         "run": "assert compare(job).success",
     },

@@ -5,7 +5,7 @@ import numpy as np
 from against_peers import peers
 from polyida.cli.study import main
 from polyida.study.drawing import drawn, picture
-from polyida.study.sweeps.harness import Study
+from polyida.study.harness import Study
 from step_cost import beside_alpha, frames, own_functions, threads, told_cj, waits
 from step_cost import measure as cost
 from step_cost.against import against

@@ -7,8 +7,8 @@ import numpy as np
 from polyida.cli.study import main
 from polyida.linear.kkt import SCALINGS
 from polyida.study.drawing import curves, drawn, legend, loglog, nested, panels, slope_line
+from polyida.study.harness import Study
 from polyida.study.rows import column, each, farthest, last, number, pick, stopped, value
-from polyida.study.sweeps.harness import Study
 from step_size_sensitivity import radau, slopes
 from step_size_sensitivity.errors import decades, order_errors, reference_floor, tiny_steps
 from step_size_sensitivity.slopes import PARTS, SOLVES, WAYS, runs_of

@@ -5,7 +5,7 @@ import numpy as np
 from polyida.cli.study import main
 from polyida.show.style import figure
 from polyida.study.drawing import drawn, picture
-from polyida.study.sweeps.harness import Study
+from polyida.study.harness import Study
 from stress.axes import meanings, run, tasks
 from stress.outcome import OUTCOMES, figures, limits, outcome_in
 

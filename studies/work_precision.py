@@ -7,8 +7,8 @@ import numpy as np
 from polyida.cli.study import main
 from polyida.show.style import INK
 from polyida.study.drawing import curves, drawn, legend, loglog, panels
+from polyida.study.harness import Study
 from polyida.study.rows import column, each, least, pick, stopped
-from polyida.study.sweeps.harness import Study
 from work_precision import radau_accuracy, tip_accuracy
 from work_precision.cases import measure
 from work_precision.integrators import FIXED, IDA_FORMS, RADAU, cheapest

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import polyida as pi
-from polyida.cli.garbage import collect_rarely
+from polyida.cli.screen import prepare
 from polyida.run import run as running
 
 settings.register_profile("same every time", derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))
@@ -34,7 +34,7 @@ def pytest_sessionstart(session):
     The process that compiles a kernel and those that load it may differ in the last bit (what is inlined decides how sums are
     reassociated), and some tests compare runs of two processes to the bit.
     """
-    collect_rarely()
+    prepare()
     if not hasattr(session.config, "workerinput"):
         started = [subprocess.Popen([sys.executable, Path(__file__).parent / "warm_up.py", name]) for name in ("alpha", "radau")]
         assert [process.wait() for process in started] == [0] * len(started)

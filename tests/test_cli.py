@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import polyida as pi
-from polyida.cli.garbage import THRESHOLDS
 from polyida.cli.main import main
-from polyida.study.comparison.job import load
+from polyida.cli.screen import THRESHOLDS
+from polyida.study.chosen import load
 
 SMALL = ("--cells", "8", "--time", "0.02")
 SCENE = """
@@ -98,7 +98,7 @@ def refused(capsys, *args):
 def compared(tmp_path_factory):
     """(folder, what is printed, [(what is called, name of a figure)]) of one comparison."""
     from polyida.show.press import Press
-    from polyida.study.comparison import compare
+    from polyida.study import compare
 
     made, told = tmp_path_factory.mktemp("compared"), []
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(StringIO()) as out:
@@ -411,7 +411,7 @@ OWN = '''
 from dataclasses import dataclass
 import polyida as pi
 from polyida.problems import Problem
-from polyida.study.sweeps.harness import Study
+from polyida.study.harness import Study
 from scene import build
 
 class Slot(pi.Joint):

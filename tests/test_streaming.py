@@ -221,7 +221,7 @@ def test_frames_in_single_precision(model, whole, tmp_path, monkeypatch, setting
 
 def test_a_flush_waits_for_a_whole_block_where_it_is_near(tmp_path, monkeypatch):
     """What is behind the last whole block is written twice."""
-    from polyida.io.file.writer import Writer
+    from polyida.io.writer import Writer
 
     seen, commit = [], Writer.commit
 

@@ -14,9 +14,9 @@ import pytest
 
 from polyida.cli import study as cli_study
 from polyida.errors import InputError
-from polyida.study.sweeps import harness
-from polyida.study.sweeps.harness import Study, key_of, results, write_whole
-from polyida.study.sweeps.isolation import Worker
+from polyida.study import harness
+from polyida.study.harness import Study, key_of, results, write_whole
+from polyida.study.isolation import Worker
 from stress.kills import killed_sweeps
 
 CALLS = []
@@ -110,7 +110,7 @@ def test_a_worker_takes_call_after_call_and_one_that_hangs_is_replaced():
 
 ORPHAN = """
 import os, signal, sys, time
-import polyida.study.sweeps.isolation as isolation
+import polyida.study.isolation as isolation
 isolation.GRACE = 0.5
 def long(place):
     open(place, "w").write(str(os.getpid()))

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.io.file.layout import HEAD
-from polyida.io.file.source import checksum
+from polyida.io.layout import HEAD
+from polyida.io.reader import checksum
 from polyida.problems import plates
 
 

@@ -12,7 +12,7 @@ from polyida.assembly.own.law_table import laws_of
 from polyida.assembly.rows.row_table import Drives, Points, RowTable, given_rows
 from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate
-from polyida.body.point_mass import PointMass
+from polyida.body.rigid_body import PointMass
 from polyida.element.choose import operator_of, stabilisation_factor
 from polyida.errors import LockingWarning
 from polyida.force.force_element import ForceElement, sides_of

@@ -9,8 +9,7 @@ from polyida.errors import InputError
 from polyida.given import complex_of_pairs, on_pairs, pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.joint.formula import rest_of
-from polyida.joint.joint import Joint
-from polyida.joint.reaction import Reaction
+from polyida.joint.joint import Joint, Reaction
 from polyida.model import Model
 
 

@@ -12,7 +12,7 @@ from polyida.assembly.arrays import concatenated, starts
 from polyida.assembly.build import operator_arrays
 from polyida.assembly.equilibrium import cells
 from polyida.assembly.loads import dead_loads, steady
-from polyida.element.paired import cells as kernels
+from polyida.element import cell_products as kernels
 from polyida.errors import InputError
 from polyida.given import read_only, reals
 from polyida.jit import entry

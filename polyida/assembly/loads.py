@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from polyida.body.point_mass import PointMass
+from polyida.body.rigid_body import PointMass
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.profile import Profile
 

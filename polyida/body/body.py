@@ -1,16 +1,61 @@
-"""What every body of one's own is: coordinates that are points of the complex plane, a constant mass, an elastic force, named points."""
+"""What the parts of a user's own have in common, and what every body of one's own is: coordinates that are points of the complex plane, a
+constant mass, an elastic force, named points.
+"""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.body.own_part import OwnPart, compiled_functions, require_whole, writes
+from polyida import registry
 from polyida.errors import InputError
 from polyida.given import complexes, floats, is_one_of, on_pairs, pairs_of, vector2
-from polyida.joint.attachment import Attachment
+from polyida.joint.attachment import Attachment, labelled
 from polyida.joint.formula import Row, Vector
+
+
+class OwnPart:
+    """A part whose class is a user's: a frozen dataclass with a field `name`; its other fields are its data and are saved with it."""
+
+    name: str | None = None
+    by_numba = False  # True of a class whose functions numba compiles (jit/compiled.py)
+
+    def __init_subclass__(cls, part: bool = True, **options):
+        """part: whether the class is of parts that files find by its name, not of what parts are made of."""
+        super().__init_subclass__(**options)
+        if part:
+            registry.parts[registry.name_of(cls)] = cls
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return labelled(type(self).__name__, self.name)
+
+
+def require_whole(part, base, needed):
+    """Raise InputError unless the class of a part is a dataclass with a name and writes the functions `needed` of its base."""
+    kind = type(part)
+    if not (is_dataclass(kind) and any(field.name == "name" for field in fields(kind))):
+        needs = "a dataclass with a field `name: str | None = None`; decorate it with @dataclass(frozen=True, eq=False)"
+        raise InputError(f"{part.label}: its class must be {needs}")
+    for function in needed:
+        if not writes(part, base, function):
+            raise InputError(f"{part.label}: its class gives no {function}()")
+
+
+def writes(part, base, function):
+    """Whether the class of a part writes a function of its base anew."""
+    return getattr(type(part), function) is not getattr(base, function)
+
+
+def compiled_functions(part, base, *names):
+    """{name: function} of those that the class of a part writes, for numba; empty where they are Python, or use a function that is."""
+    from polyida.jit.own_data import OwnData
+
+    found = {name: getattr(type(part), name) for name in names if writes(part, base, name)}
+    return found if part.by_numba and not OwnData(part, found.values()).python else {}
+
 
 SAME = 1e-9  # of its size, by which what ought to be equal may differ
 

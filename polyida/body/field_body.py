@@ -15,7 +15,7 @@ from polyida.errors import InputError
 from polyida.given import complex_of_pairs, pairs_of, settle
 from polyida.joint.attachment import Attachment
 from polyida.mesh import PolygonMesh
-from polyida.mesh.moments import area_moments
+from polyida.mesh.topology import area_moments
 
 
 class FieldBody(Body, part=False):

@@ -1,4 +1,4 @@
-"""A flexible plate: a polygon mesh of one material and thickness, placed in the plane."""
+"""A flexible plate: a polygon mesh of one material, St. Venant-Kirchhoff, and thickness, placed in the plane."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -7,12 +7,72 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.body.material import Material
 from polyida.errors import InputError
-from polyida.given import is_number, is_one_of, positive, settle, vector2
+from polyida.given import is_number, is_one_of, number, positive, settle, vector2
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
 from polyida.keywords import named_keywords
 from polyida.mesh import PolygonMesh
+
+NUMBERS = ("E", "nu", "rho", "viscosity", "mass_damping")
+
+
+@named_keywords
+@dataclass(frozen=True)
+class Material:
+    """St. Venant-Kirchhoff, `S = E/(1 - nu^2) [(1 - nu) E_GL + nu tr(E_GL) I]` in plane stress.
+
+    E: Young's modulus, Pa, > 0. nu: Poisson's ratio in (-1, 0.5). rho: density, kg/m3, > 0. plane: "stress" or
+    "strain"; plane strain is the same formula with E/(1 - nu^2) and nu/(1 - nu).
+
+    viscosity: Kelvin-Voigt time, s, >= 0: `S = D : (E_GL + viscosity E_GL')`. It is Rayleigh's stiffness-proportional
+    part about the state at rest, where a mode of frequency w rad/s has the damping ratio `viscosity w / 2`; it is
+    objective, so rigid motion, however fast, dissipates nothing. The stabilisation of virtual elements is not damped
+    by it: what their cells' constant F does not see swings on freely.
+    mass_damping: Rayleigh's mass-proportional part, 1/s, >= 0: a force `mass_damping M v` with the plate's M (point
+    masses are not damped), the damping ratio `mass_damping / (2 w)`. It acts on the velocity itself, as a medium at
+    rest would: rigid motion is braked too, a free plate slows down as `exp(-mass_damping t)` and falls at `g /
+    mass_damping` at most.
+
+    All numbers are kept as floats. Raises InputError naming the value that is out of range.
+    """
+
+    E: float
+    nu: float
+    rho: float
+    plane: str = "stress"
+    viscosity: float = 0.0
+    mass_damping: float = 0.0
+
+    def __post_init__(self):
+        for name, value, good, want in (
+            ("E", self.E, is_number(self.E) and self.E > 0, "a positive modulus in Pa"),
+            ("nu", self.nu, is_number(self.nu) and -1 < self.nu < 0.5, "inside (-1, 0.5)"),
+            ("rho", self.rho, is_number(self.rho) and self.rho > 0, "a positive density in kg/m3"),
+            ("viscosity", self.viscosity, is_number(self.viscosity) and self.viscosity >= 0, "a time in s, not negative"),
+            ("mass_damping", self.mass_damping, is_number(self.mass_damping) and self.mass_damping >= 0, "a rate in 1/s, not negative"),
+            ("plane", self.plane, is_one_of(self.plane, ("stress", "strain")), '"stress" or "strain"'),
+        ):
+            if not good:
+                raise InputError(f"Material: {name} = {value!r} must be {want}")
+        settle(self, **{name: float(getattr(self, name)) for name in NUMBERS})
+
+    @property
+    def damped(self) -> bool:
+        """Whether the material brakes motion."""
+        return self.viscosity > 0 or self.mass_damping > 0
+
+    @property
+    def in_plane(self) -> tuple[float, float]:
+        """(modulus, ratio) that the plane-stress formula takes for this material."""
+        if self.plane == "stress":
+            return self.E, self.nu
+        return self.E / (1 - self.nu**2), self.nu / (1 - self.nu)
+
+    @property
+    def across(self) -> float:
+        """Ratio of the stress across the plane to xx + yy: Hooke's nu in plane strain, which is St. Venant-Kirchhoff's at small strains."""
+        return self.nu if self.plane == "strain" else 0.0
+
 
 ELEMENTS = ("wachspress", "virtual")
 THINNEST = 1e-8  # of the mesh's extent: below, displacements have no digits left for a cell's strain
@@ -62,14 +122,23 @@ class Plate:
             thickness=positive(label, "thickness", self.thickness, "metres"),
             origin=tuple(vector2(label, "origin", self.origin).tolist()),
             velocity=tuple(vector2(label, "velocity", self.velocity).tolist()),
+            angle=number(label, "angle", self.angle, "rad"),
+            spin=number(label, "spin", self.spin, "rad/s"),
         )
-        for key, unit in (("angle", "rad"), ("spin", "rad/s")):
-            if not is_number(getattr(self, key)):
-                raise InputError(f"{label}: {key} = {getattr(self, key)!r} must be a finite number of {unit}")
         if not is_one_of(self.element, ELEMENTS):
             raise InputError(f"{label}: element {self.element!r} is unknown; known: {', '.join(ELEMENTS)}")
-        settle(self, angle=float(self.angle), spin=float(self.spin), tau=positive(label, "tau", self.tau, "no unit"))
-        self._require_thick_cells()
+        settle(self, tau=positive(label, "tau", self.tau, "no unit"))
+        # a cell far thinner than the mesh is long takes its stresses from the round-off of its corners
+        mesh, first = self.mesh, self.mesh.offsets[:-1]
+        places = mesh.points[mesh.nodes]
+        reach = np.hypot(*(np.maximum.reduceat(places, first) - np.minimum.reduceat(places, first)).T)
+        heights, extent = mesh.cell_areas / reach, np.ptp(mesh.points, axis=0).max()
+        thinnest = int(np.argmin(heights))
+        if heights[thinnest] < THINNEST * extent:
+            raise InputError(
+                f"{self.label}: cell {thinnest} is a sliver, {heights[thinnest]:.2g} m thick in a mesh of {extent:.3g} m; "
+                f"cells must be thicker than {THINNEST:g} of the mesh's extent"
+            )
         if self.element == "wachspress":
             self._of_mesh(self.mesh.require_convex)
             corners = int(np.diff(self.mesh.offsets).max())
@@ -119,19 +188,6 @@ class Plate:
             return of_node(self, int(where))
         point = vector2(self.label, "node", where)
         return of_node(self, int(np.argmin(((self.mesh.points - point) ** 2).sum(axis=1))))
-
-    def _require_thick_cells(self):
-        """A cell far thinner than the mesh is long takes its stresses from the round-off of its corners."""
-        mesh, first = self.mesh, self.mesh.offsets[:-1]
-        corners = mesh.points[mesh.nodes]
-        reach = np.hypot(*(np.maximum.reduceat(corners, first) - np.minimum.reduceat(corners, first)).T)
-        heights, extent = mesh.cell_areas / reach, np.ptp(mesh.points, axis=0).max()
-        thinnest = int(np.argmin(heights))
-        if heights[thinnest] < THINNEST * extent:
-            raise InputError(
-                f"{self.label}: cell {thinnest} is a sliver, {heights[thinnest]:.2g} m thick in a mesh of {extent:.3g} m; "
-                f"cells must be thicker than {THINNEST:g} of the mesh's extent"
-            )
 
     def _of_mesh(self, function, *arguments):
         """A function of the mesh, its complaints under the plate's name."""

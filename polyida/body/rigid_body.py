@@ -1,4 +1,4 @@
-"""Rigid bodies in two complex coordinates: by mass and inertia, or plates taken as rigid."""
+"""Point masses, and rigid bodies in two complex coordinates: by mass and inertia, or plates taken as rigid."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,14 +10,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.body.body import Body
 from polyida.body.field_body import FieldBody, moments_of, rigid_fields
-from polyida.body.material import Material
-from polyida.body.plate import Plate
+from polyida.body.plate import Material, Plate
 from polyida.errors import InputError
-from polyida.given import is_number, positive, settle, vector2
+from polyida.given import number, positive, settle, vector2
+from polyida.joint.attachment import Attachment, labelled, require_attachment
 from polyida.joint.formula import Row, Vector, dot
 from polyida.keywords import named_keywords
 from polyida.mesh import PolygonMesh
-from polyida.mesh.moments import area_moments
+from polyida.mesh.topology import area_moments
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class PointMass:
+    """A mass (kg, > 0) at the mean point x of an attachment: kinetic energy `m |x'|^2 / 2`, weight `m g`."""
+
+    at: Attachment
+    mass: float
+    name: str | None = None
+
+    def __post_init__(self):
+        label = labelled("PointMass", self.name)
+        require_attachment(label, self.at)
+        settle(self, mass=positive(label, "mass", self.mass, "kilograms"))
 
 
 @named_keywords
@@ -52,9 +67,7 @@ class RigidBody(Body):
         for key in ("origin", "center", "velocity"):
             settle(self, **{key: tuple(vector2(self.label, key, getattr(self, key)).tolist())})
         for key, unit in (("angle", "rad"), ("spin", "rad/s")):
-            if not is_number(getattr(self, key)):
-                raise InputError(f"{self.label}: {key} = {getattr(self, key)!r} must be a finite number of {unit}")
-            settle(self, **{key: float(getattr(self, key))})
+            settle(self, **{key: number(self.label, key, getattr(self, key), unit)})
         if not isinstance(self.points, Mapping) or not self.points or not all(isinstance(name, str) and name for name in self.points):
             raise InputError(
                 f"{self.label}: points = {str(self.points)[:80]} must be a dictionary {{name: (x, y)}}, with one point at least"

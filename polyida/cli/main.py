@@ -12,15 +12,10 @@ from typing import Annotated
 
 import typer
 
-from polyida.cli import names, options, running
-from polyida.cli.garbage import collect_rarely
-from polyida.cli.help import COMPUTE, FIRST, LOOK, START, STUDY, Groups, examples
-from polyida.cli.options import flag, option
-from polyida.cli.places import free, made, make
-from polyida.cli.screen import tables
-from polyida.cli.screen.progress import bars
-from polyida.cli.screen.streams import document, error, lines, tolerate_letters, writable
-from polyida.cli.told import run_told, show_run
+from polyida.cli import names, options, running, screen
+from polyida.cli.options import COMPUTE, FIRST, LOOK, START, STUDY, Groups, examples, flag, option
+from polyida.cli.running import free, made, make, run_told, show_run
+from polyida.cli.screen import bars, document, error, lines, prepare, writable
 from polyida.errors import InputError
 
 INTERRUPTED = 130  # what the shell expects after Ctrl-C
@@ -37,29 +32,23 @@ def _command(group, shown, name=None, **settings):
 def main(args=None):
     """Run the command line; returns the exit code."""
     args = sys.argv[1:] if args is None else list(args)
-    collect_rarely()
-    tolerate_letters()
+    prepare()
     try:
         with writable():
-            return _run(args)
+            if empty := [arg for arg in args if arg == "" or (arg.startswith("--") and arg.endswith("="))]:
+                raise InputError(f"{shlex.join(['polyida', *args])}: the argument {empty[0]!r} is empty")
+            try:
+                app(args, prog_name="polyida", obj=shlex.join(["polyida", *args]))
+            except SystemExit as stop:
+                if stop.code == INTERRUPTED:
+                    error("interrupted")
+                return stop.code or 0
+            return 0
     except SystemExit as stop:
         return stop.code or 0
     except InputError as wrong:
         error(" ".join(str(wrong).split()), getattr(wrong, "trace", ""))
         return 2
-
-
-def _run(args):
-    """The exit code of a command."""
-    if empty := [arg for arg in args if arg == "" or (arg.startswith("--") and arg.endswith("="))]:
-        raise InputError(f"{shlex.join(['polyida', *args])}: the argument {empty[0]!r} is empty")
-    try:
-        app(args, prog_name="polyida", obj=shlex.join(["polyida", *args]))
-    except SystemExit as stop:
-        if stop.code == INTERRUPTED:
-            error("interrupted")
-        return stop.code or 0
-    return 0
 
 
 @app.callback(invoke_without_command=True)
@@ -96,15 +85,18 @@ def compare(
 
     Each is measured against a refined run; the report is a folder with a page, figures, their numbers and the runs.
     """
-    from polyida.show import page, report
+    from polyida.show import report
     from polyida.show.press import Press
-    from polyida.study.comparison import chosen
-    from polyida.study.comparison.compare import measured, prepared, timed
-    from polyida.study.comparison.job import load
+    from polyida.study import chosen
+    from polyida.study.chosen import load
+    from polyida.study.compare import measured, prepared, timed
 
     with document(json) as answer, Press() as press:
         job = load(scene, time=time, step=step, cells=cells)
-        choices = chosen.choices(_listed(integrators))
+        named = [name.strip() for name in (integrators or ",".join(chosen.COMPARED)).split(",")]
+        if "" in named:
+            raise InputError(f"--integrators {integrators}: a name is missing between commas")
+        choices = chosen.choices(named)
         members = chosen.compared(choices, job, step=step, rtol=rtol)
         folder = free(out, Path(f"{job.name}-compare"), overwrite, lines)
         with made(folder), bars() as tell, chosen.code(choices):
@@ -115,12 +107,12 @@ def compare(
             found = measured(job, runs, tell)
             written = report.write(found, folder, context.obj, press, lambda what: tell("writing the report", None, what))
         answer(loads((folder / "figures.json").read_text(encoding="utf-8")))
-        grid = tables.Grid(*page.table(found))
-        tables.show(f"{job.name}: {page.system(job)}", grid.turned(), grid, whole="the report")
+        grid = screen.Grid(*report.table(found))
+        screen.show(f"{job.name}: {report.system(job)}", grid.turned(), grid, whole="the report")
         lines(*found.notes, style="red")
         lines(*(f"{label}: {run.message}" for label, run in found.runs.items() if run.success and run.message))
         frames = folder / "frames" / "run.pvd"
-        lines(page.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
+        lines(report.gap(found), f"Report: {written}", f"ParaView: {frames}" if frames.exists() else "")
     if not found.success:
         raise typer.Exit(1)
 
@@ -167,16 +159,6 @@ def run(
         raise typer.Exit(INTERRUPTED if ended.status == "interrupted" else 1)
 
 
-def _listed(listed):
-    """Names out of a list with commas; those that are compared by default where it is None."""
-    from polyida.study.comparison.chosen import COMPARED
-
-    names = [name.strip() for name in (listed or ",".join(COMPARED)).split(",")]
-    if "" in names:
-        raise InputError(f"--integrators {listed}: a name is missing between commas")
-    return names
-
-
 @_command(
     STUDY,
     {"polyida list": "what the other commands know by name", "polyida list my_file.py": "with what a file of yours adds"},
@@ -189,9 +171,9 @@ def list_names(
     """List scenes, integrators and studies that have a name."""
     with document(json) as answer:
         if file:
-            from polyida.study.comparison import scene_file
+            from polyida.study import chosen
 
-            scene_file.executed(file)
+            chosen.executed(file)
         found = {"problems": names.problems(), "integrators": names.integrators(), "studies": names.studies()}
         answer(found) if json else names.show(found)
 
@@ -262,7 +244,7 @@ def study(
 ):
     """Run a study that comes with polyida, or one of yours; without NAME, list them."""
     from polyida import registry
-    from polyida.cli import scripts
+    from polyida.cli import names
 
     given = {"--quick": quick, "--fresh": fresh, "--json": json, "--help": help_}
     arguments = [text for text, is_given in given.items() if is_given] + (["--out", str(out)] if out else []) + context.args
@@ -272,10 +254,10 @@ def study(
         _list_studies(json)
     elif ".py" in name or name in registry.studies:
         _run_study(name, arguments, context.obj)
-    elif scripts.typed(name) in scripts.scripts():
-        scripts.run(name, arguments)
+    elif names.typed(name) in names.scripts():
+        names.run(name, arguments)
     else:
-        raise InputError(f"no study {name!r}; there are {', '.join([*scripts.scripts(), *registry.studies])}, or give my_study.py:NAME")
+        raise InputError(f"no study {name!r}; there are {', '.join([*names.scripts(), *registry.studies])}, or give my_study.py:NAME")
 
 
 def _list_studies(json):
@@ -289,11 +271,11 @@ def _run_study(name, arguments, command):
     from polyida import registry
     from polyida.cli.study import main as run_study
     from polyida.cli.study import run_function
-    from polyida.study.comparison import scene_file
-    from polyida.study.sweeps.harness import Study
+    from polyida.study import chosen
+    from polyida.study.harness import Study
 
     book, is_one = registry.studies, lambda value: isinstance(value, (Study, FunctionType))
-    found = registry.find(book, name) or scene_file.named(name, book, is_one, "studies")
+    found = registry.find(book, name) or chosen.named(name, book, is_one, "studies")
     if isinstance(found, Study):
         return run_study(found, arguments, command)
     return run_function(name, found, arguments, command)

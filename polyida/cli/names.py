@@ -1,10 +1,51 @@
-"""What has a name: problems, integrators, studies, each with a line on what it is."""
+"""What has a name: problems, integrators, and the studies that come with polyida, scripts beside the package or within it."""
 
+import ast
+import re
+import runpy
 import sys
+from pathlib import Path
 
 from polyida import registry
-from polyida.cli import scripts
-from polyida.cli.screen import tables
+from polyida.cli import screen
+
+
+def folder() -> Path:
+    """Where the scripts lie, each beside the folder of what it is made of."""
+    package = Path(__file__).resolve().parents[1]
+    within = package / "studies"
+    return within if within.is_dir() else package.parent / "studies"
+
+
+def scripts() -> dict[str, Path]:
+    """{name: script}, names as they are typed: work-precision is work_precision.py."""
+    return {typed(path.stem): path for path in sorted(folder().glob("*.py"))}
+
+
+def typed(name: str) -> str:
+    """A study's name as it is typed and listed."""
+    return name.replace("_", "-")
+
+
+def title(script: Path) -> str:
+    """What a script says of itself, up to its first colon or stop; nothing of it is executed."""
+    said = ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or ""
+    return re.split(r"[.:](?: |$)", " ".join(said.split()))[0]
+
+
+def run(name: str, arguments: list[str]) -> None:
+    """Run a script as `python studies/NAME.py ...` does, in the folder that is the current one. Ends with SystemExit where the script does."""
+    from polyida.cli.study import PROGRAM
+
+    script, before = scripts()[typed(name)], (sys.argv, sys.path)
+    program = PROGRAM.set(f"polyida study {typed(name)}")
+    sys.argv, sys.path = [str(script), *arguments], [str(script.parent), *sys.path]  # which processes that it starts take on
+    try:
+        runpy.run_path(str(script), run_name="__main__")
+    finally:
+        sys.argv, sys.path = before
+        PROGRAM.reset(program)
+
 
 LISTED = {"compared": "quantity", "source": "source"}
 
@@ -22,7 +63,7 @@ def problems() -> list[dict]:
 
 def integrators() -> list[dict]:
     """{name, what} of each; those of one class stand once, by the shorter name."""
-    from polyida.study.comparison.chosen import KNOWN
+    from polyida.study.chosen import KNOWN
 
     short = {of_class: name for name, (of_class, *_) in KNOWN.items()}
     return [
@@ -33,14 +74,14 @@ def integrators() -> list[dict]:
 def studies() -> list[dict]:
     """{name, what} of those that come with polyida and of those of the registry."""
     own = [{"name": name, "what": registry.find(registry.studies, name).title} for name in registry.studies]
-    return [{"name": name, "what": scripts.title(path)} for name, path in scripts.scripts().items()] + own
+    return [{"name": name, "what": title(path)} for name, path in scripts().items()] + own
 
 
 def show(found: dict[str, list[dict]]) -> None:
     """Print a table of each kind."""
     for kind, things in found.items():
         rows = [[thing["name"], _in_lines(thing)] for thing in things]
-        tables.texts([kind[:-1] if kind != "studies" else "study", "what it is"], rows)
+        screen.texts([kind[:-1] if kind != "studies" else "study", "what it is"], rows)
 
 
 def _in_lines(thing):

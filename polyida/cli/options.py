@@ -1,11 +1,14 @@
-"""What the commands are given: their arguments and options, each with what its help says."""
+"""What the commands are given: arguments and options, what the help says of them, and what the shell offers for a word that is begun."""
 
+from glob import escape, glob
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from polyida.cli import complete
+from polyida import registry
+from polyida.cli import names
 
 
 def option(kind, text, *names, **more):
@@ -22,11 +25,41 @@ def _step(text):
     return text if text == "auto" else float(text)
 
 
+def scenes(incomplete: str) -> list[str]:
+    """Named problems, and files that may hold one."""
+    return _begun(registry.problems, incomplete) + _files(incomplete)
+
+
+def integrator(incomplete: str) -> list[str]:
+    """Integrators that have a name, and files that may hold one."""
+    return _begun([*ALIASES, *registry.integrators], incomplete) + _files(incomplete)
+
+
+def integrators(incomplete: str) -> list[str]:
+    """The same for the last of several with commas."""
+    before, comma, last = incomplete.rpartition(",")
+    return [before + comma + name for name in integrator(last)]
+
+
+def studies(incomplete: str) -> list[str]:
+    """Studies that have a name, and files that may hold one."""
+    return _begun([*names.scripts(), *registry.studies], incomplete.replace("_", "-")) + _files(incomplete)
+
+
+def _begun(names, incomplete):
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def _files(incomplete):
+    """Python files, and folders on the way to them."""
+    return sorted(glob(f"{escape(incomplete)}*.py")) + sorted(glob(f"{escape(incomplete)}*/"))
+
+
 SCENE_HELP = "A name from `polyida list`, or my_scene.py:build (the file is executed)."
-Scene = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP, autocompletion=complete.scenes)]
-SceneOrNone = Annotated[str | None, typer.Argument(metavar="SCENE", help=SCENE_HELP, show_default=False, autocompletion=complete.scenes)]
+Scene = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP, autocompletion=scenes)]
+SceneOrNone = Annotated[str | None, typer.Argument(metavar="SCENE", help=SCENE_HELP, show_default=False, autocompletion=scenes)]
 STUDY_HELP = "A name from the list, or my_study.py:NAME (the file is executed)."
-StudyOrNone = Annotated[str | None, typer.Argument(metavar="NAME", help=STUDY_HELP, show_default=False, autocompletion=complete.studies)]
+StudyOrNone = Annotated[str | None, typer.Argument(metavar="NAME", help=STUDY_HELP, show_default=False, autocompletion=studies)]
 RESUME_HELP = (
     "Go on with a run that did not reach its end, or to a later --time, in the same file; SCENE is needed "
     "only where a user's file holds functions."
@@ -49,10 +82,42 @@ RhoInf = option(float, "Spectral radius of generalized-alpha at infinite frequen
 Rtol = option(float, "Relative tolerance of IDA, Radau IIA, and of yours that takes one.")
 Atol = option(float, "Absolute tolerance of IDA and Radau IIA for q, m.")
 NAMES = "alpha (generalized-alpha), ida, radau (Radau IIA), energy (energy-momentum), or my_file.py:NAME, a class, function of h, or object"
-Integrator = option(str, f"{NAMES}; alpha by default.", autocompletion=complete.integrator)
+Integrator = option(str, f"{NAMES}; alpha by default.", autocompletion=integrator)
 Integrators = option(
     str,
     f"Which, with commas between them: {NAMES}; alpha,ida,radau by default. They get --step and --rtol where they take them.",
-    autocompletion=complete.integrators,
+    autocompletion=integrators,
 )
 Frames = option(int, "Frames at most, evenly spread in time; all by default.")
+
+
+ALIASES = ("alpha", "ida", "radau", "energy")
+
+
+FIRST = "Flexible multibody dynamics with polygonal finite elements."
+COMPUTE, LOOK, STUDY = "Compute", "Look at a run", "Studies and names"
+LONGEST = 120  # characters of what the list says of a command
+GROUPS = (COMPUTE, LOOK, STUDY)
+START = {
+    "polyida compare double-plate": "three integrators on one scene: a table and a report",
+    "polyida compare double-plate --cells 400": "the same, finer",
+    "polyida run my_scene.py:build": "a scene of yours, in my_scene.py: `def build(): ... return scene`",
+    "polyida list": "what has a name",
+    "polyida COMMAND --help": "more on each",
+}
+
+
+class Groups(TyperGroup):
+    """The commands, each in its group."""
+
+    def format_commands(self, ctx, formatter):
+        """A section of each group in place of one of all commands."""
+        for group in GROUPS:
+            commands = [self.commands[name] for name in self.list_commands(ctx) if self.commands[name].rich_help_panel == group]
+            with formatter.section(group):
+                formatter.write_dl([(command.name, command.get_short_help_str(LONGEST)) for command in commands])
+
+
+def examples(lines: dict[str, str]) -> str:
+    """What stands at the end of a command's help: {what is typed: what it does}, each on lines of its own, which are not wrapped."""
+    return "\b\nExamples:\n" + "\n".join(f"  {typed}\n      {what}" for typed, what in lines.items())

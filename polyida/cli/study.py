@@ -8,19 +8,16 @@ import sys
 from contextvars import ContextVar
 from pathlib import Path
 
-from polyida.cli.garbage import collect_rarely
-from polyida.cli.places import free
-from polyida.cli.screen import tables
-from polyida.cli.screen.progress import Parts, bars
-from polyida.cli.screen.streams import document, lines, tolerate_letters, writable
+from polyida.cli import screen
+from polyida.cli.running import free
+from polyida.cli.screen import Parts, bars, document, lines, prepare, writable
 from polyida.errors import InputError
 from polyida.machine import machine_info
-from polyida.show.page import finite
-from polyida.study.comparison.scene_file import users_code
-from polyida.study.findings import columns_of, findings, shortened
-from polyida.study.report import write_page
+from polyida.show.report import finite
+from polyida.study.chosen import users_code
+from polyida.study.harness import of_other_code, plain, results, write_whole
+from polyida.study.report import columns_of, findings, shortened, write_page
 from polyida.study.result import Result, cell
-from polyida.study.sweeps.harness import of_other_code, plain, results, write_whole
 
 PROGRAM = ContextVar("PROGRAM", default="")  # what started a study's script, where that is not Python
 MAIN = "error|cpu_s|outcome"  # of the names of results: what a narrow table keeps, beside what was varied
@@ -34,8 +31,7 @@ def main(study, arguments=None, command=None):
     null. Exit code 2 where the input is wrong, 1 where it was stopped or the disk takes no more; what is done then is
     kept.
     """
-    collect_rarely()
-    tolerate_letters()
+    prepare()
     options = parser(study).parse_args(arguments)
     out = Path(options.out or "-".join([study.name, *_given(study, options), *["quick"] * options.quick]))
     tasks = out / "tasks"
@@ -58,7 +54,20 @@ def main(study, arguments=None, command=None):
     try:
         with writable(), document(options.json) as answer:
             answer(data)
-            _print(study, rows, found, [out / "figures.json", page])
+            written = [out / "figures.json", page]
+            console = screen.console_of(sys.stdout)
+            columns = list(columns_of(study, rows))
+            varied = {name for task in study.tasks(True) + study.tasks(False) for name in task}
+            details = [name for name in columns if name not in varied and not re.search(MAIN, name)]
+            grid = screen.Grid(columns, [[shown(row.get(name, "")) for name in columns] for row in rows], details)
+            screen.show(study.title, grid, whole=str(written[-1]))
+            for name, value in found.figures.items():
+                console.print(f"{name}: {value:.6g}", highlight=False)
+            console.print("What failed, and what the numbers mean:" if found.notes else "Nothing failed.")
+            for line in found.notes:
+                console.print(f"  {line}", highlight=False, markup=False)
+            for path in written:
+                console.print(f"wrote {path}", highlight=False, soft_wrap=True)
             if other:
                 print(f"{other} of {len(rows)} results are of an earlier state of the code; --fresh runs them again")
     except InputError as error:
@@ -135,22 +144,6 @@ def parser(study):
     return made
 
 
-def _print(study, rows, found, written):
-    console = tables.console_of(sys.stdout)
-    columns = list(columns_of(study, rows))
-    varied = {name for task in study.tasks(True) + study.tasks(False) for name in task}
-    details = [name for name in columns if name not in varied and not re.search(MAIN, name)]
-    grid = tables.Grid(columns, [[shown(row.get(name, "")) for name in columns] for row in rows], details)
-    tables.show(study.title, grid, whole=str(written[-1]))
-    for name, value in found.figures.items():
-        console.print(f"{name}: {value:.6g}", highlight=False)
-    console.print("What failed, and what the numbers mean:" if found.notes else "Nothing failed.")
-    for line in found.notes:
-        console.print(f"  {line}", highlight=False, markup=False)
-    for path in written:
-        console.print(f"wrote {path}", highlight=False, soft_wrap=True)
-
-
 def shown(value):
     """A table's cell."""
     if isinstance(value, float):
@@ -164,7 +157,12 @@ def run_function(spec, function, arguments, command):
     `quick` and `progress` are given to functions that take them. Raises InputError where that is no Result of pi.study, and for --quick
     of a function that does not take it.
     """
-    options, taken = _parser_of_function(spec).parse_args(arguments), inspect.signature(function).parameters
+    made = argparse.ArgumentParser(prog=f"polyida study {spec}", description="A study of a file of yours.")
+    made.add_argument("--quick", action="store_true", help="given to the function as quick=True")
+    made.add_argument("--out", type=Path, help="folder of the report (default: the function's name)")
+    made.add_argument("--overwrite", "--fresh", action="store_true", help="replace what is in the folder")
+    made.add_argument("--json", action="store_true", help="one JSON document on standard output")
+    options, taken = made.parse_args(arguments), inspect.signature(function).parameters
     if options.quick and "quick" not in taken:
         raise InputError(f"{spec} takes no option --quick: its function has no argument of that name")
     file, name = Path(spec.rpartition(":")[0]), spec.rpartition(":")[2]
@@ -184,15 +182,6 @@ def run_function(spec, function, arguments, command):
         answer(found.as_dict() | {"command": command})
         columns = found.shown_columns()
         grid = [[cell(row.get(key), form) for key, (_, form) in columns.items()] for row in found.rows]
-        tables.show(found.title, tables.Grid([heading for heading, _ in columns.values()], grid), whole="the report")
+        screen.show(found.title, screen.Grid([heading for heading, _ in columns.values()], grid), whole="the report")
         lines(*(f"{figure}: {value:.6g}" for figure, value in found.figures.items()), found.lead, *found.notes)
         lines(f"Report: {written / 'report.html'}")
-
-
-def _parser_of_function(spec):
-    made = argparse.ArgumentParser(prog=f"polyida study {spec}", description="A study of a file of yours.")
-    made.add_argument("--quick", action="store_true", help="given to the function as quick=True")
-    made.add_argument("--out", type=Path, help="folder of the report (default: the function's name)")
-    made.add_argument("--overwrite", "--fresh", action="store_true", help="replace what is in the folder")
-    made.add_argument("--json", action="store_true", help="one JSON document on standard output")
-    return made

@@ -5,7 +5,6 @@ that `model.with_factors(plate=(stiffness, mass))` takes, `project` drives them 
 rho gives its value and its slope, so that by the chain rule `dJ/drho = dJ/dstiffness * slope of stiffness + dJ/dmass * slope of mass`.
 """
 
-from polyida.design.interpolation import mass, project, ramp, simp
-from polyida.design.solid import threshold
+from polyida.design.densities import mass, project, ramp, simp, threshold
 
 __all__ = ["mass", "project", "ramp", "simp", "threshold"]

@@ -82,6 +82,44 @@ def _gradient(gradients, start, differences, m):
     return h
 
 
+@part
+def _scatter_balanced(force, corners, first, node_offset, m, f):
+    """Add the forces of the corners to f, that of the last one such that they sum to zero."""
+    balance = zeros2()
+    for i in range(m):
+        own = load2(force, 2 * i * LANES)
+        scatter_add(f, corners, first + i * LANES, node_offset, own)
+        balance = difference(balance, own)
+    scatter_add(f, corners, first + m * LANES, node_offset, balance)
+
+
+@part
+def _scatter_turn(turn, corners, first, node_offset, m, rotation):
+    """Add the cells' rotation to their nodes, unless rotation is (0, 2)."""
+    if rotation.shape[0] > 0:
+        for k in range(first, first + (m + 1) * LANES, LANES):
+            scatter_add(rotation, corners, k, node_offset, turn)
+
+
+@part
+def _least(seen):
+    """The least det F of what `watch` has seen, nan where one is not finite."""
+    low, total = np.inf, 0.0
+    for k in range(LANES):
+        low, total = min(low, lane(seen[0], k)), total + lane(seen[1], k)
+    return low if np.isfinite(total) else np.nan
+
+
+@part
+def _add_means(state, lane_cells, first, areas, out):
+    """Add the three sums of a block's cells over their areas to out (cells, 3)."""
+    for k in range(LANES):
+        cell = lane_cells[first + k]
+        out[cell, 0] += lane(state[0], k) / areas[cell]
+        out[cell, 1] += lane(state[1], k) / areas[cell]
+        out[cell, 2] += lane(state[2], k) / areas[cell]
+
+
 @entry
 def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, f, rotation):
     """Add the internal force to f (N, 2); return the least det F, nan where a displacement is not finite.
@@ -105,7 +143,7 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
             stress = first_piola(h, w, c1 * nu, c1 * (1.0 - nu))
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
-        balance = zeros2()
+        balance = zeros2()  # written out: with calls of the parts above this most frequent kernel is slower
         for i in range(m):
             own = load2(force, 2 * i * LANES)
             scatter_add(f, corners, first + i * LANES, node_offset, own)
@@ -114,10 +152,7 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
         if rotation.shape[0] > 0:
             for k in range(first, first + (m + 1) * LANES, LANES):
                 scatter_add(rotation, corners, k, node_offset, turn)
-    low, total = np.inf, 0.0
-    for k in range(LANES):
-        low, total = min(low, lane(seen[0], k)), total + lane(seen[1], k)
-    return low if np.isfinite(total) else np.nan
+    return _least(seen)
 
 
 @entry
@@ -209,11 +244,7 @@ def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, 
         for p in range(layout[b, 1]):
             h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
             state = add_cauchy(state, h, load(weights, layout[b, 4] + p * LANES), c * nu, c * (1.0 - nu))
-        for k in range(LANES):
-            cell = lane_cells[b * LANES + k]
-            out[cell, 0] += lane(state[0], k) / areas[cell]
-            out[cell, 1] += lane(state[1], k) / areas[cell]
-            out[cell, 2] += lane(state[2], k) / areas[cell]
+        _add_means(state, lane_cells, b * LANES, areas, out)
 
 
 @entry
@@ -228,11 +259,7 @@ def green_strain(layout, corners, gradients, weights, lane_cells, areas, node_of
         for p in range(layout[b, 1]):
             h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
             state = add_strain(state, h, load(weights, layout[b, 4] + p * LANES))
-        for k in range(LANES):
-            cell = lane_cells[b * LANES + k]
-            out[cell, 0] += lane(state[0], k) / areas[cell]
-            out[cell, 1] += lane(state[1], k) / areas[cell]
-            out[cell, 2] += lane(state[2], k) / areas[cell]
+        _add_means(state, lane_cells, b * LANES, areas, out)
 
 
 @entry

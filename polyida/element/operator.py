@@ -1,4 +1,7 @@
-"""Everything about a mesh's elements that does not change in time, packed for the kernels."""
+"""Everything about a mesh's elements that does not change in time, packed for the kernels, and measures of polygons side by side.
+
+Polygons: corners (n, 2, c), counter-clockwise, c cells on the last axis.
+"""
 
 from dataclasses import dataclass
 
@@ -6,6 +9,39 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.jit.intrinsics import LANES
+
+
+def cross(a, b):
+    """a_x b_y - a_y b_x for vectors along axis -2."""
+    return a[..., 0, :] * b[..., 1, :] - a[..., 1, :] * b[..., 0, :]
+
+
+def after(array):
+    """The next corner's entry at every corner."""
+    return np.roll(array, -1, axis=0)
+
+
+def before(array):
+    """The previous corner's entry at every corner."""
+    return np.roll(array, 1, axis=0)
+
+
+def measures(corners):
+    """Area (c,), centroid (2, c) and the exact mean gradients (n, 2, c) = oint N_i n ds / area of linear edges."""
+    follower = after(corners)
+    double = cross(corners, follower)
+    area = double.sum(axis=0) / 2
+    centroid = np.einsum("nc,ndc->dc", double, corners + follower) / (6 * area)
+    chord = (follower - before(corners)) / (2 * area)
+    return area, centroid, np.stack([chord[:, 1], -chord[:, 0]], axis=1)
+
+
+def second_moments(corners):
+    """int x (x) x over the polygons, (2, 2, c), about the origin: exact, from the triangles origin - edge."""
+    follower = after(corners)
+    double = cross(corners, follower)
+    return sum(np.einsum("nc,ndc,nec->dec", double, x, x) for x in (corners, follower, corners + follower)) / 24
+
 
 CHUNK = 256
 """Cells treated at once: the work arrays then stay in the cache."""
@@ -116,7 +152,10 @@ def pack(mesh, areas, mean_gradients, groups):
     tables, starts = [], np.zeros(4, dtype=np.int64)
     for group, block in zip(groups, blocks):
         known = [block[name] for name in LISTED]
-        tables.append(_table(group, starts, [array[0].size for array in known], len(known[0])))
+        count = len(known[0])
+        shape = np.full((count, 2), (len(group.nodes), len(group.weights)))
+        sizes = np.array([array[0].size for array in known])
+        tables.append(np.hstack([shape, starts + np.arange(count)[:, None] * sizes]).astype(np.int64))
         starts = starts + [array.size for array in known]
     along = np.argsort(flat["lane_cells"][::LANES], kind="stable")
     matrices = {name: flat[name] for name in ("cell_mass", "cell_stabilisation") if name in flat}
@@ -163,23 +202,12 @@ def _blocks(group, place):
     lanes = {name: array[..., order] for name, array in (given | summed).items() if array is not None}
     for name in summed.keys() & lanes.keys():
         lanes[name][..., count:] = 0.0
-    return {name: _blocked(array) for name, array in lanes.items()}
+    return {name: np.moveaxis(array.reshape(*array.shape[:-1], -1, LANES), -2, 0) for name, array in lanes.items()}
 
 
 def _lane_order(count):
     """Positions 0 .. count - 1, the last repeated until LANES divides the length."""
     return np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
-
-
-def _blocked(array):
-    """(..., c) -> (c / LANES, ..., LANES)."""
-    return np.moveaxis(array.reshape(*array.shape[:-1], -1, LANES), -2, 0)
-
-
-def _table(group, starts, sizes, count):
-    """Rows of the layout for the blocks of one group."""
-    shape = np.full((count, 2), (len(group.nodes), len(group.weights)))
-    return np.hstack([shape, starts + np.arange(count)[:, None] * np.array(sizes)]).astype(np.int64)
 
 
 def _integers(array):

@@ -14,8 +14,7 @@ a square the mass is the bilinear element's, and on regular polygons of 4 to 7 c
 
 import numpy as np
 
-from polyida.element.operator import build
-from polyida.element.polygon import after, measures, second_moments
+from polyida.element.operator import after, build, measures, second_moments
 from polyida.errors import InputError
 
 THINNEST = 1e-14

@@ -17,8 +17,7 @@ taken. The mass takes three points a fan triangle, exact for N linear, so that t
 
 import numpy as np
 
-from polyida.element.operator import build
-from polyida.element.polygon import after, before, cross, measures
+from polyida.element.operator import after, before, build, cross, measures
 from polyida.errors import InputError
 
 FLATTEST = 1e-6
@@ -37,12 +36,12 @@ def reference_operator(mesh):
     return build(mesh, _element)
 
 
-def _turning(corners, cells, nodes):
-    """Sine of the turning angle (n, c) at every corner: positive where a counter-clockwise cell is strictly convex."""
+def _element(corners, cells, nodes):
+    """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells."""
     edges = after(corners) - corners
     with np.errstate(invalid="ignore", divide="ignore"):
         edges = edges / np.sqrt((edges**2).sum(axis=-2, keepdims=True))
-    sines = cross(before(edges), edges)
+    sines = cross(before(edges), edges)  # of the turning angles, (n, c)
     wrong = ~(sines > FLATTEST)
     if wrong.any():
         k = np.flatnonzero(wrong.any(axis=0))[0]
@@ -53,12 +52,6 @@ def _turning(corners, cells, nodes):
             f"{angle:.6g} degrees; a Wachspress element needs strictly convex, counter-clockwise cells, "
             "every angle below 180 degrees and no side of zero length"
         )
-    return sines
-
-
-def _element(corners, cells, nodes):
-    """Areas (c,), mean gradients (n, 2, c), gradients (p, n, 2, c), weights (p, c), mass (n, n, c) of cells."""
-    sines = _turning(corners, cells, nodes)
     corners = corners - corners.mean(axis=0)
     follower = after(corners)
     area, centroid, mean = measures(corners)
@@ -68,7 +61,9 @@ def _element(corners, cells, nodes):
         return area, mean, mean[None], area[None], mass
     points, weights = _rule(corners, follower, centroid, weights)
     shapes, normals, heights = _shapes(corners, follower, sines, points)
-    gradients = _gradients(shapes, normals, heights)
+    slopes = normals / heights[:, :, None]
+    slopes = slopes + np.roll(slopes, 1, axis=1)
+    gradients = shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
     gradients += mean - np.einsum("pc,pndc->ndc", weights, gradients) / area
     return area, mean, gradients, weights, mass
 
@@ -90,13 +85,6 @@ def _shapes(corners, follower, sines, points):
     heights = offsets - (points[:, None, 0] * normals[:, 0] + points[:, None, 1] * normals[:, 1])
     shapes = sines / (heights * np.roll(heights, 1, axis=1))
     return shapes / shapes.sum(axis=1, keepdims=True), normals, heights
-
-
-def _gradients(shapes, normals, heights):
-    """Gradients (p, n, 2, c) of the shape functions."""
-    slopes = normals / heights[:, :, None]
-    slopes = slopes + np.roll(slopes, 1, axis=1)
-    return shapes[:, :, None] * (slopes - np.einsum("pnc,pndc->pdc", shapes, slopes)[:, None])
 
 
 def _mass(corners, follower, sines, centroid, weights):

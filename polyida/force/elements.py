@@ -129,9 +129,6 @@ class SpringDamper(ForceElement):
         """`u N` on a and `-u N` on b, (2, 2), N."""
         return (spring_with_function if self.force else spring)(asked(self, "force", "elongation, rate"), t, x, v)
 
-    def _elongation(self, x):
-        return float(np.linalg.norm(x[1] - x[0])) - self.length
-
     def energy(self, x: NDArray) -> float:
         """`k e^2/2 + N0 e` and the integral of `force(e, 0)`, J."""
         further = self.force
@@ -139,7 +136,8 @@ class SpringDamper(ForceElement):
             return spring_energy(self, x)
         from scipy.integrate import quad
 
-        return spring_energy(self, x) + quad(lambda s: further(s, 0.0), 0.0, self._elongation(x))[0]
+        length: Any = self.length
+        return spring_energy(self, x) + quad(lambda s: further(s, 0.0), 0.0, float(np.linalg.norm(x[1] - x[0])) - length)[0]
 
 
 def turned(self, x):

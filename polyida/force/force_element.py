@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.body.own_part import OwnPart, compiled_functions, require_whole
+from polyida.body.body import OwnPart, compiled_functions, require_whole
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground
 from polyida.joint.formula import Vector

@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.given import is_number
-from polyida.io.file.layout import frames_at_once
+from polyida.io.layout import frames_at_once
 
 MEMORY_LIMIT = 512 * 2**20  # bytes of frames that are held in memory
 
@@ -70,16 +70,13 @@ class StoredFrames(np.lib.mixins.NDArrayOperatorsMixin):
             row = self._read(rows, rows + 1)[0]
             return row[tuple(rest)] if rest else row
         if isinstance(first, slice):
-            return self._slice(rows, rest)
+            columns = np.arange(self.shape[1])[rest[0]] if len(rest) == 1 and self.ndim == 2 else None
+            if columns is None or columns.ndim > 1:
+                return np.concatenate([np.array(piece[(slice(None), *rest)]) for piece in self._pieces(rows)])
+            # columns between the outermost ones are read
+            low, end = (int(columns.min()), int(columns.max()) + 1) if columns.size else (0, 0)
+            return np.concatenate([np.array(piece[:, columns - low]) for piece in self._pieces(rows, slice(low, end))])
         return np.concatenate(list(self._pieces(rows)))[(np.arange(len(rows)), *rest)]
-
-    def _slice(self, rows, rest):
-        """The rows, of the columns that `rest` wants those between the outermost ones read."""
-        columns = np.arange(self.shape[1])[rest[0]] if len(rest) == 1 and self.ndim == 2 else None
-        if columns is None or columns.ndim > 1:
-            return np.concatenate([np.array(piece[(slice(None), *rest)]) for piece in self._pieces(rows)])
-        low, end = (int(columns.min()), int(columns.max()) + 1) if columns.size else (0, 0)
-        return np.concatenate([np.array(piece[:, columns - low]) for piece in self._pieces(rows, slice(low, end))])
 
     def _pieces(self, rows, columns=None):
         """The rows of that number, in their order, a bounded number at once; columns: a slice of them, or all."""

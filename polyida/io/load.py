@@ -8,8 +8,8 @@ import numpy as np
 from polyida import registry
 from polyida.errors import InputError
 from polyida.given import is_flag
-from polyida.io.file.reader import naming, read
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
+from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, factors_from, from_data
 from polyida.keywords import named_keywords
 from polyida.sensor import Sensors

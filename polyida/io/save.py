@@ -9,11 +9,10 @@ import numpy as np
 from polyida import registry
 from polyida.errors import InputError
 from polyida.given import is_flag
-from polyida.io.file.layout import FRAMES, SENSORS, sensed_width
-from polyida.io.file.lock import require_unwritten
-from polyida.io.file.writer import Writer
+from polyida.io.layout import FRAMES, SENSORS, require_unwritten, sensed_width
 from polyida.io.scene_data import to_data
 from polyida.io.store import FrameStore
+from polyida.io.writer import Writer
 from polyida.model import NONE
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from polyida import profile, registry
 from polyida.assembly.factors import WHAT, told
 from polyida.body.body import BodyPoint, rest_of
-from polyida.body.material import Material
-from polyida.body.plate import Plate
+from polyida.body.plate import Material, Plate
 from polyida.errors import InputError
 from polyida.given import is_number, is_whole
 from polyida.joint.attachment import Attachment, Ground

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from polyida.io.file.layout import FRAMES, dtypes_of, shapes_of
-from polyida.io.file.reader import read_open
-from polyida.io.file.writer import NotWritten, taken
 from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.layout import FRAMES, dtypes_of, shapes_of
+from polyida.io.reader import read_open
+from polyida.io.writer import NotWritten, taken
 from polyida.memory import LAZY, room
 
 BLOCK = 1 << 20  # bytes that are written at once

@@ -53,10 +53,7 @@ class Slot(Joint):
 
     components = FORCE
     placing = "place the bodies so that b is on the line through a along its direction"
-
-    def __post_init__(self):
-        super().__post_init__()
-        self.require_directions(self.a)
+    directed = ("a",)
 
     def rows(self) -> list[Row | Vector]:
         """`e x (x_B - x_A)`."""
@@ -75,10 +72,7 @@ class Prismatic(Joint):
     """
 
     placing = "place the bodies so that b is on the line through a along its direction"
-
-    def __post_init__(self):
-        super().__post_init__()
-        self.require_directions()
+    directed = ("a", "b")
 
     def rows(self) -> list[Row | Vector]:
         """`e x (x_B - x_A)` and `R1 e x d_B`."""
@@ -95,9 +89,7 @@ class Weld(Joint):
     (3,): force, N, and moment about its point, N m, counter-clockwise. Raises InputError for a side without a direction.
     """
 
-    def __post_init__(self):
-        super().__post_init__()
-        self.require_directions()
+    directed = ("a", "b")
 
     def rows(self) -> list[Row | Vector]:
         """`x_A - x_B`, and `d_A - Q d_B` or `Q d_A x d_B`."""
@@ -195,10 +187,10 @@ class AngleMotor(Joint):
     angle: Profile | Callable[[float], float] | float
     zero: float | None = None
     kind = "motor"
+    directed = ("a", "b")
 
     def __post_init__(self):
         super().__post_init__()
-        self.require_directions()
         object.__setattr__(self, "angle", as_profile(self.angle, labelled("AngleMotor", self.name)))
         if not (self.zero is None or is_number(self.zero)):
             raise InputError(f"{labelled('AngleMotor', self.name)}: zero = {self.zero!r} must be a finite number of rad, or None")

@@ -1,16 +1,14 @@
 """Polygon meshes: the container, the mesher and its domains, structured meshes, files."""
 
 from polyida.mesh.density_filter import density_filter
-from polyida.mesh.drawings.outlines import read_outline, svg_path
-from polyida.mesh.files.lists import from_lists
-from polyida.mesh.files.raw import MeshWarning, RawMesh
-from polyida.mesh.files.read_write import FORMATS, Format, read, write
-from polyida.mesh.make.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union
-from polyida.mesh.make.mesher import polygonize
-from polyida.mesh.make.outline import Outline
-from polyida.mesh.make.rectangles import quads, rectangle, triangles
-from polyida.mesh.polygon_mesh import PolygonMesh
-from polyida.mesh.quality import MeshQuality
+from polyida.mesh.domains import Circle, Difference, Domain, Intersection, Link, Rectangle, Union
+from polyida.mesh.drawings import read_outline, svg_path
+from polyida.mesh.mesher import polygonize
+from polyida.mesh.outline import Outline
+from polyida.mesh.polygon_mesh import MeshQuality, PolygonMesh
+from polyida.mesh.raw import MeshWarning, RawMesh
+from polyida.mesh.read_write import FORMATS, Format, from_lists, read, write
+from polyida.mesh.rectangles import quads, rectangle, triangles
 from polyida.mesh.sections import Section
 
 __all__ = [

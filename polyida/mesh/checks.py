@@ -7,7 +7,6 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import floats, is_flag, is_whole, reals
 from polyida.mesh import topology
-from polyida.mesh.overlap import overlapping_cells
 
 
 def _frozen(array, dtype):
@@ -112,7 +111,16 @@ def require_valid_cells(mesh):
             f"{_place(mesh, bad[0])} has area {area:.3g}; cells must be counter-clockwise, with positive area ({bad.size} such cells)"
         )
     _require_simple(mesh)
-    _require_single_edges(mesh)
+    edges = topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64)
+    sides = edges[:, 0] * mesh.n_nodes + edges[:, 1]
+    order = np.argsort(sides, kind="stable")
+    same = np.flatnonzero(sides[order][1:] == sides[order][:-1])
+    if same.size:
+        first, second = topology.corner_cells(mesh.offsets)[order[[same[0], same[0] + 1]]]
+        raise InputError(
+            f"{_place(mesh, first)} and {_place(mesh, second)} lie on the same side of the edge "
+            f"{edges[order[same[0]]].tolist()}: cells must not overlap"
+        )
     if cells := overlapping_cells(mesh):
         raise InputError(
             f"{_place(mesh, cells[0])} and {_place(mesh, cells[1])} overlap: a mesh covers no place twice; "
@@ -125,38 +133,22 @@ def _require_simple(mesh):
     turn = topology.turns(mesh.points, mesh.nodes, mesh.offsets)
     once = np.abs(np.add.reduceat(turn, mesh.offsets[:-1]) - 2 * np.pi) < 1e-6
     left = np.minimum.reduceat(turn, mesh.offsets[:-1]) > 0
-    for cell in np.flatnonzero(~(once & left)):
-        if _crosses_itself(mesh.points[mesh.cell(cell)]):
-            raise InputError(f"{_place(mesh, cell)} crosses or touches itself")
-
-
-def _crosses_itself(corner):
-    """True when two edges that share no corner meet, or two that do fold back on each other."""
-    a, b = corner, np.roll(corner, -1, axis=0)
-    edge = b - a
-    after = np.roll(edge, -1, axis=0)
-    folded = (topology.cross(edge, after) == 0) & (np.einsum("ij,ij->i", edge, after) <= 0)
-    side_a = topology.cross(edge[:, None], a[None] - a[:, None])
-    side_b = topology.cross(edge[:, None], b[None] - a[:, None])
-    split = side_a * side_b <= 0
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    near = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
-    i, j = np.indices(split.shape)
-    apart = np.minimum((i - j) % len(a), (j - i) % len(a)) > 1
-    return bool(folded.any() or (split & split.T & near & apart).any())
-
-
-def _require_single_edges(mesh):
-    pairs = topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64)
-    keys = pairs[:, 0] * mesh.n_nodes + pairs[:, 1]
-    order = np.argsort(keys, kind="stable")
-    same = np.flatnonzero(keys[order][1:] == keys[order][:-1])
-    if same.size:
-        first, second = topology.corner_cells(mesh.offsets)[order[[same[0], same[0] + 1]]]
-        raise InputError(
-            f"{_place(mesh, first)} and {_place(mesh, second)} lie on the same side of the edge "
-            f"{pairs[order[same[0]]].tolist()}: cells must not overlap"
-        )
+    for number in np.flatnonzero(~(once & left)):
+        # two edges that share no corner may not meet, two that do may not fold back on each other
+        a = mesh.points[mesh.cell(number)]
+        b = np.roll(a, -1, axis=0)
+        edge = b - a
+        after = np.roll(edge, -1, axis=0)
+        folded = (topology.cross(edge, after) == 0) & (np.einsum("ij,ij->i", edge, after) <= 0)
+        side_a = topology.cross(edge[:, None], a[None] - a[:, None])
+        side_b = topology.cross(edge[:, None], b[None] - a[:, None])
+        split = side_a * side_b <= 0
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        near = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=2)
+        i, j = np.indices(split.shape)
+        apart = np.minimum((i - j) % len(a), (j - i) % len(a)) > 1
+        if folded.any() or (split & split.T & near & apart).any():
+            raise InputError(f"{_place(mesh, number)} crosses or touches itself")
 
 
 def require_convex(mesh, tolerance):
@@ -170,3 +162,78 @@ def require_convex(mesh, tolerance):
             f"{_place(mesh, cell)} is not strictly convex: its angle at node {mesh.nodes[bad[0]]} is "
             f"{angle:.4f} degrees and must be below 180"
         )
+
+
+DEPTH = 1e-4  # of an edge's length: what overlaps by less was drawn to touch
+CROSSING = 1e-6  # the same of the ends of two edges that cross
+AT_ONCE = 500_000  # pairs of edges
+
+
+def overlapping_cells(mesh):
+    """(cell, other cell) that overlap, or None: where boundary edges cross or the inner side of one is covered twice."""
+    edges = mesh.boundary_edges
+    places = mesh.points - mesh.points.min(axis=0)
+    places = places[:, ::-1] * [-1, 1] if np.ptp(places[:, 1]) > np.ptp(places[:, 0]) else places
+    start, end = places[edges[:, 0]], places[edges[:, 1]]
+    along = end - start
+    inner = start + along / 2 + DEPTH * np.column_stack([-along[:, 1], along[:, 0]])
+    round_off = 8 * np.finfo(float).eps * np.abs(mesh.points).max()
+    cover = np.zeros(len(edges), int)
+    for i, j in _side_by_side(start[:, 0], end[:, 0], inner[:, 0]):
+        crossing = np.flatnonzero(_cross(start, end, i, j, round_off))
+        if crossing.size:
+            return _owner(mesh, edges[i[crossing[0]]]), _owner(mesh, edges[j[crossing[0]]])
+        for point, edge in ((i, j), (j, i)):
+            cover += np.bincount(point, _winding(inner[point], start[edge], end[edge]), len(edges)).astype(int)
+    cover += _winding(inner, start, end)
+    twice = np.flatnonzero(cover > 1)
+    return _covering(mesh, places, inner[twice[0]], _owner(mesh, edges[twice[0]])) if twice.size else None
+
+
+def _side_by_side(*places):
+    """Pairs (i, j), i before j in x, of edges whose ranges of x meet, a bounded number at once."""
+    low, high = np.min(places, axis=0), np.max(places, axis=0)
+    order = np.argsort(low, kind="stable")
+    reach = np.searchsorted(low[order], high[order], side="right") - np.arange(1, len(order) + 1)
+    begin = 0
+    while begin < len(order):
+        room = np.searchsorted(np.cumsum(reach[begin:]), AT_ONCE, side="right")
+        part = np.arange(begin, begin + max(1, int(room)))[: len(order) - begin]
+        count = reach[part]
+        step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        first = np.repeat(part, count)
+        yield order[first], order[first + 1 + step]
+        begin = part[-1] + 1
+
+
+def _winding(points, start, end):
+    """What each edge adds to the winding number about its point, told by a ray upwards: 1 leftwards, -1 rightwards, 0."""
+    right = (start[:, 0] <= points[:, 0]) & (points[:, 0] < end[:, 0])
+    left = (end[:, 0] <= points[:, 0]) & (points[:, 0] < start[:, 0])
+    side = topology.cross(end - start, points - start)
+    return (left & (side > 0)).astype(int) - (right & (side < 0))
+
+
+def _cross(start, end, i, j, round_off):
+    """(pairs,) mask: the ends of each edge lie on both sides of the other."""
+    length = np.hypot(*(end - start).T)
+    depth = CROSSING * np.minimum(length[i], length[j]) + round_off
+
+    def parted(a, b):
+        side = [topology.cross(end[a] - start[a], ends[b] - start[a]) / length[a] for ends in (start, end)]
+        return (np.minimum(*side) < -depth) & (np.maximum(*side) > depth)
+
+    return parted(i, j) & parted(j, i)
+
+
+def _owner(mesh, edge):
+    """The cell of a boundary edge."""
+    found = (topology.directed_edges(mesh.nodes, mesh.offsets) == edge).all(axis=1)
+    return int(topology.corner_cells(mesh.offsets)[np.argmax(found)])
+
+
+def _covering(mesh, places, point, own):
+    """(own, another cell) of those around a point."""
+    start, end = (places[nodes] for nodes in topology.directed_edges(mesh.nodes, mesh.offsets).T)
+    around = np.add.reduceat(_winding(np.broadcast_to(point, start.shape), start, end), mesh.offsets[:-1])
+    return own, int(next(cell for cell in np.flatnonzero(around) if cell != own))

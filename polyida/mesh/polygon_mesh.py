@@ -1,21 +1,36 @@
-"""PolygonMesh: points, polygons in offset form and named boundary sections."""
+"""PolygonMesh: points, polygons in offset form and named boundary sections, and the figures of merit of a mesh."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
-from polyida.mesh import checks, sections, topology
+from polyida.mesh import checks, topology
+from polyida.mesh.sections import Section, select
 
-if TYPE_CHECKING:
-    from polyida.mesh.quality import MeshQuality
-    from polyida.mesh.sections import Section
+
+@dataclass(frozen=True)
+class MeshQuality:
+    """shortest_edge: shortest over mean edge; angles in degrees; half_bandwidth in nodes; holes = 1 - (V - E + F)
+    for a mesh in one piece."""
+
+    cells: int
+    nodes: int
+    shortest_edge: float
+    min_angle: float
+    max_angle: float
+    min_vertices: int
+    max_vertices: int
+    area_ratio: float
+    convex: bool
+    half_bandwidth: int
+    pieces: int
+    holes: int
 
 
 @named_keywords
@@ -104,20 +119,40 @@ class PolygonMesh:
         """Sorted nodes on the boundary."""
         return np.unique(self.boundary_edges)
 
-    def quality(self) -> "MeshQuality":
+    def quality(self) -> MeshQuality:
         """MeshQuality: edge ratio, angles, vertex counts, convexity, bandwidth, holes."""
-        from polyida.mesh.quality import quality
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
 
-        return quality(self)
+        ends = self.points[self.edges]
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        angle = 180.0 - np.degrees(topology.turns(self.points, self.nodes, self.offsets))
+        vertices = np.diff(self.offsets)
+        graph = coo_array((np.ones(len(self.edges)), self.edges.T), shape=(self.n_nodes, self.n_nodes))
+        pieces = int(connected_components(graph, directed=False, return_labels=False))
+        return MeshQuality(
+            cells=self.n_cells,
+            nodes=self.n_nodes,
+            shortest_edge=float(lengths.min() / lengths.mean()),
+            min_angle=float(angle.min()),
+            max_angle=float(angle.max()),
+            min_vertices=int(vertices.min()),
+            max_vertices=int(vertices.max()),
+            area_ratio=float(self.cell_areas.min() / self.cell_areas.max()),
+            convex=bool(angle.max() < 180.0 - 6e-5),
+            half_bandwidth=topology.half_bandwidth(self.nodes, self.offsets),
+            pieces=pieces,
+            holes=pieces - (self.n_nodes - len(self.edges) + self.n_cells),
+        )
 
     def require_convex(self, tolerance: float = 1e-6) -> None:
         """Raise InputError naming the first corner whose turn (sine of the exterior angle) is not above tolerance."""
         checks.require_convex(self, tolerance)
 
-    def section(self, selector: str | Callable[[NDArray], NDArray] | ArrayLike) -> "Section":
+    def section(self, selector: str | Callable[[NDArray], NDArray] | ArrayLike) -> Section:
         """Section of nodes ordered along the boundary with their tributary lengths.
 
         selector: a section's name, a function points (n, 2) -> mask (n,), of which the boundary nodes are kept, or
         node indices. Raises InputError when nothing is selected or the name is unknown.
         """
-        return sections.select(self, selector)
+        return select(self, selector)

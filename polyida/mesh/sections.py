@@ -37,47 +37,38 @@ def select(mesh, selector):
     if isinstance(selector, Section):
         selector = selector.nodes
     if isinstance(selector, str):
-        nodes, name = _by_name(mesh, selector), selector
+        if selector not in mesh.sections:
+            raise InputError(f"mesh has no section {selector!r}; {_known(mesh)}")
+        nodes, name = mesh.sections[selector], selector
     elif callable(selector):
-        nodes, name = _by_mask(mesh, selector), getattr(selector, "__name__", "function")
+        mask = np.asarray(selector(mesh.points))
+        if mask.shape != (mesh.n_nodes,) or mask.dtype != bool:
+            raise InputError(
+                f"section function must return a boolean mask of shape ({mesh.n_nodes},), not {mask.dtype} of shape {mask.shape}"
+            )
+        kept = mesh.boundary_nodes[mask[mesh.boundary_nodes]]
+        if kept.size == 0:
+            called = getattr(selector, "__name__", selector)
+            raise InputError(f"section function {called!r} selects no boundary node; {_known(mesh)}")
+        nodes, name = kept, getattr(selector, "__name__", "function")
     else:
-        nodes, name = _by_index(mesh, selector), "nodes"
+        try:
+            chosen = np.atleast_1d(np.asarray(selector))
+        except ValueError as error:
+            raise InputError(f"section {selector!r} must be a name, a function or node indices: {error}") from None
+        if chosen.size == 0:
+            raise InputError(f"section by index selects no node; {_known(mesh)}")
+        nodes, name = checks.section_nodes("by index", chosen, mesh.n_nodes), "nodes"
     edges = edges_within(mesh, nodes)
     found = chains(nodes, edges)
     order = ordered(mesh.points, nodes, found)
-    lengths = _tributary_lengths(mesh.points, order, edges, mesh.n_nodes)
+    half = 0.5 * np.linalg.norm(mesh.points[edges[:, 1]] - mesh.points[edges[:, 0]], axis=1)
+    lengths = np.bincount(edges.ravel(), weights=np.repeat(half, 2), minlength=mesh.n_nodes)[order]
     return Section(order, lengths, name, _weights(mesh.points[order], lengths, len(found) == 1 and _is_rim(mesh.points, *found[0])))
 
 
 def _known(mesh):
     return "the mesh's sections are " + (", ".join(map(repr, mesh.sections)) or "none")
-
-
-def _by_name(mesh, name):
-    if name not in mesh.sections:
-        raise InputError(f"mesh has no section {name!r}; {_known(mesh)}")
-    return mesh.sections[name]
-
-
-def _by_mask(mesh, function):
-    mask = np.asarray(function(mesh.points))
-    if mask.shape != (mesh.n_nodes,) or mask.dtype != bool:
-        raise InputError(f"section function must return a boolean mask of shape ({mesh.n_nodes},), not {mask.dtype} of shape {mask.shape}")
-    kept = mesh.boundary_nodes[mask[mesh.boundary_nodes]]
-    if kept.size == 0:
-        name = getattr(function, "__name__", function)
-        raise InputError(f"section function {name!r} selects no boundary node; {_known(mesh)}")
-    return kept
-
-
-def _by_index(mesh, selector):
-    try:
-        nodes = np.atleast_1d(np.asarray(selector))
-    except ValueError as error:
-        raise InputError(f"section {selector!r} must be a name, a function or node indices: {error}") from None
-    if nodes.size == 0:
-        raise InputError(f"section by index selects no node; {_known(mesh)}")
-    return checks.section_nodes("by index", nodes, mesh.n_nodes)
 
 
 def edges_within(mesh, nodes):
@@ -126,11 +117,6 @@ def _oriented(points, chain, closed):
         return chain[::-1] if signed_area(points[chain]) < 0 else chain
     span = points[chain[-1]] - points[chain[0]]
     return chain[::-1] if span[np.argmax(np.abs(span))] < 0 else chain
-
-
-def _tributary_lengths(points, order, edges, n_nodes):
-    half = 0.5 * np.linalg.norm(points[edges[:, 1]] - points[edges[:, 0]], axis=1)
-    return np.bincount(edges.ravel(), weights=np.repeat(half, 2), minlength=n_nodes)[order]
 
 
 def _weights(points, lengths, rim):

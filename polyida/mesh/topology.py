@@ -1,4 +1,4 @@
-"""Areas, edges and corners of polygons in offset form: pure functions of arrays, no loop over cells."""
+"""Polygons in offset form: areas, moments, edges, corners and numbering; pure functions of arrays, no loop over cells."""
 
 import numpy as np
 
@@ -87,3 +87,57 @@ def half_bandwidth(nodes, offsets):
     if len(offsets) < 2:
         return 0
     return int((np.maximum.reduceat(nodes, offsets[:-1]) - np.minimum.reduceat(nodes, offsets[:-1])).max())
+
+
+def area_moments(mesh):
+    """(area, m^2, centroid (2,), m, polar second moment about the centroid, m^4) of all cells.
+
+    For a polygon of corners x_i, c_i = x_i cross x_(i + 1): `A = sum c_i / 2`, `A x_S = sum c_i (x_i + x_(i + 1)) / 6`,
+    `J = sum c_i (x_i . x_i + x_i . x_(i + 1) + x_(i + 1) . x_(i + 1)) / 12`, each about the mesh's mean point, so that nothing cancels.
+    """
+    centre = mesh.points.mean(axis=0)
+    x = mesh.points[mesh.nodes] - centre
+    y = x[following(mesh.offsets)]
+    across = cross(x, y)
+    area = across.sum() / 2
+    first = across @ (x + y) / 6
+    second = across @ ((x * x).sum(axis=1) + (x * y).sum(axis=1) + (y * y).sum(axis=1)) / 12
+    return float(area), centre + first / area, float(second - first @ first / area)
+
+
+def renumber(points, nodes, offsets):
+    """(points, nodes, offsets, new number of each old node): by coordinate along the longer side of the bounding box
+    or by reverse Cuthill-McKee, whichever gives the smaller half bandwidth; cells by their lowest node."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+    axis = int(np.ptp(points[:, 1]) > np.ptp(points[:, 0]))
+    # neighbours are all nodes of a common cell; the order begins at the low end of the axis
+    cells = csr_array((np.ones(len(nodes), dtype=np.int32), nodes, offsets), shape=(len(offsets) - 1, len(points)))
+    graph = (cells.T @ cells).tocsr()
+    reverse = np.asarray(reverse_cuthill_mckee(graph, symmetric_mode=True))
+    reverse = reverse if points[reverse[0], axis] <= points[reverse[-1], axis] else reverse[::-1]
+    orders = [np.lexsort((points[:, 1 - axis], points[:, axis])), reverse]
+    ranks = [_inverse(order) for order in orders]
+    number = min(ranks, key=lambda rank: half_bandwidth(rank[nodes], offsets))
+    placed = np.empty_like(points)
+    placed[number] = points
+    nodes, offsets = sorted_cells(number[nodes], offsets)
+    return placed, nodes, offsets, number
+
+
+def sorted_cells(nodes, offsets):
+    """Cells ordered by the sum of their lowest and highest node, each starting at its lowest node."""
+    low, high = np.minimum.reduceat(nodes, offsets[:-1]), np.maximum.reduceat(nodes, offsets[:-1])
+    order = np.lexsort((low, low + high))
+    cell, size = corner_cells(offsets), np.diff(offsets)
+    first = np.flatnonzero(nodes == low[cell])
+    place = (np.arange(len(nodes)) - first[cell]) % size[cell]
+    nodes = nodes[np.lexsort((place, _inverse(order)[cell]))]
+    return nodes, np.concatenate([[0], np.cumsum(size[order])])
+
+
+def _inverse(order):
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return rank

@@ -44,7 +44,11 @@ def damped(system, count):
     if left:
         solve = _arnoldi if _large(system, count) else _dense_damped
         s, Y = _least(*solve(system, left, N, slow), left)
-        roots, X = np.concatenate([roots, _settled(system, s, Y)]), np.concatenate([X, Y], axis=1)
+        # exactly zero where a shape without stiffness stays where it is: of its two roots, 0 and -c/m, the other one fades
+        mass = np.einsum("ik,ik->k", Y.conj(), system.M @ Y).real
+        drag = 0.0 if system.C is None else np.einsum("ik,ik->k", Y.conj(), system.C @ Y).real
+        stays = (system.stiffness_of(Y) == 0.0) & (np.abs(s) <= np.abs(s + drag / mass))
+        roots, X = np.concatenate([roots, np.where(stays, 0.0, s)]), np.concatenate([X, Y], axis=1)
     return roots, X
 
 
@@ -141,11 +145,3 @@ def _least(roots, X, count):
     upper = upper[np.argsort(-roots[upper].real, kind="stable")]
     upper = upper[np.argsort(np.abs(roots[upper]), kind="stable")][:count]
     return roots[upper], X[:, upper]
-
-
-def _settled(system, roots, X):
-    """The roots, exactly zero where a shape without stiffness stays where it is: of its two, 0 and -c/m, the other one fades."""
-    mass = np.einsum("ik,ik->k", X.conj(), system.M @ X).real
-    drag = 0.0 if system.C is None else np.einsum("ik,ik->k", X.conj(), system.C @ X).real
-    stays = (system.stiffness_of(X) == 0.0) & (np.abs(roots) <= np.abs(roots + drag / mass))
-    return np.where(stays, 0.0, roots)

@@ -12,9 +12,8 @@ from polyida.given import floats
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem
-from polyida.modal.coordinates import Coordinates, inputs_of
+from polyida.modal.coordinates import Coordinates, along, inputs_of, labels_of, outputs_of
 from polyida.modal.modes import Modes
-from polyida.modal.outputs import along, labels_of, outputs_of
 from polyida.modal.system import linear_system
 from polyida.model import Model
 
@@ -169,7 +168,8 @@ def frequency_response(
         raise InputError(f"frequency_response: {len(inputs)} inputs were given; it takes one")
     (pushed,) = inputs
     outputs = outputs_of("frequency_response", system.model, system.state, output)
-    solve = _whole(system, pushed) if modes is None else _modal(system, pushed, modes)
+    whole = lambda omega: system.factor(-(omega**2), 1j * omega).solve(-pushed.force, pushed.row)  # noqa: E731
+    solve = whole if modes is None else _modal(system, pushed, modes)
     frequencies = np.atleast_1d(given)
     values = [_look(outputs, solve, 2 * np.pi * f) for f in frequencies]
     return FrequencyResponse(frequencies, np.array(values), pushed.label, labels_of(outputs))
@@ -182,10 +182,6 @@ def _look(outputs, solve, omega):
     except (SingularSystem, np.linalg.LinAlgError):
         return np.full(len(labels_of(outputs)), np.inf, complex)
     return along(outputs, (x, 1j * omega * x, -(omega**2) * x), mu)[:, 0]
-
-
-def _whole(system, pushed):
-    return lambda omega: system.factor(-(omega**2), 1j * omega).solve(-pushed.force, pushed.row)
 
 
 def _modal(system, pushed, modes):

@@ -110,11 +110,8 @@ def linear_system(part, model, state=None):
         remedy = "give one of this model, such as pi.static(model)"
         require_near(model, f"{part}: the state", "phi", model.phi(t, q), max(1.0, np.abs(q).max()), remedy)
     C = model.force_v(t, q, rest) if model.needs.velocity_forces else None
-    return LinearSystem(model, state, *_alike(model.mass(q), C, model.tangent(t, q, rest, rest, state.lam, 0.0, 0.0, 1.0), B))
-
-
-def _alike(M, C, K, B):
-    """The four in one kind: sparse where they are many and none is dense."""
+    M = model.mass(q)
+    K = model.tangent(t, q, rest, rest, state.lam, 0.0, 0.0, 1.0)
     given = [matrix for matrix in (M, C, K, B) if matrix is not None]
     sparse = K.shape[0] > SMALL and all(hasattr(matrix, "tocsc") for matrix in given)
-    return [None if matrix is None else matrix.tocsc() if sparse else dense(matrix) for matrix in (M, C, K, B)]
+    return LinearSystem(model, state, *[None if matrix is None else matrix.tocsc() if sparse else dense(matrix) for matrix in (M, C, K, B)])

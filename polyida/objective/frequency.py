@@ -42,7 +42,15 @@ class Frequency(Objective):
         """All of them with the last frame; those in q and lam are of the modes' own state."""
         run = run_of("Frequency", run)
         modes = self._modes(run, self.number + 2)
-        mode = _Mode(modes, self.number, self._simple(modes))
+        squares = np.real(-(modes.roots**2))  # omega^2, 1/s^2
+        square, others = squares[self.number], np.delete(squares, self.number)
+        if not square:
+            raise InputError(f"Frequency: mode {self.number} is a rigid motion, at 0 Hz it has no slopes; hold the structure")
+        if len(others) and np.abs(others - square).min() <= APART * abs(square):
+            raise InputError(
+                f"Frequency: mode {self.number} shares its {modes.frequencies[self.number]:.6g} Hz with another one: it has no slopes"
+            )
+        mode = _Mode(modes, self.number, square)
         found = Slopes(work=mode.work())
         if getattr(run, "modes", None) is not None:
             q, lam = mode.by_state()
@@ -61,18 +69,6 @@ class Frequency(Objective):
         if self.number >= len(found.roots):
             raise InputError(f"Frequency: number = {self.number} is too large, the model has {len(found.roots)} modes")
         return found
-
-    def _simple(self, modes):
-        """omega^2, 1/s^2. Raises InputError where it has no slope."""
-        squares = np.real(-(modes.roots**2))
-        square, others = squares[self.number], np.delete(squares, self.number)
-        if not square:
-            raise InputError(f"Frequency: mode {self.number} is a rigid motion, at 0 Hz it has no slopes; hold the structure")
-        if len(others) and np.abs(others - square).min() <= APART * abs(square):
-            raise InputError(
-                f"Frequency: mode {self.number} shares its {modes.frequencies[self.number]:.6g} Hz with another one: it has no slopes"
-            )
-        return square
 
 
 class _Mode:

@@ -48,8 +48,16 @@ def rigid_motion(t_end):
     return run.y[:, -1]
 
 
-def rigid_state(model, t_end):
-    """{"q", "v", "lam"} of the model with both plates rigid; lam are the forces of the joints on their sides b, N."""
+def problem(modulus=1e13, cells=40, seed=1, t_end=1.0):
+    """The double plate of modulus `modulus`, Pa, swinging freely from rest.
+
+    The reference is that of rigid plates, itself known to 1e-11; `known_to` is how far flexible ones are from it at 1 s
+    once their vibration is damped away (generalized-alpha with rho_inf = 0.5 does that), 1e11 Pa and more.
+    """
+    modulus = positive("rigid limit", "modulus", modulus, "Pa")
+    t_end = positive("rigid limit", "t_end", t_end, "seconds")
+    model = double_plate(cells, seed, Material(E=modulus, nu=RUBBER.nu, rho=RUBBER.rho)).build()
+    # q, v and lam of the model with both plates rigid; lam are the forces of the joints on their sides b, N
     motion = rigid_motion(t_end)
     (a1, a2, w1, w2), (b1, b2) = motion, accelerations(*motion)
     along, across = (np.array([[np.cos(a), np.sin(a)] for a in (a1, a2)]), np.array([[-np.sin(a), np.cos(a)] for a in (a1, a2)]))
@@ -65,25 +73,13 @@ def rigid_state(model, t_end):
     gravity = np.array(GRAVITY)
     elbow = PLATE_MASS * (centres[1] - gravity) + TIP_MASS * (pull - gravity)
     shoulder = PLATE_MASS * (centres[0] - gravity) + elbow
-    return {"q": np.concatenate(q).ravel(), "v": np.concatenate(v).ravel(), "lam": np.concatenate([shoulder, elbow])}
-
-
-def problem(modulus=1e13, cells=40, seed=1, t_end=1.0):
-    """The double plate of modulus `modulus`, Pa, swinging freely from rest.
-
-    The reference is that of rigid plates, itself known to 1e-11; `known_to` is how far flexible ones are from it at 1 s
-    once their vibration is damped away (generalized-alpha with rho_inf = 0.5 does that), 1e11 Pa and more.
-    """
-    modulus = positive("rigid limit", "modulus", modulus, "Pa")
-    t_end = positive("rigid limit", "t_end", t_end, "seconds")
-    model = double_plate(cells, seed, Material(E=modulus, nu=RUBBER.nu, rho=RUBBER.rho)).build()
     return Problem(
         name="rigid-limit",
         model=model,
         q0=None,
         v0=None,
         t_end=t_end,
-        reference=rigid_state(model, t_end),
+        reference={"q": np.concatenate(q).ravel(), "v": np.concatenate(v).ravel(), "lam": np.concatenate([shoulder, elbow])},
         known_to={part: max(apart / modulus, 1e-11) for part, apart in APART.items()} if t_end == 1.0 else {},
         **ABOUT["rigid-limit"],
     )

@@ -8,8 +8,7 @@ height = 1.17e7 N); at a slenderness of 129 that hardly matters.
 import numpy as np
 
 from polyida import profile
-from polyida.body.material import Material
-from polyida.body.plate import Plate
+from polyida.body.plate import Material, Plate
 from polyida.force.loads import PointLoad
 from polyida.joint.attachment import ground
 from polyida.joint.joints import AngleMotor, Revolute

@@ -31,7 +31,9 @@ class Slivers:
         material, mesh, operator = body.plate.material, body.mesh, body.operator
         distance = (body.points - place) @ way
         density, entries, masses = material.rho * body.plate.thickness, [], []
-        for cell in np.flatnonzero(_crossed(mesh, distance)):
+        first, near = mesh.offsets[:-1], ROUND * np.ptp(distance)
+        low, high = (least.reduceat(distance[mesh.nodes], first) for least in (np.minimum, np.maximum))
+        for cell in np.flatnonzero((low < -near) & (high > near)):  # those that the line crosses
             corners = slice(mesh.offsets[cell], mesh.offsets[cell + 1])
             nodes, side = mesh.nodes[corners], -1.0 if ahead[cell] else 1.0
             points = body.points[nodes]
@@ -50,13 +52,6 @@ class Slivers:
     def places(self, u):
         """Where they are, (slivers, 2), m, from the nodes' displacements."""
         return self.weights @ (self.rest + u)
-
-
-def _crossed(mesh, distance):
-    """Which cells the line crosses, (cells,)."""
-    first, corners = mesh.offsets[:-1], distance[mesh.nodes]
-    near = ROUND * np.ptp(distance)
-    return (np.minimum.reduceat(corners, first) < -near) & (np.maximum.reduceat(corners, first) > near)
 
 
 def _clipped(points, distance):

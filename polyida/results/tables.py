@@ -73,7 +73,9 @@ def dataset(run):
         found |= _of_scene(run)
         units = [quantity(run.model, name, k)[1] for name in run.model.joints for k in range(run.reaction(name).shape[1])]
         marks |= {"point": list(run.model.named), "axis": ["x", "y"], "component": list(reactions(run)), "unit": ("component", units)}
-    return Dataset(found | _sensed(run), marks, _about(run))
+    plain = {name: value for name, value in run.counts.as_dict().items() if isinstance(value, (int, str))}
+    about = {"status": run.status, "message": run.message, "integrator": repr(run.integrator), "cpu_seconds": run.cpu_seconds}
+    return Dataset(found | _sensed(run), marks, about | plain)
 
 
 def _of_scene(run):
@@ -92,9 +94,3 @@ def _sensed(run):
         return {}
     found = {f"sensor.{name}": (("step", *(f"{name}_{k}" for k in range(values.ndim - 1))), values) for name, values in run.sensors.items()}
     return found | {"t_step": ("step", run.sensors.t, {"units": "s"})}
-
-
-def _about(run):
-    """How the run went, as texts and numbers that files of data sets can hold."""
-    plain = {name: value for name, value in run.counts.as_dict().items() if isinstance(value, (int, str))}
-    return {"status": run.status, "message": run.message, "integrator": repr(run.integrator), "cpu_seconds": run.cpu_seconds} | plain

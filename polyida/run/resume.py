@@ -11,10 +11,10 @@ from polyida.bar import require_progress
 from polyida.errors import InputError
 from polyida.given import is_number
 from polyida.integrate.state import Counts, asked
-from polyida.io.file.layout import FRAMES
-from polyida.io.file.reader import naming, read
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
+from polyida.io.layout import FRAMES
 from polyida.io.load import integrator_of, model_of, sensors_of
+from polyida.io.reader import naming, read
 from polyida.io.save import behind_blocks, commit, create, free
 from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore

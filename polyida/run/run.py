@@ -12,8 +12,8 @@ from polyida.integrate.moves import unseen
 from polyida.integrate.singular import SingularPosition, Watch
 from polyida.integrate.state import Counts, Restart, State, States, Stretch, constant_step, parted
 from polyida.integrate.switches import unresolved
-from polyida.io.file.writer import NotWritten
 from polyida.io.save import behind_blocks, commit
+from polyida.io.writer import NotWritten
 from polyida.machine import machine_info
 from polyida.model.guarded import guard
 from polyida.run import ctrl_c

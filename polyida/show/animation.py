@@ -23,23 +23,17 @@ def animation(run, path, frames=None, seconds=None, width=6.4, overwrite=False, 
         raise InputError(f"animation {path!r} must be the path of a file")
     plates.require_run("animation", run, overwrite)
     path = Path(path)
-    write = _writer(path)
+    write = {".gif": _gif, ".mp4": _mp4}.get(path.suffix.lower())
+    if write is None:
+        raise InputError(f"animation {path}: only .gif and .mp4 can be written")
+    if write is _mp4:
+        _ffmpeg()
     if path.exists() and not overwrite:
         raise InputError(f"animation {path} exists: choose another name or say overwrite")
     seconds = float(np.clip(run.t[-1] - run.t[0], 4, 12)) if seconds is None else seconds
     chosen = plates.spread(run, (GIF if write is _gif else max(1, round(RATE * seconds))) if frames is None else frames)
     write(path, _told(Picture(run, chosen, width), chosen, progress), seconds / len(chosen))
     return path
-
-
-def _writer(path):
-    """The function that writes a file of this suffix."""
-    writers = {".gif": _gif, ".mp4": _mp4}
-    if path.suffix.lower() not in writers:
-        raise InputError(f"animation {path}: only .gif and .mp4 can be written")
-    if path.suffix.lower() == ".mp4":
-        _ffmpeg()
-    return writers[path.suffix.lower()]
 
 
 def _told(picture, chosen, progress):

@@ -1,9 +1,12 @@
-"""Figures of one run or of several beside each other. Each function returns a matplotlib Figure.
+"""Figures of one run or of several beside each other, pictures on matplotlib axes as `run.plot` gives them, and a drawing for notebooks.
 
 `runs` is a dictionary {label: Trajectory}. Lengths in m, times in s, forces in N, energies in J.
 """
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
 from polyida.results.motion import unbalanced
@@ -20,11 +23,15 @@ from polyida.show.style import (
     height_for,
     hollow,
     line,
+    on_axes,
     plain,
     scaled,
     settings,
     stress_key,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 DISTINCT = 20_000  # polygons in one picture, beyond which they are an image in a PDF: nobody can tell them apart
 SHADES = {4: "#F3F7FA", 5: "#D5E5F0", 6: "#A9CBE2", 7: "#7DB1D4"}  # of a polygon with so many corners; fewer as 4, more as 7
@@ -36,6 +43,7 @@ INTERVALS, LEAST = 30, 1e-17  # of a drift, the largest in each of so many; what
 def mesh(model):
     """The polygon meshes of all plates in the reference configuration. Raises InputError for a model without plates."""
     from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Patch
 
     if model is None or not model.drawn:
         raise InputError(f"{type(model).__name__} has no plates, whose meshes could be drawn")
@@ -50,16 +58,11 @@ def mesh(model):
         equal(axes, low, high)
         corners = " to ".join(map(str, np.unique([count.min(), count.max()])))
         axes.set_title(f"{len(cells)} polygons of {corners} corners, {nodes.max() + 1} nodes")
-        made.legend(handles=_corner_key(np.unique(np.clip(count, 4, 7)), count), loc="outside lower center", ncols=4)
+        kinds = np.unique(np.clip(count, 4, 7))
+        ends = {4: f"{count.min()} or 4" if count.min() < 4 else "4", 7: f"7 to {count.max()}" if count.max() > 7 else "7"}
+        key = [Patch(facecolor=SHADES[kind], edgecolor=PALETTE[0], label=f"{ends.get(kind, kind)} corners") for kind in kinds]
+        made.legend(handles=key, loc="outside lower center", ncols=4)
         return made
-
-
-def _corner_key(kinds, count):
-    """Handles of a legend: what the shade of a polygon means."""
-    from matplotlib.patches import Patch
-
-    ends = {4: f"{count.min()} or 4" if count.min() < 4 else "4", 7: f"7 to {count.max()}" if count.max() > 7 else "7"}
-    return [Patch(facecolor=SHADES[kind], edgecolor=PALETTE[0], label=f"{ends.get(kind, kind)} corners") for kind in kinds]
 
 
 def deformed(run, times=None, snapshots=6, width=6.4):
@@ -120,14 +123,22 @@ def tip(runs, point="tip"):
 
     Between its frames the first run is the cubic with its places and velocities. With one run, the coordinates themselves.
     """
+    from scipy.interpolate import CubicHermiteSpline
+
     with settings():
         (base, first), *others = runs.items()
         made, axes = figure(6.4, 3.7, nrows=2, ncols=2, width_ratios=[1.15, 1])
-        path, history = _wide_left(made, axes)
+        grid = axes[0, 0].get_gridspec()  # one panel over both rows on the left and two on the right
+        for panel in axes[:, 0]:
+            panel.remove()
+        axes[1, 1].sharex(axes[0, 1])
+        path, history = made.add_subplot(grid[:, 0]), axes[:, 1]
         path.plot(*first.position(point).T, label=plain(base), **line(0))
         path.set(xlabel="x, m", ylabel="y, m", title=f"path of {plain(point)}, {_first(base)}")
         path.set_aspect("equal", adjustable="datalim")
-        between = _cubic(first, point)
+        t, kept = np.unique(first.t, return_index=True)
+        velocity = first.model.position(point, first.v) - first.model.position(point, np.zeros((1, first.v.shape[1])))
+        between = CubicHermiteSpline(t, first.position(point)[kept], velocity[kept], extrapolate=False)
         for i, (label, run) in enumerate(others or [(base, first)], start=bool(others)):
             found = run.position(point) - between(run.t) if others else run.position(point)
             for axis, values in zip(history, found.T):
@@ -137,15 +148,6 @@ def tip(runs, point="tip"):
         history[1].set(xlabel="t, s", ylabel=f"{delta}y, m")
         _legend(made, [path, *history])
         return made
-
-
-def _cubic(run, point):
-    """Function of times: the place of a named point between frames, from places and velocities."""
-    from scipy.interpolate import CubicHermiteSpline
-
-    t, kept = np.unique(run.t, return_index=True)
-    velocity = run.model.position(point, run.v) - run.model.position(point, np.zeros((1, run.v.shape[1])))
-    return CubicHermiteSpline(t, run.position(point)[kept], velocity[kept], extrapolate=False)
 
 
 def reactions(runs, names, limit=8):
@@ -280,10 +282,104 @@ def _label_times(axes, run, frames, apart):
         )
 
 
-def _wide_left(made, axes):
-    """Turn a 2 x 2 grid into one panel over both rows on the left and two on the right."""
-    grid = axes[0, 0].get_gridspec()
-    for axis in axes[:, 0]:
-        axis.remove()
-    axes[1, 1].sharex(axes[0, 1])
-    return made.add_subplot(grid[:, 0]), axes[:, 1]
+WIDTH, HEIGHTS, MOST = 320, (60, 240), 20_000  # pixels of a drawing; segments beyond which there is none
+DIGITS = 1000  # places in a drawing, from side to side
+
+
+class RunPlots:
+    """What `run.plot` has. Each draws into matplotlib axes, new ones where None are given, and returns them.
+
+    Names are those of masses, loads and joints. Raises InputError for what the run does not have.
+    """
+
+    def __init__(self, run: Any) -> None:
+        self._run = run
+
+    def __repr__(self):
+        return "run.plot: energy(), position(name), tip(name), reactions(*names), drift(), deformed(times)"
+
+    def energy(self, axes: "Axes | None" = None) -> "Axes":
+        """Kinetic, potential, strain and total energy, J, against time; those that are none are left out."""
+        found = {part: getattr(self._run.energy, part) for part in ENERGIES}
+        shown = {part: values for part, values in found.items() if part == "kinetic" or np.nan_to_num(values).any()}
+        return self._against_time(shown, "energy, J", axes)
+
+    def position(self, name: object = "tip", axes: "Axes | None" = None) -> "Axes":
+        """x and y of a named point, m, against time."""
+        x, y = self._run.position(name).T
+        return self._against_time({"x": x, "y": y}, f"place of {plain(name)}, m", axes)
+
+    def tip(self, name: object = "tip", axes: "Axes | None" = None) -> "Axes":
+        """The path of a named point in the plane, to scale."""
+        path = self._run.position(name)
+        with on_axes(axes) as axis:
+            axis.plot(*path.T, label=plain(name), **line(0))
+            axis.set(xlabel="x, m", ylabel="y, m", title=f"path of {plain(name)}")
+            axis.set_aspect("equal", adjustable="datalim")
+            return axis
+
+    def reactions(self, *names: str, axes: "Axes | None" = None) -> "Axes":
+        """What joints do to their side b, N and N m, against time; of all joints where no name is given."""
+        self._run.known_model("run.plot.reactions")
+        model = self._run.model
+        names = names or tuple(model.joints)
+        if not names:
+            raise InputError(f"run.plot.reactions: {type(model).__name__} has no joints")
+        lines = {}
+        for name in names:
+            for k, values in enumerate(self._run.reaction(name).T):
+                lines[f"{plain(name)}: {', '.join(filter(None, quantity(model, name, k)))}"] = values
+        return self._against_time(lines, "reaction", axes)
+
+    def drift(self, axes: "Axes | None" = None) -> "Axes":
+        """The largest violation of the constraints and of their time derivative in intervals of time, on a logarithmic axis."""
+        with on_axes(axes) as axis:
+            for i, (kind, label) in enumerate((("drift", "max|φ|"), ("velocity_drift", "max|dφ/dt|"))):
+                axis.semilogy(*largest(self._run.t, getattr(self._run, kind)), label=label, marker=".", **line(i))
+            return _finished(axis, "violation of the constraints")
+
+    def deformed(self, times: ArrayLike | None = None, snapshots: int = 6, axes: "Axes | None" = None) -> "Axes":
+        """The bodies at times, s, or at as many evenly spread, plates coloured by von Mises stress, kPa."""
+        frames = snapshots_of(self._run, times, snapshots)
+        with on_axes(axes) as axis:
+            drawn = draw_plates(axis, self._run, frames)
+            if axes is None and self._run.model.drawn:
+                axis.figure.colorbar(drawn, ax=axis, extend="max", shrink=0.8, label="von Mises stress, kPa")
+            return axis
+
+    def _against_time(self, lines, heading, axes):
+        with on_axes(axes) as axis:
+            for i, (label, values) in enumerate(lines.items()):
+                axis.plot(self._run.t, values, label=label, **line(i))
+            return _finished(axis, heading)
+
+
+def _finished(axis, heading):
+    axis.set(xlabel="t, s", ylabel=heading)
+    axis.legend(loc="best")
+    return axis
+
+
+def drawing(run):
+    """The last frame of a scene as a small inline SVG; empty where there is nothing to draw, or too much."""
+    if not len(run) or not plates.drawable(run.model):
+        return ""
+    last = len(run) - 1
+    edges, sticks = plates.outlines(run.model, run.node_positions(last)), plates.sticks(run, last)
+    if len(edges) + len(sticks) > MOST or not (np.isfinite(edges).all() and np.isfinite(sticks).all()):
+        return ""
+    low, high = box(np.concatenate([edges, sticks]).reshape(-1, 2))
+    size = max((high - low).max(), 1e-300)
+    width, height = np.maximum((high - low) / size, 1e-3) * DIGITS
+    place = lambda segments: np.stack([segments[..., 0] - low[0], high[1] - segments[..., 1]], axis=-1) / size * DIGITS  # noqa: E731
+    pixels = np.clip(WIDTH * height / width, *HEIGHTS)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" role="img" aria-label="last frame, t = {run.t[-1]:.6g} s" width="{WIDTH}" '
+        f'height="{pixels:.0f}" viewBox="-20 -20 {width + 40:.0f} {height + 40:.0f}" fill="none" stroke-linecap="round">'
+        f'<path stroke="currentColor" stroke-width="1" vector-effect="non-scaling-stroke" d="{_path(place(edges))}"/>'
+        f'<path stroke="{STICK}" stroke-width="2" vector-effect="non-scaling-stroke" d="{_path(place(sticks))}"/></svg>'
+    )
+
+
+def _path(segments):
+    return "".join(f"M{a:.0f} {b:.0f}L{c:.0f} {d:.0f}" for (a, b), (c, d) in segments)

@@ -1,12 +1,13 @@
-"""The folder of a comparison: report.html, its pictures as PNG, PDF and CSV, figures.json, the runs, VTU frames."""
+"""The report of a comparison: what is said of it in a terminal, and its folder with report.html, figures.json, the runs and VTU frames."""
 
 import json
+import math
 from contextlib import suppress
 from pathlib import Path
 
 from polyida.machine import machine_info
 from polyida.show import html, plates, plots
-from polyida.show.page import columns, finite, gap, system
+from polyida.show.html import shown
 
 FRAMES = 50  # VTU frames written at most
 ERRORS = (
@@ -37,7 +38,11 @@ def write(comparison, folder, command, press, tell=lambda what: None):
         run.save(folder / f"{label}.h5", overwrite=True)
     data = {"figures": comparison.figures, "rows": finite(comparison.rows), "machine": machine, "command": command}
     (folder / "figures.json").write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    found = _pictures(comparison, press)
+    found = pictures(comparison.job, comparison.runs, comparison)
+    for name, (draw, _) in found.items():
+        if name not in press:
+            press.give(name, draw())
+    found = [html.Picture(name, caption, press[name]) for name, (_, caption) in found.items()]
     if (shown := _drawable(comparison.runs)) and shown.model.drawn:
         from polyida.show.vtu import vtu
 
@@ -46,36 +51,15 @@ def write(comparison, folder, command, press, tell=lambda what: None):
     tell("pictures")
     *others, last = comparison.runs
     title = f"{comparison.job.name}: {' and '.join(filter(None, [', '.join(others), last]))}"
-    return html.write(folder, title, _blocks(comparison, shown, found), command, machine, f"{system(comparison.job)}.", press)
-
-
-def _blocks(comparison, shown, found):
-    """What the page consists of. shown: a run whose motion can be drawn, or None. found: the pictures."""
     moving = [html.Heading("Motion"), html.Movie(shown, f"The motion by {_label(comparison, shown)}.")] if shown else []
-    return [
-        html.Notes(comparison.notes),
-        html.Heading("Result"),
-        html.Table(columns(comparison), comparison.rows),
-        html.Text(f"{ERRORS} {gap(comparison)}"),
-        html.Heading("Settings"),
-        html.Table(SETTINGS, comparison.rows),
-        *moving,
-        html.Heading("Figures"),
-        *found,
-    ]
+    table, text = html.Table(columns(comparison), comparison.rows), html.Text(f"{ERRORS} {gap(comparison)}")
+    settings = [html.Heading("Settings"), html.Table(SETTINGS, comparison.rows)]
+    page = [html.Notes(comparison.notes), html.Heading("Result"), table, text, *settings, *moving, html.Heading("Figures"), *found]
+    return html.write(folder, title, page, command, machine, f"{system(comparison.job)}.", press)
 
 
 def _label(comparison, run):
     return next(label for label, other in comparison.runs.items() if other is run)
-
-
-def _pictures(comparison, press):
-    """The pictures of a comparison; what the press does not have yet is given to it."""
-    found = pictures(comparison.job, comparison.runs, comparison)
-    for name, (draw, _) in found.items():
-        if name not in press:
-            press.give(name, draw())
-    return [html.Picture(name, caption, press[name]) for name, (_, caption) in found.items()]
 
 
 def pictures(job, runs, comparison=None):
@@ -117,3 +101,57 @@ def _drawable(runs):
     """The first run whose plates can be drawn, or None."""
     shown = [run for run in runs.values() if len(run.t) > 1 and plates.drawable(run.model)]
     return shown[0] if shown else None
+
+
+COLUMNS = {  # key of a row -> heading, format
+    "run": ("run", "{}"),
+    "error_max": ("error, largest", "{:.2e}"),
+    "error_end": ("error, at the end", "{:.2e}"),
+    "published_error": ("from published", "{:.2e}"),
+    "cpu_s": ("CPU s", "{:.2f}"),
+    "steps": ("steps", "{}"),
+    "newton_iterations": ("iterations", "{}"),
+    "factorizations": ("factorizations", "{}"),
+    "drift_max": ("drift of phi", "{:.1e}"),
+    "energy_change": ("energy change, J", "{:.2e}"),
+}
+
+
+def columns(comparison):
+    """{key of a row: (heading, format)} of what the rows of the comparison have."""
+    quantity, unit = comparison.quantity, f", {comparison.unit}" if comparison.unit else ""
+    return {
+        key: (f"{quantity} {heading}{unit}" if "error" in key else heading, form)
+        for key, (heading, form) in COLUMNS.items()
+        if any(key in row for row in comparison.rows)
+    }
+
+
+def table(comparison):
+    """Headings and rows of text of the comparison's table; what a run does not have is a dash."""
+    found = columns(comparison)
+    rows = [[shown(row.get(key), form, dash="-") for key, (_, form) in found.items()] for row in comparison.rows]
+    return [heading for heading, _ in found.values()], rows
+
+
+def system(job):
+    """Size of the system and time simulated, in words."""
+    plural = "s" * (job.model.m != 1)
+    return f"{job.model.n} coordinates, {job.model.m} constraint{plural}, {job.time:g} s simulated"
+
+
+def gap(comparison):
+    """A sentence on how far apart the integrators end, empty where one of them did not get there."""
+    if not math.isfinite(comparison.gap):
+        return ""
+    who = "the two integrators are" if len(comparison.runs) == 2 else "two of the integrators are at most"
+    return " ".join(f"At the end {who} {comparison.gap:.2e} {comparison.unit} apart.".split())
+
+
+def finite(value):
+    """Plain data in which numbers that JSON cannot hold are None."""
+    if isinstance(value, dict):
+        return {name: finite(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

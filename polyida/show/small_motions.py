@@ -35,10 +35,14 @@ def draw(axes, model, q, x, title, scale=1.0, around=None):
     entry each. around: corners of what is shown, (2, 2), m.
     """
     from matplotlib.collections import LineCollection
+    from matplotlib.ticker import MaxNLocator
 
     axes.set_title(plain(title))
     if not model.is_scene:
-        _bars(axes, x)
+        axes.bar(np.arange(len(x)), np.real(x), color=PALETTE[0])
+        axes.axhline(0.0, color=INK, linewidth=0.6)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set(xlabel="coordinate", ylabel="shape", ylim=1.1 * np.array([-1, 1]) * np.abs(x).max())
         return
     rest, moved = _ends(model, q, x, scale)
     axes.plot([], [], color=REST, label="at rest")
@@ -100,12 +104,3 @@ def _cells(axes, model, rest, moved):
     axes.add_collection(PolyCollection(cells, facecolors=MOVED, rasterized=fine, **look))
     axes.add_collection(LineCollection(plates.outlines(model, rest), colors=REST, linewidths=0.8))
     axes.add_collection(LineCollection(plates.outlines(model, moved), colors=INK, linewidths=0.7))
-
-
-def _bars(axes, x):
-    from matplotlib.ticker import MaxNLocator
-
-    axes.bar(np.arange(len(x)), np.real(x), color=PALETTE[0])
-    axes.axhline(0.0, color=INK, linewidth=0.6)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlabel="coordinate", ylabel="shape", ylim=1.1 * np.array([-1, 1]) * np.abs(x).max())

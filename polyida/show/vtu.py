@@ -32,11 +32,22 @@ def vtu(run: "Trajectory", folder: str | Path, overwrite: bool = False, frames: 
     if not run.model.drawn:
         raise InputError("export: no body of the scene has a mesh")
     folder, blocks, chosen = Path(folder), _Blocks(run.model), _chosen(run, frames)
-    _prepare(folder, overwrite)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"export folder {folder} is a file")
+    old = [*folder.glob("frame-*.vtu"), *folder.glob(COLLECTION)] if folder.exists() else []
+    if old and not overwrite:
+        raise InputError(f"export folder {folder} holds frames already: choose another folder or say overwrite")
+    folder.mkdir(parents=True, exist_ok=True)
+    for earlier in old:
+        earlier.unlink()
     for i, k in enumerate(chosen):
         blocks.mesh(run, int(k)).write(folder / _name(i), file_format="vtu")
-    _write_collection(folder / COLLECTION, run.t[chosen])
-    return folder / COLLECTION
+    path = folder / COLLECTION
+    with open(path, "w", encoding="utf-8") as file:
+        file.write('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n')
+        file.writelines(f'    <DataSet timestep="{float(t)!r}" part="0" file="{_name(i)}"/>\n' for i, t in enumerate(run.t[chosen]))
+        file.write("  </Collection>\n</VTKFile>\n")
+    return path
 
 
 def _chosen(run, frames):
@@ -51,27 +62,8 @@ def _chosen(run, frames):
     return chosen
 
 
-def _prepare(folder, overwrite):
-    """Make the folder; frames of an earlier export are removed only if overwrite is given."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"export folder {folder} is a file")
-    old = [*folder.glob("frame-*.vtu"), *folder.glob(COLLECTION)] if folder.exists() else []
-    if old and not overwrite:
-        raise InputError(f"export folder {folder} holds frames already: choose another folder or say overwrite")
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in old:
-        path.unlink()
-
-
 def _name(i):
     return f"frame-{i:05d}.vtu"
-
-
-def _write_collection(path, times):
-    with open(path, "w", encoding="utf-8") as file:
-        file.write('<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n  <Collection>\n')
-        file.writelines(f'    <DataSet timestep="{float(t)!r}" part="0" file="{_name(i)}"/>\n' for i, t in enumerate(times))
-        file.write("  </Collection>\n</VTKFile>\n")
 
 
 class _Blocks:

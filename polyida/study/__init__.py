@@ -7,16 +7,16 @@ matrices, `energy` and `drift` what is kept over a run, `sweep` a function of on
 from importlib import import_module
 
 _PLACES = {
-    "work_precision": "kinds.work_precision",
-    "step_sizes": "kinds.work_precision",
-    "conditioning": "kinds.conditioning",
-    "energy": "kinds.kept",
-    "drift": "kinds.kept",
-    "sweep": "sweeps.sweep",
-    "Sweep": "sweeps.sweep",
-    "Isolated": "sweeps.isolation",
+    "work_precision": "precision",
+    "step_sizes": "precision",
+    "conditioning": "conditions",
+    "energy": "kept",
+    "drift": "kept",
+    "sweep": "sweeps",
+    "Sweep": "sweeps",
+    "Isolated": "isolation",
     "Result": "result",
-    "Study": "sweeps.harness",
+    "Study": "harness",
 }
 __all__ = list(_PLACES)
 

@@ -5,7 +5,7 @@ from functools import wraps
 
 import numpy as np
 
-from polyida.show.html.blocks import Picture
+from polyida.show.html import Picture
 from polyida.show.style import DASHES, INK, MARKERS, PALETTE, figure, hollow, settings
 from polyida.study.rows import positive
 
@@ -90,26 +90,22 @@ def digits(value):
     return f"{number.removesuffix('.0')}e{power}"
 
 
-def _two_decades(axis):
-    """Widen a short logarithmic axis until two whole decades are marked; label these alone: others would collide."""
-    from matplotlib.ticker import NullFormatter
-
-    low, high = np.log10(axis.get_view_interval())
-    while np.floor(high) - np.ceil(low) < 1:
-        if np.floor(high) + 1 - high < low - np.ceil(low) + 1:
-            high = np.floor(high) + 1
-        else:
-            low = np.ceil(low) - 1
-    axis.axes.set(**{f"{axis.axis_name}lim": (10**low, 10**high)})
-    axis.set_minor_formatter(NullFormatter())
-
-
 def curves(made, name, caption=""):
     """`picture` of a figure of lines. LookupError where none has a point."""
+    from matplotlib.ticker import NullFormatter
+
     if not any(len(line.get_xdata()) for axes in made.axes for line in axes.get_lines() if line.get_label()[:1] != "_"):
         raise LookupError("no rows to draw")
     for axis in [axis for axes in made.axes for axis in (axes.xaxis, axes.yaxis) if axis.get_scale() == "log"]:
-        _two_decades(axis)
+        # widen a short axis until two whole decades are marked; label these alone: others would collide
+        low, high = np.log10(axis.get_view_interval())
+        while np.floor(high) - np.ceil(low) < 1:
+            if np.floor(high) + 1 - high < low - np.ceil(low) + 1:
+                high = np.floor(high) + 1
+            else:
+                low = np.ceil(low) - 1
+        axis.axes.set(**{f"{axis.axis_name}lim": (10**low, 10**high)})
+        axis.set_minor_formatter(NullFormatter())
     return picture(made, name, caption)
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from polyida.brief import cut
 from polyida.errors import InputError
 from polyida.machine import machine_info
-from polyida.show.html.blocks import shown
-from polyida.show.page import finite
-from polyida.study.sweeps.isolation import plain
+from polyida.show.html import shown
+from polyida.show.report import finite
+from polyida.study.isolation import plain
 
 if TYPE_CHECKING:
     from pandas import DataFrame

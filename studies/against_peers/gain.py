@@ -16,7 +16,7 @@ from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
 from polyida.study.drawing import curves, drawn, legend, loglog, panels
-from polyida.study.reference.families import explicit
+from polyida.study.families import explicit
 from step_cost.measure import model_of
 from step_cost.side import cells_for
 from work_precision.integrators import cheapest

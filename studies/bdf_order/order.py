@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from polyida.body.material import Material
+from polyida.body.plate import Material
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
@@ -13,8 +13,8 @@ from polyida.integrate.sizes import typical_sizes
 from polyida.integrate.start import consistent_state
 from polyida.problems import plates
 from polyida.run.solve import solve
-from polyida.study.comparison.compare import watch
-from polyida.study.comparison.job import Job
+from polyida.study.chosen import Job
+from polyida.study.compare import watch
 
 
 @lru_cache(maxsize=8)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from levels.scenes import at_level, problem_of
-from polyida.body.point_mass import PointMass
+from polyida.body.rigid_body import PointMass
 from polyida.force.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA

@@ -6,8 +6,7 @@ reference.
 
 import numpy as np
 
-from polyida.body.material import Material
-from polyida.body.plate import Plate
+from polyida.body.plate import Material, Plate
 from polyida.force.loads import PointLoad
 from polyida.integrate.statics.static import static
 from polyida.joint.joints import Clamp

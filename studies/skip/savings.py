@@ -12,7 +12,7 @@ import numpy as np
 from polyida.assembly import equilibrium
 from polyida.assembly.rows import joints as joint_rows
 from polyida.assembly.scene_model import SceneModel
-from polyida.body.point_mass import PointMass
+from polyida.body.rigid_body import PointMass
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.ida.integrator import IDA

@@ -17,7 +17,7 @@ from polyida.integrate.start import consistent_state, start_values
 from polyida.linear.kkt import KKT, scaling_factors
 from polyida.problems import plates
 from polyida.run.solve import solve
-from polyida.study.reference.families import explicit
+from polyida.study.families import explicit
 
 PARTS = ("q", "v", "a", "lam")
 STEPS = 4  # of each h at tiny steps

@@ -3,8 +3,7 @@
 import numpy as np
 
 from polyida import mesh
-from polyida.body.material import Material
-from polyida.body.plate import Plate
+from polyida.body.plate import Material, Plate
 from polyida.body.rigid_body import RigidBody
 from polyida.force.contact import Contact
 from polyida.joint.attachment import ground

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from polyida.io.file.layout import FRAMES
+from polyida.io.layout import FRAMES
 from polyida.io.load import load
 from polyida.problems import plates
 from polyida.run.resume import resume
 from polyida.run.solve import solve
-from polyida.study.sweeps.harness import Study, results
+from polyida.study.harness import Study, results
 from stress.outcome import Check, integrator
 
 FLUSH, STRETCH = 50, 256  # steps between flushes; steps that the compiled code takes in one go

@@ -3,9 +3,8 @@
 import numpy as np
 
 from polyida import mesh, profile
-from polyida.body.material import Material
-from polyida.body.plate import Plate
-from polyida.body.point_mass import PointMass
+from polyida.body.plate import Material, Plate
+from polyida.body.rigid_body import PointMass
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.joint.attachment import ground
 from polyida.joint.joints import AngleMotor, Clamp, Revolute

@@ -12,8 +12,8 @@ import numpy as np
 from polyida import problems, profile
 from polyida.force.loads import PointLoad
 from polyida.problems import plates
-from polyida.study.kinds.work_precision import work_precision
-from polyida.study.reference.agreed import BY_ENERGY_MOMENTUM, BY_EXPLICIT, FINEST, agreed, given
+from polyida.study.precision import work_precision
+from polyida.study.references import BY_ENERGY_MOMENTUM, BY_EXPLICIT, FINEST, agreed, given
 from polyida.study.subject import Subject, subject
 from work_precision.integrators import integrator
 

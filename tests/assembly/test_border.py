@@ -9,7 +9,7 @@ from polyida.assembly.stabilised_border import stabilised_room
 from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.jit import entry
 from polyida.linear.elimination import eliminate
-from polyida.problems.mechanisms.n_four_bar import n_four_bar
+from polyida.problems.n_four_bar import n_four_bar
 
 C = {"real": 2e3, "complex": 2e3 * (0.66 + 0.75j)}
 

@@ -5,7 +5,7 @@ import pytest
 
 import polyida as pi
 from polyida.assembly.hints import deformation
-from polyida.body.material import Material
+from polyida.body.plate import Material
 from polyida.problems import plates
 
 HINT = "may as well be rigid"

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 import polyida as pi
-from polyida.cli import complete, scripts
+from polyida.cli import names, options
 from polyida.cli.main import app, main
 from polyida.cli.study import PROGRAM
-from polyida.study.comparison.chosen import KNOWN
+from polyida.study.chosen import KNOWN
 
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]
 SCRIPT = '''"""Squares of numbers: a study that comes along.
@@ -22,7 +22,7 @@ Further lines say more.
 
 from parts.square import square
 from polyida.cli.study import main
-from polyida.study.sweeps.harness import Study
+from polyida.study.harness import Study
 
 STUDY = Study("some_squares", "squares", lambda quick: [{"number": k} for k in range(2 if quick else 5)], square,
               lambda rows: {"largest": rows[-1]["square"]}, isolated=True, fresh=False)
@@ -49,7 +49,7 @@ def installed(tmp_path, monkeypatch):
     (place / "some_squares.py").write_text(SCRIPT)
     here.mkdir()
     monkeypatch.chdir(here)
-    monkeypatch.setattr(scripts, "folder", lambda: place)
+    monkeypatch.setattr(names, "folder", lambda: place)
     yield here
     for name in [name for name in sys.modules if name == "parts" or name.startswith("parts.")]:
         del sys.modules[name]
@@ -64,10 +64,10 @@ def answer(capsys, *args, code=0):
 
 def test_the_studies_of_a_clone_are_found_and_told_in_a_line():
     package = Path(pi.__file__).parent
-    assert scripts.folder() in (package.parent / "studies", package / "studies")
-    found = scripts.scripts()
+    assert names.folder() in (package.parent / "studies", package / "studies")
+    found = names.scripts()
     assert {"work-precision", "bdf-order", "digits"} <= set(found)
-    assert all(scripts.title(path) and "\n" not in scripts.title(path) for path in found.values())
+    assert all(names.title(path) and "\n" not in names.title(path) for path in found.values())
 
 
 @pytest.mark.parametrize("name", ["some-squares", "some_squares"])
@@ -152,11 +152,11 @@ def test_names_and_files_are_completed():
     Path("mine.py").write_text("")
     Path("my folder").mkdir()
     Path("my folder/deep.py").write_text("")
-    assert complete.scenes("double") == ["double-plate", "double-plate-motors"] and complete.scenes("m") == ["mine.py", "my folder/"]
-    assert complete.scenes("my folder/") == ["my folder/deep.py"]
-    assert complete.integrators("alpha,i") == ["alpha,ida"] and "alpha,mine.py" in complete.integrators("alpha,")
-    assert complete.studies("work_p") == ["work-precision"]
-    assert set(complete.ALIASES) == set(KNOWN)
+    assert options.scenes("double") == ["double-plate", "double-plate-motors"] and options.scenes("m") == ["mine.py", "my folder/"]
+    assert options.scenes("my folder/") == ["my folder/deep.py"]
+    assert options.integrators("alpha,i") == ["alpha,ida"] and "alpha,mine.py" in options.integrators("alpha,")
+    assert options.studies("work_p") == ["work-precision"]
+    assert set(options.ALIASES) == set(KNOWN)
 
 
 def test_the_shell_is_told_names_without_a_heavy_import():

@@ -2,20 +2,20 @@
 
 import pytest
 
-from polyida.cli.screen import progress
+from polyida.cli import screen
 
 
 @pytest.fixture
 def clock(monkeypatch):
     """A clock that is set by hand."""
     now = [100.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(screen.time, "monotonic", lambda: now[0])
     return now
 
 
 def test_a_study_s_time_left_counts_what_was_run_and_not_what_was_read(clock):
     told = []
-    tell = progress.Parts("study", lambda *given: told.append(given))
+    tell = screen.Parts("study", lambda *given: told.append(given))
     tell(0, 10, {"x": 0})
     for done in range(1, 5):  # four are there already
         clock[0] += 1e-3
@@ -28,15 +28,15 @@ def test_a_study_s_time_left_counts_what_was_run_and_not_what_was_read(clock):
 
 
 def test_a_stage_s_time_left_is_that_at_its_pace(clock):
-    stages = progress.Stages()
+    stages = screen.Stages()
     assert stages.left("alpha", 0.0) is None
     clock[0] += 30.0
     assert stages.left("alpha", 0.25) == pytest.approx(90.0) and stages.left("IDA", 0.5) is None
-    assert progress.in_words(3723.4) == "1:02:03 left" and progress.in_words(None) == ""
+    assert screen.in_words(3723.4) == "1:02:03 left" and screen.in_words(None) == ""
 
 
 def test_without_a_terminal_there_is_a_line_now_and_then(clock, capsys):
-    with progress.bars() as tell:
+    with screen.bars() as tell:
         for k in range(101):
             tell("alpha", k / 100)
             clock[0] += 1.0

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from polyida.cli.screen import tables
-from polyida.cli.screen.tables import Grid
+from polyida.cli import screen
+from polyida.cli.screen import Grid
 
 NUMBER = re.compile(r"-?\d\.\d+e[+-]\d+")
 RUNS = Grid(
@@ -24,7 +24,7 @@ SWEEP = Grid(
 
 def printed(capsys, monkeypatch, width, *grids):
     monkeypatch.setenv("COLUMNS", str(width))
-    tables.show("a title", *grids, whole="report.html")
+    screen.show("a title", *grids, whole="report.html")
     return capsys.readouterr().out
 
 
@@ -52,7 +52,7 @@ def test_empty_columns_go_first_then_those_of_one_value_then_details(capsys, mon
 
 def test_texts_take_the_lines_that_they_need(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
-    tables.texts(["name", "what it is"], [["double-plate-motors", "Two plates with a motor in each joint."]])
+    screen.texts(["name", "what it is"], [["double-plate-motors", "Two plates with a motor in each joint."]])
     said = capsys.readouterr().out
     assert "double-plate-motors" in said and max(map(len, said.splitlines())) <= 40
     assert " ".join(said.replace("double-plate-motors", "").split()).endswith("Two plates with a motor in each joint.")

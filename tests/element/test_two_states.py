@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from polyida.element import kernels
-from polyida.element.paired import two_states
+from polyida.element import kernels, two_states
 from polyida.element.virtual import reference_operator as virtual
 
 TAU = 0.03

@@ -8,7 +8,7 @@ import pytest
 
 import polyida as pi
 from polyida.integrate import switches
-from polyida.study.reference.missed import announces
+from polyida.study.references import announces
 
 INTEGRATORS = {
     "radau": (pi.RadauIIA(), 1e-2),

@@ -111,7 +111,7 @@ def test_the_longest_name_there_is(model, whole, tmp_path):
 KILLED = """
 import os, signal, sys
 import polyida as pi
-from polyida.io.file import writer
+from polyida.io import writer
 writer._move_new = lambda *names: os.kill(os.getpid(), signal.SIGKILL)
 model = pi.problems.get("pendulum").model
 pi.solve(model, 1.0, pi.GeneralizedAlpha(h=1e-3), q0=[-1.0, 0.0], out=sys.argv[1])
@@ -129,7 +129,7 @@ def test_what_a_killed_start_left_is_removed_by_the_next(model, whole, tmp_path)
     os.utime(left, (0, time.time() - 3600))
     held = tmp_path / ".polyida-held.part"
     with open(held, "wb") as file:
-        from polyida.io.file.lock import lock
+        from polyida.io.layout import lock
 
         lock(file)
         os.utime(held, (0, time.time() - 3600))

@@ -139,7 +139,7 @@ def test_rest_has_no_slopes_and_no_nan():
 
 
 def test_long_runs_are_read_in_pieces(motion, monkeypatch):
-    monkeypatch.setattr("polyida.objective.means.time_mean.frames_at_once", lambda width: 2)
+    monkeypatch.setattr("polyida.objective.time_mean.frames_at_once", lambda width: 2)
     asked = []
 
     class Frames(np.ndarray):

@@ -8,7 +8,7 @@ import pytest
 import polyida as pi
 from polyida import problems
 from polyida.errors import InputError
-from polyida.problems.mechanisms import four_bar, peaucellier, slider_crank, two_link_arm
+from polyida.problems import four_bar, peaucellier, slider_crank, two_link_arm
 
 NAMES = ("slider-crank", "four-bar", "two-link-arm", "peaucellier")
 SHAPES = {"four-bar": four_bar, "two-link-arm": two_link_arm, "peaucellier": peaucellier}

@@ -3,8 +3,7 @@ import threading
 import pytest
 
 from polyida.show import plots, press, style
-from polyida.show.numbers import csv
-from polyida.show.press import KINDS, Press
+from polyida.show.press import KINDS, Press, csv
 
 
 @pytest.fixture

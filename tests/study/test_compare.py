@@ -13,9 +13,9 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.problems import plates
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.solve import solve
-from polyida.show.page import gap
-from polyida.study.comparison.compare import compare, integrators, refine, watch
-from polyida.study.comparison.job import Job, load
+from polyida.show.report import gap
+from polyida.study.chosen import Job, load
+from polyida.study.compare import compare, integrators, refine, watch
 
 
 @pytest.fixture(scope="module")

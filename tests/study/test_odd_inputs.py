@@ -7,8 +7,8 @@ import pytest
 
 import polyida as pi
 from polyida.errors import InputError
-from polyida.show.numbers import csv
-from polyida.study.reference.agreed import agreed
+from polyida.show.press import csv
+from polyida.study.references import agreed
 from polyida.study.report import write
 from polyida.study.subject import subject
 

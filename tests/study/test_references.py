@@ -11,11 +11,11 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.start import consistent_acceleration
 from polyida.model import Model
-from polyida.problems import andrews_digits, plates
+from polyida.problems import andrews, plates
 from polyida.run.solve import solve
-from polyida.study.kinds.precision import short
-from polyida.study.reference import agreed, families
-from polyida.study.reference.families import last_state
+from polyida.study import families, references
+from polyida.study.families import last_state
+from polyida.study.precision import short
 from polyida.study.rows import errors
 from polyida.study.subject import Subject
 from step_size_sensitivity.errors import smooth
@@ -91,7 +91,7 @@ def test_explicit_runs_come_as_near_as_the_digits_are_known(name):
 
 def test_printed_digits_of_andrews_are_farther_off_than_what_is_known():
     p = problems.get("andrews")
-    for part, error in p.errors(**andrews_digits.PRINTED).items():
+    for part, error in p.errors(**andrews.PRINTED).items():
         assert 100 * p.known_to[part] < error < 1e-6 * np.abs(p.reference[part]).max()
 
 
@@ -101,7 +101,7 @@ def pair_of(apart):
 
     def other(subject, level):
         asked.append(level)
-        return f"other {level}", {part: value + apart[level] for part, value in agreed._radau(subject, level)[1].items()}
+        return f"other {level}", {part: value + apart[level] for part, value in references._radau(subject, level)[1].items()}
 
     return asked, other
 
@@ -114,14 +114,14 @@ def swing():
 def test_a_reference_is_known_as_well_as_an_unlike_method_agrees():
     """Not as well as it agrees with itself: what both runs of one family share is seen."""
     asked, other = pair_of((1e-3, 1e-3, 1e-3))
-    found = agreed.agreed(swing(), others=(other,))
+    found = references.agreed(swing(), others=(other,))
     assert found["known_to"] == {part: pytest.approx(1e-3) for part in families.PARTS} and asked == [0, 1]  # no nearer: no further level
-    assert np.array_equal(found["q"], agreed._radau(swing(), 0)[1]["q"]) and [how[:5] for how in found["made_by"]] == ["Radau", "other"]
+    assert np.array_equal(found["q"], references._radau(swing(), 0)[1]["q"]) and [how[:5] for how in found["made_by"]] == ["Radau", "other"]
 
 
 def test_a_reference_is_refined_until_it_is_known_to_a_tenth_of_what_is_measured():
     asked, other = pair_of((1e-3, 1e-5, 1e-7))
-    found = agreed.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 2e-4), others=(other,))
+    found = references.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 2e-4), others=(other,))
     assert asked == [0, 1] and found["known_to"]["q"] == pytest.approx(1e-5)
 
 
@@ -130,9 +130,9 @@ def test_each_part_is_known_as_well_as_it_can_be():
     apart = {"q": (1e-3, 1e-5, 1e-7), "v": (1e-3, 1e-5, 1e-7), "lam": (1e-6, 2e-6, 1.1e-6)}
 
     def other(subject, level):
-        return f"other {level}", {part: value + apart[part][level] for part, value in agreed._radau(subject, level)[1].items()}
+        return f"other {level}", {part: value + apart[part][level] for part, value in references._radau(subject, level)[1].items()}
 
-    known = agreed.agreed(swing(), others=(other,))["known_to"]
+    known = references.agreed(swing(), others=(other,))["known_to"]
     assert known == {"q": pytest.approx(1e-7), "v": pytest.approx(1e-7), "lam": pytest.approx(1e-6, rel=1e-3)}
 
 
@@ -143,7 +143,7 @@ def test_what_two_methods_share_is_seen_by_how_far_a_finer_run_moves():
     scene.add(pi.Revolute(pi.ground, bar.at("left")))
     scene.add(pi.PointLoad(bar.at("right"), (3.0, 5.0), pi.profile.linear(0.0, 1.0, 0.1), name="load"))
     motion = Subject("kink", scene.build(), 0.1001)
-    found = agreed.agreed(motion, lambda values: dict.fromkeys(families.PARTS, 1e-3), others=(agreed._radau,))
+    found = references.agreed(motion, lambda values: dict.fromkeys(families.PARTS, 1e-3), others=(references._radau,))
     off = families.distance(found, families.by_explicit(motion.model, motion.t_end, 2.3e-14))
     assert all(off[part] <= found["known_to"][part] for part in off) and found["known_to"]["q"] < 1e-9
 
@@ -153,13 +153,13 @@ def test_another_family_is_asked_where_one_does_not_come_there_or_near():
         raise RuntimeError("it broke")
 
     (_, far), (_, near) = pair_of((1e-3,) * 3), pair_of((1e-6,) * 3)
-    found = agreed.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 1e-4), others=(broken, far, near))
+    found = references.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 1e-4), others=(broken, far, near))
     assert found["known_to"]["q"] == pytest.approx(1e-6, rel=1e-3) and found["failed"] == ["it broke"]
-    assert agreed.agreed(swing(), others=(broken,)) == {"failed": ["it broke"]}
+    assert references.agreed(swing(), others=(broken,)) == {"failed": ["it broke"]}
 
 
 def test_a_stiff_reference_shares_no_family_with_its_judge():
-    given = cases.by_two("pair", smooth("load", 4), 0.02, agreed.BY_ENERGY_MOMENTUM).reference
+    given = cases.by_two("pair", smooth("load", 4), 0.02, references.BY_ENERGY_MOMENTUM).reference
     off = families.distance(given, families.by_explicit(smooth("load", 4), 0.02, 1e-11))
     assert all(off[part] <= 1.5 * given["known_to"][part] for part in off) and given["made_by"][1].startswith("energy-momentum")
 
@@ -202,7 +202,7 @@ class Bump(Model):
 def test_a_force_that_both_methods_step_over_is_not_known(push):
     """They agree to round-off; the energy says where it ends."""
     motion = Subject("bump", Bump(push), 1.0, [0.0], [1.0])
-    found = agreed.agreed(motion)
+    found = references.agreed(motion)
     work = push * 1e-3 * 16 / 15
     gap = abs(found["v"][0] - (np.sqrt(1.0 - 2.0 * work) if work < 0.5 else -1.0))
     assert gap <= found["known_to"]["v"] and found["looked_at"] == pytest.approx(1.0 / 4000)
@@ -214,14 +214,14 @@ def test_a_contact_is_known_as_well_as_two_methods_agree():
     body = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, velocity=(1.0, 0.0)))
     scene.add(pi.Contact(pi.ground.at((0.5, 0.0)), body.at("c"), stiffness=1e6, radius=0.01, exponent=1.5))
     model = scene.build()
-    found = agreed.agreed(Subject("contact", model, 1.0), others=(agreed.BY_BDF,))
+    found = references.agreed(Subject("contact", model, 1.0), others=(references.BY_BDF,))
     assert abs(found["v"][0] + 1.0) <= found["known_to"]["v"]
 
 
 def test_smooth_forces_of_a_model_of_one_s_own_leave_a_reference_known():
     """Never nearer than round-off."""
-    found = agreed.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 1e-8))
-    assert found["known_to"]["q"] < 1e-9 and not any(agreed._radau(swing(), 0)[2].values())
+    found = references.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 1e-8))
+    assert found["known_to"]["q"] < 1e-9 and not any(references._radau(swing(), 0)[2].values())
     assert all(known >= 1e-14 * np.abs(found[part]).max() for part, known in found["known_to"].items())
 
 

@@ -12,7 +12,7 @@ from against_peers import gain
 from designed_in_motion.machines import MACHINES
 from mbb_beam.beam import mesh_of
 from polyida.cli import study as cli_study
-from polyida.study import drawing, findings, report
+from polyida.study import drawing, report
 from polyida.study.rows import fitted
 from work_precision import tip_accuracy
 from work_precision.selection import left_out, not_run, tasks
@@ -224,26 +224,26 @@ def test_all_rows_failed(name, tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("name", STUDIES)
 def test_each_single_row_failed(name, monkeypatch):
     study, rows = STUDIES[name], rows_of(STUDIES[name])
-    monkeypatch.setattr("polyida.study.findings.failures", lambda study, rows: [])
+    monkeypatch.setattr("polyida.study.report.failures", lambda study, rows: [])
     silent = study.__class__(**{**study.__dict__, "draw": lambda rows: []})
-    whole = findings.findings(silent, rows)
+    whole = report.findings(silent, rows)
     assert all(np.isfinite(whole.figures[key]) for key in REQUIRED.get(name, ()))
     assert not [line for line in whole.notes if "not formed" in line]
     for k, task in enumerate(study.tasks(True)):
         broken = rows[:k] + [task | BROKEN] + rows[k + 1 :]
-        assert not [line for line in findings.findings(silent, broken).notes if "not formed" in line], task
+        assert not [line for line in report.findings(silent, broken).notes if "not formed" in line], task
 
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_what_can_be_drawn_is_drawn(name):
     study, rows = STUDIES[name], rows_of(STUDIES[name])
-    whole = findings.findings(study, rows)
+    whole = report.findings(study, rows)
     assert whole.pictures and not [line for line in whole.notes if "not formed" in line]
     assert all(len(picture.caption) > 20 for picture in whole.pictures), [picture.name for picture in whole.pictures]
     few = rows[:: max(1, len(rows) // 5)]
     for row in few:
         broken = [{key: row[key] for key in study.tasks(True)[0] if key in row} | BROKEN if other is row else other for other in few]
-        found = findings.findings(study, broken)
+        found = report.findings(study, broken)
         assert found.pictures and all(line.endswith("no rows to draw") for line in found.notes if line.startswith("not formed"))
 
 
@@ -258,7 +258,7 @@ def test_a_part_that_cannot_be_formed_keeps_no_other_from_it(tmp_path, monkeypat
 
 
 def findings_study(bad):
-    from polyida.study.sweeps.harness import Study
+    from polyida.study.harness import Study
 
     return Study(
         "two",
@@ -291,9 +291,9 @@ def test_what_the_short_selection_leaves_out_is_told():
     def of(quick):
         return [{"name": name, "h": h, "quick": quick} for name in ("a" if quick else "abc") for h in ((1,) if quick else (1, 2, 0.5))]
 
-    (line,) = findings.shortened(replace(findings_study(dict), tasks=of))
+    (line,) = report.shortened(replace(findings_study(dict), tasks=of))
     assert line == "the short selection has 1 runs, the full one 9; not in the short one: name b, c; h 2, 0.5"
-    assert findings.shortened(findings_study(dict)) == []
+    assert report.shortened(findings_study(dict)) == []
 
 
 def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):

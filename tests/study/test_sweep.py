@@ -452,7 +452,7 @@ def test_a_row_of_another_case_is_not_taken_for_this_one_s(tmp_path):
 
 def test_a_row_that_cannot_be_written_is_told_with_those_that_are_kept(tmp_path, monkeypatch):
     """A full disk, and a folder in the place of a row."""
-    from polyida.study.sweeps import harness
+    from polyida.study import harness
 
     whole, written = harness.write_whole, []
 

@@ -12,7 +12,7 @@ from polyida.adjoint.parameters.parameter import OfPart, Shared
 from polyida.assembly.bodies.motion import motion_of
 from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
-from polyida.body.point_mass import PointMass
+from polyida.body.rigid_body import PointMass
 from polyida.force.loads import EdgeTraction, PointLoad
 from polyida.given import complex_of_pairs
 

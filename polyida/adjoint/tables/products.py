@@ -8,8 +8,7 @@ import numpy as np
 from polyida.assembly.bodies import compact
 from polyida.assembly.own.laws import add_own_curvature
 from polyida.assembly.rows import joints
-from polyida.element import kernels, stabilisation
-from polyida.element.paired import product
+from polyida.element import cell_products, kernels, stabilisation
 from polyida.jit import entry, pack, part
 from polyida.linear.dense import clear
 
@@ -122,9 +121,11 @@ def plate_products(s, viscosity, u, v, w, rotation, x):
         weights, c1, nu = s.weights[p[3] : e[3]], s.body_c1[b], s.body_nu[b]
         indptr, indices, mass = s.indptr[p[5] : e[5]], s.indices[p[6] : e[6]], s.mass[p[6] : e[6]]
         if viscosity is None:
-            product.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, w, x.stiff, rotation)
+            cell_products.stiffness_product(layout, corners, gradients, weights, n0, c1, nu, u, w, x.stiff, rotation)
         else:
-            product.viscous_products(layout, corners, gradients, weights, n0, c1, nu, viscosity[b], u, v, w, x.stiff, x.slowing, rotation)
+            cell_products.viscous_products(
+                layout, corners, gradients, weights, n0, c1, nu, viscosity[b], u, v, w, x.stiff, x.slowing, rotation
+            )
             if s.body_drag[b] != 0.0:
                 kernels.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w, x.slowing)
         kernels.mass_product(indptr, indices, mass, s.body_density[b], n0, w, x.heavy)

@@ -7,8 +7,7 @@ import numpy as np
 
 from polyida.assembly.bodies import compact
 from polyida.assembly.equilibrium import cells, on_pattern, tangent_blocks
-from polyida.element import kernels
-from polyida.element.paired import two_states
+from polyida.element import kernels, two_states
 from polyida.jit import entry
 
 

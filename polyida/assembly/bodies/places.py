@@ -5,8 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.body.body import Body, form_of, mass_of, rest_of, translation_of
-from polyida.body.own_part import writes
+from polyida.body.body import Body, form_of, mass_of, rest_of, translation_of, writes
 from polyida.body.plate import Plate
 from polyida.element.operator import ReferenceOperator
 from polyida.given import complex_of_pairs, pairs_of, read_only, settle

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from polyida.body.own_part import writes
+from polyida.body.body import writes
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, sides_of
 from polyida.given import complexes, floats, is_number, on_pairs, read_only, reals

@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.assembly.arrays import starts
 from polyida.assembly.own.laws import NO_ENERGY, Laws
-from polyida.body.own_part import writes
+from polyida.body.body import writes
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, Side, profiles_of, sides_of
 from polyida.given import pairs_of

@@ -10,8 +10,7 @@ from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table
 from polyida.assembly.rows.tie import constrain
 from polyida.element import kernels as elements
-from polyida.element import stabilisation
-from polyida.element.paired import two_states
+from polyida.element import stabilisation, two_states
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
 from polyida.integrate.energy.dense import ENDS, OfMiddles, missing
 from polyida.jit import entry, part

@@ -1,0 +1,187 @@
+"""The product of one body's tangent with a field, from the points of its cells: no matrix is made.
+
+    (K w)_i = int t dP G_i,  dP = D S + F dS,  D = sum_i w_i (x) G_i,  dS = C : sym(F^T D)
+
+With Kelvin-Voigt viscosity, `P = F S`, `S = C : (E + tau sym(F^T V))`, the transposed products are those of the tangents in u and in v:
+
+    K^T w: W S + (F + tau V) T,   C^T w: tau F T,   T = C : sym(F^T W)
+
+Other kernels keep the cells of a body apart: the work of each cell's forces along a second field w,
+
+    w . f = sum over the cell's points of weight P(F) : grad w      P = F S, S = D : (E + tau_v Edot)
+
+and products of fields on the node pattern, from which the work of what is constant in a cell, mass and stabilisation, follows for any
+number of frames at once. Arguments as in kernels.py; results are added to the arrays given.
+"""
+
+from polyida.element.kernels import _differences, _gradient, _room, _scatter_balanced, _scatter_turn
+from polyida.element.material import add_outer, add_rotation, add_times, carried, first_piola, second_piola, strain
+from polyida.element.two_state_material import two_state_piola, two_state_strain
+from polyida.jit import entry, part
+from polyida.jit.intrinsics import LANES, load, load2, load_integer, store, traced, zeros2, zeros4
+
+
+def symmetric_part(h, d):
+    """sym(F^T D)."""
+    f11, f12, f21, f22 = 1.0 + h[0], h[1], h[2], 1.0 + h[3]
+    e12 = 0.5 * (f11 * d[1] + f21 * d[3] + f12 * d[0] + f22 * d[2])
+    return f11 * d[0] + f21 * d[2], e12, f12 * d[1] + f22 * d[3]
+
+
+def times(d, s):
+    """D S."""
+    s11, s12, s22 = s
+    return d[0] * s11 + d[1] * s12, d[0] * s12 + d[1] * s22, d[2] * s11 + d[3] * s12, d[2] * s12 + d[3] * s22
+
+
+@traced(4)
+def piola_change(h, d, w, spherical, deviatoric):
+    """w dP along D."""
+    ball, shear = spherical * w, deviatoric * w
+    turned = times(d, second_piola(strain(h), ball, shear))
+    stretched = carried(h, second_piola(symmetric_part(h, d), ball, shear))
+    return tuple(a + b for a, b in zip(turned, stretched))
+
+
+@traced(8)
+def viscous_change(h, v, d, w, spherical, deviatoric, tau):
+    """w (D S + (F + tau V) T), then w tau F T."""
+    ball, shear = spherical * w, deviatoric * w
+    turned = times(d, second_piola(two_state_strain(h, v, tau, 0.0), ball, shear))
+    pull = second_piola(symmetric_part(h, d), ball, shear)
+    stretched, dragged = carried(h, pull), times(v, pull)
+    return tuple(a + b + tau * c for a, b, c in zip(turned, stretched, dragged)) + tuple(tau * b for b in stretched)
+
+
+@traced(4)
+def first_half(change):
+    """The first of two matrices."""
+    return change[:4]
+
+
+@traced(4)
+def second_half(change):
+    """The second."""
+    return change[4:]
+
+
+@part
+def _two_gradients(gradients, start, differences, m):
+    """H at one point of two fields, one behind the other in differences."""
+    h, d, size = zeros4(), zeros4(), 2 * m * LANES
+    for k in range(0, size, 2 * LANES):
+        g = load2(gradients, start + k)
+        h = add_outer(h, load2(differences, k), g)
+        d = add_outer(d, load2(differences, size + k), g)
+    return h, d
+
+
+@entry
+def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, u, w, f, rotation):
+    """Add K(u) w to f (N, 2); to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
+    room = _room(layout, 6, 0)
+    for b in range(layout.shape[0]):
+        m, first = layout[b, 0] - 1, layout[b, 2]
+        size = 2 * m * LANES
+        force = room[2 * size :]
+        _differences(u, corners, first, node_offset, m, room)
+        _differences(w, corners, first, node_offset, m, room[size:])
+        for k in range(0, size, 2 * LANES):
+            store(force, k, zeros2())
+        turn = zeros2()
+        for p in range(layout[b, 1]):
+            g, share = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
+            h, d = _two_gradients(gradients, g, room, m)
+            turn = add_rotation(turn, share, h)
+            change = piola_change(h, d, share, c1 * nu, c1 * (1.0 - nu))
+            for k in range(0, size, 2 * LANES):
+                store(force, k, add_times(load2(force, k), change, load2(gradients, g + k)))
+        _scatter_balanced(force, corners, first, node_offset, m, f)
+        _scatter_turn(turn, corners, first, node_offset, m, rotation)
+
+
+@entry
+def viscous_products(layout, corners, gradients, weights, node_offset, c1, nu, tau, u, v, w, f, slow, rotation):
+    """Add K(u, v)^T w to f and C(u)^T w to slow, (N, 2), of a viscous body; rotation as above."""
+    room = _room(layout, 10, 0)
+    for b in range(layout.shape[0]):
+        m, first = layout[b, 0] - 1, layout[b, 2]
+        size = 2 * m * LANES
+        rates, force, drag = room[2 * size :], room[3 * size :], room[4 * size :]
+        _differences(u, corners, first, node_offset, m, room)
+        _differences(w, corners, first, node_offset, m, room[size:])
+        _differences(v, corners, first, node_offset, m, rates)
+        for k in range(0, 2 * size, 2 * LANES):
+            store(force, k, zeros2())
+        turn = zeros2()
+        for p in range(layout[b, 1]):
+            g, share = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
+            h, d = _two_gradients(gradients, g, room, m)
+            turn = add_rotation(turn, share, h)
+            change = viscous_change(h, _gradient(gradients, g, rates, m), d, share, c1 * nu, c1 * (1.0 - nu), tau)
+            for k in range(0, size, 2 * LANES):
+                here = load2(gradients, g + k)
+                store(force, k, add_times(load2(force, k), first_half(change), here))
+                store(drag, k, add_times(load2(drag, k), second_half(change), here))
+        _scatter_balanced(force, corners, first, node_offset, m, f)
+        _scatter_balanced(drag, corners, first, node_offset, m, slow)
+        _scatter_turn(turn, corners, first, node_offset, m, rotation)
+
+
+@traced(1)
+def add_work(total, p, g):
+    """total + P : G."""
+    return total + p[0] * g[0] + p[1] * g[1] + p[2] * g[2] + p[3] * g[3]
+
+
+@entry
+def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, w, out):
+    """Add to out (blocks * LANES,), in the order of the lanes, `w . f` of each cell at displacements u, velocities v, without the
+    stabilisation; v is not read where tau_v is zero.
+    """
+    room = _room(layout, 6, 0)
+    for b in range(layout.shape[0]):
+        m, first = layout[b, 0] - 1, layout[b, 2]
+        size, total = 2 * m * LANES, load(out, b * LANES)
+        along, rate = room[size:], room[2 * size :]
+        _differences(u, corners, first, node_offset, m, room)
+        _differences(w, corners, first, node_offset, m, along)
+        if tau_v != 0.0:
+            _differences(v, corners, first, node_offset, m, rate)
+        for p in range(layout[b, 1]):
+            g, weight = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
+            h, slope = _gradient(gradients, g, room, m), _gradient(gradients, g, along, m)
+            if tau_v != 0.0:
+                d = _gradient(gradients, g, rate, m)
+                total = add_work(total, two_state_piola(h, d, weight, c1 * nu, c1 * (1.0 - nu), tau_v, 0.0), slope)
+            else:
+                total = add_work(total, first_piola(h, weight, c1 * nu, c1 * (1.0 - nu)), slope)
+        store(out, b * LANES, (total,))
+
+
+@entry
+def products(indptr, indices, node_offset, b, w, out):
+    """out (nnz,) += w_i . b_j for every pair (i, j) of a body's node pattern."""
+    for row in range(indptr.shape[0] - 1):
+        x, y = w[row + node_offset, 0], w[row + node_offset, 1]
+        for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
+            j = load_integer(indices, k) + node_offset
+            out[k] += x * b[j, 0] + y * b[j, 1]
+
+
+@entry
+def difference_products(indptr, indices, node_offset, u, w, out):
+    """out (nnz,) += w_i . (u_j - u_i) for every pair: for matrices whose rows sum to zero, without the digits of large translations."""
+    for row in range(indptr.shape[0] - 1):
+        i = row + node_offset
+        x, y, ux, uy = w[i, 0], w[i, 1], u[i, 0], u[i, 1]
+        for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
+            j = load_integer(indices, k) + node_offset
+            out[k] += x * (u[j, 0] - ux) + y * (u[j, 1] - uy)
+
+
+@entry
+def sums(places, cells, values, factors, out):
+    """out[place] += value * factors[cell] for every place, cell and value."""
+    for k in range(values.shape[0]):
+        out[places[k]] += values[k] * factors[cells[k]]

@@ -1,0 +1,164 @@
+"""Numba kernels of one body with a second field: Kelvin-Voigt viscosity (velocities), energy-momentum (end of a step).
+
+    viscous   S = D : (E + tau_v Edot), Edot = sym(F^T Fdot): no stress, no damping in any rigid motion
+    midpoint  f_i = int t F_m S_m G_i, F_m = (F_0 + F_1) / 2, S_m = D : (E_0 + E_1) / 2 (Simo, Tarnow 1992), so that
+              f . (u_1 - u_0) = W_1 - W_0; with viscosity, plus tau_v / h int t (E_1 - E_0) : D : (E_1 - E_0)
+
+Arguments as in kernels.py.
+"""
+
+import numpy as np
+
+from polyida.element.kernels import _gradient, _least, _room, _scatter_balanced, _scatter_turn
+from polyida.element.material import add, add_rotation, add_stiffness, add_times, difference, negative, watch
+from polyida.element.two_state_material import advanced, all_moduli_times, combination, two_state_moduli, two_state_piola
+from polyida.jit import entry, part
+from polyida.jit.intrinsics import LANES, gather, load, load2, load4, load8, scatter_add, spread, store, zeros2, zeros4
+
+SECOND_ALONE = (1.0, 0.0, 0.0, 1.0)
+"""State = first field, direction = second."""
+
+MEAN_AND_HALF = (0.5, 0.5, -0.5, 0.5)
+"""State = mean of the fields, direction = half their difference."""
+
+
+@entry
+def internal_force_viscous(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, f, rotation):
+    """Add elastic and viscous force at displacements u and velocities v to f; return the least det F, nan if undefined.
+
+    tau_v: relaxation time in s. rotation as in kernels.internal_force. The force dissipates v . (f - f(tau_v = 0)) =
+    tau_v int t Edot : D : Edot >= 0 (W).
+    """
+    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (tau_v, 0.0, 0.0), SECOND_ALONE, u, v, f, rotation)
+
+
+@entry
+def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, tau_v, u, v, c_q, c_v, blocks):
+    """Add c_q dg/dq + c_v dg/dv of internal_force_viscous to blocks (M, 2, 2) in one pass.
+
+    dg/dv = tau_v int t B^T D B, symmetric to round-off, positive semidefinite; dg/dq is unsymmetric where v is not a
+    rigid motion's.
+    """
+    _tangent(
+        layout,
+        corners,
+        gradients,
+        weights,
+        pairs,
+        node_offset,
+        pair_offset,
+        c1,
+        nu,
+        (tau_v, 0.0),
+        (c_q, c_q + c_v * tau_v, c_q * tau_v),
+        SECOND_ALONE,
+        u,
+        v,
+        blocks,
+    )
+
+
+@entry
+def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1, nu, viscosity, u0, u1, f, rotation):
+    """Add the energy-momentum force of the step from u0 to u1 to f; return the least det F(u1), nan if undefined.
+
+    viscosity = tau_v / h, no unit, 0 for an elastic body. The force has no resultant, and no moment about any point
+    at the mean positions. rotation as in kernels.internal_force, of F_m.
+    """
+    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (2.0 * viscosity, 1.0, 1.0), MEAN_AND_HALF, u0, u1, f, rotation)
+
+
+@part
+def _fields(a, b, corners, start, node_offset, m, mix, out):
+    """State and direction of the corners against the last one, into out: m pairs of the one, then m of the other."""
+    state, direction, size = mix[:2], mix[2:], 2 * m * LANES
+    last_a = gather(a, corners, start + m * LANES, node_offset)
+    last_b = gather(b, corners, start + m * LANES, node_offset)
+    for i in range(m):
+        own_a = difference(gather(a, corners, start + i * LANES, node_offset), last_a)
+        own_b = difference(gather(b, corners, start + i * LANES, node_offset), last_b)
+        store(out, 2 * i * LANES, combination(own_a, own_b, state[0], state[1]))
+        store(out, size + 2 * i * LANES, combination(own_a, own_b, direction[0], direction[1]))
+
+
+@part
+def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, mix, a, b, f, rotation):
+    """Force of the fields that `mix` makes of a and b; response = (rate, square, part of d added to see det F)."""
+    room = _room(layout, 6, 0)
+    seen = spread(np.inf), spread(0.0)
+    rate, square, ahead = response
+    for k in range(layout.shape[0]):
+        m, first = layout[k, 0] - 1, layout[k, 2]
+        size = 2 * m * LANES
+        direction, force = room[size:], room[2 * size :]
+        _fields(a, b, corners, first, node_offset, m, mix, room)
+        for i in range(0, size, 2 * LANES):
+            store(force, i, zeros2())
+        turn = zeros2()
+        for p in range(layout[k, 1]):
+            g, w = layout[k, 3] + p * size, load(weights, layout[k, 4] + p * LANES)
+            h, d = _gradient(gradients, g, room, m), _gradient(gradients, g, direction, m)
+            seen, turn = watch(seen, advanced(h, d, ahead)), add_rotation(turn, w, h)
+            stress = two_state_piola(h, d, w, c1 * nu, c1 * (1.0 - nu), rate, square)
+            for i in range(0, size, 2 * LANES):
+                store(force, i, add_times(load2(force, i), stress, load2(gradients, g + i)))
+        _scatter_balanced(force, corners, first, node_offset, m, f)
+        _scatter_turn(turn, corners, first, node_offset, m, rotation)
+    return _least(seen)
+
+
+@part
+def _tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, response, factors, mix, a, b, blocks):
+    """Unsymmetric tangent with factors (c_s, c_f, c_d) of two_state_moduli."""
+    room = _room(layout, 12, 8)
+    rate, square = response
+    for k in range(layout.shape[0]):
+        m, points, g = layout[k, 0] - 1, layout[k, 1], layout[k, 3]
+        size = 2 * m * LANES
+        direction, sums, products = room[size:], room[2 * size :], room[6 * size :]
+        _fields(a, b, corners, layout[k, 2], node_offset, m, mix, room)
+        for p in range(points):
+            start = g + p * size
+            moduli = two_state_moduli(
+                _gradient(gradients, start, room, m),
+                _gradient(gradients, start, direction, m),
+                load(weights, layout[k, 4] + p * LANES),
+                c1 * nu,
+                c1 * (1.0 - nu),
+                rate,
+                square,
+                factors,
+            )
+            for j in range(m):
+                product = all_moduli_times(moduli, load2(gradients, start + 2 * j * LANES))
+                store(products, 8 * (j * points + p) * LANES, product)
+        for i in range(0, 4 * size, 4 * LANES):
+            store(sums, i, zeros4())
+        for j in range(m):
+            for i in range(m):
+                block = zeros4()
+                for p in range(points):
+                    block = add_stiffness(
+                        block, load2(gradients, g + p * size + 2 * i * LANES), load8(products, 8 * (j * points + p) * LANES)
+                    )
+                scatter_add(blocks, pairs, layout[k, 5] + (i * (m + 1) + j) * LANES, pair_offset, block)
+                _sum_up(sums, i, block)
+                _sum_up(sums, m + j, block)
+        _scatter_last(sums, m, pairs, layout[k, 5], pair_offset, blocks)
+
+
+@part
+def _sum_up(sums, place, block):
+    store(sums, 4 * place * LANES, add(load4(sums, 4 * place * LANES), block))
+
+
+@part
+def _scatter_last(sums, m, pairs, start, pair_offset, blocks):
+    """Add the last corner's column and row: rows and columns of the tangent sum to zero."""
+    total = zeros4()
+    for i in range(m):
+        row, column = load4(sums, 4 * i * LANES), load4(sums, 4 * (m + i) * LANES)
+        scatter_add(blocks, pairs, start + (i * (m + 1) + m) * LANES, pair_offset, negative(row))
+        scatter_add(blocks, pairs, start + (m * (m + 1) + i) * LANES, pair_offset, negative(column))
+        total = add(total, row)
+    scatter_add(blocks, pairs, start + (m * (m + 1) + m) * LANES, pair_offset, total)

@@ -1,1 +1,0 @@
-"""The result file itself: what it looks like, written, locked, read through."""

@@ -1,0 +1,217 @@
+"""Abaqus' .inp: *NODE, *ELEMENT, *NSET and *ELSET (of lines) of one part, *BOUNDARY and *CLOAD on it.
+
+Other keywords are passed over. Nodes within *ASSEMBLY are reference points, not the part's. Source: the Abaqus keywords reference guide.
+"""
+
+import re
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.mesh.meshio_files import runs
+from polyida.mesh.raw import RawMesh
+
+PLANE = re.compile(r"(?:CPS|CPEG|CPE|CAX|CGAX|M3D|SFM3D|DC2D|DCAX|AC2D|R3D|STRI|S)([34689])")  # and the count of nodes
+PASSED = re.compile(r"B\d|T\dD|PIPE|RB\dD|CONN|SPRING|DASHPOT|MASS|ROTARY|GAP|F2D|R2D|SAX|SFMAX|MAX")  # lines and points
+CORNERS = {3: 3, 6: 3, 4: 4, 8: 4, 9: 4}
+MOST = 10_000_000  # members of a set
+FIXED = {"ENCASTRE": (1, 2), "PINNED": (1, 2), "XSYMM": (1,), "YSYMM": (2,), "ZSYMM": (), "XASYMM": (2,), "YASYMM": (1,)}
+
+
+def read(path):
+    """RawMesh of an .inp file; InputError names the line."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InputError(f"it cannot be read: {error.strerror or error}") from None
+    found = _Part()
+    for line, keyword, options, rows in _blocks(text):
+        take = getattr(found, "take_" + keyword.lower(), None)
+        try:
+            if take is not None:
+                take(options, rows)
+        except InputError as error:
+            raise InputError(f"*{keyword} in line {line}: {error}") from None
+        except (ValueError, IndexError, OverflowError) as error:
+            raise InputError(f"it cannot be read as .inp: *{keyword} in line {line}: {error}") from None
+    return found.raw()
+
+
+def write(mesh, path):
+    """Elements CPS3 and CPS4, sections as node sets, loads in a static step."""
+    lines = ["*HEADING", "*NODE", *(f"{i}, {x!r}, {y!r}" for i, (x, y) in enumerate(mesh.points.tolist(), 1))]
+    number = 0
+    for cells in runs(mesh):
+        lines.append(f"*ELEMENT, TYPE=CPS{cells.shape[1]}")
+        lines += [f"{number + i}, {', '.join(map(str, row))}" for i, row in enumerate((cells + 1).tolist(), 1)]
+        number += len(cells)
+    for name, nodes in mesh.sections.items():
+        lines.append(f"*NSET, NSET={_label(name)}")
+        lines += [", ".join(map(str, nodes[i : i + 16] + 1)) for i in range(0, len(nodes), 16)]
+    held = [f"{node + 1}, {axis}, {axis}" for node, fixed in mesh.supports.items() for axis, yes in enumerate(fixed, 1) if yes]
+    loads = [f"{node + 1}, {axis}, {size!r}" for node, force in mesh.loads.items() for axis, size in enumerate(force, 1)]
+    lines += ["*BOUNDARY", *held] if held else []
+    lines += ["*STEP", "*STATIC", "*CLOAD", *loads, "*END STEP"] if loads else []
+    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def _label(name):
+    if re.fullmatch(r"[A-Za-z]\w*", name):
+        return name
+    if any(sign in name for sign in '"\n\r') or len(name) > 80:
+        raise InputError(f"section {name!r} cannot be a node set: its name must be one line of at most 80 letters without quotes")
+    return f'"{name}"'
+
+
+def _blocks(text):
+    """(line number, keyword, {option: value}, rows of texts) of each keyword."""
+    block, more = None, False
+    for number, line in enumerate(text.splitlines(), 1):
+        line = line.strip()
+        if not line or line.startswith("**"):
+            continue
+        if line.startswith("*"):
+            if block:
+                yield block
+            keyword, *options = _parts(line[1:])
+            block = number, re.sub(r"\s+", "_", keyword.strip().upper()), _options(options), []
+        elif more:
+            block[2].update(_options(_parts(line)))
+        elif block:
+            block[3].append([part.strip() for part in line.removesuffix(",").split(",")])
+        more = line.endswith(",") and (more or line.startswith("*"))
+    if block:
+        yield block
+
+
+def _parts(line):
+    return re.findall(r'(?:"[^"]*"|[^,"])+', line) or [""]
+
+
+def _options(parts):
+    pairs = (part.partition("=") for part in parts)
+    return {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
+
+
+def _targets(options, rows):
+    """Numbers and names in the rows of a set."""
+    if "GENERATE" in options:
+        rows = [range(int(first), int(last) + 1, int(step[0]) if step else 1) for first, last, *step in rows]
+        if sum(map(len, rows)) > MOST:
+            raise InputError(f"it generates {sum(map(len, rows))} numbers, more than a file can have")
+    return [part for row in rows for part in row]
+
+
+class _Part:
+    """What has been read of the one part; nodes by their place in the file, sets by their names in capitals."""
+
+    def __init__(self):
+        self.points, self.places, self.cells, self.lines, self.notes = [], {}, [], {}, []
+        self.sets, self.fixed, self.forces = {}, {}, {}
+        self.in_assembly = False
+
+    def raw(self):
+        if not self.points:
+            raise InputError("it cannot be read as .inp: it has no *NODE")
+        supports = {node: (1 in axes, 2 in axes) for node, axes in self.fixed.items() if axes & {1, 2}}
+        return RawMesh(np.array(self.points), self.cells, dict(self.sets.values()), supports, self.forces, tuple(dict.fromkeys(self.notes)))
+
+    def take_assembly(self, options, rows):
+        self.in_assembly = True
+
+    def take_end_assembly(self, options, rows):
+        self.in_assembly = False
+
+    def take_include(self, options, rows):
+        raise InputError("it cannot be read as .inp: other files are not followed; put their lines here")
+
+    def take_node(self, options, rows):
+        if self.in_assembly:
+            return
+        first = len(self.points)
+        for number, *place in rows:
+            if int(number) in self.places:
+                raise InputError(f"node {number} is given twice; a mesh is of one part, write others to files of their own")
+            self.places[int(number)] = len(self.points)
+            self.points.append(([float(x or 0) for x in place] + [0.0] * 3)[:3])
+        if name := options.get("NSET"):
+            self._add(name, range(first, len(self.points)))
+
+    def take_element(self, options, rows):
+        kind = options.get("TYPE", "").upper()
+        found = PLANE.match(kind)
+        if PASSED.match(kind) and not found:
+            # elements along lines and at points: their sets are sections
+            for number, *nodes in rows if not self.in_assembly else []:
+                self.lines[int(number)] = [self.places[int(node)] for node in nodes if node.isdecimal() and int(node) in self.places]
+            if name := options.get("ELSET"):
+                self.take_elset({"ELSET": name}, [[number] for number, *_ in rows])
+            return
+        if not found:
+            raise InputError(f"holds cells of type {kind or 'none'}; only plane triangles and quads can be used")
+        count = int(found[1])
+        numbers = [int(part) for row in rows for part in row]
+        if len(numbers) % (count + 1):
+            raise InputError(f"elements of type {kind} have a number and {count} nodes; {len(numbers)} numbers are no multiple")
+        table = np.array(numbers, dtype=np.int64).reshape(-1, count + 1)[:, : CORNERS[count] + 1]
+        self.cells.append(np.array([[self._place(node, f"element {row[0]}") for node in row[1:]] for row in table.tolist()]))
+        if count > CORNERS[count]:
+            self.notes.append(f"{len(table)} {kind} became their corners, curved edges straight")
+
+    def take_elset(self, options, rows):
+        for target in _targets(options, rows):
+            if str(target).isdecimal() and int(target) in self.lines:
+                self._add(options.get("ELSET", ""), self.lines[int(target)])
+
+    def take_nset(self, options, rows):
+        name = options.get("NSET", "")
+        if self.in_assembly and "INSTANCE" not in options:
+            return
+        if "ELSET" in options:
+            self.notes.append(f"the node set {name!r} of an element set was left out")
+        for target in _targets(options, rows):
+            self._add(name, self._nodes(target, f"set {name!r}"))
+
+    def take_boundary(self, options, rows):
+        for target, first, *more in rows:
+            label = FIXED.get(first.upper())
+            axes = range(int(first), int(more[0] or first) + 1 if more else int(first) + 1) if label is None else label
+            if len(more) > 1 and float(more[1] or 0):
+                self.notes.append(f"the motion {more[1]} given to {target!r} was left out")
+                continue
+            for node in self._known(target, "support"):
+                self.fixed.setdefault(node, set()).update(axes)
+
+    def take_cload(self, options, rows):
+        for target, axis, size in rows:
+            force = {"1": (float(size), 0.0), "2": (0.0, float(size))}.get(axis)
+            if force is None:
+                self.notes.append(f"the load on {target!r} in direction {axis} was left out")
+                continue
+            for node in self._known(target, "load"):
+                self.forces[node] = tuple(np.add(self.forces.get(node, (0.0, 0.0)), force).tolist())
+
+    def _add(self, name, nodes):
+        self.sets.setdefault(name.upper(), (name, []))[1].extend(nodes)
+
+    def _place(self, number, what):
+        if int(number) not in self.places:
+            raise InputError(f"{what} names node {number}, which no *NODE before it gives")
+        return self.places[int(number)]
+
+    def _nodes(self, target, what):
+        """Nodes of a number or a set's name, that of an instance before it put aside."""
+        target = str(target).strip('"').rpartition(".")[2]
+        if target.isdecimal():
+            return [self._place(target, what)]
+        if target.upper() not in self.sets:
+            raise InputError(f"{what} names the set {target!r}, which no *NSET before it gives")
+        return self.sets[target.upper()][1]
+
+    def _known(self, target, what):
+        """The same for supports and loads, which may be on a reference point of the assembly."""
+        try:
+            return self._nodes(target, what)
+        except InputError as error:
+            self.notes.append(f"left out: {error}")
+            return []

@@ -1,0 +1,378 @@
+"""Plane domains by signed distance: negative inside, combined by minimum and maximum.
+
+A domain is a list of walls, the pieces of its boundary, each with a signed distance and its gradient, and a rule that combines their
+distances. Source of the idea: Talischi, Paulino, Pereira, Menezes, PolyMesher, Struct. Multidisc. Optim. 45 (2012).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from polyida.errors import InputError
+from polyida.given import floats, reals
+from polyida.keywords import named_keywords
+
+
+class Wall:
+    """A wall; sign: on which side of it the inside is, closed: whether it goes around."""
+
+    sign: float
+    closed = False
+
+    def faces(self, points):
+        """(n,) mask: mirror images through the wall may bound cells."""
+        return np.ones(len(points), bool)
+
+    def flipped(self):
+        """The same wall with its inside outside."""
+        return replace(self, sign=-self.sign)
+
+
+@dataclass(frozen=True, eq=False)
+class Line(Wall):
+    """coordinate[axis] = value; sign +1: the inside is below the value."""
+
+    axis: int
+    value: float
+    sign: float
+
+    def distance(self, points):
+        """(n,), m, negative inside."""
+        return self.sign * (points[:, self.axis] - self.value)
+
+    def normal(self, points):
+        """(n, 2), gradient of the distance."""
+        n = np.zeros_like(points)
+        n[:, self.axis] = self.sign
+        return n
+
+    def samples(self, lower, upper):
+        """(200, 2) points of the wall within a box."""
+        share = (np.arange(200) + 0.5) / 200
+        points = lower + share[:, None] * (upper - lower)
+        points[:, self.axis] = self.value
+        return points
+
+    def moved(self, offset):
+        """The wall moved by (x, y), m."""
+        return replace(self, value=self.value + offset[self.axis])
+
+
+@dataclass(frozen=True, eq=False)
+class Capsule(Wall):
+    """All points at the distance radius from the segment start-end (a circle where they coincide)."""
+
+    start: np.ndarray
+    end: np.ndarray
+    radius: float
+    sign: float
+    closed = True
+
+    def _from_segment(self, points):
+        along = self.end - self.start
+        share = np.clip((points - self.start) @ along / max(along @ along, 1e-300), 0.0, 1.0)
+        return points - self.start - share[:, None] * along
+
+    def distance(self, points):
+        """(n,), m, negative inside."""
+        away = self._from_segment(points)
+        return self.sign * (np.hypot(away[:, 0], away[:, 1]) - self.radius)
+
+    def normal(self, points):
+        """(n, 2), gradient of the distance (zero on the segment)."""
+        away = self._from_segment(points)
+        return self.sign * away / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-300)[:, None]
+
+    def samples(self, lower, upper):
+        """(200, 2) points of the wall, wherever they are."""
+        angle = 2 * np.pi * (np.arange(200) + 0.5) / 200
+        ray = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        ahead = ray @ (self.end - self.start) > 0.0
+        return np.where(ahead[:, None], self.end, self.start) + self.radius * ray
+
+    def moved(self, offset):
+        """The wall moved by (x, y), m."""
+        return replace(self, start=self.start + offset, end=self.end + offset)
+
+
+def project(points, wall):
+    """Nearest points on the wall (Newton along the gradient, exact for lines and circles)."""
+    for _ in range(2):
+        points = points - wall.distance(points)[:, None] * wall.normal(points)
+    return points
+
+
+def meet(points, first, second, steps=20):
+    """Points where two walls meet, by Newton from the given points; NaN where they are parallel to 2 degrees."""
+    with np.errstate(all="ignore"):
+        for _ in range(steps):
+            a, b = first.normal(points), second.normal(points)
+            da, db = first.distance(points), second.distance(points)
+            det = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+            det = np.where(np.abs(det) > 0.03, det, np.nan)
+            step = np.stack([da * b[:, 1] - db * a[:, 1], db * a[:, 0] - da * b[:, 0]], axis=1) / det[:, None]
+            points = points - step
+    return points
+
+
+def nearest(points, start, along, low=0.0, high=1.0):
+    """(edge (n,), share of it (n,)) of the place nearest to each point on the edges start + share along, low <= share <= high."""
+    x, y = points[:, :1] - start[:, 0], points[:, 1:] - start[:, 1]
+    share = np.clip((x * along[:, 0] + y * along[:, 1]) / np.sum(along**2, axis=1), low, high)
+    x -= share * along[:, 0]
+    y -= share * along[:, 1]
+    edge = np.argmin(x * x + y * y, axis=1)
+    return edge, share[np.arange(len(points)), edge]
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """vertices (k + 1, 2), the inside on the left of the way along them; closed ones end where they begin, others go on straight.
+
+    outward: whether it leaves the domain by going on at its begin and at its end, as it does at corners that are not re-entrant.
+    """
+
+    vertices: np.ndarray
+    closed: bool
+    outward: tuple[bool, bool] = (True, True)
+    sign: float = 1.0
+
+    def _nearest(self, points):
+        """(foot (n, 2), direction of the piece there (n, 2), of unit length; (n,) -1 before the begin, 1 beyond the end, 0)."""
+        along = np.diff(self.vertices, axis=0)
+        low, high = np.zeros(len(along)), np.ones(len(along))
+        if not self.closed:
+            low[0], high[-1] = -np.inf, np.inf
+        piece, share = nearest(points, self.vertices[:-1], along, low, high)
+        foot = self.vertices[piece] + share[:, None] * along[piece]
+        return foot, (along / np.hypot(*along.T)[:, None])[piece], (share > 1.0).astype(int) - (share < 0.0)
+
+    def distance(self, points):
+        """(n,), m, negative inside."""
+        foot, along, _ = self._nearest(points)
+        away = points - foot
+        right = along[:, 1] * away[:, 0] - along[:, 0] * away[:, 1]
+        return self.sign * np.where(right < 0.0, -1.0, 1.0) * np.hypot(*away.T)
+
+    def normal(self, points):
+        """(n, 2), gradient of the distance; that of the piece for points on it."""
+        foot, along, _ = self._nearest(points)
+        away = points - foot
+        outwards = np.column_stack([along[:, 1], -along[:, 0]])
+        length = np.hypot(*away.T)
+        near = length < 1e-9 * np.ptp(self.vertices, axis=0).max()
+        side = np.where(np.einsum("nx,nx->n", outwards, away) < 0.0, -1.0, 1.0)
+        return self.sign * np.where(near[:, None], outwards, side[:, None] * away / np.where(near, 1.0, length)[:, None])
+
+    def faces(self, points):
+        """(n,) mask: the foot of the point is on the chain, or where it goes on outside the domain."""
+        where = np.zeros(len(points), int) if self.closed else self._nearest(points)[2]
+        return (where == 0) | np.where(where < 0, *self.outward)
+
+    def samples(self, lower, upper):
+        """(200, 2) points of the wall, wherever they are."""
+        ends = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.vertices, axis=0).T))])
+        at = ends[-1] * (np.arange(200) + 0.5) / 200
+        return np.column_stack([np.interp(at, ends, column) for column in self.vertices.T])
+
+    def flipped(self):
+        """The same wall with its inside outside."""
+        return replace(self, sign=-self.sign, outward=tuple(not out for out in self.outward))
+
+    def moved(self, offset):
+        """The wall moved by (x, y), m."""
+        return replace(self, vertices=self.vertices + offset)
+
+
+def positive(value, what):
+    """value as a finite float > 0, else InputError."""
+    number = finite(value, what)
+    if not number > 0.0:
+        raise InputError(f"{what} is {value!r}; it must be positive")
+    return number
+
+
+def finite(value, what):
+    """value as a finite float, else InputError."""
+    given = reals(value)
+    if given is None or given.ndim:
+        raise InputError(f"{what} is {value!r}; it must be a number")
+    number = float(given.item())
+    if not np.isfinite(number):
+        raise InputError(f"{what} is {value!r}; it must be finite")
+    return number
+
+
+def place(value, what):
+    """value as two finite floats, else InputError."""
+    pair = floats(value)
+    if pair is None or pair.shape != (2,):
+        raise InputError(f"{what} is {value!r}; it must be two finite numbers (x, y)")
+    return pair
+
+
+class Domain:
+    """Base: subclasses set walls (list), lower and upper corner of the bounding box, and distance(points) -> (n,)."""
+
+    convex = False
+    walls: list
+    lower: NDArray
+    upper: NDArray
+
+    def distance(self, points: NDArray) -> NDArray:
+        """Signed distance, m: negative inside, exact at the walls, a bound elsewhere."""
+        return np.max([wall.distance(points) for wall in self.walls], axis=0)
+
+    def corners(self) -> NDArray:
+        """(n, 2) points of the boundary where two walls meet, by Newton's method from a grid over the bounding box."""
+        if self.convex:
+            return np.zeros((0, 2))
+        size = float(np.max(self.upper - self.lower))
+        grid = np.stack(np.meshgrid(*np.linspace(self.lower, self.upper, 12).T), axis=-1).reshape(-1, 2)
+        found = np.zeros((0, 2))
+        for i, first in enumerate(self.walls):
+            for second in self.walls[:i]:
+                point = meet(grid, first, second)
+                point = point[np.isfinite(point).all(axis=1)]
+                miss = np.max([np.abs(d(point)) for d in (self.distance, first.distance, second.distance)], axis=0)
+                found = np.concatenate([found, point[miss < 1e-9 * size]])
+        _, one = np.unique(np.round(found / (1e-7 * size)), axis=0, return_index=True)
+        angle = (np.arange(720) + 0.5) * (2 * np.pi / 720)
+        ring = 1e-5 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        share = np.array([np.mean(self.distance(point + ring) < 0.0) for point in found[one]])
+        return found[one][(share > 0.0) & (np.abs(share - 0.5) > 0.01)]
+
+    def on_boundary(self, points: NDArray) -> NDArray:
+        """(n,) mask: on a wall, with points of the domain nearby (walls that coincide may have none)."""
+        size = float(np.max(self.upper - self.lower))
+        on = np.abs(self.distance(points)) < 1e-9 * size
+        if self.convex:
+            return on
+        angle = (np.arange(8) + 0.3) * (np.pi / 4)
+        ring = 1e-6 * size * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return on & np.any([self.distance(points + step) < 0.0 for step in ring], axis=0)
+
+    def __or__(self, other: "Domain") -> "Union":
+        return Union(self, other)
+
+    def __sub__(self, other: "Domain") -> "Difference":
+        return Difference(self, other)
+
+    def __and__(self, other: "Domain") -> "Intersection":
+        return Intersection(self, other)
+
+
+@named_keywords
+class Rectangle(Domain):
+    """Axis-parallel rectangle; origin is its lower left corner."""
+
+    convex = True
+
+    def __init__(self, length: float, height: float, origin: ArrayLike = (0.0, 0.0)) -> None:
+        size = np.array([positive(length, "rectangle length"), positive(height, "rectangle height")])
+        self.lower = place(origin, "rectangle origin")
+        self.upper = self.lower + size
+        self.walls = [Line(0, self.lower[0], -1.0), Line(0, self.upper[0], 1.0), Line(1, self.lower[1], -1.0), Line(1, self.upper[1], 1.0)]
+
+
+@named_keywords
+class Circle(Domain):
+    """Disc, m."""
+
+    convex = True
+
+    def __init__(self, radius: float, center: ArrayLike = (0.0, 0.0)) -> None:
+        radius, center = positive(radius, "circle radius"), place(center, "circle center")
+        self.lower, self.upper = center - radius, center + radius
+        self.walls = [Capsule(center, center, radius, 1.0)]
+
+
+class Pair(Domain):
+    """Two domains as one."""
+
+    def __init__(self, first: Domain, second: Domain) -> None:
+        for part in (first, second):
+            if not isinstance(part, Domain):
+                raise InputError(f"{type(self).__name__.lower()} of {part!r}; both parts must be domains such as Rectangle or Circle")
+        self.first, self.second, self.walls = first, second, first.walls + second.walls
+
+
+@named_keywords
+class Union(Pair):
+    """Points in either domain."""
+
+    def __init__(self, first: Domain, second: Domain) -> None:
+        super().__init__(first, second)
+        self.lower, self.upper = np.minimum(first.lower, second.lower), np.maximum(first.upper, second.upper)
+
+    def distance(self, points: NDArray) -> NDArray:
+        return np.minimum(self.first.distance(points), self.second.distance(points))
+
+
+@named_keywords
+class Intersection(Pair):
+    """Points in both domains."""
+
+    def __init__(self, first: Domain, second: Domain) -> None:
+        super().__init__(first, second)
+        self.lower, self.upper = np.maximum(first.lower, second.lower), np.minimum(first.upper, second.upper)
+        if not (self.upper > self.lower).all():
+            raise InputError("intersection of two domains is empty: their bounding boxes do not overlap")
+        self.convex = first.convex and second.convex
+
+    def distance(self, points: NDArray) -> NDArray:
+        return np.maximum(self.first.distance(points), self.second.distance(points))
+
+
+@named_keywords
+class Difference(Pair):
+    """Points of the first domain that are not in the second."""
+
+    def __init__(self, first: Domain, second: Domain) -> None:
+        super().__init__(first, second)
+        self.lower, self.upper = first.lower, first.upper
+        self.walls = first.walls + [wall.flipped() for wall in second.walls]
+
+    def distance(self, points: NDArray) -> NDArray:
+        return np.maximum(self.first.distance(points), -self.second.distance(points))
+
+
+class Moved(Domain):
+    """A domain moved by an offset (x, y), m."""
+
+    def __init__(self, domain, offset):
+        self.domain, self.offset, self.convex = domain, offset, domain.convex
+        self.lower, self.upper = domain.lower + offset, domain.upper + offset
+        self.walls = [wall.moved(offset) for wall in domain.walls]
+
+    def distance(self, points: NDArray) -> NDArray:
+        return self.domain.distance(points - self.offset)
+
+    def corners(self) -> NDArray:
+        return self.domain.corners() + self.offset
+
+    def on_boundary(self, points: NDArray) -> NDArray:
+        return self.domain.on_boundary(points - self.offset)
+
+
+@named_keywords
+class Link(Domain):
+    """Bar with rounded ends and a pin hole in each: the pins' centres are (0, 0) and (length, 0) from origin.
+
+    height is the bar's width and the ends' diameter. The holes become the sections 'hole 0' and 'hole 1'.
+    """
+
+    def __init__(self, length: float, height: float, pin_radius: float, origin: ArrayLike = (0.0, 0.0)) -> None:
+        length, height = positive(length, "link length"), positive(height, "link height")
+        pin_radius = positive(pin_radius, "link pin radius")
+        if 2 * pin_radius >= min(height, length):
+            raise InputError(f"link pin radius is {pin_radius}; it must be below half its height {height} and half its length {length}")
+        left = place(origin, "link origin")
+        right = left + [length, 0.0]
+        self.lower, self.upper = left - 0.5 * height, right + 0.5 * height
+        self.walls = [
+            Capsule(left, right, 0.5 * height, 1.0),
+            Capsule(left, left, pin_radius, -1.0),
+            Capsule(right, right, pin_radius, -1.0),
+        ]

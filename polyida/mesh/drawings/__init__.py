@@ -1,1 +1,0 @@
-"""Outlines from drawings: a module a format, and what their closed curves become."""

@@ -1,0 +1,118 @@
+"""How much a joint has to bear."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from polyida.errors import InputError
+from polyida.given import complex_of_pairs, is_one_of, pairs_of, settle
+from polyida.joint.joint import Joint
+from polyida.keywords import named_keywords
+from polyida.model.differences import along
+from polyida.objective.slopes import Slopes
+from polyida.objective.time_mean import TimeMean, named, power
+from polyida.results.tables import components
+
+UNITS = ("N", "N m")
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class PeakReaction(TimeMean):
+    """`(time mean of |R|^p)^(1/p)`, R what a joint does to its side b, as `run.reaction` tells it, N or N m.
+
+    It lies below the largest |R|, the nearer the larger p. joint: by name or itself. unit: "N" or "N m", the components that are meant of
+    a joint that gives forces and a moment. Raises InputError for a p below 1 or an unknown unit, and of a run for what is no joint of its
+    scene, for a joint of both units without `unit`, and for one whose reaction is not unique.
+    """
+
+    joint: Any
+    p: float = 8.0
+    unit: str | None = None
+    _of_material = True
+
+    def __post_init__(self):
+        settle(self, p=power("PeakReaction", self.p))
+        if not (self.unit is None or is_one_of(self.unit, UNITS)):
+            raise InputError(f'PeakReaction: unit = {self.unit!r:.100} must be "N" or "N m", or None')
+
+    def _seen(self, model, span):
+        """|R|."""
+        name = self._name(model)
+        units = [unit for _, unit in components(model, name)]
+        chosen = [k for k, unit in enumerate(units) if self.unit in (None, unit)]
+        if not chosen or len({units[k] for k in chosen}) > 1:
+            raise InputError(f"PeakReaction: the reaction of {name!r} is in {' and '.join(sorted(set(units)))}; give one of these as unit")
+        columns = model.rows[name]
+
+        def look(frames):
+            told = Told(model, name, frames.t, frames.q, frames.lam[:, columns], chosen)
+            size = np.linalg.norm(told.reaction, axis=1)
+
+            def back(factor):
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    toward = np.where(size[:, None] > 0, (factor / size)[:, None] * told.reaction, 0.0)
+                lam = np.zeros_like(frames.lam)
+                lam[:, columns] = told.by_multipliers(toward)
+                return Slopes(q=told.by_coordinates(toward), lam=lam, t=lambda: told.by_time(toward))
+
+            return lambda: size, back
+
+        return look
+
+    def _name(self, model):
+        joints = {name: joint for name, joint in model.joints.items() if isinstance(joint, Joint)}
+        name = named(model, self.joint)
+        if not is_one_of(name, joints):
+            raise InputError(f"PeakReaction: no joint is called {self.joint!r:.100}; known: {', '.join(map(repr, joints)) or 'none'}")
+        if model.redundant is not None and not model.redundant.unique(name):
+            raise InputError(f"PeakReaction: the reaction of {name!r} is not unique, constraints are redundant; it has no slopes")
+        return name
+
+    def named(self, model: Any) -> "PeakReaction":
+        """By the joint's name."""
+        return replace(self, joint=self._name(model))
+
+
+class Told:
+    """The reaction of a joint over frames, (frames, chosen components), and the transposes of its slopes, by differences.
+
+    It is a function of the multipliers, of the places of the sides in the joint's rows, and of the angles by which profiles turn these.
+    """
+
+    def __init__(self, model, name, t, q, lam, chosen):
+        self.model, self.of, self.t, self.lam, self.chosen = model, model.reaction_of(name), t, lam, chosen
+        self.places = [(place, model.place(place, q)) for place in self.of.needed]
+        self.reaction = self._at()
+
+    def by_multipliers(self, toward):
+        """`dR/dlam^T toward`, (frames, rows)."""
+        return _against(lambda way: self._at(lam=self.lam + way), self.lam, toward)
+
+    def by_coordinates(self, toward):
+        """`dR/dq^T toward`, (frames, n)."""
+        found = np.zeros((len(toward), self.model.n))
+        for place, at in self.places:
+            moved = lambda way, place=place: self._at(moved=(place, complex_of_pairs(way)))  # noqa: E731
+            found += self.model.pulled(place, complex_of_pairs(_against(moved, pairs_of(at), toward)))
+        return found
+
+    def by_time(self, toward):
+        """`dR/dt^T toward` at fixed coordinates and multipliers, (frames,)."""
+        turned = lambda profile: along(lambda s: self._at(ahead=(profile, s)))  # noqa: E731
+        rates = [(turned(profile), profile.over(self.t, 1)) for profile in self.of.profiles]
+        return sum((np.sum(slope * toward, axis=1) * rate for slope, rate in rates), np.zeros(len(toward)))
+
+    def _at(self, lam=None, moved=(None, 0.0), ahead=(None, 0.0)):
+        """The reaction with other multipliers, with a place moved, or with a profile ahead of its value."""
+        places = {(id(side), part): at + moved[1] * ((side, part) == moved[0]) for (side, part), at in self.places}
+        lam = self.lam if lam is None else lam
+        return self.of(self.t, lam, lambda place: places[id(place[0]), place[1]], ahead)[:, self.chosen]
+
+
+def _against(moved, x, toward):
+    """`df/dx^T toward`, (frames, k), of f = moved(change of x (frames, k))."""
+    ways = np.abs(x).max(axis=0, initial=0.0)
+    ways = np.diag(np.where(ways > 0, ways, 1.0))
+    return np.stack([np.sum(along(lambda s, way=way: moved(s * way)) * toward, axis=1) / way.max() for way in ways], axis=1)

@@ -1,0 +1,284 @@
+"""Objectives that are means over the time of a run.
+
+With s_n >= 0 what is seen of frame n (p = 1: of any sign), `J = (sum w_n s_n^p / T)^(1/p)`, T = t_N - t_0, w_n the trapezoidal rule's. Then
+
+    dJ/ds_n = w_n / T (s_n / J)^(p - 1)
+    dJ/dt_k = (sum_n dw_n/dt_k s_n (s_n / J)^(p - 1) - J dT/dt_k) / (p T)        at fixed s
+
+in which nothing overflows, however large p and s are. A run of one frame, an equilibrium, has w = T.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from polyida.errors import InputError
+from polyida.given import complex_of_pairs, floats, is_number, is_one_of
+from polyida.integrate.kinks import inner_side
+from polyida.io.layout import frames_at_once
+from polyida.joint.attachment import Attachment
+from polyida.keywords import named_keywords
+from polyida.model.differences import along, around
+from polyida.model.guarded import guard, unguarded
+from polyida.objective.objective import Objective, asked, run_of
+from polyida.objective.slopes import Slopes
+
+NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
+FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that
+
+
+def chosen(part, model, given, known):
+    """The bodies meant among `known`, {name: one placed}: by name or itself, or all for None. Raises InputError in the name of `part`."""
+    if not model.is_scene:
+        raise InputError(f"{part}: {type(unguarded(model)).__name__} is no scene's model; write it as a pi.objective.Own")
+    if given is None and known:
+        return list(known.values())
+    name = named(model, given)
+    if not is_one_of(name, known):
+        called = f"called {given!r:.100}" if given is not None else "there"
+        raise InputError(f"{part}: no body that deforms is {called}; known: {', '.join(map(repr, known)) or 'none'}")
+    return [known[name]]
+
+
+def named(model, given):
+    """The name of a part that is given by itself; what is none of the model's as it is."""
+    return next((name for name, part in model.parts.items() if part is given), given)
+
+
+def deforming(model):
+    """{name: one placed} of a scene's bodies that deform."""
+    return {body.name: body for body in (*model.bodies, *(placed for placed in model.few if placed.deforms))}
+
+
+class Frames:
+    """The frames of a slice of a run; each array is read when it is asked for."""
+
+    def __init__(self, run, part):
+        self.run, self.part = run, part
+
+    @cached_property
+    def t(self):
+        """Times, (count,)."""
+        return np.asarray(self.run.t[self.part], float)
+
+    @cached_property
+    def q(self):
+        """(count, n)."""
+        return np.asarray(self.run.q[self.part], float)
+
+    @cached_property
+    def lam(self):
+        """(count, m)."""
+        return np.asarray(self.run.lam[self.part], float)
+
+
+class TimeMean(Objective):
+    """A mean of order p over time. _of_material: whether it depends on the model beyond what the `direct` of its slopes names."""
+
+    p: float = 1.0
+    _of_material = False
+
+    def _seen(self, model: Any, span: float) -> Callable[[Frames], tuple[Callable[[], NDArray], Callable[[NDArray], Slopes]]]:
+        """A function of Frames of a model: (a function that gives s (count,), one of dJ/ds (count,) that gives the Slopes).
+
+        span: the time from one frame to the next, s, about. Raises InputError where the model has not what is asked for.
+        """
+        raise NotImplementedError
+
+    def __call__(self, run: Any) -> float:
+        run = run_of(type(self).__name__, run)
+        return _Mean(run.t, self._sizes(run, self._of(run)), self.p).value
+
+    def slopes(self, run: Any) -> Callable[[slice], Slopes]:
+        """Those of J: what is seen is looked at once over the whole run, and again in every slice."""
+        run = run_of(type(self).__name__, run)
+        seen = self._of(run)
+        mean = _Mean(run.t, self._sizes(run, seen), self.p)
+
+        def of(part):
+            found = seen(Frames(run, part))[1](mean.shares[part])
+            of_model = (lambda model: float(mean.shares[part] @ elsewhere(model, part))) if self._of_material else None
+            return found.plus(Slopes(t=mean.by_times[part], of_model=of_model))
+
+        def elsewhere(model, part):
+            """What is seen of the frames with another model."""
+            return self.named(run.model)._seen(guard(model), _span(run))(Frames(run, part))[0]()
+
+        of.value = mean.value  # type: ignore[attr-defined]
+        return of
+
+    def _of(self, run):
+        return self._seen(guard(run.model, type(self).__name__), _span(run))
+
+    def _sizes(self, run, seen):
+        step = frames_at_once(run.q.shape[1])
+        return np.concatenate([seen(Frames(run, slice(k, k + step)))[0]() for k in range(0, len(run.t), step)])
+
+
+def _span(run):
+    return float(np.ptp(run.t)) / max(1, len(run.t) - 1)
+
+
+def rates(model: Any, function: Callable[[float], NDArray], t: NDArray, span: float) -> NDArray:
+    """The derivative of a function of time at times t, (count, ...), by differences that end at the model's kinks; span: as in `_seen`."""
+    wide = FRAMES_WIDE * (span or 1.0)
+    rooms = [around(model.kinks(at - wide, at + wide), at) for at in t]
+    return np.array([along(lambda s, at=at: function(float(at + s)), wide, room) for at, room in zip(t, rooms)])
+
+
+class _Mean:
+    """The mean of order p of sizes s (frames,) over times t, its slopes in s, `shares`, and in t at fixed s, `by_times`."""
+
+    def __init__(self, t, s, p):
+        t = np.asarray(t, float)
+        steps = np.diff(t)
+        length = float(t[-1] - t[0]) or 1.0
+        weights = np.convolve(steps, [0.5, 0.5]) if len(steps) else np.ones(1)
+        self.value = power_mean(weights / length, s, p)
+        steep = relative(s, self.value) ** (p - 1.0)
+        steep[np.abs(steep) < NOTHING * np.abs(steep).max()] = 0.0
+        self.shares = weights / length * steep
+        by_weights = s * steep
+        turned = np.convolve(by_weights[:-1] + by_weights[1:], [-0.5, 0.5]) if len(steps) else np.zeros(1)
+        if len(steps):
+            turned[[0, -1]] += self.value, -self.value
+        self.by_times = turned / (p * length)
+
+
+def power_mean(weights: NDArray, s: NDArray, p: float) -> float:
+    """`(sum weights s^p)^(1/p)`, weights of sum 1."""
+    largest = float(np.abs(s).max())
+    return largest * float(weights @ (s / largest) ** p) ** (1.0 / p) if largest else 0.0
+
+
+def relative(s: NDArray, mean: float) -> NDArray:
+    """s / mean, 0 where both are."""
+    return s / mean if mean else np.zeros_like(s)
+
+
+def power(part, p):
+    """The order of a mean as a float. Raises InputError, in the name of `part`, unless it is a number of 1 or more."""
+    if not (is_number(p) and p >= 1):
+        raise InputError(f"{part}: p = {p!r:.100} must be a number of 1 or more, such as 8")
+    return float(p)
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Compliance(TimeMean):
+    """Time mean of `f . q`, J, the work of the loads on the displacements; f = -g(t, 0, 0): gravity, loads, and all other forces at q = 0.
+
+    Of an equilibrium for small displacements, `pi.static(model, linear=True)`, it is twice the strain energy, unless constraints move or
+    springs are strained at q = 0: what topology optimisation calls compliance. Of a load that jumps in a frame its value before the jump
+    counts.
+    """
+
+    def _seen(self, model, span):
+        """f . q."""
+        still = np.zeros(model.n)
+
+        def load(t):
+            return -model.force(t, still, still)
+
+        def look(frames):
+            at = _sides(model, frames)
+            f = np.array([load(t) for t in at.tolist()])
+
+            def back(factor):
+                by_time = lambda: factor * np.sum(rates(model, load, at, span) * frames.q, axis=1)  # noqa: E731
+                rest, none = np.zeros_like(frames.q), np.zeros_like(frames.lam)
+                work = at, rest, rest, rest, none, -factor[:, None] * frames.q, none
+                return Slopes(q=factor[:, None] * f, t=by_time, work=work)
+
+            return lambda: np.sum(f * frames.q, axis=1), back
+
+        return look
+
+
+def _sides(model, frames):
+    """Times of the frames; of one at a kink the side where the steps of the run are: before it, behind it in the first frame."""
+    begin = frames.run.t[0]
+    if len(frames.run.t) == 1:
+        return frames.t
+    return np.array([inner_side(model, t, 1.0 if t > begin else -1.0) for t in frames.t.tolist()])
+
+
+@named_keywords
+@dataclass(frozen=True, eq=False)
+class Deviation(TimeMean):
+    """Time mean of `|x(t) - path(t)|^2`, m2, of a point x.
+
+    point: what `run.position` takes: the name of a mass, load or joint, the part itself, or an attachment. path: a function of time that
+    gives (x, y), m, or a constant pair. Raises InputError for a path that is neither, and of a run for a point that is not in its model.
+    """
+
+    point: Any
+    path: Callable[[float], ArrayLike] | ArrayLike
+    _of_material = True
+
+    def __post_init__(self):
+        if not callable(self.path):
+            self._place(self.path)
+
+    def named(self, model: Any) -> "Deviation":
+        """By the name of its part, or of the body that an attachment is of."""
+        body = named(model, self.point.body) if isinstance(self.point, Attachment) else None
+        return replace(self, point=OnBody(body, self.point) if isinstance(body, str) else named(model, self.point))
+
+    def _seen(self, model, span):
+        """The squared distance."""
+        point = self.point.on(model) if isinstance(self.point, OnBody) else self.point
+        pull = _pull(model, point)
+
+        def look(frames):
+            gap = model.position(point, frames.q) - [self._at(t) for t in frames.t.tolist()]
+
+            def back(factor):
+                toward = 2.0 * factor[:, None] * gap
+                return Slopes(q=pull(frames.q, toward), t=lambda: -np.sum(toward * rates(model, self._at, frames.t, span), axis=1))
+
+            return lambda: np.sum(gap**2, axis=1), back
+
+        return look
+
+    def _at(self, t):
+        advice = "; it must be a function of time"
+        return self._place(asked(f"Deviation: path({t:.6g})", self.path, t, advice=advice) if callable(self.path) else self.path)
+
+    def _place(self, given):
+        pair = floats(given)
+        if pair is None or pair.shape != (2,):
+            raise InputError(
+                f"Deviation: path = {given!r:.100} must be two finite numbers (x, y), m, or a function of time that gives them"
+            )
+        return pair
+
+
+class OnBody(NamedTuple):
+    """An attachment, and the name of its body."""
+
+    body: str
+    side: Attachment
+
+    def on(self, model):
+        """The attachment on the body of that name."""
+        return self.side.on(model.parts[self.body])
+
+
+def _pull(model, point):
+    """A function (q (frames, n), forces (frames, 2) on the point) that gives what acts on each coordinate, (frames, n)."""
+    if model.is_scene:
+        return lambda q, forces: model.pulled((model.side(point), "point"), complex_of_pairs(forces))
+    return lambda q, forces: np.einsum("fxk,fx->fk", _slopes(model, point, q), forces)
+
+
+def _slopes(model, point, q):
+    """d position/dq of a model of one's own, (frames, 2, n), by differences."""
+    sizes = np.maximum(1.0, np.abs(q).max(axis=0, initial=0.0))
+    ways = sizes[:, None] * np.eye(model.n)
+    found = [along(lambda s, way=way: model.position(point, q + s * way)) / size for size, way in zip(sizes, ways)]
+    return np.stack(found, axis=2)
