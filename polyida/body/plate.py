@@ -166,7 +166,7 @@ class Plate:
 
         Raises InputError where it selects no node.
         """
-        return of_section(self, self._of_mesh(self.mesh.section, selector), _called(selector))
+        return of_section(self, self._of_mesh(self.mesh.section, selector), selector if isinstance(selector, str) else "section")
 
     def rim(self, hole: int | str = 0) -> Attachment:
         """The rim of a hole of the mesh, by number or section name; its point is the hole's centre.
@@ -195,7 +195,3 @@ class Plate:
             return function(*arguments)
         except InputError as error:
             raise InputError(f"{self.label}: {error}") from None
-
-
-def _called(selector):
-    return selector if isinstance(selector, str) else "section"

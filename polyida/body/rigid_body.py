@@ -86,7 +86,7 @@ class RigidBody(Body):
         name: str | None = None,
     ) -> "RigidBody":
         """A slender bar along its x axis from its origin: points "left", "center", "right", inertia m l^2 / 12."""
-        given = cls.__name__ if name is None else f"{cls.__name__} {name!r}"
+        given = labelled(cls.__name__, name)
         length, mass = positive(given, "length", length, "metres"), positive(given, "mass", mass, "kilograms")
         points = {"left": (0.0, 0.0), "center": (length / 2, 0.0), "right": (length, 0.0)}
         pose: dict[str, Any] = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
@@ -108,7 +108,7 @@ class RigidBody(Body):
         """A body of a mesh's shape: mass, centre and inertia by exact integrals over its polygons; points: further ones beside "center"
         and the mean point of each section of the mesh.
         """
-        given = cls.__name__ if name is None else f"{cls.__name__} {name!r}"
+        given = labelled(cls.__name__, name)
         if not isinstance(mesh, PolygonMesh) or not isinstance(material, Material):
             raise InputError(f"{given}: from_mesh takes a polyida mesh and a polyida.Material, not {mesh!r:.60} and {material!r:.60}")
         if not (points is None or isinstance(points, Mapping)):

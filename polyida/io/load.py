@@ -38,36 +38,32 @@ def load(path: str | Path, memory_limit: float = MEMORY_LIMIT, check: bool = Tru
     stored = read(path)
     with naming(path):
         try:
-            return _trajectory(stored, memory_limit, check)
+            about, record = stored.about, stored.record
+            damage = stored.check() if check else ""
+            model, missing = _model(stored)
+            status, message, sensors = str(record["status"]), str(record["message"]), sensors_of(stored)
+            if status == "running":
+                status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
+            if damage:
+                status, message = "damaged", damage
+            return Trajectory(
+                model,
+                integrator_of(stored),
+                **stored.frames(memory_limit),
+                status=status,
+                message=message,
+                counts=stored.counts,
+                cpu_seconds=stored.seconds[0],
+                wall_seconds=stored.seconds[1],
+                machine=dict(about["machine"]),
+                restart=stored.restart,
+                plan=dict(about["plan"]),
+                missing=missing,
+                sensors=sensors,
+            )
         except BaseException:
             stored.file.close()
             raise
-
-
-def _trajectory(stored, memory_limit, check):
-    about, record = stored.about, stored.record
-    damage = stored.check() if check else ""
-    model, missing = _model(stored)
-    status, message, sensors = str(record["status"]), str(record["message"]), sensors_of(stored)
-    if status == "running":
-        status, message = ("running", STILL) if stored.live else ("interrupted", KILLED + TORN * stored.torn)
-    if damage:
-        status, message = "damaged", damage
-    return Trajectory(
-        model,
-        integrator_of(stored),
-        **stored.frames(memory_limit),
-        status=status,
-        message=message,
-        counts=stored.counts,
-        cpu_seconds=stored.seconds[0],
-        wall_seconds=stored.seconds[1],
-        machine=dict(about["machine"]),
-        restart=stored.restart,
-        plan=dict(about["plan"]),
-        missing=missing,
-        sensors=sensors,
-    )
 
 
 def sensors_of(stored):

@@ -110,26 +110,7 @@ def require_valid_cells(mesh):
         raise InputError(
             f"{_place(mesh, bad[0])} has area {area:.3g}; cells must be counter-clockwise, with positive area ({bad.size} such cells)"
         )
-    _require_simple(mesh)
-    edges = topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64)
-    sides = edges[:, 0] * mesh.n_nodes + edges[:, 1]
-    order = np.argsort(sides, kind="stable")
-    same = np.flatnonzero(sides[order][1:] == sides[order][:-1])
-    if same.size:
-        first, second = topology.corner_cells(mesh.offsets)[order[[same[0], same[0] + 1]]]
-        raise InputError(
-            f"{_place(mesh, first)} and {_place(mesh, second)} lie on the same side of the edge "
-            f"{edges[order[same[0]]].tolist()}: cells must not overlap"
-        )
-    if cells := overlapping_cells(mesh):
-        raise InputError(
-            f"{_place(mesh, cells[0])} and {_place(mesh, cells[1])} overlap: a mesh covers no place twice; "
-            "what lies on another part is a plate of its own"
-        )
-
-
-def _require_simple(mesh):
-    """A cell whose corners all turn left, once around in sum, is simple; only the others need their edges crossed."""
+    # a cell whose corners all turn left, once around in sum, is simple; only the others need their edges crossed
     turn = topology.turns(mesh.points, mesh.nodes, mesh.offsets)
     once = np.abs(np.add.reduceat(turn, mesh.offsets[:-1]) - 2 * np.pi) < 1e-6
     left = np.minimum.reduceat(turn, mesh.offsets[:-1]) > 0
@@ -149,6 +130,21 @@ def _require_simple(mesh):
         apart = np.minimum((i - j) % len(a), (j - i) % len(a)) > 1
         if folded.any() or (split & split.T & near & apart).any():
             raise InputError(f"{_place(mesh, number)} crosses or touches itself")
+    edges = topology.directed_edges(mesh.nodes, mesh.offsets).astype(np.int64)
+    sides = edges[:, 0] * mesh.n_nodes + edges[:, 1]
+    order = np.argsort(sides, kind="stable")
+    same = np.flatnonzero(sides[order][1:] == sides[order][:-1])
+    if same.size:
+        first, second = topology.corner_cells(mesh.offsets)[order[[same[0], same[0] + 1]]]
+        raise InputError(
+            f"{_place(mesh, first)} and {_place(mesh, second)} lie on the same side of the edge "
+            f"{edges[order[same[0]]].tolist()}: cells must not overlap"
+        )
+    if cells := overlapping_cells(mesh):
+        raise InputError(
+            f"{_place(mesh, cells[0])} and {_place(mesh, cells[1])} overlap: a mesh covers no place twice; "
+            "what lies on another part is a plate of its own"
+        )
 
 
 def require_convex(mesh, tolerance):

@@ -2,12 +2,13 @@
 
 import json
 from collections.abc import Iterable
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from polyida.brief import cut
+from polyida.brief import cut, table
 from polyida.errors import InputError
 from polyida.machine import machine_info
 from polyida.show.html import shown
@@ -109,31 +110,20 @@ class Result:
         lines = [[heading for heading, _ in columns.values()]]
         lines += [[cell(row.get(name), form) for name, (_, form) in columns.items()] for row in self.rows]
         widths = [max(len(line[k]) for line in lines) for k in range(len(columns))]
-        table = ["  ".join(_aligned(line[k], width, k) for k, width in enumerate(widths)).rstrip() for line in lines]
+        aligned = [(text.rjust(width) if k else text.ljust(width) for k, (text, width) in enumerate(zip(line, widths))) for line in lines]
         figures = [f"{name}: {value:.4g}" for name, value in self.figures.items()]
-        return "\n".join([self.title, *table, *figures, *filter(None, [self.lead]), *self.notes])
+        return "\n".join([self.title, *("  ".join(line).rstrip() for line in aligned), *figures, *filter(None, [self.lead]), *self.notes])
 
     def _repr_html_(self):
-        from html import escape
-
         columns = self.shown_columns()
-        head = "".join(f"<th>{escape(heading)}</th>" for heading, _ in columns.values())
-        body = "".join(
-            f"<tr>{''.join(f'<td>{escape(cell(row.get(name), form))}</td>' for name, (_, form) in columns.items())}</tr>"
-            for row in self.rows
-        )
+        rows = [[cell(row.get(name), form) for name, (_, form) in columns.items()] for row in self.rows]
         notes = "".join(f"<p>{escape(note)}</p>" for note in [self.lead, *self.notes] if note)
-        return f"<p><strong>{escape(self.title)}</strong></p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{notes}"
+        return table(self.title, [heading for heading, _ in columns.values()], rows) + notes
 
 
 def cell(value, form="{}"):
     """A value as a cell of a printed table: a dash for what is missing or not finite, long texts cut."""
     return cut(shown(value, form, "-"), CELL)
-
-
-def _aligned(text, width, column):
-    """The first column to the left, the others to the right."""
-    return text.ljust(width) if column == 0 else text.rjust(width)
 
 
 def dataset(histories):
