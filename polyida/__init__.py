@@ -9,7 +9,7 @@ _PLACES = {
     "Model": "model",
     "Needs": "model",
     "compiled": "jit.compiled",
-    "check_derivatives": "model.derivatives",
+    "check_derivatives": "model.check",
     "Material": "body.plate",
     "Plate": "body.plate",
     "PointMass": "body.rigid_body",

@@ -34,14 +34,15 @@ def versions():
 def machine_info():
     """`versions()` with processor, number of cores, threads asked for and platform, as plain data for a report."""
     threads = {"OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "not set")}
-    return versions() | _hardware() | threads | {"platform": f"{platform.system()} {platform.machine()}"}
+    return (
+        versions()
+        | {"processor": processor(), "cores": os.cpu_count()}
+        | threads
+        | {"platform": f"{platform.system()} {platform.machine()}"}
+    )
 
 
 @cache
-def _hardware():
-    return {"processor": processor(), "cores": os.cpu_count()}
-
-
 def processor():
     """Name of the processor, or the architecture where the system does not tell."""
     try:

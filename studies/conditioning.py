@@ -7,7 +7,7 @@ from conditioning import systems as conditioning
 from polyida.cli.study import main
 from polyida.integrate.ida.whole import SCALINGS as IDA_SCALINGS
 from polyida.integrate.iteration_matrix import MODES
-from polyida.linear.kkt import SCALINGS
+from polyida.linear.saddle import SCALINGS
 from polyida.study.drawing import curves, drawn, legend, loglog, nested, panels, slope_line
 from polyida.study.harness import Study
 from polyida.study.rows import every, farthest, fitted, number, pick, worst

@@ -5,7 +5,7 @@ way to take phi.
 import numpy as np
 
 from polyida.cli.study import main
-from polyida.linear.kkt import SCALINGS
+from polyida.linear.saddle import SCALINGS
 from polyida.study.drawing import curves, drawn, legend, loglog, nested, panels, slope_line
 from polyida.study.harness import Study
 from polyida.study.rows import column, each, farthest, last, number, pick, stopped, value

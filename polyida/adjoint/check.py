@@ -11,10 +11,9 @@ import numpy as np
 from polyida.adjoint.gradient import gradient
 from polyida.adjoint.history import replayed_state, step_history
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.radau.stages import begun, exact_steps, within
-from polyida.adjoint.radau.stages import step_history as radau_history
+from polyida.adjoint.radau import begun, exact_steps, within
+from polyida.adjoint.radau import step_history as radau_history
 from polyida.adjoint.run import given_velocity
-from polyida.adjoint.static_and_modal import ReplayedState
 from polyida.errors import InputError
 from polyida.given import is_whole
 from polyida.integrate.alpha.start import started
@@ -23,7 +22,9 @@ from polyida.integrate.kinks import Grid, edges
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import VIOLATION, restarted
 from polyida.integrate.state import Counts
+from polyida.integrate.statics.static import Equilibrium, static
 from polyida.keywords import named_keywords
+from polyida.modal.modes import Modes, modes
 from polyida.model.differences import EVERYWHERE, along, central
 from polyida.model.guarded import guard
 from polyida.trajectory import Trajectory
@@ -31,6 +32,7 @@ from polyida.trajectory import Trajectory
 LITTLE = 1e-3  # of J: what J changes by with a whole parameter, below which that is no measure of errors
 STEP = 1e-3 / 7e-4  # of a parameter: about a thousandth between the runs, in units of what `along` takes
 TIGHT = 1e-11  # Newton's tolerance in runs that are taken again
+TOLERANCE = 1e-13  # of that of equilibria
 ITERATIONS = 25  # of Newton's method, at least, that so tight a tolerance may take
 
 
@@ -146,3 +148,24 @@ class ReplayedRadauRun(ReplayedRun):
             engine.limits = within(model, state.t, t)
             states.append(engine.step(state, t - state.t, t))
         return states
+
+
+class ReplayedState:
+    """An Equilibrium, or Modes, to be found again; state: the equilibrium itself, or what the modes are about."""
+
+    def __init__(self, subject):
+        self.subject, self.state = subject, subject.state if isinstance(subject, Modes) else subject
+
+    def frames(self, model):
+        """What is found of another model: from the same state, or about the same where that is no equilibrium."""
+        state = self.state
+        if isinstance(state, Equilibrium):
+            state = static(model, state.t, state.q, tolerance=TOLERANCE, linear=state.linear)
+        return modes(model, state, count=len(self.subject.roots)) if isinstance(self.subject, Modes) else state
+
+    def begins(self, model):
+        """Whether a state that is held is one of another model too."""
+        if isinstance(self.state, Equilibrium):
+            return True
+        phi = guard(model).phi(self.state.t, self.state.q)
+        return bool(np.abs(phi).max(initial=0.0) <= VIOLATION * max(1.0, np.abs(self.state.q).max()))

@@ -1,4 +1,13 @@
-"""`gradient`: the value of an objective and its slopes in all parameters of the model, of whatever was solved."""
+"""`gradient`: the value of an objective and its slopes in all parameters of the model, of whatever was solved.
+
+Of an equilibrium, and of modes, by one transposed solve:
+
+    [[K^T, B^T], [B, 0]] (w, mu) = (-j_q, -j_lam),   dJ/dp = w . dr/dp + mu . dphi/dp + what J says of p itself
+
+K, B, r and phi are those at the equilibrium; of one for small displacements those of what it solves, `r = g_0 + K_0 q + B_0^T lam`,
+`phi = phi_0 + B_0 q`, all at q = 0. What J says of parameters by itself is the modes' at their state; where this is an equilibrium of
+`pi.static`, which moves with parameters, its adjoint adds what J says of q and lam. Any other state is held as it is.
+"""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -6,20 +15,25 @@ from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.alpha.backward import AlphaAdjoint
-from polyida.adjoint.radau.backward import RadauAdjoint
-from polyida.adjoint.static_and_modal import gradient_of_state
-from polyida.adjoint.totals import Gradient
+from polyida.adjoint.alpha import AlphaAdjoint
+from polyida.adjoint.parameter import AdjointMultipliers
+from polyida.adjoint.radau import RadauAdjoint
+from polyida.adjoint.totals import Gradient, Totals
 from polyida.bar import over_time, require_progress
-from polyida.errors import InputError
+from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.integrate.statics.static import Equilibrium
+from polyida.integrate.state import Counts
+from polyida.integrate.statics.static import FREE, Equilibrium
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.keywords import named_keywords
+from polyida.linear.lu import SingularSystem
+from polyida.linear.saddle import KKT, scaling_factors
 from polyida.machine import one_blas_thread
 from polyida.modal.modes import Modes
+from polyida.model.guarded import guard
 from polyida.objective.objective import Objective
+from polyida.objective.slopes import along_way
 from polyida.trajectory import Trajectory
 
 ADJOINTS = {GeneralizedAlpha: AlphaAdjoint, RadauIIA: RadauAdjoint}
@@ -81,30 +95,25 @@ def gradient(
             raise InputError(f"gradient: {run!r:.80} is no run, no equilibrium of static, and no modes")
         run.known_model("gradient")
         begin, end = float(run.t[0]), float(run.t[-1])
-        adjoint = _adjoint_of(run)(run, objective, names, memory_limit)
+        kinds = (adjoint for kind, adjoint in ADJOINTS.items() if isinstance(run.integrator, kind))
+        if (kind := next(kinds, None)) is None:
+            name = type(run.integrator).__name__
+            why = WHY.get(name, "has no adjoint here")
+            raise InputError(f"gradient: {name} {why}; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)")
+        kind.require_settings(run.integrator)
+        if run.plan.get("began") == "run":
+            raise InputError(
+                "gradient: the run goes on from a state of another one, which depends on parameters too; solve from the start of that"
+            )
+        if len(run) < 2:
+            raise InputError("gradient: the run has no step")
+        if not run.success:
+            warnings.warn(f"gradient: the run ended early ({run.status}, t = {run.t[-1]:.6g} s): J is of its frames alone", stacklevel=4)
+        adjoint = kind(run, objective, names, memory_limit)
         if progress is not True:
             return adjoint.gradient(progress or (lambda t: None))
         with over_time(progress, begin, end) as tell:
             return adjoint.gradient(lambda t: tell(begin + end - t))
-
-
-def _adjoint_of(run):
-    """The RunAdjoint of a run. Raises InputError where there is none."""
-    name = type(run.integrator).__name__
-    found = next((adjoint for kind, adjoint in ADJOINTS.items() if isinstance(run.integrator, kind)), None)
-    if found is None:
-        why = WHY.get(name, "has no adjoint here")
-        raise InputError(f"gradient: {name} {why}; run polyida.GeneralizedAlpha(...) or polyida.RadauIIA(...)")
-    found.require_settings(run.integrator)
-    if run.plan.get("began") == "run":
-        raise InputError(
-            "gradient: the run goes on from a state of another one, which depends on parameters too; solve from the start of that"
-        )
-    if len(run) < 2:
-        raise InputError("gradient: the run has no step")
-    if not run.success:
-        warnings.warn(f"gradient: the run ended early ({run.status}, t = {run.t[-1]:.6g} s): J is of its frames alone", stacklevel=5)
-    return found
 
 
 def _names(parameters):
@@ -114,3 +123,32 @@ def _names(parameters):
     if names is None or not all(isinstance(name, str) for name in names):
         raise InputError(f"gradient: parameters = {parameters!r:.80} must be a list of names, or None for all")
     return names
+
+
+def gradient_of_state(subject, objective, names=None):
+    """The Gradient of an objective of an Equilibrium, or of Modes. Raises StepFailure where the structure can move freely."""
+    totals, counts = Totals(subject.model, names), Counts()
+    own = objective.slopes(subject)(slice(0, 1))
+    totals.own(own)
+    equilibrium = subject.state if isinstance(subject, Modes) else subject
+    if isinstance(equilibrium, Equilibrium) and any(slope is not None and slope.any() for slope in (own.q, own.lam)):
+        _add_static(equilibrium, own, totals, counts)
+    return Gradient(objective(subject), totals.slopes(), counts, totals.left_out)
+
+
+def _add_static(equilibrium, own, totals, counts):
+    """Add to the totals what an objective's own Slopes in an equilibrium say by its adjoint."""
+    model, t, lam = guard(equilibrium.model), equilibrium.t, equilibrium.lam
+    j_q, j_lam = (np.zeros(x.shape) if slope is None else slope[0] for x, slope in ((equilibrium.q, own.q), (lam, own.lam)))
+    still, none = np.zeros(model.n), np.zeros(model.m)
+    about = (still, none) if equilibrium.linear else (equilibrium.q, lam)
+    K = model.tangent(t, about[0], still, still, about[1], 0.0, 0.0, 1.0)
+    counts.tangents, counts.factorizations, counts.solves = 1, 1, 1
+    try:
+        w, mu = KKT(K, model.phi_q(t, about[0]), scaling_factors("physical", 1.0, K)).adjoint(j_q, j_lam)
+    except SingularSystem:
+        raise StepFailure("singular", FREE, t) from None
+    entry = (t, about[0], still, still, lam, w, mu)
+    totals.add(AdjointMultipliers(*(np.asarray(x, float)[None] for x in entry)))
+    if equilibrium.linear:
+        totals.add(AdjointMultipliers(*along_way(model, t, still, none, equilibrium.q, w, mu)))

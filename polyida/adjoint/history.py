@@ -176,7 +176,11 @@ def _of_frames(run, model):
         state = State(begin, *(np.asarray(x[done], float) for x in (run.q, run.v, run.a, run.lam)))
         count = enough_steps(model, state, begin, end, min(run.integrator.h, most))
         h, count = (end - begin) / count, min(count, len(run) - 1 - done)
-        resting = next((k for k in range(count) if not _rests(run, done + k)), count)  # behind these a run begins anew
+        vectors, resting = (run.q, run.v, run.a, run.lam), 0  # steps that leave the run at rest; behind these it begins anew
+        while resting < count and not run.v[done + resting].any():
+            if not all(np.array_equal(x[done + resting], x[done + resting + 1]) for x in vectors):
+                break
+            resting += 1
         for still, number in ((True, resting), (False, count - resting)):
             if number:
                 segments.append(StepSegment("on" if moving else "begin", segments[-1].h if segments else 0.0, h, done, number))
@@ -187,11 +191,6 @@ def _of_frames(run, model):
         if abs(run.t[first + count] - run.t[first] - count * h) > SAME * h * count:
             raise InputError(f"gradient: the run's frames from t = {run.t[first]:.9g} s on are not steps of {h:.6g} s of its model")
     return StepHistory(segments, frame_reader(run), np.arange(len(run)))
-
-
-def _rests(run, k):
-    """Whether the step behind frame k left it as it is, at rest."""
-    return not run.v[k].any() and all(np.array_equal(x[k], x[k + 1]) for x in (run.q, run.v, run.a, run.lam))
 
 
 def frame_reader(run):

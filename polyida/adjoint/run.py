@@ -3,8 +3,8 @@
 import numpy as np
 
 from polyida.adjoint.history import replayed_state
-from polyida.adjoint.parameters.drives import in_time
-from polyida.adjoint.parameters.parameter import AdjointMultipliers, stacked
+from polyida.adjoint.parameter import AdjointMultipliers, stacked
+from polyida.adjoint.profile_parameters import in_time
 from polyida.adjoint.taped import Tape, TapedModel, add_to
 from polyida.adjoint.totals import Gradient, OwnSlopes, Totals
 from polyida.errors import InputError

@@ -6,11 +6,11 @@ parameters is left as an entry of `entries`: what multiplies r, phi, its rate an
 
 import numpy as np
 
-from polyida.adjoint.parameters.parameter import AdjointMultipliers
+from polyida.adjoint.parameter import AdjointMultipliers
 from polyida.integrate.alpha.start import resolution
 from polyida.integrate.start import start_values, velocity_rate
 from polyida.integrate.state import Counts
-from polyida.linear.refined import ExactSaddle
+from polyida.linear.step_matrix import ExactSaddle
 from polyida.model.differences import along, central
 
 
@@ -271,6 +271,6 @@ def residual_v(model, t, q, v, w):
 
 
 def _products(model, t, q, v, lam, w):
-    from polyida.adjoint.tables.products import products_at
+    from polyida.adjoint.products import products_at
 
     return products_at(model, model.drives(t), q, v, lam, w, np.zeros(model.m))

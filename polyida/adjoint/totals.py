@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from polyida.adjoint.parameter import AdjointMultipliers
 from polyida.adjoint.parameters import parameters_of
-from polyida.adjoint.parameters.parameter import AdjointMultipliers
 from polyida.brief import counted, short, table
 from polyida.errors import InputError
 from polyida.given import is_one_of
@@ -72,7 +72,9 @@ class Totals:
 
     def __init__(self, model, names=None, given=False):
         self.known = known = parameters_of(model)
-        self.parameters = {name: known[name] for name in _wanted(known, names, given)}
+        unasked = [name for name, parameter in known.items() if not parameter.asked]
+        wanted = unasked if names is None else [_known(name, known, given).name for name in names if not (given and name == "v0")]
+        self.parameters = {name: known[name] for name in wanted}
         self.with_v0 = given and (names is None or "v0" in names)
         self.sums = {name: np.zeros(np.shape(parameter.value)) for name, parameter in self.parameters.items()}
         self.left_out = {} if names is not None else {name: parameter.why for name, parameter in known.items() if parameter.asked}
@@ -125,25 +127,15 @@ class OwnSlopes:
             return Slopes()
         own = self.slopes(slice(int(kept[0]), int(kept[-1]) + 1))
         self.totals.own(own)
-        return own if len(kept) == len(frames) else _spread(own, frames)
-
-
-def _spread(own, frames):
-    """Slopes of frames as those of states, of which the others are no frames."""
-    found = {}
-    each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
-    for name, slopes in each.items():
-        if slopes is not None:
-            found[name] = np.zeros((len(frames), *slopes.shape[1:]))
-            found[name][frames >= 0] = slopes
-    return Slopes(**found)
-
-
-def _wanted(known, names, given):
-    """The names asked for, or all that are offered unasked."""
-    if names is None:
-        return [name for name, parameter in known.items() if not parameter.asked]
-    return [_known(name, known, given).name for name in names if not (given and name == "v0")]
+        if len(kept) == len(frames):
+            return own
+        found = {}
+        each = {name: getattr(own, name) for name in ("q", "v", "a", "lam")} | {"t": own.by_time()}
+        for name, slopes in each.items():
+            if slopes is not None:
+                found[name] = np.zeros((len(frames), *slopes.shape[1:]))
+                found[name][frames >= 0] = slopes
+        return Slopes(**found)
 
 
 def _known(name, known, given=False):

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.bodies.compact import Compact
+from polyida.assembly.compact import Compact
 from polyida.jit import pack
 
 

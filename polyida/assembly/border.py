@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.arrays import starts
+from polyida.given import on_pairs
 from polyida.jit import pack, part
 from polyida.linear.dense import magnitude, solve_small
 from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve_again
@@ -82,7 +83,8 @@ def border(model, active=True, rows=True, rates=False):
     for group in points:
         local[group] = np.arange(len(group))
     layers, wide = 1 + rates, [2 * len(group) for group in points]
-    components = active_components(s) if active else np.zeros(0, np.int64)
+    coupled = np.diff(s.coupling.start) > 0  # points on which a mass, the curvature of a row or a force element can act
+    components = np.flatnonzero(np.repeat(coupled & active, 2))
     m, first, slots = len(s.row_constant) if rows else 0, len(components), len(s.row_columns)
     pulls, looks = ([{} for _ in points] for _ in range(2))
 
@@ -97,13 +99,17 @@ def border(model, active=True, rows=True, rates=False):
         for block in range(s.coupling.start[point], s.coupling.start[point + 1]):
             for other in range(2):
                 note(looks, unknown, 2 * s.coupling.columns[block] + other, slots + 1 + 4 * block + 2 * axis + other)
-    linear, turning = _live(s)
+    turning = np.zeros(len(s.row_columns), bool)  # entries of phi_z that vary with q and t
+    for row, *vectors in zip(s.product_row, s.product_first, s.product_second):
+        of_row = np.arange(s.row_start[row], s.row_start[row + 1])
+        for i in vectors:
+            turning[of_row[np.isin(s.row_columns[of_row] // 2, s.vector_points[s.vector_start[i] : s.vector_start[i + 1]])]] = True
     behind = slots + 1 + 4 * len(s.coupling.columns)
     entries = [(k, e) for k in range(m) for e in range(s.row_start[k], s.row_start[k + 1])]
     for layer in range(layers):
         for k, e in entries:
             unknown, component = first + layer * m + k, s.row_columns[e]
-            if linear[e] or turning[e]:
+            if s.row_slopes[e] != 0 or turning[e]:
                 note(pulls, unknown, component, e, layer)
                 note(looks, unknown, component, e, layer)
             if layer and turning[e]:
@@ -148,21 +154,6 @@ def body_of_points(model):
     return np.searchsorted(model.first_pairs, s.point_nodes[s.point_ptr[:-1]], side="right") - 1
 
 
-def active_components(s):
-    """Components of the points on which a mass, the curvature of a row or a force element can act."""
-    return np.flatnonzero(np.repeat(np.diff(s.coupling.start) > 0, 2))
-
-
-def _live(s):
-    """(entries of phi_z that are not always zero, those that vary with q and t)."""
-    turning = np.zeros(len(s.row_columns), bool)
-    for row, *vectors in zip(s.product_row, s.product_first, s.product_second):
-        entries = np.arange(s.row_start[row], s.row_start[row + 1])
-        for i in vectors:
-            turning[entries[np.isin(s.row_columns[entries] // 2, s.vector_points[s.vector_start[i] : s.vector_start[i + 1]])]] = True
-    return s.row_slopes != 0, turning
-
-
 def border_room(model, pattern, dtype=float):
     """Numbers of a Border."""
     s, count = model.arrays.links, len(pattern.elimination.right)
@@ -184,16 +175,8 @@ def border_room(model, pattern, dtype=float):
     )
 
 
-def overlap(model, pattern):
-    """`A A^T` body by body, laid out as the blocks of a Border of one layer."""
-    weights = model.point_weights
-    return body_blocks(pattern, weights, weights.conj().T.tocsc())
-
-
 def body_blocks(pattern, left, right):
     """left right (points, points), complex and sparse, as it acts on pairs, body by body."""
-    from polyida.given import on_pairs
-
     groups = np.split(pattern.points, pattern.point_start[1:-1])
     blocks = [on_pairs((left[group] @ right[:, group]).toarray()).ravel() for group in groups if len(group)]
     return np.concatenate([*blocks, np.zeros(0)])

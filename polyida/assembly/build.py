@@ -5,10 +5,10 @@ import warnings
 import numpy as np
 
 from polyida.assembly.arrays import Coupling, Links, Plates, SceneArrays, concatenated, starts
-from polyida.assembly.bodies.compact import Compact
-from polyida.assembly.bodies.places import PlacedBody, PlacedPlate
+from polyida.assembly.compact import Compact
 from polyida.assembly.loads import dead_loads, steady
-from polyida.assembly.own.law_table import laws_of
+from polyida.assembly.own_laws import laws_of
+from polyida.assembly.places import PlacedBody, PlacedPlate
 from polyida.assembly.rows.row_table import Drives, Points, RowTable, given_rows
 from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate

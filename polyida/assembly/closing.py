@@ -148,28 +148,20 @@ class Loops:
         x = np.zeros(3 * len(self.bodies))
         phi, slope = self(x)
         drawn = phi
-        for _ in range(ROUNDS):
-            further = self._nearer(x, phi, slope)
-            if further is None:
+        for _ in range(ROUNDS if phi.size and x.size else 0):
+            u, s, v = np.linalg.svd(slope, full_matrices=False)
+            shares, damping, nearer = np.where(s > DEPENDENT * s[0], s, 0.0), phi @ phi, False
+            while damping < HOPELESS and not nearer:
+                step = -(shares / (s * s + damping + (shares == 0.0)) * (phi @ u)) @ v
+                found = self(x + step)
+                nearer = found[0] @ found[0] < phi @ phi
+                if np.abs(step).max() < STILL:
+                    break
+                damping = 4.0 * damping + STILL
+            if not nearer:
                 break
-            x, phi, slope = further
+            x, (phi, slope) = x + step, found
         return x.reshape(-1, 3), self.size * np.abs(drawn), self.size * np.abs(phi)
-
-    def _nearer(self, x, phi, slope):
-        """(x, phi, slope) behind a step that closes some of what is open, or None."""
-        if not phi.size or not x.size:
-            return None
-        u, s, v = np.linalg.svd(slope, full_matrices=False)
-        shares, damping = np.where(s > DEPENDENT * s[0], s, 0.0), phi @ phi
-        while damping < HOPELESS:
-            step = -(shares / (s * s + damping + (shares == 0.0)) * (phi @ u)) @ v
-            found = self(x + step)
-            if found[0] @ found[0] < phi @ phi:
-                return x + step, *found
-            if np.abs(step).max() < STILL:
-                return None
-            damping = 4.0 * damping + STILL
-        return None
 
     def place(self, body, x, y, turn):
         """Move a body as x says; (shift, m, turn, rad, longest way of a point, m)."""
@@ -211,7 +203,8 @@ class Placed:
     """
 
     def __init__(self, name, body, extent):
-        self.name, self.body, self.part = name, body, _placing(body)
+        parts = (part for part in (body, getattr(body, "plate", None)) if hasattr(part, "origin") and hasattr(part, "angle"))
+        self.name, self.body, self.part = name, body, next(parts, None)
         places = places_of(body)
         self.centre = places.mean()
         self.size = float(np.sqrt(np.mean(np.abs(places - self.centre) ** 2))) or extent
@@ -248,13 +241,10 @@ class Placed:
         """Give it an origin and an angle, and forget what was derived from others."""
         settle(self.part, origin=origin, angle=angle)
         for part in (self.part, self.body):
-            for name in _derived(type(part)):
-                part.__dict__.pop(name, None)
-
-
-def _placing(body):
-    """What has the origin and angle of a body: itself or its plate; None where nothing has."""
-    return next((part for part in (body, getattr(body, "plate", None)) if hasattr(part, "origin") and hasattr(part, "angle")), None)
+            for kind in type(part).__mro__:
+                for name, value in vars(kind).items():
+                    if isinstance(value, cached_property):
+                        part.__dict__.pop(name, None)
 
 
 def places_of(body):
@@ -262,7 +252,3 @@ def places_of(body):
     plate = body if isinstance(body, Plate) else body.plate
     points = np.array([point.point for point in points_of(body)]) if plate is None else plate.points
     return complex_of_pairs(points)
-
-
-def _derived(kind):
-    return [name for base in kind.__mro__ for name, value in vars(base).items() if isinstance(value, cached_property)]

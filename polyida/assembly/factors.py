@@ -29,9 +29,17 @@ def scaled(model, given):
     plates = shares.scaled(*(concatenated(each, float) for each in zip(*factors))) if factors else shares.plates
     other = object.__new__(type(model))
     other.__dict__.update({name: value for name, value in model.__dict__.items() if name not in OF_FACTORS})
-    other.bodies = [_scaled_plate(*each, plates) for each in zip(model.bodies, factors, plates.at, plates.at[1:])]
+    other.bodies = []
+    for body, factor, first, last in zip(model.bodies, factors, plates.at, plates.at[1:]):
+        pattern, operator = slice(first[6], last[6]), body.operator
+        stabilisation = None if operator.stabilisation is None else plates.stabilisation[pattern]
+        operator = replace(operator, weights=plates.weights[first[3] : last[3]], mass=plates.mass[pattern], stabilisation=stabilisation)
+        other.bodies.append(replace(body, operator=operator, factors=factor))
     other.places = model.places | {id(body.plate): body for body in other.bodies}
-    other.arrays, other._kept = model.arrays._replace(plates=_weighed(other, plates)), {}
+    loads = dead_loads(other.parts, other.gravity, other.places)
+    weight = np.concatenate([placed.weight(steady(other.gravity)) for placed in (*other.bodies, *other.few)])
+    plates = plates._replace(weight=weight, load_values=concatenated([load.forces for load in loads], float, (2,)))
+    other.arrays, other._kept = model.arrays._replace(plates=plates), {}
     return other
 
 
@@ -43,23 +51,6 @@ def factors_of(model):
 def told(model):
     """{plate: (stiffness, mass)} of the plates that are not full."""
     return {name: factors for name, factors in factors_of(model).items() if not all((factor == 1.0).all() for factor in factors)}
-
-
-def _scaled_plate(body, factors, first, last, plates):
-    """The plate in its place, its operator's numbers taken from the arrays."""
-    pattern = slice(first[6], last[6])
-    stabilisation = None if body.operator.stabilisation is None else plates.stabilisation[pattern]
-    operator = replace(body.operator, weights=plates.weights[first[3] : last[3]], mass=plates.mass[pattern], stabilisation=stabilisation)
-    return replace(body, operator=operator, factors=factors)
-
-
-def _weighed(model, plates):
-    """The arrays with the weight of the model's bodies."""
-    loads = dead_loads(model.parts, model.gravity, model.places)
-    return plates._replace(
-        weight=np.concatenate([placed.weight(steady(model.gravity)) for placed in (*model.bodies, *model.few)]),
-        load_values=concatenated([load.forces for load in loads], float, (2,)),
-    )
 
 
 def _checked(model, given):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.assembly.bodies import compact
+from polyida.assembly import compact
 from polyida.assembly.loads import gravity_at
 from polyida.given import complex_of_pairs
 
@@ -48,29 +48,23 @@ def left_out(model, t, frames, accelerations):
 
 
 def hint_of_rigid(model, frames, rtol):
-    """What a summary says of such plates, of a run's q (frames, n) by a tolerance rtol; None: RESOLVED."""
+    """Name the full plates that move, and leave the best rigid motion by far less than a run resolves; empty if there are none.
+
+    frames: the run's q (frames, n), of which LOOKS are looked at. rtol: the run's tolerance relative to a length; None: RESOLVED.
+    """
     if not model.is_scene or not len(frames):
         return ""
-    names = as_good_as_rigid(model, frames, rtol or RESOLVED)
-    plates = ", ".join(map(repr, names[:NAMED])) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
-    deform = "deforms" if len(names) == 1 else "deform"
-    return f"{plates} {deform} far less than the run resolves: such a plate may as well be rigid" if names else ""
-
-
-def as_good_as_rigid(model, frames, tolerance=RESOLVED):
-    """Names of the plates that move, by TRAVEL of their size, and leave the best rigid motion by less than `CLEAR tolerance` of it.
-
-    frames: a run's q (frames, n), of which LOOKS are looked at. tolerance: of the run, relative to a length.
-    """
     looks = [np.asarray(frames[k]).reshape(-1, 2) for k in np.unique(np.linspace(0, len(frames) - 1, LOOKS).astype(int))]
-    found = []
+    names = []
     for body in model.bodies:
         moves = [frame[body.nodes] for frame in looks]
         size = float(np.linalg.norm(np.ptp(body.points, axis=0)))
         travels = max(float(np.abs(move - moves[0]).max()) for move in moves) > TRAVEL * size
-        if travels and all(deformation(body.points, move) < CLEAR * tolerance * size for move in moves):
-            found.append(body.name)
-    return found
+        if travels and all(deformation(body.points, move) < CLEAR * (rtol or RESOLVED) * size for move in moves):
+            names.append(body.name)
+    plates = ", ".join(map(repr, names[:NAMED])) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
+    deform = "deforms" if len(names) == 1 else "deform"
+    return f"{plates} {deform} far less than the run resolves: such a plate may as well be rigid" if names else ""
 
 
 def deformation(points, displacements):

@@ -1,16 +1,289 @@
-"""The bodies of a scene together: their mass, and how they are drawn."""
+"""The constraints of a scene, from compiled kernels, and its points by name: what masses, loads and joints hold on to and do there."""
 
 from functools import cached_property
 
 import numpy as np
 
 from polyida.assembly.arrays import concatenated
-from polyida.assembly.bodies.places import PlacedPlate
-from polyida.assembly.constraints import Constraints
+from polyida.assembly.places import PlacedPlate
+from polyida.assembly.rows import joints as rows
 from polyida.body.body import points_of
 from polyida.element import kernels
+from polyida.errors import InputError
 from polyida.given import complex_of_pairs, on_pairs, pairs_of
+from polyida.joint.attachment import Attachment
+from polyida.joint.formula import rest_of
+from polyida.joint.joint import Joint, Reaction
 from polyida.linear.lu import LU
+from polyida.model import Model
+
+
+class Constraints(Model):
+    """`phi(t, q)` of a scene and what follows from it, as far as points go: `phi = rows(A q)`, A the weights of the points.
+
+    It needs `parts`, `joints` and `places` of its bodies among the pairs of q, `arrays` of the kernels, `profiles`, `labels` and `rows` of
+    phi, `needs`, n, m, n_nodes and n_points.
+    """
+
+    def drives(self, t):
+        """Value, first and second derivative of every profile at time t, (profiles, 3)."""
+        at, table = self._driven
+        if at != t:
+            table = np.array([profile.at(t) for profile in self.profiles], float).reshape(-1, 3)
+            self._driven = t, table
+        return table.copy()
+
+    def pushed(self, t, number, by):
+        """This model with the value of profile `number` at time t greater by `by`, its rates as they are."""
+        table, other = self.drives(t), object.__new__(type(self))
+        table[number, 0] += by
+        other.__dict__.update(self.__dict__, _driven=(t, table), own_forces=self.own_forces.pushed(self.profiles[number], by))
+        return other
+
+    def kinks(self, t0, t1):
+        """Times in (t0, t1) at which a profile is not smooth, sorted."""
+        if not self._kinks.size:
+            return ()
+        first, end = np.searchsorted(self._kinks, t0, side="right"), np.searchsorted(self._kinks, t1)
+        return tuple(self._kinks[first:end].tolist())
+
+    @cached_property
+    def _kinks(self):
+        """All of them, sorted: they are asked for at every one of them."""
+        return np.unique(np.array([kink for profile in self.profiles for kink in profile.kinks], float))
+
+    def constraint_name(self, row):
+        """The joint and axis of a row of phi."""
+        return self.labels[row]
+
+    def keeps_body(self, row):
+        """Whether a row of phi is one by which a body stays rigid."""
+        return any(self.rows[body.name].start <= row < self.rows[body.name].stop for body in self.few if body.name in self.rows)
+
+    def phi(self, t, q):
+        """Constraints, (m,), in m (points) and, without unit, as |d_A| |d_B| sin(angle error) (motors)."""
+        phi, dz = np.empty(self.m), self.dz(q)
+        rows.joint_forces(self.arrays.links, self.drives(t), dz, np.zeros(self.m), phi, np.zeros_like(dz))
+        return phi
+
+    def phi_q(self, t, q):
+        """Constraint Jacobian, (m, n) sparse; constant unless `needs.phi_q_varies` or `needs.driven`."""
+        return self._jacobian(t, q) if self.needs.driven or self.needs.phi_q_varies else self._phi_q
+
+    @cached_property
+    def _phi_q(self):
+        return self._jacobian(0.0, np.zeros(self.n))
+
+    def _jacobian(self, t, q):
+        return self._slopes(t, q) @ self._points_of_q
+
+    @cached_property
+    def _points_of_q(self):
+        from scipy.sparse import csr_array
+
+        return csr_array(self._points_t.T)
+
+    def _slopes(self, t, q):
+        from scipy.sparse import csr_array
+
+        s = self.arrays.links
+        return csr_array((self.slope_values(t, q), s.row_columns, s.row_start), (self.m, 2 * self.n_points))
+
+    def slope_values(self, t, q):
+        """The slopes of phi in the components of its points that may not be zero, row after row."""
+        s = self.arrays.links
+        slopes = np.empty(len(s.row_columns))
+        rows.joint_jacobian(s, self.drives(t), self.dz(q), slopes)
+        return slopes
+
+    def phi_z(self, t, q):
+        """Derivative of phi in the places of the points, (m, 2 points): `phi_q = phi_z A`."""
+        found = np.zeros((self.m, 2 * self.n_points))
+        found[self._slope_rows, self.arrays.links.row_columns] = self.slope_values(t, q)
+        return found
+
+    @cached_property
+    def _slope_rows(self):
+        return np.repeat(np.arange(self.m), np.diff(self.arrays.links.row_start))
+
+    def small_phi_q(self, t, q):
+        """phi_q as a dense array, for scenes of few coordinates."""
+        return self.phi_z(t, q) @ self._small_points
+
+    @cached_property
+    def _small_points(self):
+        return self._points_of_q.toarray()
+
+    def phi_t(self, t, q):
+        """Partial derivative of phi in time, (m,)."""
+        return self._rates(t, q, np.zeros(self.n))[0]
+
+    def phi_rate(self, t, q, v):
+        """`phi_q v + phi_t`, (m,)."""
+        return self._slopes(t, q) @ self.dz(v).ravel() + self.phi_t(t, q)
+
+    def phi_bias(self, t, q, v):
+        """`(phi_q v)_q v + 2 phi_qt v + phi_tt`, (m,)."""
+        return self._rates(t, q, v)[1]
+
+    def phi_rate_q(self, t, q, v):
+        """d(phi_q v + phi_t)/dq, (m, n)."""
+        return self._rates_q(t, q, v, 1)
+
+    def phi_bias_q(self, t, q, v):
+        """d(phi_bias)/dq, (m, n)."""
+        return self._rates_q(t, q, v, 2)
+
+    def _rates_q(self, t, q, v, which):
+        """The slope of one of `joint_rates`' results: quadratic in the places of points, differences over any length are exact."""
+        drives, z, vz, ways = self.drives(t), self.dz(q), self.dz(v), np.eye(2 * self.n_points).reshape(-1, self.n_points, 2)
+
+        def at(places):
+            found = np.zeros((3, self.m))
+            rows.joint_rates(self.arrays.links, drives, places, vz, *found)
+            return found[which]
+
+        slopes = np.array([at(z + way) - at(z - way) for way in ways]).T / 2
+        return slopes @ self._points_of_q
+
+    def _rates(self, t, q, v):
+        phi_t, rate, bias = np.zeros((3, self.m))
+        if self.needs.driven or self.needs.phi_q_varies:
+            rows.joint_rates(self.arrays.links, self.drives(t), self.dz(q), self.dz(v), phi_t, rate, bias)
+        return phi_t, bias
+
+    def reaction_q(self, t, q, lam):
+        """d(phi_q^T lam)/dq, (n, n) sparse: `A^T C A` with C the curvature of the rows on the points."""
+        return self._points_t @ self._sparse_curvature(t, lam).tocsr() @ self._points_t.T
+
+    def _sparse_curvature(self, t, lam):
+        """C in blocks of points that rows couple."""
+        from scipy.sparse import bsr_array
+
+        coupling = self.arrays.links.coupling
+        blocks = np.zeros((len(coupling.columns), 2, 2))
+        rows.joint_curvature(self.arrays.links, self.drives(t), self._flat(lam), blocks)
+        return bsr_array((blocks, coupling.columns, coupling.start), (2 * self.n_points,) * 2)
+
+    def _flipped(self, t, q):
+        """Name of a joint whose angle error is beyond a quarter turn."""
+        row = rows.flipped(self.arrays.links, self.drives(t), self.dz(q))
+        return next((name for name, part in self.rows.items() if part.start <= row < part.stop), None)
+
+    def dz(self, q):
+        """Displacements of the points that joints and masses hold on to, (points, 2)."""
+        dz = np.empty((self.n_points, 2))
+        rows.point_values(self.arrays.links, self._nodal(q), dz)
+        return dz
+
+    @cached_property
+    def _points_t(self):
+        """A^T as a sparse matrix, (n, 2 points)."""
+        return on_pairs(self.point_weights).T.tocsr()
+
+    @cached_property
+    def point_weights(self):
+        """A as complex numbers, (points, pairs) sparse."""
+        from scipy.sparse import csr_array
+
+        s = self.arrays.links
+        return csr_array((s.point_weights @ (1, 1j), s.point_nodes, s.point_ptr), (self.n_points, self.n_nodes))
+
+    def _nodal(self, q):
+        """q as (nodes, 2) for the kernels, which do not check bounds."""
+        return _sized(q, self.n, "q").reshape(-1, 2)
+
+    def _flat(self, lam):
+        return _sized(lam, self.m, "lam")
+
+    @property
+    def named(self):
+        """{name: what a mass, load or joint holds on to (a joint: its side b, or a where b is ground)}."""
+        joints = {name: part.a if part.b.body is None else part.b for name, part in self.parts.items() if isinstance(part, Joint)}
+        sides = {name: joints.get(name, getattr(part, "at", None)) for name, part in self.parts.items()}
+        return {name: side for name, side in sides.items() if isinstance(side, Attachment)}
+
+    def attachment(self, name):
+        """One of `named`; InputError for another name."""
+        held = self.named
+        if name not in held:
+            raise InputError(f"no mass, load or joint is called {name!r}; known: {', '.join(map(repr, held))}")
+        return held[name]
+
+    def held(self, side, part="point"):
+        """(pairs of q, complex weights) of an attachment's "point" or "direction"; InputError where its body is another scene's."""
+        if id(side.body) not in self.places:
+            raise InputError(f"{side!r}: its body is not in the scene")
+        return self.places[id(side.body)].held(side, part)
+
+    def displacement(self, name, q):
+        """Displacement of the point that a mass, load or joint holds on to, (2,), m; of q = v its velocity."""
+        side = self.attachment(name)
+        return self._moved(side, "point", q[None])[0]
+
+    def position(self, name, q):
+        """Path of a mass, load or joint, by name or itself, or of an attachment, over frames q (frames, n): (frames, 2), m.
+
+        Raises InputError for what is not in the scene.
+        """
+        side = self.side(name)
+        return side.point + self._moved(side, "point", q)
+
+    def _moved(self, side, part, q):
+        """The change of an attachment's "point" or "direction" over frames q (frames, n), (frames, 2)."""
+        pairs, weights = self.held(side, part)
+        return pairs_of(complex_of_pairs(q.reshape(len(q), -1, 2)[:, pairs]) @ weights)
+
+    def side(self, name):
+        """The attachment that is meant: itself, or of a part, or of the part of a name."""
+        if isinstance(name, Attachment):
+            return name
+        name = next((known for known, part in self.parts.items() if part is name), name)
+        if not isinstance(name, str):
+            raise InputError(f"position({name!r}): give the name of a mass, load or joint, the part itself, or an attachment")
+        return self.attachment(name)
+
+    def reactions(self, name, q, lam, t=0.0, whole=False):
+        """What a joint does to its side b over frames q (frames, n), lam (frames, k), and t (frames,), s, or one for all: force, N, and
+        moment, N m; `whole`: (fx, fy, m) of every joint. Of a body the multipliers of its own rows.
+        """
+        reaction = self.reaction_of(name, whole)
+        return lam.copy() if reaction is None else reaction(np.broadcast_to(t, len(q)), lam, lambda place: self.place(place, q))
+
+    def reaction_of(self, name, whole=False):
+        """The Reaction of a joint; None of a body."""
+        if (name, whole) not in self._reactions:
+            self._reactions[name, whole] = Reaction(self.joints[name], whole) if isinstance(self.joints[name], Joint) else None
+        return self._reactions[name, whole]
+
+    def place(self, place, q):
+        """Where the "point" of an attachment is, or its "direction", over frames q (frames, n): (frames,), complex."""
+        rest = np.full(len(q), rest_of(*place))
+        return rest if place[0].body is None else rest + complex_of_pairs(self._moved(*place, q))
+
+    def turn(self, name, q):
+        """How far side b of a joint has turned against side a since rest, over frames q (frames, n): (frames,), rad in [-pi, pi].
+
+        Raises InputError where a side has no direction.
+        """
+        joint = self.joints[name]
+        joint.require_directions()
+        a, b = (self.place((side, "direction"), q) / side.d.rest for side in (joint.a, joint.b))
+        return np.angle(b * a.conj())
+
+    def pulled(self, place, forces):
+        """What forces (frames,), complex, on a place do to each coordinate, (frames, n): the transpose of its slope in q."""
+        found = np.zeros((len(forces), self.n_nodes), complex)
+        pairs, weights = self.held(*place)
+        np.add.at(found, (slice(None), pairs), forces[:, None] * np.conj(weights))
+        return found.view(float)
+
+
+def _sized(values, size, name):
+    array = np.array(values, float)
+    if array.shape != (size,):
+        raise ValueError(f"{name} has shape {array.shape}, the model needs ({size},)")
+    return array
 
 
 class SceneBodies(Constraints):

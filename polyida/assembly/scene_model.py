@@ -8,20 +8,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import bilinear, concatenated, shifting_drives, turning_drives
-from polyida.assembly.bodies.damping import add_damping, damped_blocks
-from polyida.assembly.bodies.motion import velocity_at
-from polyida.assembly.bodies.own import Elastic, uneven_drag, uneven_mass
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
+from polyida.assembly.corotated import SceneStepMatrix
+from polyida.assembly.equilibrium import add_damping, damped_blocks
 from polyida.assembly.factors import factors_of, scaled, told
-from polyida.assembly.loads import largest
-from polyida.assembly.own.forces import OwnForce, OwnForces
-from polyida.assembly.own.laws import add_own_forces
-from polyida.assembly.powers import Powers
+from polyida.assembly.loads import Powers, largest
+from polyida.assembly.motion import velocity_at
+from polyida.assembly.own_forces import Elastic, OwnForce, OwnForces, uneven_drag, uneven_mass
+from polyida.assembly.own_laws import add_own_forces
 from polyida.assembly.rows.increments import Increments
 from polyida.assembly.rows.redundant import Redundant
 from polyida.assembly.rows.tie import MassSystem
 from polyida.assembly.scene_bodies import SceneBodies, deepest
-from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.force.force_element import ForceElement
 from polyida.given import pairs_of
 from polyida.linear.lu import dense
@@ -303,16 +301,13 @@ class SceneModel(SceneBodies):
 
     def _forces_q(self, t, q, v, c_v, c_q):
         """`c_v dg/dv + c_q dg/dq`, (n, n) sparse."""
-        bodies = self._bodies_q(q, v, c_v, c_q)
-        if self.uneven_drag is not None:
-            bodies = bodies + c_v * self.uneven_drag
-        return bodies if not self.own_forces else (bodies + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
-
-    def _bodies_q(self, q, v, c_v, c_q):
         from scipy.sparse import bsr_array
 
         indptr, indices = self.pattern
-        return bsr_array((self._blocks(q, v, c_v, c_q), indices, indptr), shape=(self.n, self.n)).tocsc()
+        bodies = bsr_array((self._blocks(q, v, c_v, c_q), indices, indptr), shape=(self.n, self.n)).tocsc()
+        if self.uneven_drag is not None:
+            bodies = bodies + c_v * self.uneven_drag
+        return bodies if not self.own_forces else (bodies + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
 
     def _blocks(self, q, v, c_v, c_q):
         """The same of the pairs of `pattern`, (numbers, 2, 2)."""

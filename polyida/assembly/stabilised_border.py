@@ -15,10 +15,10 @@ from polyida.assembly import corotated
 from polyida.assembly.border import (
     Border,
     BorderRoom,
+    body_blocks,
     border,
     border_room,
     look,
-    overlap,
     put_slopes,
     solve_border,
     solve_border_again,
@@ -61,7 +61,8 @@ def border_with_rates(model):
 
 def overlaps(model):
     """`A A^T` body by body."""
-    return overlap(model, model.once(border_with_rates, of_shape=True))
+    weights = model.point_weights
+    return body_blocks(model.once(border_with_rates, of_shape=True), weights, weights.conj().T.tocsc())
 
 
 def massive(model, system, damping=None, before=None):
@@ -145,16 +146,6 @@ def apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu):
         for e in range(s.row_start[k], s.row_start[k + 1]):
             p = s.row_columns[e]
             w.swing[p // 2, p % 2] += cr.slopes[e] * dmu[k]
-    add_swing(s, b, w, c_v, cr.pull)
-    corotated.pull_points(s, c, cr, dq)
-    for p in range(cr.pull.shape[0]):
-        cr.pull[p] = c_v * w.swing[p // 2, p % 2]
-    corotated.pull_points(s, cm, cr, dq)
-
-
-@part
-def add_swing(s, b, w, c_v, pull):
-    """pull += c m A A^T Bz^T dmu."""
     for n in range(b.block.shape[0] - 1):
         wide, points = width(b, n), b.points[b.point_start[n] : b.point_start[n + 1]]
         size = wide // 2
@@ -163,4 +154,8 @@ def add_swing(s, b, w, c_v, pull):
             if mass != 0.0:
                 for q in range(size):
                     across = -w.room.blocks[b.block[n] + (size + p) * wide + size + q]
-                    pull[2 * points[p // 2] + p % 2] += c_v * mass * across * w.swing[points[q // 2], q % 2]
+                    cr.pull[2 * points[p // 2] + p % 2] += c_v * mass * across * w.swing[points[q // 2], q % 2]
+    corotated.pull_points(s, c, cr, dq)
+    for p in range(cr.pull.shape[0]):
+        cr.pull[p] = c_v * w.swing[p // 2, p % 2]
+    corotated.pull_points(s, cm, cr, dq)

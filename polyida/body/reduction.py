@@ -12,7 +12,7 @@ from polyida.element import stabilisation as virtual
 from polyida.element.choose import operator_of, stabilisation_factor
 from polyida.given import complex_of_pairs
 from polyida.jit.intrinsics import LANES
-from polyida.linear.kkt import KKT, scaling_factors
+from polyida.linear.saddle import KKT, scaling_factors
 
 
 @dataclass(frozen=True, eq=False)

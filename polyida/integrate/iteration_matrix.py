@@ -18,8 +18,8 @@ from polyida.integrate.sizes import weights
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
-from polyida.linear.condition import condition, scaled
-from polyida.linear.kkt import assemble, scaling_factors
+from polyida.linear.saddle import assemble, scaling_factors
+from polyida.linear.whole import condition, scaled
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 

@@ -9,7 +9,7 @@ that it is neither (assembly/rows/unit_rows.py), and only the others are looked 
 
 from polyida.assembly.rows.unit_rows import UnitRows
 from polyida.errors import StepFailure
-from polyida.linear.independence import between, coordinate_sizes, cosine, involved, least, rows_of, way
+from polyida.linear.saddle import between, coordinate_sizes, cosine, involved, least, rows_of, way
 from polyida.model.guarded import Compiled, unguarded
 from polyida.system.python import small_own
 

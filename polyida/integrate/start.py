@@ -11,7 +11,7 @@ from polyida.given import floats, is_number
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
-from polyida.linear.kkt import require_independent
+from polyida.linear.saddle import require_independent
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 

@@ -160,8 +160,13 @@ def eliminate(e, values, x):
                     factor = values[row + k] * pivot
                     for j in range(k + 1, wide):
                         values[row + j] -= factor * values[top + j]
-        if e.parent[f] >= 0:
-            hand_on(e, values, f)
+        if e.parent[f] >= 0:  # add what is left of the front to its parent
+            above, first, last = e.start[e.parent[f]], e.first[f], e.size[e.parent[f]]
+            for i in range(e.pivots[f], n):
+                row, to = at + i * wide, above + e.into[first + i] * (last + 1)
+                for j in range(e.pivots[f], n):
+                    values[to + e.into[first + j]] += values[row + j]
+                values[to + last] += values[row + n]
     substitute(e, values, x)
     return True
 
@@ -186,18 +191,6 @@ def solve_again(e, values, right, x):
             for i in range(e.pivots[f], n):
                 values[above + e.into[first + i] * (last + 1) + last] += values[at + i * wide + n]
     substitute(e, values, x)
-
-
-@part
-def hand_on(e, values, f):
-    """Add what is left of front f to its parent."""
-    n, at, above, first = e.size[f], e.start[f], e.start[e.parent[f]], e.first[f]
-    wide, last = n + 1, e.size[e.parent[f]]
-    for i in range(e.pivots[f], n):
-        row, to = at + i * wide, above + e.into[first + i] * (last + 1)
-        for j in range(e.pivots[f], n):
-            values[to + e.into[first + j]] += values[row + j]
-        values[to + last] += values[row + n]
 
 
 @part

@@ -1,11 +1,11 @@
-"""The step matrix of a model, `S = c_m M + c_v C + K`: factored at one state, used near it while Newton contracts."""
+"""Step matrices: `S = c_m M + c_v C + K`, factored at one state and used near it while Newton contracts, and the system with S exact at a state."""
 
 from contextlib import suppress
 
 import numpy as np
 
-from polyida.linear.kkt import KKT, scaling_factors
 from polyida.linear.lu import LU, SingularSystem, dense
+from polyida.linear.saddle import KKT, scaling_factors
 
 MANY = 50  # constraints beyond which the border's columns are not made anew in every iteration
 
@@ -31,17 +31,14 @@ class Border:
         if not self.X.shape[1]:
             return y, np.zeros(0)
         if rows is not self.rows:
-            self._close(rows, corner)
+            self.rows = None
+            try:
+                self.lu = LU(rows @ self.X - corner)
+            except SingularSystem:
+                raise SingularSystem("the constraints' system is singular") from None
+            self.rows = rows
         w = self.lu.solve(rows @ y - below)
         return y - self.X @ w, w
-
-    def _close(self, rows, corner):
-        self.rows = None
-        try:
-            self.lu = LU(rows @ self.X - corner)
-        except SingularSystem:
-            raise SingularSystem("the constraints' system is singular") from None
-        self.rows = rows
 
 
 class StepMatrix:
@@ -89,7 +86,7 @@ class StepMatrix:
 
     def saddle(self, t, q, lam, r, phi):
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
-        if self.whole is None and self.border is None and self._together():
+        if self.whole is None and self.border is None and (self.model.m > MANY or not self.stands_alone()):
             at = float(self.made_at[0]), self.made_at[1 : self.model.n + 1]
             self.whole = KKT(self.S, self.model.phi_q(*at), scaling_factors("physical", 1 / abs(self.c_m), self.S))
         if self.whole:
@@ -98,10 +95,6 @@ class StepMatrix:
         if self.border is None or self.model.needs.phi_q_varies or self.model.needs.driven:
             self.border = Border(self.solve(q, dense(B).T))
         return self.border.solve(self.solve(q, -r), B, -phi)
-
-    def _together(self):
-        """Whether S is better not eliminated."""
-        return self.model.m > MANY or not self.stands_alone()
 
     def stands_alone(self):
         """Whether S has an inverse, beyond doubt where there are constraints that may be all that holds some coordinates."""
@@ -120,3 +113,70 @@ class WholeMatrix(StepMatrix):
         S = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0)
         self.made_at = np.concatenate([[t], q, v, a, lam])
         self.whole = KKT(S, self.model.phi_q(t, q), scaling_factors(self.scaling, 1 / abs(c_m), S))
+
+
+ENOUGH = 1e-11  # of |x|: the error at which refinement ends
+LEFT = 1e3 * ENOUGH  # of |x|: below it a correction that no longer falls is round-off
+SLOW = 0.3  # contraction above which the factor is made anew
+MOST = 12  # corrections with one factor
+
+
+class ExactSaddle:
+    """The system at one state after another, of a model with c_m and c_v. counts: anything that counts factorizations and solves."""
+
+    def __init__(self, model, c_m, c_v, counts):
+        self.model, self.c_m, self.c_v, self.counts = model, c_m, c_v, counts
+        self.system = self.direct = self.M = self.K = self.C = self.S = self.B = None
+        self.here = ()
+
+    def at(self, t, q, v, a, lam):
+        """Take the matrices of a state."""
+        model, self.here, self.direct = self.model, (t, q, v, a, lam), None
+        self.C = model.force_v(t, q, v) if model.needs.velocity_forces else None
+        if model.is_scene and model.small:
+            self.K, self.M, self.B = model.small_tangent(t, q, v, lam), model.small_mass(), model.small_phi_q(t, q)
+            self.C = None if self.C is None else self.C.toarray()
+        else:
+            self.K, self.M, self.B = model.tangent(t, q, v, a, lam, 0.0, 0.0, 1.0), model.mass(q), model.phi_q(t, q)
+        self.S = self.c_m * self.M + self.K
+        self.S = self.S if self.C is None else self.S + self.c_v * self.C
+
+    def solve(self, right, below, transposed=False):
+        """(x, mu). Raises SingularSystem."""
+        if isinstance(self.S, np.ndarray):
+            return self._direct(right, below, transposed)
+        S, self.system = self.S.T if transposed else self.S, self.system or self.model.step_matrix()
+        if not self.system.near_any_state:
+            return self._direct(right, below, transposed)
+        found = self._refine(S, right, below) if len(self.system.made_at) else None
+        if found is None:
+            self.system = self.model.step_matrix()
+            self.system.factor(*self.here, self.c_m, self.c_v)
+            self.counts.factorizations += 1
+            self.counts.solves += self.system.solves
+            found = self._refine(S, right, below)
+        return self._direct(right, below, transposed) if found is None else found
+
+    def _direct(self, right, below, transposed):
+        if self.direct is None:
+            self.counts.factorizations += 1
+            self.direct = KKT(self.S, self.B, scaling_factors("physical", 1 / abs(self.c_m), self.S))
+        self.counts.solves += 1
+        return (self.direct.adjoint if transposed else self.direct.solve)(-right, -below)
+
+    def _refine(self, S, right, below):
+        """(x, mu), or None where the factor is too old."""
+        t, q, _, _, lam = self.here
+        x, mu, r, rows, last = np.zeros_like(right), np.zeros_like(below), right, below, np.inf
+        for _ in range(MOST):
+            dx, dmu = self.system.saddle(t, q, lam, -r, -rows)
+            self.counts.solves += 1
+            x, mu, moved = x + dx, mu + dmu, np.linalg.norm(dx)
+            size, rate = np.linalg.norm(x), moved / last
+            ahead = rate / (1.0 - rate) if 0.0 < rate < 0.5 else 1.0
+            if moved * ahead <= ENOUGH * size:
+                return x, mu
+            if rate > SLOW:
+                break
+            r, rows, last = right - S @ x - self.B.T @ mu, below - self.B @ x, moved
+        return (x, mu) if moved <= LEFT * size else None

@@ -15,8 +15,8 @@ from polyida.errors import InputError
 from polyida.given import floats, is_one_of, is_whole
 from polyida.integrate.directions import direction, known_inputs
 from polyida.joint.attachment import Attachment
-from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
+from polyida.linear.saddle import KKT
 from polyida.modal import eigen
 from polyida.modal.modes import Modes, normalised
 from polyida.modal.system import NO_MASS

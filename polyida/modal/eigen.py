@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg import eigh, null_space
 
 from polyida.errors import InputError, StepFailure
-from polyida.linear.inertia import falling
 from polyida.linear.lu import SingularSystem
+from polyida.linear.saddle import falling
 from polyida.modal.system import NO_MASS
 
 SHIFTS = 1e-9 * 100.0 ** np.arange(10)  # of a typical k/m; the first: below the modes of a fine mesh, above the round-off of K

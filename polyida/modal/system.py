@@ -10,9 +10,8 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.integrate.start import require_near, require_state
 from polyida.integrate.state import State
-from polyida.linear.inertia import symmetric
-from polyida.linear.kkt import KKT, require_independent, scaling_factors
 from polyida.linear.lu import dense
+from polyida.linear.saddle import KKT, require_independent, scaling_factors, symmetric
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 

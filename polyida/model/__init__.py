@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from polyida.brief import table
 from polyida.errors import InputError
 from polyida.keywords import named_keywords
-from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
+from polyida.linear.saddle import KKT
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import differences
 
@@ -291,7 +291,7 @@ class Model:
         raise NotImplementedError
 
     def mass_system(self, t: float, q: NDArray) -> Any:
-        """The factored `[[M, B^T], [B, 0]]` at (t, q), B = phi_q; its `solve(r, phi)` gives (dq, dlam) as linear/kkt.py's.
+        """The factored `[[M, B^T], [B, 0]]` at (t, q), B = phi_q; its `solve(r, phi)` gives (dq, dlam) as linear/saddle.py's.
 
         Raises InputError where it is singular.
         """

@@ -142,7 +142,7 @@ class Guarded(Model):
         self.flexible, self.alike, self.carries = model.flexible, model.alike, model.carries
         self.dissipating, self.parameters = model.dissipating, model.parameters
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
-        compiled = self._compiled_calls()
+        compiled = Compiled(self).calls() if model.by_numba and self.n + self.m > MOST else {}  # smaller ones get a table of C functions
         for name, shape in _shapes(self.n, self.m).items():
             if writes(model, name) and (self.m or name not in OF_CONSTRAINTS):
                 setattr(self, name, self._checked(name, compiled.get(name) or getattr(model, name), shape))
@@ -151,16 +151,10 @@ class Guarded(Model):
         if writes(model, "kinks"):
             self.kinks = self._kinks
         if writes(model, "objection"):
-            self.objection = self._objection
+            self.objection = lambda t, q: model.objection(t, read_only(q))
         self.gaps = self._gaps
         for name in PASSED + tuple(name for name in OWN if writes(model, name)):
             setattr(self, name, getattr(self.user, name))
-
-    def _compiled_calls(self):
-        """{name: compiled function} of a model that is too large for a table of C functions."""
-        if not self.user.by_numba:
-            return {}
-        return Compiled(self).calls() if self.n + self.m > MOST else {}
 
     def __getattr__(self, name):
         """What an integrator of a user's own asks of a model of theirs, by names that no Model has."""
@@ -183,7 +177,8 @@ class Guarded(Model):
                 raise InputError(f"{self.name}.{name} {wrong}") from error
             if not (type(found) is np.ndarray and found.dtype is FLOAT and found.shape == shape):
                 self._require(name, found, shape)
-                found = _workable(found).astype(float)
+                sparse = getattr(found, "format", "csr") not in ("csr", "csc")  # of diagonals and the like, without all operations
+                found = (found.tocsr() if sparse else found).astype(float)
             elif getrefcount(found) > ALONE or found.base is not None:
                 found = found.copy()
             last[1] = found
@@ -207,18 +202,15 @@ class Guarded(Model):
         if due or self.needs.mass_varies:
             M, before = self.written_mass(q), self._constant
             if due:
-                self._look_at_mass(M, M if before is None else before)
+                apart, changed, size = abs(M - M.T).max(), abs(M - (M if before is None else before)).max(), abs(M).max()
+                if apart > SAME * size:
+                    raise InputError(f"{self.name}.mass must be symmetric; M - M^T has an entry of {apart:.3g}")
+                if changed > SAME * size:
+                    raise InputError(f"{self.name}.mass changes with q, an entry by {changed:.3g}: its needs must say mass_varies=True")
             if self.needs.mass_varies:
                 return M
             self._constant = M
         return self._constant
-
-    def _look_at_mass(self, M, before):
-        apart, changed, size = abs(M - M.T).max(), abs(M - before).max(), abs(M).max()
-        if apart > SAME * size:
-            raise InputError(f"{self.name}.mass must be symmetric; M - M^T has an entry of {apart:.3g}")
-        if changed > SAME * size:
-            raise InputError(f"{self.name}.mass changes with q, an entry by {changed:.3g}: its needs must say mass_varies=True")
 
     def _kinks(self, t0, t1):
         """As the model says, sorted."""
@@ -240,9 +232,6 @@ class Guarded(Model):
         if found is None or found.ndim != 1:
             raise InputError(f"{self.name}.gaps must return an array (k,) of finite numbers at t = {t:.9g} s")
         return found
-
-    def _objection(self, t, q):
-        return self.user.objection(t, read_only(q))
 
     def call_all(self, t, q, v):
         """Each of the four functions once."""
@@ -302,11 +291,6 @@ class Guarded(Model):
             if not np.isfinite(_entries(found)).all() and all(np.isfinite(x).all() for x in given)
         ]
         return f"{' and '.join(bad)} gave numbers that are not finite" if bad else ""
-
-
-def _workable(found):
-    """An array as it is; a sparse matrix in a format with all operations, which those of diagonals and the like have not."""
-    return found.tocsr() if getattr(found, "format", "csr") not in ("csr", "csc") else found
 
 
 def _entries(found):

@@ -13,7 +13,7 @@ from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
-from polyida.linear.condition import condition
+from polyida.linear.whole import condition
 from polyida.model.guarded import guard
 from polyida.show.style import on_axes, plain
 from polyida.study.drawing import look

@@ -21,8 +21,8 @@ from polyida.given import is_number
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.radau.radau_iia import RadauIIA
-from polyida.linear.kkt import KKT
 from polyida.linear.lu import SingularSystem
+from polyida.linear.saddle import KKT
 from polyida.model.guarded import guard
 from polyida.study.families import PARTS, by_bdf, by_explicit, by_radau, distance, extrapolated, last_state, whole
 

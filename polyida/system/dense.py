@@ -10,11 +10,11 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.errors import DONE, NOT_FINITE, SINGULAR
-from polyida.jit import pack, part
+from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, c_address, c_entry
+from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, c_address
 
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)
@@ -145,7 +145,7 @@ def equilibrium(w, found):
     return DONE
 
 
-@c_entry
+@entry
 def residual(w, instant, q, v, a, lam, r, phi):
     """r at the state within the step, phi at its end."""
     n, m = w.q.shape[0], w.lam.shape[0]
@@ -170,13 +170,13 @@ def residual(w, instant, q, v, a, lam, r, phi):
     return DONE if finite(found) and finite(rows) else NOT_FINITE
 
 
-@c_entry
+@entry
 def hold(w, instant, q, v, c, d, e, f):
     """Nothing: phi is taken from positions."""
     return DONE
 
 
-@c_entry
+@entry
 def close(w, instant, q, dd, dv, phi, rate, f):
     """phi at the end; the rate stays."""
     m = w.lam.shape[0]
@@ -275,7 +275,7 @@ def add_slopes(w):
     return ended
 
 
-@c_entry
+@entry
 def factor(w, instant, q, v, a, lam, c, f):
     """S at a state; it is factored with the B of a solve."""
     n, m = w.q.shape[0], w.lam.shape[0]
@@ -300,7 +300,7 @@ def typical(matrix):
     return total / matrix.shape[0] if total > 0.0 else 1.0
 
 
-@c_entry
+@entry
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
     n, m, size = w.q.shape[0], w.lam.shape[0], typical(w.S)
@@ -322,7 +322,7 @@ def solve(w, instant, q, lam, r, phi, dq, dlam):
     return DONE
 
 
-@c_entry
+@entry
 def rate(w, instant, q, v, found, d, e, f):
     """phi_q v + phi_t."""
     m, rows = w.lam.shape[0], vector(found, w.lam.shape[0])
@@ -342,7 +342,7 @@ def rate(w, instant, q, v, found, d, e, f):
     return DONE
 
 
-@c_entry
+@entry
 def project(w, instant, rows, x, anew, d, e, f):
     """B x falls by rows, by a change of x of the least M-norm; anew: x becomes the change that has the same B x."""
     n, m = w.q.shape[0], w.lam.shape[0]
@@ -369,7 +369,7 @@ def project(w, instant, rows, x, anew, d, e, f):
     return DONE
 
 
-@c_entry
+@entry
 def accept(w, instant, q, b, c, d, e, f):
     """What the model says of the state."""
     if not w.functions[ACCEPTED]:
@@ -414,7 +414,7 @@ def bias(w):
     return ended
 
 
-@c_entry
+@entry
 def acceleration(w, instant, q, v, a, lam, e, f):
     """a and lam that are consistent with q and v: `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
     n, m = w.q.shape[0], w.lam.shape[0]

@@ -9,21 +9,21 @@ from numba import carray, typeof
 
 from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.bodies.compact import Compact
-from polyida.assembly.bodies.damping import add_damping
-from polyida.assembly.own.laws import Laws, add_own_forces
+from polyida.assembly.compact import Compact
+from polyida.assembly.equilibrium import add_damping
+from polyida.assembly.own_laws import Laws, add_own_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table, gain_table
 from polyida.assembly.rows.tie import Tie, velocity_rate
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.rows.tie import tie as tie_of
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
-from polyida.jit import pack, part
+from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
-from polyida.linear.cholesky.team import Helpers
 from polyida.linear.dense import clear
+from polyida.linear.team import Helpers
 from polyida.machine import threads
-from polyida.system.table import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address, c_entry
+from polyida.system.table import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address
 
 SHARED = 20_000  # coordinates from which on the threads that are asked for share the solves
 # constants of compiled code
@@ -85,7 +85,7 @@ def add_forces(s, damp, laws, drives, u, v, r):
         add_own_forces(laws, s.links, drives, u, v, r)
 
 
-@c_entry
+@entry
 def residual(w, instant, q, v, a, lam, r, phi):
     """r and phi, from positions."""
     u, out, drives = pairs(w, q), pairs(w, r), w.drives[instant + 1]
@@ -99,7 +99,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
     return DONE
 
 
-@c_entry
+@entry
 def hold(w, instant, q, v, c, d, e, f):
     """Take up the points at a step's start."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[START])
@@ -107,7 +107,7 @@ def hold(w, instant, q, v, c, d, e, f):
     return DONE
 
 
-@c_entry
+@entry
 def close(w, instant, q, dd, dv, phi, rate, f):
     """phi and its rate, by what the step adds to those at its start; or phi from positions."""
     s, dx, vx = w.scene.links, w.points[DX], w.points[DV]
@@ -122,7 +122,7 @@ def close(w, instant, q, dd, dv, phi, rate, f):
     return DONE
 
 
-@c_entry
+@entry
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
     drives = w.drives[instant + 1]
@@ -133,7 +133,7 @@ def solve(w, instant, q, lam, r, phi, dq, dlam):
     return DONE if good else SINGULAR
 
 
-@c_entry
+@entry
 def rate(w, instant, q, v, found, d, e, f):
     """phi_q v + phi_t."""
     joints.point_values(w.scene.links, pairs(w, q), w.points[DX])
@@ -150,7 +150,7 @@ def tied_rate(s, t, drives, dz, v, found):
             found[k] = t.rate[k]
 
 
-@c_entry
+@entry
 def project(w, instant, wanted, x, anew, d, e, f):
     """B x falls by rows, by a change of x of the least M-norm; anew: x becomes the change that has the same B x."""
     return DONE if tied_project(w.scene.links, w.tie, rows(w, wanted), pairs(w, x), anew) else SINGULAR
@@ -171,7 +171,7 @@ def tied_project(s, t, wanted, x, anew):
     return project_rows(s, t, t.bias, x)
 
 
-@c_entry
+@entry
 def accept(w, instant, q, b, c, d, e, f):
     """Whether every motor stands on the right half-turn; q is that of the last RESIDUAL, but for one correction."""
     return DONE if w.numbers[COSINE] > 0.0 else HALF_TURN

@@ -37,11 +37,11 @@ IDA calls those of one stage, with c = cj in the real mode and D = 1; in some of
 |---|---|---|
 | BIAS | q, v, a, found | `phi_q a + phi_bias`, the second derivative of phi; B is that of the last REACTION |
 
-The backward sweep of generalized-alpha has tables of its own (adjoint/tables) with one entry.
+The backward sweep of generalized-alpha has tables of its own (adjoint/tables.py) with one entry.
 
 | entry | arguments | what it does |
 |---|---|---|
-| ADJOINT | right, below, bar, w, mu, found | solve the adjoint of the step that ends at this instant (adjoint/alpha/sweep.py) |
+| ADJOINT | right, below, bar, w, mu, found | solve the adjoint of the step that ends at this instant (adjoint/alpha.py) |
 """
 
 from numba import types
@@ -55,9 +55,6 @@ STEPS = 256  # the same of steps of Radau IIA
 RESIDUAL, HOLD, CLOSE, FACTOR, SOLVE, RATE, PROJECT, ACCEPT, ACCELERATION, MIDDLE, KINETIC = range(11)
 PREPARE, REACTION, ROWS, TURN, REAL, PAIR, OFF, MATRICES, SELECT, ADJOINT, BIAS = range(11, 22)
 ENTRIES = 22
-
-
-c_entry = jit.entry  # a function of a table; compiled code takes it in as a part
 
 
 def c_address(function, kind):

@@ -19,7 +19,7 @@ from polyida.integrate.ida.whole import FormRows
 from polyida.integrate.sizes import sizes_of_run, typical_sizes
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
-from polyida.linear.cholesky.triangular import fill_band
+from polyida.linear.cholesky import fill_band
 
 WIDEST_BAND = 40_000  # coordinates beyond which a band factor is out of the question
 

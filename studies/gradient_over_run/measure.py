@@ -5,8 +5,9 @@ from functools import lru_cache, partial
 import numpy as np
 
 import polyida as pi
-from polyida.adjoint.alpha.sweep import AdjointState, Sweep
-from polyida.adjoint.tables import products, scene
+from polyida.adjoint import products
+from polyida.adjoint import scene_table as scene
+from polyida.adjoint.alpha import AdjointState, Sweep
 from polyida.integrate.state import Counts
 from polyida.jit import entry
 from polyida.machine import one_blas_thread

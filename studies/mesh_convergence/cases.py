@@ -10,7 +10,7 @@ from polyida.body.plate import Material, Plate
 from polyida.force.loads import PointLoad
 from polyida.integrate.statics.static import static
 from polyida.joint.joints import Clamp
-from polyida.linear.kkt import KKT, scaling_factors
+from polyida.linear.saddle import KKT, scaling_factors
 from polyida.mesh import PolygonMesh, quads, rectangle, triangles
 from polyida.scene import Scene
 

@@ -18,8 +18,8 @@ from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.ida.integrator import IDA
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
-from polyida.linear.cholesky.factor import symbolic_of
-from polyida.linear.cholesky.fronts import factorize, solve_fronts
+from polyida.linear.cholesky import symbolic_of
+from polyida.linear.fronts import factorize, solve_fronts
 from polyida.mesh import rectangle
 from polyida.problems import plates
 from polyida.run.solve import solve

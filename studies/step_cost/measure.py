@@ -19,8 +19,8 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
 from polyida.jit import entry
-from polyida.linear.cholesky.factor import symbolic_of
-from polyida.linear.cholesky.fronts import factorize, solve_fronts
+from polyida.linear.cholesky import symbolic_of
+from polyida.linear.fronts import factorize, solve_fronts
 from polyida.machine import one_blas_thread
 from polyida.problems import plates
 from polyida.run.solve import solve

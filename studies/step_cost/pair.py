@@ -5,8 +5,8 @@ import numpy as np
 from against_peers import peers
 from polyida.assembly import equilibrium
 from polyida.integrate.radau.tableau import radau
-from polyida.linear.cholesky.factor import symbolic_of
-from polyida.linear.cholesky.fronts import factorize, single, solve_fronts
+from polyida.linear.cholesky import symbolic_of
+from polyida.linear.fronts import factorize, single, solve_fronts
 from polyida.machine import one_blas_thread
 from step_cost.measure import RADAU_H, median_cpu, model_of, moved
 

@@ -14,7 +14,7 @@ from polyida.force.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state, start_values
-from polyida.linear.kkt import KKT, scaling_factors
+from polyida.linear.saddle import KKT, scaling_factors
 from polyida.problems import plates
 from polyida.run.solve import solve
 from polyida.study.families import explicit

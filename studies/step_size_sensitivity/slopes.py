@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from polyida.linear.kkt import SCALINGS
+from polyida.linear.saddle import SCALINGS
 from polyida.study.rows import column, fitted, pick, value
 
 PARTS = ("q", "v", "a", "lam")

@@ -18,7 +18,7 @@ from polyida.joint.joint import Joint
 from polyida.joint.joints import Revolute, Slot
 from polyida.modal.modes import modes
 from polyida.model import Model, Needs
-from polyida.model.derivatives import check_derivatives
+from polyida.model.check import check_derivatives
 from polyida.run.solve import solve
 from polyida.scene import Scene
 from stress.outcome import INTEGRATORS, Check, Stop, held, integrator

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.adjoint.parameter import AdjointMultipliers, total
 from polyida.adjoint.parameters import in_time, parameters_of
-from polyida.adjoint.parameters.parameter import AdjointMultipliers, total
 from polyida.model.differences import along
 from polyida.model.guarded import guard
 from polyida.problems import andrews, car_axis

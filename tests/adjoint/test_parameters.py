@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.adjoint.parameters import in_time, parameters_of
-from polyida.adjoint.parameters.parameter import AdjointMultipliers, total
-from polyida.adjoint.parameters.parts import OfMotion
+from polyida.adjoint.parameter import AdjointMultipliers, total
+from polyida.adjoint.parameters import OfMotion, in_time, parameters_of
 from polyida.model.differences import along
 
 STEEL = pi.Material(E=2e7, nu=0.3, rho=1000.0, viscosity=1e-3, mass_damping=0.4)

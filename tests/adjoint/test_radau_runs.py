@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.adjoint.radau import equations
-from polyida.adjoint.radau.stages import step_history
+from polyida.adjoint import radau_equations as equations
+from polyida.adjoint.radau import step_history
 from polyida.errors import StepFailure
 from polyida.integrate.radau.steps import Steps
 from polyida.problems import andrews

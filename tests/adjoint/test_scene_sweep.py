@@ -7,10 +7,10 @@ import pytest
 
 import polyida as pi
 from polyida import machine
-from polyida.adjoint.alpha import sweep as loop
-from polyida.adjoint.alpha.sweep import AdjointState, Sweep
-from polyida.adjoint.tables.dense import DenseAdjoint
-from polyida.adjoint.tables.products import products_at
+from polyida.adjoint import alpha as loop
+from polyida.adjoint.alpha import AdjointState, Sweep
+from polyida.adjoint.products import products_at
+from polyida.adjoint.tables import DenseAdjoint
 from polyida.errors import REFACTOR
 from polyida.model.differences import along
 from polyida.model.guarded import guard
@@ -126,7 +126,7 @@ def test_a_factor_that_is_too_old_is_made_anew(scenes):
     sweep, other = (Sweep(model, settings, h, counts) for h in (H, 0.2 * H))
     for one in (sweep, other):
         one.table.take(*steps[:5])
-        one.table.prepare(STEPS - 1)
+        one.table.refresh(STEPS - 1)
     sweep.table.system = other.table.system
     assert agree(swept(sweep, steps), wanted) and counts.factorizations == 3
 

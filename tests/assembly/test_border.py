@@ -5,8 +5,8 @@ import pytest
 
 import polyida as pi
 from polyida.assembly.border import assemble, is_accurate, solve_border
+from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.stabilised_border import stabilised_room
-from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.jit import entry
 from polyida.linear.elimination import eliminate
 from polyida.problems.n_four_bar import n_four_bar

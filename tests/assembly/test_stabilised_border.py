@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from polyida.assembly import corotated
+from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.stabilised_border import massive, stabilised_border, stabilised_room
-from polyida.assembly.step_matrix import SceneStepMatrix
 from polyida.jit import entry
 
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}

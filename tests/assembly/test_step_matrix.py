@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.bodies.damping import symmetric_parts
-from polyida.assembly.step_matrix import SceneStepMatrix
+from polyida.assembly.corotated import SceneStepMatrix
+from polyida.assembly.equilibrium import symmetric_parts
 
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}
 

@@ -7,7 +7,7 @@ import polyida as pi
 from polyida.assembly.rows.unit_rows import LEAST, UnitRows, pattern_of
 from polyida.integrate import singular
 from polyida.integrate.state import State
-from polyida.linear.independence import coordinate_sizes, least, rows_of
+from polyida.linear.saddle import coordinate_sizes, least, rows_of
 
 
 def bars(points, links):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.bodies import motion as motions
+from polyida.assembly import motion as motions
 from polyida.problems.n_four_bar import n_four_bar
 
 V, SPIN = (0.7, -0.4), 3.0

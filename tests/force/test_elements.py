@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.own.laws import add_own_forces
+from polyida.assembly.own_laws import add_own_forces
 from polyida.model.differences import along
 
 T = 0.13

@@ -8,7 +8,7 @@ from numba import njit
 from scipy.sparse import bsr_array
 
 import polyida as pi
-from polyida.assembly.own import laws
+from polyida.assembly import own_laws as laws
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from polyida.integrate.ida.forms import FORMS, System
 from polyida.integrate.ida.linear import Correction
 from polyida.integrate.iteration_matrix import iteration_matrix
 from polyida.integrate.radau.tableau import radau
-from polyida.linear.condition import condition
-from polyida.linear.kkt import SCALINGS, Scaling, assemble, scaling_factors
+from polyida.linear.saddle import SCALINGS, Scaling, assemble, scaling_factors
+from polyida.linear.whole import condition
 from polyida.problems import plates
 
 SMALL = 10.0 ** -np.arange(5.0, 10.0)

@@ -12,7 +12,7 @@ from polyida.integrate.radau.matrices import Matrices, Rows, WholeModes
 from polyida.integrate.radau.tableau import radau, through, through_zero
 from polyida.integrate.radau.tables.scene import FEW
 from polyida.integrate.start import consistent_acceleration
-from polyida.linear.kkt import SCALINGS
+from polyida.linear.saddle import SCALINGS
 from polyida.model import differences
 from polyida.problems.plates import double_plate, double_plate_motors
 

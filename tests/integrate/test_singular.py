@@ -6,7 +6,7 @@ import pytest
 import polyida as pi
 from polyida.integrate import singular
 from polyida.integrate.state import Stretch
-from polyida.linear.independence import least
+from polyida.linear.saddle import least
 
 ALL = {
     "alpha": pi.GeneralizedAlpha(h=2e-3),

@@ -5,8 +5,8 @@ import pytest
 
 import polyida as pi
 from polyida.assembly import corotated, equilibrium
-from polyida.linear.cholesky.factor import NotFactorable, factor
-from polyida.linear.kkt import KKT
+from polyida.linear.cholesky import NotFactorable, factor
+from polyida.linear.saddle import KKT
 
 C_M = 4e6
 SINGLE = 2e-4  # the factor is kept in single precision, and loses digits by its condition number

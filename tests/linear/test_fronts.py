@@ -4,8 +4,8 @@ from numba import typeof
 from scipy.sparse import block_diag, bsr_array, coo_array, csr_array, eye_array, kron
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from polyida.linear.cholesky.dissection import LEAF, NOTHING, cover_cut, symbolic
-from polyida.linear.cholesky.fronts import factorize, solve_fronts
+from polyida.linear.dissection import LEAF, NOTHING, cover_cut, symbolic
+from polyida.linear.fronts import factorize, solve_fronts
 
 
 def grid(nx, ny):

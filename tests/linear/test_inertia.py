@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import null_space
 from scipy.sparse import csc_array, csr_array
 
-from polyida.linear.inertia import falling
+from polyida.linear.saddle import falling
 
 
 @pytest.mark.parametrize("m", [0, 1, 4])

@@ -6,8 +6,8 @@ from scipy.sparse import csc_array
 
 import polyida as pi
 from polyida.linear.dense import solve_small
-from polyida.linear.kkt import KKT, SCALINGS, assemble, require_independent, scaling_factors
 from polyida.linear.lu import SingularSystem
+from polyida.linear.saddle import KKT, SCALINGS, assemble, require_independent, scaling_factors
 
 
 def system(h=1e-3, stiffness=1e5, n=8, m=3, seed=0):

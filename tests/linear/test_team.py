@@ -7,9 +7,9 @@ import polyida as pi
 from polyida import machine
 from polyida.assembly import equilibrium
 from polyida.jit import compilers, entry
-from polyida.linear.cholesky.factor import FRONTS, symbolic_of
-from polyida.linear.cholesky.fronts import factorize, solve_fronts
-from polyida.linear.cholesky.team import at_work, solve_together, team
+from polyida.linear.cholesky import FRONTS, symbolic_of
+from polyida.linear.fronts import factorize, solve_fronts
+from polyida.linear.team import at_work, solve_together, team
 from polyida.problems import plates
 from polyida.system import scene as compiled_loop
 

@@ -5,7 +5,7 @@ import pytest
 
 from conditioning import solve_error
 from conditioning import systems as conditioning
-from polyida.linear.kkt import assemble, scaling_factors
+from polyida.linear.saddle import assemble, scaling_factors
 from polyida.study.rows import fitted
 
 STEPS = 1e-6 * 10.0 ** -np.arange(4)

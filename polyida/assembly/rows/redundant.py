@@ -10,8 +10,7 @@ from scipy.linalg import qr
 
 from polyida.errors import InputError
 from polyida.joint.joint import Joint
-from polyida.linear.independence import coordinate_sizes
-from polyida.linear.kkt import DEPENDENT
+from polyida.linear.saddle import DEPENDENT, coordinate_sizes
 
 AWAY = 1e-3  # of the scene's size: how far from the start it is looked at whether rows still follow from others
 FIRST = 1e3  # so much longer are rows that keep a body in shape when it is chosen which to leave out
@@ -34,7 +33,11 @@ class Redundant:
         self._of_joints = np.zeros(whole.m, bool)
         for name, part in whole.joints.items():
             self._of_joints[whole.rows[name]] = isinstance(part, Joint)
-        self.left_out = self._dependent(np.zeros(whole.n))
+        B = self._slopes(0.0, np.zeros(whole.n))
+        lengths = np.linalg.norm(B, axis=1)
+        first = np.where(self._of_joints, 1.0, FIRST)
+        R, order = qr((B * (first / np.where(lengths > 0, lengths, 1.0))[:, None]).T, mode="r", pivoting=True)
+        self.left_out = np.sort(order[np.count_nonzero(np.abs(np.diag(R)) > DEPENDENT) :])
         self.kept = np.setdiff1d(np.arange(whole.m), self.left_out)
         self.labels = tuple(whole.constraint_name(int(row)) for row in self.left_out)
         places = (np.zeros(whole.n), self._nearby()) if len(self.left_out) else ()
@@ -71,14 +74,6 @@ class Redundant:
 
         B = (self.whole.phi_q(t, q) @ diags_array(self._sizes)).tocsc()
         return B[:, np.flatnonzero(np.diff(B.indptr))].toarray()
-
-    def _dependent(self, q):
-        """Numbers of rows without which the others are as many as the rank, sorted."""
-        B = self._slopes(0.0, q)
-        lengths = np.linalg.norm(B, axis=1)
-        first = np.where(self._of_joints, 1.0, FIRST)
-        R, order = qr((B * (first / np.where(lengths > 0, lengths, 1.0))[:, None]).T, mode="r", pivoting=True)
-        return np.sort(order[np.count_nonzero(np.abs(np.diag(R)) > DEPENDENT) :])
 
     def _free(self, t, q):
         """N, (rows, left out)."""

@@ -78,7 +78,9 @@ class RowTable:
         rest = np.array([value for value, _ in self._vectors], complex)
         points = [list(weights) for _, weights in self._vectors]
         weights = np.array([w for _, weights in self._vectors for w in weights.values()], complex)
-        touched = self._touched()
+        touched = [dict.fromkeys(slopes) for slopes in self._slopes]  # the points of each row, in the order of its formula
+        for number, one, other, *_ in self._products:
+            touched[number] |= dict.fromkeys([*self._vectors[one][1], *self._vectors[other][1]])
         columns = [[2 * point + axis for point in row for axis in range(2)] for row in touched]
         slopes = np.array([row.get(point, 0j) for row, points in zip(self._slopes, touched) for point in points], complex)
         return {
@@ -99,13 +101,6 @@ class RowTable:
             "vector_points": np.array([p for row in points for p in row], np.int64),
             "vector_weights": _pairs(weights),
         }
-
-    def _touched(self):
-        """The points of each row, in the order of its formula."""
-        touched = [dict.fromkeys(slopes) for slopes in self._slopes]
-        for row, first, second, *_ in self._products:
-            touched[row] |= dict.fromkeys([*self._vectors[first][1], *self._vectors[second][1]])
-        return touched
 
 
 class Points:

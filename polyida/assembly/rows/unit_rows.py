@@ -15,7 +15,7 @@ from polyida.assembly.rows import joints
 from polyida.errors import DONE
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.linear.independence import coordinate_sizes
+from polyida.linear.saddle import coordinate_sizes
 
 CLOSE = 1e-5  # a bound of the least singular value that proves enough
 SHARE = 0.5  # of that bound: how far rows may go before they are looked at more closely
@@ -57,11 +57,15 @@ class Scratch(NamedTuple):
 
 def pattern_of(model):
     """(Pattern, bandwidth, number of slopes in the points, sizes of the coordinates) of a scene."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import reverse_cuthill_mckee
+
     links, n, m = model.arrays.links, model.n, model.m
     slopes, sizes = len(links.row_columns), coordinate_sizes(model, np.zeros(n))
     points = model._points_of_q[links.row_columns].tocoo()
     row = np.repeat(np.arange(m), np.diff(links.row_start))
-    order = _ordered(row[points.row], points.col, m)
+    touched = csr_array((np.ones(points.nnz), (row[points.row], points.col)))
+    order = reverse_cuthill_mckee(csr_array(touched @ touched.T), symmetric_mode=True).astype(np.int64)
     place = np.empty(m, np.int64)
     place[order] = np.arange(m)
     keys = place[row[points.row]] * n + points.col
@@ -76,23 +80,9 @@ def pattern_of(model):
         (points.data * sizes[points.col])[sort],
     )
     by_column = np.argsort(columns, kind="stable")
-    return pattern, _bandwidth(rows[by_column], columns[by_column]), slopes, sizes
-
-
-def _bandwidth(rows, columns):
-    """How far apart rows are that have a column in common; entries sorted by column."""
-    edges = np.flatnonzero(np.diff(columns)) + 1
-    first = np.concatenate([[0], edges])
-    return int(max(np.maximum.reduceat(rows, first) - np.minimum.reduceat(rows, first), default=0)) if len(rows) else 0
-
-
-def _ordered(rows, columns, m):
-    """Rows in an order in which those with a column in common are near each other."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import reverse_cuthill_mckee
-
-    touched = csr_array((np.ones(len(rows)), (rows, columns)))
-    return reverse_cuthill_mckee(csr_array(touched @ touched.T), symmetric_mode=True).astype(np.int64)
+    rows, first = rows[by_column], np.flatnonzero(np.diff(columns[by_column], prepend=-1))  # a column's entries side by side
+    apart = np.maximum.reduceat(rows, first) - np.minimum.reduceat(rows, first) if len(rows) else np.zeros(0)
+    return pattern, int(apart.max(initial=0)), slopes, sizes
 
 
 def dense_pattern(model, sizes):

@@ -14,7 +14,7 @@ from polyida.integrate.kinks import enough_steps, run_of, stretches
 from polyida.integrate.moves import PARTS, cells_of
 from polyida.integrate.state import Counts, State, States, Stretch
 from polyida.keywords import named_keywords
-from polyida.linear.kkt import SCALINGS
+from polyida.linear.saddle import SCALINGS
 from polyida.linear.step_matrix import WholeMatrix
 from polyida.model import Model
 

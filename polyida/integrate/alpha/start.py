@@ -22,7 +22,7 @@ from polyida.integrate.kinks import at_kink, beside
 from polyida.integrate.start import consistent_acceleration, far_side, jerk, start_values
 from polyida.integrate.state import Counts, State
 from polyida.linear.lu import SingularSystem
-from polyida.linear.refined import ExactSaddle
+from polyida.linear.step_matrix import ExactSaddle
 
 FAR_SHORTER = 2.5  # a step control's ladder stays below
 

@@ -14,9 +14,9 @@ from functools import cache
 import numpy as np
 from numba import typeof
 
-from polyida.assembly.own.laws import NOISE
+from polyida.assembly.own_laws import NOISE
 from polyida.errors import DONE, NOT_FINITE
-from polyida.jit import part
+from polyida.jit import entry, part
 from polyida.model.differences import FIRST_ORDER_STEP, along
 from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system.dense import (
@@ -34,7 +34,7 @@ from polyida.system.dense import (
     vector,
 )  # fmt: skip
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
-from polyida.system.table import ACCELERATION, INSTANTS, KINETIC, MIDDLE, c_address, c_entry
+from polyida.system.table import ACCELERATION, INSTANTS, KINETIC, MIDDLE, c_address
 
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off
 STEP = FIRST_ORDER_STEP * SPAN  # of dq: V' from values at one and two of them to each side
@@ -51,7 +51,7 @@ def potential(w, x, d, s):
     return ended, w.x[0]
 
 
-@c_entry
+@entry
 def middle(w, instant, states, lam, r, phi, e, f):
     """r at the middle of a step, whose time is that before the instant of its end, and phi there."""
     n, m = w.q.shape[0], w.lam.shape[0]
@@ -97,7 +97,7 @@ def middle(w, instant, states, lam, r, phi, e, f):
     return NOT_FINITE if ended == DONE and not (finite(found) and finite(rows)) else ended
 
 
-@c_entry
+@entry
 def kinetic(w, instant, v, energy, c, d, e, f):
     """v^T M v."""
     n, total = w.q.shape[0], 0.0

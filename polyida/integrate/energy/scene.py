@@ -3,9 +3,9 @@
 import numpy as np
 from numba import carray
 
+from polyida.assembly import compact
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.bodies import compact
-from polyida.assembly.own.laws import take_midpoint_forces
+from polyida.assembly.own_laws import take_midpoint_forces
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table
 from polyida.assembly.rows.tie import constrain
@@ -33,10 +33,10 @@ from polyida.system.scene import (
     pairs,
     rows,
 )  # fmt: skip
-from polyida.system.table import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE, c_entry
+from polyida.system.table import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE
 
 
-@c_entry
+@entry
 def middle(w, instant, states, lam, r, phi, e, f):
     """r at the middle of a step, whose time is that before the instant of its end, and phi there."""
     links, out, points, drives = w.scene.links, pairs(w, r), w.points, w.drives[instant]
@@ -105,7 +105,7 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
     return least
 
 
-@c_entry
+@entry
 def kinetic(w, instant, v, energy, c, d, e, f):
     """v^T M v."""
     s, given, total = w.solid, pairs(w, v), 0.0
@@ -117,7 +117,7 @@ def kinetic(w, instant, v, energy, c, d, e, f):
     return DONE
 
 
-@c_entry
+@entry
 def acceleration(w, instant, q, v, a, lam, e, f):
     """`[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
     s, links, drives, out, found = w.solid, w.scene.links, w.drives[instant + 1], pairs(w, a), rows(w, lam)

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.assembly.own.laws import NO_ENERGY
+from polyida.assembly.own_laws import NO_ENERGY
 from polyida.errors import DONE, HALF_TURN, REASONS, SINGULAR, StepFailure
 from polyida.integrate.energy import loop
 from polyida.integrate.energy.dense import own_table

@@ -8,11 +8,11 @@ from polyida.errors import DONE
 from polyida.integrate.ida.step import INSTANT
 from polyida.integrate.radau.tables import scene as stages
 from polyida.integrate.radau.tables.scene import SceneStages, Solver, rows
+from polyida.jit import entry
 from polyida.system import table as of
-from polyida.system.table import c_entry
 
 
-@c_entry
+@entry
 def rate(w, instant, q, v, found, known, e, f):
     """phi_q v + phi_t, where the last residual was."""
     joints.joint_rates(w.scene.links, w.drives[instant], w.dz[0], w.vz, w.spare, rows(w, found), w.spare)

@@ -11,7 +11,7 @@
 | characteristic | dv: cj, dlam: s, dmu: cj, integrated multipliers: another 1/cj | q': cj, r: s, k-th derivative of phi: cj^k |
 
 s is the mean size of the diagonal of `S = K + cj C + cj^2 M`. Raw, the condition number grows as h^-3 (index3), h^-2 (ggl2,
-index2) or h^-1 (the others), cj = 1/h; scaled, it is flat. Source: as linear/kkt.py's, for the unknowns of index 2.
+index2) or h^-1 (the others), cj = 1/h; scaled, it is flat. Source: as linear/saddle.py's, for the unknowns of index 2.
 """
 
 import numpy as np

@@ -16,7 +16,7 @@ c = l/h, l an eigenvalue of `W = A^-1`, real or complex (radau/tableau.py), `G =
 | physical | dv: c, dlam: s, dmu: c | q': c, r: s, B v + phi_t: c |
 
 with |c| for c, s the mean size of the diagonal of `S = K + c C + c^2 M`. Form "index3" has neither dmu nor the last row. Raw, the condition
-number grows as h^-3 (index3) or h^-2 (ggl) where h is small; scaled, it is flat. Sources: as linear/kkt.py's.
+number grows as h^-3 (index3) or h^-2 (ggl) where h is small; scaled, it is flat. Sources: as linear/saddle.py's.
 """
 
 from functools import partial

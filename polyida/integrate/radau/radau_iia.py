@@ -14,7 +14,7 @@ from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State, States
 from polyida.keywords import named_keywords
-from polyida.linear.kkt import SCALINGS
+from polyida.linear.saddle import SCALINGS
 from polyida.model import Model
 
 FORMS = ("ggl", "index3")

@@ -24,9 +24,8 @@ from polyida.integrate.start import given
 from polyida.integrate.state import State
 from polyida.integrate.statics.static import FREE, Equilibrium, Loading, whole_load
 from polyida.keywords import named_keywords
-from polyida.linear.independence import coordinate_sizes
-from polyida.linear.kkt import KKT, scaling_factors
 from polyida.linear.lu import SingularSystem
+from polyida.linear.saddle import KKT, coordinate_sizes, scaling_factors
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard

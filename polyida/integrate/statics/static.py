@@ -14,9 +14,8 @@ from polyida.integrate.rest import equilibrium
 from polyida.integrate.start import given
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
-from polyida.linear.inertia import falling
-from polyida.linear.kkt import KKT, require_independent, scaling_factors
 from polyida.linear.lu import SingularSystem, dense
+from polyida.linear.saddle import KKT, falling, require_independent, scaling_factors
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard, unguarded

@@ -7,7 +7,7 @@ import numpy as np
 from numba import carray, typeof
 
 from polyida.errors import DONE, NO_MATRIX, SINGULAR
-from polyida.jit import pack, part
+from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, complex_pointer
 from polyida.linear import dense as lu
 from polyida.linear.lu import KEPT as SLOTS
@@ -35,7 +35,7 @@ from polyida.system.dense import (
     take_rows,
     vector,
 )
-from polyida.system.table import c_address, c_entry
+from polyida.system.table import c_address
 
 CHOSEN, MADE, TIED = range(
     3
@@ -97,7 +97,7 @@ def copy(source, target):
             target[k, i] = source[k, i]
 
 
-@c_entry
+@entry
 def prepare(w, first, times, b, c, d, e, f):
     """Take the times of a step."""
     given = vector(times, 3 + w.rows.shape[0])
@@ -106,7 +106,7 @@ def prepare(w, first, times, b, c, d, e, f):
     return DONE
 
 
-@c_entry
+@entry
 def reaction(w, instant, q, mu, dv, known, e, f):
     """dv += D^-1 B^T mu; B is kept for the residual there, or is that of the middle stage."""
     n, m, ended, B = w.K.shape[1], w.B.shape[0], DONE, w.B
@@ -131,7 +131,7 @@ def hold_rows(w, instant):
         w.dense.flags[HELD] = 1
 
 
-@c_entry
+@entry
 def residual(w, instant, q, v, a, lam, r, phi):
     """r and phi."""
     hold_rows(w, instant)
@@ -140,19 +140,19 @@ def residual(w, instant, q, v, a, lam, r, phi):
     return ended
 
 
-@c_entry
+@entry
 def hold(w, instant, q, v, c, d, e, f):
     """Nothing: phi is taken from positions."""
     return DONE
 
 
-@c_entry
+@entry
 def close(w, instant, q, dd, dv, phi, rate, f):
     """phi at a state."""
     return dense.close(w.dense, instant, q, dd, dv, phi, rate, f)
 
 
-@c_entry
+@entry
 def rate(w, instant, q, v, found, known, e, f):
     """phi_q v + phi_t; known: at the q of the last REACTION there."""
     if known:
@@ -162,13 +162,13 @@ def rate(w, instant, q, v, found, known, e, f):
     return ended
 
 
-@c_entry
+@entry
 def project(w, instant, rows, x, anew, d, e, f):
     """As of system/dense.py."""
     return dense.project(w.dense, instant, rows, x, anew, 0, 0, 0)
 
 
-@c_entry
+@entry
 def accept(w, instant, q, b, c, d, e, f):
     """What the model says of the state."""
     return dense.accept(w.dense, instant, q, 0, 0, 0, 0, 0)
@@ -249,7 +249,7 @@ def factored(w, c, number, A):
     return lu.factor(A, w.pivots[number])
 
 
-@c_entry
+@entry
 def rows(w, instant, q, v, a, known, e, f):
     """B, G, H and N of the middle stage, and the factors with them."""
     m, own = w.B.shape[0], w.dense
@@ -292,7 +292,7 @@ def corrected(w, A, number, c, x, r, closing, dq, multipliers):
         multipliers[m + e] = abs(c) * x[n + m + e] if w.levels.shape[0] == 2 else 0.0 * x[0]
 
 
-@c_entry
+@entry
 def real(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the real mode."""
     n, m = w.K.shape[1], w.B.shape[0]
@@ -301,7 +301,7 @@ def real(w, instant, r, closing, lam, dq, multipliers, f):
     return DONE
 
 
-@c_entry
+@entry
 def pair(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the complex mode."""
     n, m = w.K.shape[1], w.B.shape[0]
@@ -310,7 +310,7 @@ def pair(w, instant, r, closing, lam, dq, multipliers, f):
     return DONE
 
 
-@c_entry
+@entry
 def bias(w, instant, q, v, a, found, e, f):
     """The second derivative of phi."""
     own, n = w.dense, w.K.shape[1]
@@ -325,7 +325,7 @@ def bias(w, instant, q, v, a, found, e, f):
     return ended
 
 
-@c_entry
+@entry
 def off(w, instant, v, a, r, p, q, rows):
     """r = C v + M a, p = M v, rows = what the blocks of rows are on v."""
     k, n, m = w.state[CHOSEN], w.K.shape[1], w.B.shape[0]
@@ -348,13 +348,13 @@ def off(w, instant, v, a, r, p, q, rows):
     return DONE
 
 
-@c_entry
+@entry
 def acceleration(w, instant, q, v, a, lam, e, f):
     """As of system/dense.py."""
     return dense.acceleration(w.dense, instant, q, v, a, lam, 0, 0)
 
 
-@c_entry
+@entry
 def factor(w, instant, q, v, a, lam, slot, f):
     """K, C and M of a state."""
     d, n, m = w.dense, w.K.shape[1], w.B.shape[0]
@@ -383,7 +383,7 @@ def factor(w, instant, q, v, a, lam, slot, f):
     return ended if ended != DONE or good else NO_MATRIX
 
 
-@c_entry
+@entry
 def select(w, slot, c, b, d, e, f, g):
     """Go on with the matrices of a slot."""
     given = vector(c, 3)

@@ -14,8 +14,8 @@ from numba import carray, typeof
 
 from polyida.assembly import corotated
 from polyida.assembly import equilibrium as kernels
-from polyida.assembly.bodies.damping import symmetric_parts
-from polyida.assembly.own.laws import Laws
+from polyida.assembly.equilibrium import symmetric_parts
+from polyida.assembly.own_laws import Laws
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import Moves, moves, stage_tables, take_step
 from polyida.assembly.rows.tie import Tie, constrain, tie
@@ -25,13 +25,13 @@ from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASON
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
-from polyida.jit import pack, part
+from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import complex_pointer, pointer
 from polyida.jit.own_data import CALLBACK
 from polyida.linear.dense import clear
 from polyida.system import table as of
 from polyida.system.scene import add_forces
-from polyida.system.table import c_address, c_entry
+from polyida.system.table import c_address
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
 PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
@@ -110,7 +110,7 @@ def stage(w, instant):
     return (instant - 1) % (w.c.shape[0] + 1)
 
 
-@c_entry
+@entry
 def prepare(w, first, times, b, c, d, e, f):
     """Take the loads and motors of a step."""
     given = carray(pointer(times), (3 + w.c.shape[0],))
@@ -118,7 +118,7 @@ def prepare(w, first, times, b, c, d, e, f):
     return DONE
 
 
-@c_entry
+@entry
 def hold(w, first, q, v, times, d, e, f):
     """Take up h, and the points where a step begins."""
     w.h[0] = carray(pointer(times), (1,))[0]
@@ -127,7 +127,7 @@ def hold(w, first, q, v, times, d, e, f):
     return DONE
 
 
-@c_entry
+@entry
 def reaction(w, instant, q, mu, dv, d, e, f):
     """dv += B^T mu."""
     s, dz = w.scene.links, w.dz[stage(w, instant)]
@@ -138,7 +138,7 @@ def reaction(w, instant, q, mu, dv, d, e, f):
     return DONE
 
 
-@c_entry
+@entry
 def residual(w, instant, q, v, a, lam, r, phi):
     """r and phi, from positions."""
     s, k, drives, u, speed, out = w.scene, stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), pairs(w, r)
@@ -153,7 +153,7 @@ def residual(w, instant, q, v, a, lam, r, phi):
     return DONE
 
 
-@c_entry
+@entry
 def close(w, instant, q, dd, dv, phi, rate, f):
     """phi and its rate, by what the step adds to those where it begins."""
     s, k, points = w.scene.links, stage(w, instant), w.points
@@ -164,7 +164,7 @@ def close(w, instant, q, dd, dv, phi, rate, f):
     return DONE
 
 
-@c_entry
+@entry
 def rate(w, instant, q, v, found, known, e, f):
     """The slopes of the rows, for `project`; the rate is carried."""
     s, dz = w.scene.links, w.dz[stage(w, instant)]
@@ -180,7 +180,7 @@ def take_slopes(s, t, drives, dz):
         joints.joint_jacobian(s, drives, dz, t.slopes)
 
 
-@c_entry
+@entry
 def project(w, instant, wanted, x, anew, d, e, f):
     """B x falls by rows, by a change of x of the least M-norm."""
     return DONE if moved(w.scene.links, w.tie, rows(w, wanted), pairs(w, x)) else SINGULAR
@@ -192,14 +192,14 @@ def moved(s, t, wanted, x):
     return True if t is None else project_rows(s, t, wanted, x)
 
 
-@c_entry
+@entry
 def middle_rows(w, instant, q, v, c, d, e, f):
     """Have the borders of both modes made at the next residual, for all iterations of a step."""
     w.anew[0] = w.anew[1] = 1
     return DONE
 
 
-@c_entry
+@entry
 def turn(w, first, r, back, c, d, e, f):
     """Turn residuals into the frame of the middle stage, or corrections back."""
     r = carray(pointer(r), w.turn.shape)
@@ -260,7 +260,7 @@ def solve_border(w, instant, number, mode, massive, border, r, closing, lam, dq,
     return DONE if good else SINGULAR
 
 
-@c_entry
+@entry
 def real(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the real mode."""
     shape = (2, w.level.shape[0])
@@ -268,7 +268,7 @@ def real(w, instant, r, closing, lam, dq, multipliers, f):
     return solve_mode(w, instant, 0, w.real, given[0], given[1], given[2], given[3], given[4])
 
 
-@c_entry
+@entry
 def pair(w, instant, r, closing, lam, dq, multipliers, f):
     """The correction of the complex mode."""
     shape = (2, w.level.shape[0])
@@ -288,7 +288,7 @@ def momentum(w, b, r):
     joints.spread(s, w.forces, r)
 
 
-@c_entry
+@entry
 def off(w, instant, v, a, r, p, q, rates):
     """r = C v + M a, p = M v, C of the plates at q; rates (2, m) = (0, B v), B where the last residual of the stage was."""
     slow, force = pairs(w, v), pairs(w, r)
@@ -316,7 +316,7 @@ def row_rates(s, t, drives, dz, vz, rates):
             rates[1, k] = joints.along(s, t.slopes, k, vz)
 
 
-@c_entry
+@entry
 def acceleration(w, instant, q, v, a, lam, e, f):
     """a and lam of the equations of motion."""
     k, drives, u, speed, found = stage(w, instant), w.drives[instant], pairs(w, q), pairs(w, v), w.turn[0]

@@ -6,20 +6,21 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
-from polyida.adjoint.tables import products
-from polyida.adjoint.tables.products import DZ, Scratch, arrays_of, scratch
+from polyida.adjoint import products
+from polyida.adjoint.products import DZ, Scratch, arrays_of, scratch
+from polyida.adjoint.tables import AdjointTable
 from polyida.assembly import corotated
-from polyida.assembly.own.laws import Laws
+from polyida.assembly.own_laws import Laws
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.integrate.alpha.step import SLOW
-from polyida.jit import pack, part
+from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
-from polyida.linear.cholesky.team import Helpers
+from polyida.linear.team import Helpers
 from polyida.machine import threads
 from polyida.system import scene as forward
-from polyida.system.table import ADJOINT, ENTRIES, c_address, c_entry
+from polyida.system.table import ADJOINT, ENTRIES, c_address
 
 # constants of compiled code
 CONTRACTION, AGE, SOLVES, LARGEST = range(4)  # of SceneAdjointWork.marks
@@ -151,17 +152,7 @@ def judge(w, moved, size, last, iteration):
     return small or (slow and moved <= ROUND_OFF * size) or moved <= NOTHING * marks[LARGEST], slow
 
 
-@products.fast
-def copy_products(x, found):
-    """found becomes K^T w + B^T mu and C^T w."""
-    n = x.stiff.shape[0]
-    for i in range(n):
-        for e in range(2):
-            found[i, e] = x.stiff[i, e]
-            found[n + i, e] = x.slowing[i, e] if x.slowing.shape[0] else 0.0
-
-
-@c_entry
+@entry
 def solve(w, k, right, below, bar, now, multipliers, found):
     """Solve step k by refinement. Returns how it ended."""
     m, x, last = (w.rows.shape[1],), w.products, 0.0
@@ -183,7 +174,12 @@ def solve(w, k, right, below, bar, now, multipliers, found):
         small, hopeless = judge(w, moved, size, last, iteration)
         if small:
             products.point_products(links, w.laws, w.room.slopes, now, multipliers, x)
-            copy_products(x, carray(pointer(found), (2 * x.stiff.shape[0], 2)))
+            n = x.stiff.shape[0]
+            lost = carray(pointer(found), (2 * n, 2))
+            for i in range(n):
+                for e in range(2):
+                    lost[i, e] = x.stiff[i, e]
+                    lost[n + i, e] = x.slowing[i, e] if x.slowing.shape[0] else 0.0
             w.marks[AGE] += 1.0
             return DONE
         if hopeless:
@@ -192,10 +188,8 @@ def solve(w, k, right, below, bar, now, multipliers, found):
     return REFACTOR
 
 
-class SceneAdjoint:
+class SceneAdjoint(AdjointTable):
     """The table of a compiled scene for steps of h, its solves by several threads where the run's are. counts: what counts its work."""
-
-    kappa = slips = None
 
     def __init__(self, model, settings, h, counts):
         (to_a, to_v), (_, most, _) = settings.coefficients.rates(h), settings.newton_tolerance(0.0)
@@ -220,8 +214,7 @@ class SceneAdjoint:
         self.w |= dict(zip(("q", "v", "lam"), (self.states[1], self.states[2], self.states[4])))
         self.w["drives"] = drive_table(self.model, t, (t[0], t[-1]))
 
-    def prepare(self, k):
-        """Factor the step matrix at state k where there is none: True if it did. Raises SingularSystem."""
+    def refresh(self, k):
         if self.system is not None:
             return False
         self.system = self.settings.step_matrix(self.model)
@@ -233,7 +226,6 @@ class SceneAdjoint:
         return True
 
     def drop(self):
-        """Forget the factor: it is too old."""
         self.system = None
 
     @contextmanager
@@ -246,6 +238,3 @@ class SceneAdjoint:
             self.functions[ADJOINT] = c_address(solve, typeof(work))
             yield self.functions, work.address
         self.counts.solves += int(marks[SOLVES])
-
-    def raise_left(self):
-        """Nothing: no function raises."""

@@ -28,10 +28,9 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.integrate.start import rows_at
-from polyida.linear.condition import scaled
-from polyida.linear.lu import LU, Kept, SingularSystem, block_matrix, dense
-from polyida.linear.refined import ENOUGH, LEFT, SLOW
-from polyida.linear.step_matrix import Border
+from polyida.linear.lu import Kept, SingularSystem, block_matrix, dense
+from polyida.linear.step_matrix import ENOUGH, LEFT, SLOW, Border
+from polyida.linear.whole import ScaledLU, scaled
 
 ROUNDS = 2  # solves with a step's own factor: the second takes what round-off left
 MOST = 25  # corrections with one set of factors of the modes
@@ -85,26 +84,26 @@ class StageEquations:
 
     def back(self, b_q, b_v):
         """The StageMultipliers of the step whose end has bars b_q and b_v, (n,) each. Raises SingularSystem."""
-        rows, columns, lu = self._lu()
+        lu = self._lu()
         self.counts.solves += ROUNDS
         found = self._none()
         for _ in range(ROUNDS):
             left = np.concatenate([part.ravel() for part in self._left(found, b_q, b_v)[1]])
-            change = self._parts(rows * lu.solve(columns * left, transposed=True))
+            change = self._parts(lu.solve(left, transposed=True))
             found = [part - more for part, more in zip(found, change)]
         return StageMultipliers(*found, *self._left(found, b_q, b_v)[0])
 
     def newton(self):
         """The changes of e, lam and mu of the stages, (s, .) each, that Newton's method subtracts. Raises SingularSystem."""
-        model, x, (rows, columns, lu) = self.model, self.stages, self._lu()
+        model, x = self.model, self.stages
         self.counts.solves += 1
         r = [model.residual(*state) for state in zip(x.t, x.q, x.v, x.a, x.lam)]
         phi = [model.phi(*state) for state in zip(x.t, x.q)]
         rate = [model.phi_rate(*state) for state in zip(x.t, x.q, x.v)] if self.tied else []
-        return self._parts(columns * lu.solve(rows * np.concatenate([*r, *phi, *rate])))
+        return self._parts(self._lu().solve(np.concatenate([*r, *phi, *rate])))
 
     def _lu(self):
-        """(factors of rows, of columns, LU) of the matrix of a step.
+        """The factor of the matrix of a step.
 
         r and lam are measured in the size of `K + M / h^2`, mu in 1/h, `B v + phi_t` too.
         """
@@ -114,7 +113,7 @@ class StageEquations:
         rows = np.concatenate([np.full(s * n, 1 / size), np.ones(s * m), np.full(more, h)])
         columns = np.concatenate([np.ones(s * n), np.full(s * m, size), np.full(more, 1 / h)])
         self.counts.factorizations += 1
-        return rows, columns, LU(scaled(self._matrix(), rows, columns), pivoting=True)
+        return ScaledLU(self._matrix(), rows, columns)
 
     def _none(self):
         """(w, mu, kappa), zero."""
@@ -240,7 +239,7 @@ class SceneStageEquations(StageEquations):
         return StageMultipliers(*found, *self._left(found, b_q, b_v)[0]) if done or moved <= LEFT * size else None
 
     def _products(self, w, mu):
-        from polyida.adjoint.tables.products import products_at
+        from polyida.adjoint.products import products_at
 
         found = [np.zeros_like(w), np.zeros_like(w), np.zeros_like(w), np.zeros_like(mu)]
         for k, state in enumerate(zip(self.drives, self.stages.q, self.stages.v, self.stages.lam, w, mu)):

@@ -69,15 +69,10 @@ def symbolic(indptr, indices, points=None):
     children = fronts[:, 2].astype(np.int32)
     start, rows, depth = _reached(indptr, indices, nodes, place, first, children)
     own, reach = 2 * np.diff(first).astype(np.int64), 2 * np.diff(start)
-    panel = np.append(0, np.cumsum(panel_entries(own, own + reach)))
-    size = int(np.max(own + reach, initial=0))
+    wide, fours = own + reach, own // 4  # a panel has four rows of its front at a time, from their diagonal on
+    panel = np.append(0, np.cumsum(4 * fours * wide - 8 * fours * (fours - 1) + (own % 4) * (wide - 4 * fours)))
+    size = int(np.max(wide, initial=0))
     return Symbolic(order, nodes, first, start, rows, children, panel, indptr, indices, size, depth)
-
-
-def panel_entries(own, size):
-    """Entries of the panel of a front of `size`: four of its `own` rows at a time, from their diagonal on."""
-    fours = own // 4
-    return 4 * fours * size - 8 * fours * (fours - 1) + (own % 4) * (size - 4 * fours)
 
 
 def _reached(indptr, indices, nodes, place, first, children):

@@ -15,8 +15,8 @@ import numpy as np
 from polyida import jit
 from polyida.jit import bound, pack
 from polyida.jit.intrinsics import leave, seen
-from polyida.linear.cholesky.factor import FRONTS
-from polyida.linear.cholesky.fronts import FAST, ascend, descend, spread
+from polyida.linear.cholesky import FRONTS
+from polyida.linear.fronts import FAST, ascend, descend, spread
 
 entry = partial(jit.entry, fastmath=FAST)
 part = partial(jit.part, fastmath=FAST)

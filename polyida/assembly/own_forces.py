@@ -9,7 +9,7 @@ import numpy as np
 from polyida.body.body import writes
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, sides_of
-from polyida.given import complexes, floats, is_number, on_pairs, read_only, reals
+from polyida.given import complexes, floats, is_number, on_pairs, pairs_of, read_only, reals
 from polyida.model import differences
 from polyida.profile import constant, difference
 
@@ -28,10 +28,15 @@ class OwnForce:
     strain = False
 
     def __init__(self, name, element, model):
+        from scipy.sparse import csr_array
+
         self.name, self.element, self.not_finite = name, element, ""
         sides = sides_of(name, element)
         self.rest = np.array([side.rest for side in sides])
-        self.A = _places(sides, model)
+        held = [(k, *model.held(side.at, side.part)) for k, side in enumerate(sides) if side.at is not None]
+        rows = np.concatenate([np.full(len(pairs), k) for k, pairs, _ in held])
+        columns, weights = (np.concatenate([entry[i] for entry in held]) for i in (1, 2))
+        self.A = on_pairs(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)))
         self.columns = np.unique(self.A.tocsr().indices)
         self.near = self.A[:, self.columns].toarray()
         self.sizes = np.array([[side.size(model.extent)] for side in sides])
@@ -130,13 +135,9 @@ class OwnForce:
                 raise InputError(f"{self.name}: {name} {wrong}") from error
             raise
         bad = not np.isfinite(found).all() and all(np.isfinite(x).all() for x in given)
-        self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite{self._why(given)}" if bad else ""
+        why = self.element.undefined(given[1]) if bad and len(given) == 3 else ""
+        self.not_finite = f"{name} of {self.name!r} gave numbers that are not finite{': ' * bool(why)}{why}" if bad else ""
         return found
-
-    def _why(self, given):
-        """What the element says of places where its forces are not finite."""
-        why = self.element.undefined(given[1]) if len(given) == 3 else ""
-        return f": {why}" if why else ""
 
 
 class OwnForces:
@@ -184,18 +185,70 @@ class OwnForces:
         return " and ".join(own.not_finite for own in self.each if own.not_finite)
 
 
-def _places(sides, model):
-    """A: displacements of the sides from q, (2 sides, n)."""
-    from scipy.sparse import csr_array
-
-    held = [(k, *model.held(side.at, side.part)) for k, side in enumerate(sides) if side.at is not None]
-    rows = np.concatenate([np.full(len(pairs), k) for k, pairs, _ in held])
-    columns, weights = (np.concatenate([entry[i] for entry in held]) for i in (1, 2))
-    return on_pairs(csr_array((weights, (rows, columns)), shape=(len(sides), model.n_nodes)))
-
-
 def _shape(given):
     try:
         return np.shape(given)
     except ValueError:
         return "uneven"
+
+
+def uneven_mass(placed, n):
+    """Mass (n, n) sparse of the bodies whose x and y carry different ones; None where there are none."""
+    return _placed([(2 * body.pairs.start, body.uneven) for body in placed if body.uneven is not None], n)
+
+
+def uneven_drag(placed, n):
+    """`drag M` (n, n) sparse of the same bodies, which kernels leave out with their M; None where none of them has a drag."""
+    drags = [(body, body.body.damping()[0]) for body in placed if body.uneven is not None]
+    return _placed([(2 * body.pairs.start, drag * body.uneven) for body, drag in drags if drag], n)
+
+
+def _placed(blocks, n):
+    """(n, n) sparse of blocks, (first row, matrix) each; None where there are none."""
+    from scipy.sparse import coo_array
+
+    if not blocks:
+        return None
+    entries = [(first + i, first + k, block[i, k]) for first, block in blocks for i in range(len(block)) for k in range(len(block))]
+    rows, columns, values = zip(*entries)
+    return coo_array((values, (rows, columns)), shape=(n, n)).tocsc()
+
+
+class Elastic(OwnForce):
+    """The elastic force of a body of one's own, as a force on its pairs."""
+
+    strain = True
+    switches = False
+
+    def __init__(self, placed, n_pairs):
+        from scipy.sparse import eye_array
+
+        self.name, self.element, self.not_finite = placed.name, placed.body, ""
+        self.rest = pairs_of(placed.rest)
+        self.columns = slice(2 * placed.pairs.start, 2 * placed.pairs.stop)
+        self.A = eye_array(2 * n_pairs, format="csr")[self.columns]
+        self.sizes = np.full((len(self.rest), 1), float(abs(self.rest).max()) or 1.0)
+
+    def velocities(self, v):
+        """Velocities of the pairs, (pairs, 2), m/s."""
+        return v[self.columns].reshape(-1, 2)
+
+    def forces(self, t, x, v):
+        """Forces on the pairs, (pairs, 2)."""
+        return -pairs_of(self._call("elastic", (len(x),), x @ (1, 1j), numbers=complexes))
+
+    def conservative(self, t, x):
+        """Its forces: energy(z) is always theirs."""
+        return self.forces(t, x, x)
+
+    def energy(self, x):
+        """Elastic energy, J."""
+        return self._energy(x @ (1, 1j))
+
+    def slopes(self, t, x, v, c_v, c_q):
+        """`c_q df/dx`, (2 pairs, 2 pairs)."""
+        if not c_q:
+            return np.zeros((x.size, x.size))
+        if self.element.elastic_z(x @ (1, 1j)) is not None:
+            return -c_q * self._call("elastic_z", (x.size, x.size), x @ (1, 1j))
+        return c_q * self._differences(x, lambda d: self.forces(t, x + d, v))

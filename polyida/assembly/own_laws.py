@@ -4,10 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly.arrays import starts
 from polyida.assembly.rows.joints import point_values, spread
-from polyida.errors import DONE
+from polyida.body.body import writes
+from polyida.errors import DONE, InputError
+from polyida.force.force_element import ForceElement, Side, profiles_of, sides_of
+from polyida.given import pairs_of
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
+from polyida.jit.own_data import OwnData
+from polyida.profile import polynomial
 
 # constants of compiled code
 NO_ENERGY = -1
@@ -95,22 +101,12 @@ def add_own_forces(laws, links, drives, u, v, r):
 
 
 @part
-def take_missing(laws, k, numbers, x0, x1, middle, f):
-    """f -= `[V_1 - V_0 - V'] dx / (dx^T dx)`, with which the work of f from x0 to x1 is that of law k's energy V (Gonzalez 1996).
-
-    V' is what the forces at the middle do where nothing moves. What is no more than round-off of V is none.
-    """
-    dx, held = x1 - x0, np.empty_like(f)
-    first, last = energy_at(laws, k, numbers, x0, held), energy_at(laws, k, numbers, x1, held)
-    evaluate(laws, k, numbers, middle, np.zeros_like(f), held)
-    size, bracket = np.sum(dx * dx), last - first + np.sum(held * dx)
-    if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
-        f -= bracket / size * dx
-
-
-@part
 def take_midpoint_forces(laws, drives, dz0, dz1, vz, forces):
-    """forces (points, 2) -= those of all laws at the middle of a step from displacements dz0 of the points to dz1, by the discrete derivative."""
+    """forces (points, 2) -= those of all laws at the middle of a step from displacements dz0 of the points to dz1, by the discrete derivative.
+
+    With `[V_1 - V_0 - V'] dx / (dx^T dx)` taken off, the work of f from x0 to x1 is that of the law's energy V (Gonzalez 1996). V' is what
+    the forces at the middle do where nothing moves. What is no more than round-off of V is none.
+    """
     numbers = numbers_at(laws, drives)
     for k in range(laws.parts.shape[0] - 1):
         x0, v, f = place(laws, k, dz0, vz)
@@ -118,7 +114,12 @@ def take_midpoint_forces(laws, drives, dz0, dz1, vz, forces):
         middle = 0.5 * (x0 + x1)
         evaluate(laws, k, numbers, middle, v, f)
         if laws.energies[k] != 0:
-            take_missing(laws, k, numbers, x0, x1, middle, f)
+            dx, held = x1 - x0, np.empty_like(f)
+            first, last = energy_at(laws, k, numbers, x0, held), energy_at(laws, k, numbers, x1, held)
+            evaluate(laws, k, numbers, middle, np.zeros_like(f), held)
+            size, bracket = np.sum(dx * dx), last - first + np.sum(held * dx)
+            if size > 0.0 and abs(bracket) > NOISE * max(abs(first), abs(last)):
+                f -= bracket / size * dx
         take_sides(laws, k, f, forces)
 
 
@@ -162,3 +163,60 @@ def add_slopes(laws, k, numbers, x, v, varied, c, ahead, behind, blocks, curvatu
                 block = blocks[i * count + j]
                 for a in range(2 if block >= 0 else 0):
                     curvature[block, a, e] -= c * (ahead[i, a] - behind[i, a]) / (2.0 * step)
+
+
+def laws_of(elements, elastic, points, drives, size):
+    """The Laws of {name: force element} and PlacedBody with an elastic force; None if there are none or one is Python.
+
+    Sides of elements, and coordinates of bodies, become points of links. Profiles of elements become drives in any case, so that steps end at
+    their kinks. Raises InputError, naming the part, for a function that numba does not compile.
+    """
+    for name, element in elements.items():
+        for profile in profiles_of(element):
+            drives.add(profile, name)
+    functions = [part.compiled_functions() for part in (*elements.values(), *(placed.body for placed in elastic))]
+    if not functions or not all(functions):
+        return None
+    laws = [_element(name, element) for name, element in elements.items()] + [_elastic(placed) for placed in elastic]
+    sides, data, addresses = zip(*laws)
+    numbers = [np.zeros(1), *(one.words for one in data)]  # the time before all
+    first, each = starts(numbers)[1:], [side for group in sides for side in group]
+    driven = [(begin + k, drives.add(profile, "")) for begin, one in zip(first, data) for k, profile in one.profiles]
+    return Laws(
+        parts=np.stack([np.array([*(forces for forces, _ in addresses), 0], np.int64), starts(sides), first], axis=1),
+        points=np.array([-1 if side.at is None else points.add(side.at, side.part) for side in each], np.int64),
+        rest=np.array([side.rest for side in each], float),
+        sizes=np.array([side.size(size) for side in each], float),
+        energies=np.array([energy for _, energy in addresses], np.int64),
+        numbers=np.concatenate(numbers),
+        driven=np.array(driven, np.int64).reshape(-1, 2),
+        clock=drives.add(polynomial([0.0, 1.0]), ""),  # nobody's
+    )
+
+
+def _element(name, element):
+    """(sides, data, (address of its forces, of its energy)) of a force element."""
+    sides = sides_of(name, element)
+    shape = (len(sides), 2)
+    given = {"t": ("t",), "x": ("b", shape), "v": ("c", shape)}
+    none = NO_ENERGY if writes(element, ForceElement, "energy") else 0
+    return sides, *_made(name, element, "forces", given, shape, none)
+
+
+def _elastic(placed):
+    """The same of a body, the forces minus the elastic ones."""
+    body, count = placed.body, len(placed.rest)
+    sides = [Side(placed.user.point_of(f"z_{k}", np.eye(count)[k]), "point", rest) for k, rest in enumerate(pairs_of(placed.rest))]
+    given = {"z": ("b", (count,), True)}
+    return sides, *_made(placed.name, body, "elastic", given, (count,), 0, "-found", True)
+
+
+def _made(name, part, forces, given, shape, no_energy, *result):
+    functions = part.compiled_functions()
+    data = OwnData(part, functions.values())
+    try:
+        address = data.c_function(functions[forces], given, shape, *result)
+        energy = functions.get("energy")
+        return data, (address, data.c_function(energy, given, ()) if energy else no_energy)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None

@@ -24,15 +24,6 @@ def motion_of(body):
     return complex(*vector2(given.label, "velocity", given.velocity)), float(given.spin)
 
 
-def rigid_velocity(pull, translation, z, velocity, spin):
-    """Velocities (pairs,), complex, of coordinates z that move as one rigid body: `T V + i spin (z - T x_G)`, V that of its centre of mass.
-
-    translation: T (pairs,). pull: M T, so that `x_G = T^H M z / T^H M T`, zero of a body without mass.
-    """
-    centre = np.vdot(pull, z) / (np.vdot(pull, translation) or 1.0)
-    return translation * velocity + 1j * spin * (z - translation * centre)
-
-
 def velocity_at(model, t, q):
     """Velocities (n,) of a scene at (t, q) whose bodies move as they were given, changed by what joints ask of bodies that stay rigid.
 
@@ -55,22 +46,24 @@ def moves_at(model, t, q):
 
 def motions_given(model):
     """Velocity along x and y, m/s, and spin, rad/s, that each body was given, (3 bodies,)."""
-    given = (motion_of(_user(placed)) for placed in (*model.bodies, *model.few))
+    given = (motion_of(getattr(placed, "plate", None) or placed.user) for placed in (*model.bodies, *model.few))
     return np.array([[v.real, v.imag, spin] for v, spin in given]).ravel()
 
 
-def _user(placed):
-    return getattr(placed, "plate", None) or placed.user
-
-
 def rigid_motions(model, q):
-    """R, (n, 3 bodies), sparse: the velocities of q for a unit of velocity along x, along y, and of spin, of each body."""
+    """R, (n, 3 bodies), sparse: the velocities of q for a unit of velocity along x, along y, and of spin, of each body.
+
+    Coordinates z of one rigid body move by `T V + i spin (z - T x_G)`, V that of its centre of mass, `x_G = T^H M z / T^H M T`, zero of a
+    body without mass.
+    """
     from scipy.sparse import block_diag
 
     z = complex_of_pairs(model.reference + q.reshape(-1, 2))
     columns = []
     for placed in (*model.bodies, *model.few):
-        units = [rigid_velocity(placed.pull, placed.translation, z[placed.pairs], *unit) for unit in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
+        T, here = placed.translation, z[placed.pairs]
+        centre = np.vdot(placed.pull, here) / (np.vdot(placed.pull, T) or 1.0)
+        units = [T * velocity + 1j * spin * (here - T * centre) for velocity, spin in ((1.0, 0.0), (1j, 0.0), (0.0, 1.0))]
         columns.append(np.stack([pairs_of(unit).ravel() for unit in units], axis=1))
     return block_diag(columns, format="csr")
 
@@ -80,12 +73,8 @@ def _change(model, t, q, R, wanted):
     if not model.m:
         return np.zeros_like(wanted)
     rows, roots = asked_of_motions(model, t, q, R)
-    return -roots @ _least_norm(rows @ roots, rows @ wanted + model.phi_t(t, q))
-
-
-def _least_norm(A, b):
-    """The shortest x that meets A x = b in the least-squares sense: of many independent rows by their Gram matrix, refined once."""
-    if A.shape[0] > MANY:
+    A, b = rows @ roots, rows @ wanted + model.phi_t(t, q)
+    if A.shape[0] > MANY:  # independent rows: by their Gram matrix, refined once
         from scipy.sparse.linalg import splu
 
         lengths = np.sqrt(A.multiply(A).sum(axis=1))
@@ -95,8 +84,8 @@ def _least_norm(A, b):
             gram = splu((rows @ rows.T).tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
             if gram.U.diagonal().min() > INDEPENDENT:
                 x = rows.T @ gram.solve(right)
-                return x + rows.T @ gram.solve(right - rows @ x)
-    return np.linalg.lstsq(A.toarray(), b, rcond=NOTHING)[0]
+                return -roots @ (x + rows.T @ gram.solve(right - rows @ x))
+    return -roots @ np.linalg.lstsq(A.toarray(), b, rcond=NOTHING)[0]
 
 
 def asked_of_motions(model, t, q, R):
@@ -166,12 +155,6 @@ def motion_slopes(model, t, q, bar):
     kappa = least.T @ (roots.T @ pushed)
     motions, change = pushed - rows.T @ kappa, -roots @ (least @ rate)
     g = roots @ (roots.T @ motions)
-    centres = _centres(model, motions, wanted, q)
-    return MotionSlopes(motions, -(R @ g), R @ change, *centres, R @ (wanted + change), least.T @ (least @ rate), -kappa)
-
-
-def _centres(model, motions, wanted, q):
-    """What dM is multiplied by from left and right where it moves the centres of bodies."""
     left, right = np.zeros((2, model.n_nodes), complex)
     z = complex_of_pairs(model.reference + q.reshape(-1, 2))
     for k, placed in enumerate((*model.bodies, *model.few)):
@@ -180,4 +163,5 @@ def _centres(model, motions, wanted, q):
         slope, spin = complex(*motions[3 * k : 3 * k + 2]), wanted[3 * k + 2]
         left[placed.pairs] = slope * 1j * spin / mass * placed.translation
         right[placed.pairs] = z[placed.pairs] - placed.translation * centre
-    return pairs_of(left).ravel(), pairs_of(right).ravel()
+    centres = pairs_of(left).ravel(), pairs_of(right).ravel()
+    return MotionSlopes(motions, -(R @ g), R @ change, *centres, R @ (wanted + change), least.T @ (least @ rate), -kappa)

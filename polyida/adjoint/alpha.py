@@ -1,0 +1,407 @@
+"""A run of generalized-alpha backward: the steps of each segment by a compiled sweep, its beginning on a tape.
+
+What a segment began with is made again from the states by the method's own code (integrate/alpha/start.py), and so is its adjoint. Times of
+kinks that move with a parameter change h: in Newmark's formulas, `-dh/dp sum y . (2 (q_1 - q_0)/h - v_0) + z . (v_1 - v_0)/h`, and in what a
+segment begins with, by differences of that.
+
+The sweep is the adjoint of each step's own equations. Step n solves `r(q, v, a, lam) = 0`, `phi(q) = 0`, the recursion of the algorithmic
+acceleration A and Newmark's formulas, with multipliers w, mu, x, y and z. The step behind it sends the bars P_q, P_v, P_a, P_A of the state
+it begins from; j are the objective's own slopes:
+
+    [[S^T, B^T], [B, 0]] (w, mu) = (-(P_q + j_q) - gamma' (P_v + j_v) - beta' (P_a + j_a) - P_A/(beta h^2), -j_lam)
+    y = -(P_q + j_q) - K^T w - B^T mu        z = -(P_v + j_v) - C^T w        x = (h^2 beta y + h gamma z - P_A)/(1 - alpha_m)
+    P_q = -y,  P_v = -z - h y,  P_a = -alpha_f x,  P_A = alpha_m x - h^2 (1/2 - beta) y - h (1 - gamma) z    for the step before
+
+with `S = beta' M + gamma' C + K`, C = dr/dv and K = dr/dq at the accepted state, and `dJ/dp += w . dr/dp + mu . dphi/dp`. y is taken from
+K^T w: from the recursion it would carry the error of w, divided by h^2.
+
+The driver calls the entry ADJOINT of the model's table (adjoint/tables.py, system/table.py) with right, below, bar, w, mu and found. It
+solves the system above at the end of step k; w and mu hold a prediction before and the solution behind it; bar (n,) is P_q + j_q. found
+(2, n) becomes what y and z lose beside bars, K^T w + B^T mu and C^T w."""
+
+from collections import deque
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from polyida.adjoint.history import replayed_state, step_history
+from polyida.adjoint.parameter import AdjointMultipliers, stacked
+from polyida.adjoint.run import RunAdjoint
+from polyida.adjoint.tables import DenseAdjoint, PythonAdjoint
+from polyida.adjoint.taped import Tape, TapedModel, add_to
+from polyida.errors import DONE, InputError
+from polyida.integrate.alpha.start import started
+from polyida.integrate.alpha.step import nearest
+from polyida.integrate.kinks import inner_side
+from polyida.integrate.state import State
+from polyida.jit import entry, pack, part
+from polyida.jit.intrinsics import address, call
+from polyida.linear.lu import Kept
+from polyida.system.python import small_own, small_table
+from polyida.system.table import ADJOINT
+
+fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
+
+# constants of compiled code
+Q, V, A, AHEAD = range(4)  # rows of Memory.bars
+SEEN, SHARE = range(2)  # of Memory.marks
+MARKS = 3
+W, RIGHT, BAR, STIFF, DAMPED = range(5)  # rows of Trial.now
+MU, BELOW = range(2)  # of Trial.rows
+WILD = 16.0  # shares of differences above which a prediction is worth nothing: w has grown out of zero
+SAMPLES = 300  # coordinates by which shares are found
+
+
+class AdjointState(NamedTuple):
+    """Bars (slopes of the objective) of q, v, a and of the algorithmic acceleration of the state that a step begins from, each (n,)."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    ahead: np.ndarray
+
+
+class SweepResult(NamedTuple):
+    """Of a sweep over steps: the bars of the state before, and w (count, n) and mu (count, m), multipliers of r and phi.
+
+    In the stabilised form kappa (count, m), multipliers of phi's rate, and (y', slip, eta) of `y' . (M slip + B^T eta)`; else None.
+    """
+
+    bars: AdjointState
+    w: np.ndarray
+    mu: np.ndarray
+    kappa: np.ndarray | None = None
+    slips: tuple | None = None
+
+
+@pack
+class Method(NamedTuple):
+    """Numbers of the method at one h."""
+
+    h: float
+    alpha_m: float
+    alpha_f: float
+    beta: float
+    gamma: float
+    to_a: float
+    to_v: float
+
+
+@pack
+class FrameSlopes(NamedTuple):
+    """The objective's slopes at the steps' ends, (count, .), or (0, .) where they are zero."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    lam: np.ndarray
+
+
+@pack
+class Memory(NamedTuple):
+    """From step to step: bars (4, n), and w (3, n) and mu (3, m), those of the last step with their first and second backward differences.
+
+    marks: SEEN, the steps since there was nothing to predict from, and from SHARE on the shares of both differences in a prediction.
+    """
+
+    bars: np.ndarray
+    w: np.ndarray
+    mu: np.ndarray
+    marks: np.ndarray
+
+
+@pack
+class Trial(NamedTuple):
+    """Scratch of a step: now (5, n), rows (2, m)."""
+
+    now: np.ndarray
+    rows: np.ndarray
+
+
+@pack
+class Found(NamedTuple):
+    """What the steps leave: w (count, n), mu (count, m), and y and z (count, n), or (0, n) where nobody asks for them."""
+
+    w: np.ndarray
+    mu: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+
+
+@fast
+def begin(p, j, k, y, z):
+    """The right-hand sides of step k, and the predictions of w and mu."""
+    right, bar, below, bars = z.now[RIGHT], z.now[BAR], z.rows[BELOW], y.bars
+    b = 1.0 / (p.beta * p.h * p.h)
+    for i in range(right.shape[0]):
+        right[i] = -bars[Q, i] - p.to_v * bars[V, i] - p.to_a * bars[A, i] - b * bars[AHEAD, i]
+        bar[i] = bars[Q, i]
+    for i in range(below.shape[0]):
+        below[i] = 0.0
+    add_slope(j.q, k, -1.0, right)
+    add_slope(j.q, k, 1.0, bar)
+    add_slope(j.v, k, -p.to_v, right)
+    add_slope(j.a, k, -p.to_a, right)
+    add_slope(j.lam, k, -1.0, below)
+    predict(y.marks[SHARE], y.marks[SHARE + 1], y.w, z.now[W])
+    predict(y.marks[SHARE], y.marks[SHARE + 1], y.mu, z.rows[MU])
+
+
+@fast
+def predict(first, second, past, out):
+    """The next value, from the last one and its differences."""
+    for i in range(out.shape[0]):
+        out[i] = past[0, i] + first * past[1, i] + second * past[2, i]
+
+
+@fast
+def add_slope(j, k, factor, out):
+    """out += factor j[k], unless j is (0, .)."""
+    if j.shape[0]:
+        for i in range(out.shape[0]):
+            out[i] += factor * j[k, i]
+
+
+@fast
+def finish(p, j, k, y, z, out):
+    """Write w, mu, y and z of step k, and the bars for the step before."""
+    bars, now, h, scale = y.bars, z.now, p.h, 1.0 / (1.0 - p.alpha_m)
+    add_slope(j.v, k, 1.0, bars[V])
+    for i in range(bars.shape[1]):
+        b, c = -now[BAR, i] - now[STIFF, i], -bars[V, i] - now[DAMPED, i]
+        a = (h * h * p.beta * b + h * p.gamma * c - bars[AHEAD, i]) * scale
+        bars[Q, i] = -b
+        bars[V, i] = -c - h * b
+        bars[A, i] = -p.alpha_f * a
+        bars[AHEAD, i] = p.alpha_m * a - h * h * (0.5 - p.beta) * b - h * (1.0 - p.gamma) * c
+        out.w[k, i] = now[W, i]
+        if out.y.shape[0]:
+            out.y[k, i], out.z[k, i] = b, c
+    for i in range(out.mu.shape[1]):
+        out.mu[k, i] = z.rows[MU, i]
+
+
+@fast
+def shift(now, past):
+    """Take up one more value, with its backward differences."""
+    for i in range(now.shape[0]):
+        change = now[i] - past[0, i]
+        past[0, i], past[1, i], past[2, i] = now[i], change, change - past[1, i]
+
+
+@fast
+def fit(y, w):
+    """The shares of the differences that come nearest to the change of w; 0 for differences of steps that are not there."""
+    aa = ab = bb = ad = bd = 0.0
+    n, past = w.shape[0], y.w
+    for i in range(0, n, n // SAMPLES | 1):
+        first, second, d = past[1, i], past[2, i], w[i] - past[0, i]
+        aa += first * first
+        ab += first * second
+        bb += second * second
+        ad += first * d
+        bd += second * d
+    first, second = nearest(aa, ab, bb, ad, bd)
+    if not abs(first) + abs(second) < WILD:
+        first = second = 0.0
+    seen = y.marks[SEEN]
+    y.marks[SHARE] = first if seen > 3.0 else 1.0 if seen == 3.0 else 0.0
+    y.marks[SHARE + 1] = second if seen > 3.0 else 0.0
+
+
+@entry
+def stretch(f, workspace, p, j, first, last, y, z, out):
+    """Steps backward from the one before `last` to `first`, into out: (the first step that is done, how the one before ended).
+
+    f: addresses of the table's functions; workspace: address of the model's.
+    """
+    right, below, bar = address(z.now[RIGHT]), address(z.rows[BELOW]), address(z.now[BAR])
+    w, mu, found = address(z.now[W]), address(z.rows[MU]), address(z.now[STIFF])
+    for k in range(last - 1, first - 1, -1):
+        begin(p, j, k, y, z)
+        ended = call(f[ADJOINT], workspace, k, right, below, bar, w, mu, found)
+        if ended != DONE:
+            return k + 1, ended
+        finish(p, j, k, y, z, out)
+        y.marks[SEEN] += 1.0
+        fit(y, z.now[W])
+        shift(z.now[W], y.w)
+        shift(z.rows[MU], y.mu)
+    return first, DONE
+
+
+def adjoint_table(model, settings, h, counts):
+    """The table of a model for steps of h. counts: what counts its work."""
+    if settings.form == "index3" and settings.linear != "kkt":
+        if model.compiled:
+            from polyida.adjoint.scene_table import SceneAdjoint
+
+            return SceneAdjoint(model, settings, h, counts)
+        if small_own(model):
+            return DenseAdjoint(small_table(model), settings, h, counts)
+    return PythonAdjoint(model, settings, h, counts)
+
+
+class Sweep:
+    """Steps of h of a model, backward. counts: what counts its work."""
+
+    def __init__(self, model, settings, h, counts):
+        c, n, m = settings.coefficients, model.n, model.m
+        self.model, self.settings, self.counts = model, settings, counts
+        self.method = Method(h, c.alpha_m, c.alpha_f, c.beta, c.gamma, *c.rates(h))
+        self.memory = Memory(np.zeros((4, n)), np.zeros((3, n)), np.zeros((3, m)), np.zeros(MARKS))
+        self.trial = Trial(np.zeros((5, n)), np.zeros((2, m)))
+        self.table, self.before = adjoint_table(model, settings, h, counts), np.inf
+
+    def back(self, t, q, v, a, lam, slopes, bars, keep=None, slips=None):
+        """The SweepResult of steps that end at these states, in order of time, (count, .) each. Raises SingularSystem.
+
+        slopes: the objective's own at these states; bars: the AdjointState that the step behind the last one sends. keep: where to write y
+        and z, (count, n) each, or None. slips (count, n): of the stabilised form, what eta adds to q.
+        """
+        if abs(t[-1] - self.before) > 0.5 * self.method.h:
+            self._forget()
+        self.memory.bars[:], self.before = bars, t[0] - self.method.h
+        table, states, n, m = self.table, (t, q, v, a, lam), self.model.n, self.model.m
+        self.out = Found(np.empty_like(q), np.empty_like(lam), *(keep or np.empty((2, 0, n))))
+        parts = (slopes.q, n), (slopes.v, n), (slopes.a, n), (slopes.lam, m)
+        own = FrameSlopes(*(np.zeros((0, size)) if part is None else np.ascontiguousarray(part, float) for part, size in parts))
+        self.own, done = own, len(t)
+        table.take(*states, slips)
+        while done:
+            fresh, last = table.refresh(done - 1), done
+            done, ended = self._steps(table, 0, done)
+            if ended != DONE:
+                if fresh and done == last:  # the table's solution does not converge: take the step with its exact matrices
+                    exact = PythonAdjoint(self.model, self.settings, self.method.h, self.counts)
+                    exact.take(*states)
+                    done, _ = self._steps(exact, done - 1, done)
+                    self._forget()
+                table.drop()
+        return SweepResult(AdjointState(*self.memory.bars.copy()), self.out.w, self.out.mu, table.kappa, table.slips)
+
+    def _steps(self, table, first, last):
+        with table.at_work() as (functions, workspace):
+            result = stretch(functions, workspace, self.method, self.own, first, last, self.memory, self.trial, self.out)
+        table.raise_left()
+        return result
+
+    def _forget(self):
+        """Predict nothing from the steps so far."""
+        self.memory.w[:], self.memory.mu[:], self.memory.marks[:] = 0.0, 0.0, 0.0
+
+
+CHUNK = 4_000_000  # bytes of multipliers that are held at once
+LONGEST = 256  # steps of a sweep at once
+AT_ONCE = 64  # steps that are read at once
+SMALL = 1e-4  # of h, by which it is changed in differences
+
+
+class AlphaAdjoint(RunAdjoint):
+    """A run backward; ready: of each segment's first number (its State, the State `started` made of it), where these are asked for."""
+
+    history_of = staticmethod(step_history)
+
+    def __init__(self, run, objective, names, memory_limit):
+        super().__init__(run, objective, names, memory_limit)
+        self.sweeps, self.ready = Kept(), {}
+        self.stabilised = self.settings.form == "stabilised" and self.model.m > 0
+        if self.stabilised or self.events.speeds:
+            ahead = None
+            for segment in self.history.segments:
+                state = replayed_state(self.history, segment.first, segment.memory(ahead))
+                self.ready[segment.first] = state, started(self.settings, self.model, state, segment.h)
+                ahead = deque(self._formula_steps(segment), maxlen=1).pop()[1]
+
+    @staticmethod
+    def require_settings(settings):
+        """Raise InputError if frames are those of two runs."""
+        if settings.extrapolate:
+            raise InputError("gradient: extrapolate = True makes frames of two runs; take the gradient of one without")
+
+    def _formula_steps(self, segment):
+        """(slip, A) at the end of each step of a segment: `slip = q_1 - (q_0 + h v_0 + h^2 ((1/2 - beta) A_0 + beta A_1))`."""
+        (_, ready), c, h, end = self.ready[segment.first], self.settings.coefficients, segment.h, segment.first + segment.count + 1
+        q, v, a, ahead = ready.q, ready.v, ready.a, ready.memory["a_alg"]
+        for first in range(segment.first + 1, end, AT_ONCE):
+            _, *vectors, _ = self.history.states(first, min(first + AT_ONCE, end))
+            for q1, v1, a1 in zip(*vectors):
+                ahead_1 = ((1 - c.alpha_f) * a1 + c.alpha_f * a - c.alpha_m * ahead) / (1 - c.alpha_m)
+                yield q1 - (q + h * v + h * h * ((0.5 - c.beta) * ahead + c.beta * ahead_1)), ahead_1
+                q, v, a, ahead = q1, v1, a1, ahead_1
+
+    def through(self, progress):
+        """The bars of q, v, a and lam of the run's first state."""
+        bars, lam = AdjointState(*np.zeros((4, self.model.n))), np.zeros(self.model.m)
+        for segment in reversed(self.history.segments):
+            bars = self._steps(segment, bars, lam, progress)
+            if self.events.speeds:
+                self._stretch_beginning(segment, bars)
+            bars, lam, entries = self._beginning(segment, bars)
+            if entries:
+                at = stacked(entries)
+                self.add(at, np.repeat(self.history.states(segment.first, segment.first + 1)[0], len(at.t)))
+        return *bars[:3], lam
+
+    def _steps(self, segment, bars, lam, progress):
+        """The AdjointState of what a segment began with; lam: the bar of the multipliers of its last state."""
+        key, end = f"{segment.h:.9e}", segment.first + segment.count
+        sweep = self.sweeps.take(key) or Sweep(self.model, self.settings, segment.h, self.counts)
+        self.sweeps.keep(key, sweep)
+        slips = np.array([slip for slip, _ in self._formula_steps(segment)]) if self.stabilised else None
+        longest = int(max(1, min(LONGEST, CHUNK // (8 * self.model.n))))
+        for last in range(end, segment.first, -longest):
+            first = max(segment.first, last - longest)
+            t, q, v, a, rows = self.history.states(first + 1, last + 1)
+            own, inner = self.own.of(first + 1, last + 1), t
+            if last == end:
+                inner = np.append(t[:-1], inner_side(self.model, t[-1], segment.h))
+                if lam.any():
+                    own = replace(own, lam=np.zeros(rows.shape) if own.lam is None else np.array(own.lam))
+                    own.lam[-1] += lam
+            slip = slips[first - segment.first : last - segment.first] if self.stabilised else None
+            keep = tuple(np.empty((2, *q.shape))) if self.events.speeds else None
+            swept = sweep.back(inner, q, v, a, rows, own, bars, keep, slip)
+            self.add(AdjointMultipliers(inner, q, v, a, rows, swept.w, swept.mu, swept.kappa), t)
+            if self.stabilised:
+                (ahead, slipped, eta), still = swept.slips, np.zeros_like(q)
+                self.add(AdjointMultipliers(inner, q, still, slipped, eta, ahead), t)
+                self.add(AdjointMultipliers(inner, q, still, still, np.zeros_like(eta), -ahead), t)
+            if keep:
+                self._stretch(segment, first, q - slip if self.stabilised else q, v, *keep)
+                if (by_time := own.by_time()) is not None:
+                    self.events.at(t, by_time)
+            bars = swept.bars
+            progress(float(t[0]))
+        return bars
+
+    def _stretch(self, segment, first, q, v, y, z):
+        """Add the slope in h of steps from state number `first` to q and v, slips of q left out, with their multipliers y and z."""
+        _, q0, v0, _, _ = self.history.states(first, first + len(q))
+        if first == segment.first:
+            v0 = np.concatenate([self.ready[first][1].v[None], v0[1:]])
+        self.events.stretch(segment, -(np.sum(y * (2.0 * (q - q0) / segment.h - v0)) + np.sum(z * (v - v0)) / segment.h))
+
+    def _stretch_beginning(self, segment, bars):
+        """Add the slopes in h, and in h of the segment before, of what a segment's first step began with."""
+        (state, _), slopes = self.ready[segment.first], [0.0, 0.0]
+        for k, h in enumerate((segment.h, segment.before)[: 1 + (segment.kind == "on")]):
+            for s, weight in ((SMALL, 0.5), (-SMALL, -0.5)):
+                moved = state if k == 0 else replace(state, memory=state.memory | {"h": h * (1.0 + s)})
+                ready = started(self.settings, self.model, moved, segment.h * (1.0 + s) if k == 0 else segment.h)
+                made = ready.q, ready.v, ready.a, ready.memory["a_alg"]
+                slopes[k] += weight * sum(float(bar @ x) for bar, x in zip(bars, made)) / (SMALL * h)
+        self.events.stretch(segment, *slopes)
+
+    def _beginning(self, segment, bars):
+        """(AdjointState, bar of lam, entries for parameters) of the state that a segment began from; bars: of what its first step began with."""
+        state, tape = replayed_state(self.history, segment.first), Tape()
+        taped = TapedModel(self.model, tape)
+        q, v, a, lam, ahead = (tape.var(x) for x in (state.q, state.v, state.a, state.lam, state.a))
+        ready = started(self.settings, taped, State(state.t, q, v, a, lam, segment.memory(ahead)), segment.h)
+        for var, bar in zip((ready.q, ready.v, ready.a, ready.memory["a_alg"]), bars):
+            add_to(var, bar)
+        tape.back()
+        return AdjointState(q.bar, v.bar, a.bar, ahead.bar), lam.bar, taped.entries

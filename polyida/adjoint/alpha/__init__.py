@@ -1,1 +1,0 @@
-"""Of generalized-alpha: its steps backward, and what they begin from."""

@@ -1,0 +1,344 @@
+"""Sums of multipliers by the profiles of a scene and by time.
+
+What the values, rates and second derivatives of profiles are multiplied by in `sum w . r + mu . phi + kappa . rate + nu . bias`, how
+profiles change with their numbers, and slopes of the entries of that sum in their own times.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from inspect import signature
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from polyida.adjoint.parameter import AdjointMultipliers, Parameter, holding_profile, total, with_profile
+from polyida.assembly.loads import GRAVITY
+from polyida.assembly.own_forces import OwnForce
+from polyida.assembly.rows.increments import drive_table
+from polyida.errors import InputError
+from polyida.force.force_element import ForceElement, profiles_of
+from polyida.force.loads import EdgeTraction, PointLoad
+from polyida.given import complex_of_pairs, floats, is_number
+from polyida.integrate.kinks import beside
+from polyida.model.differences import FIRST_ORDER_STEP, along, around, within
+from polyida.profile import MAKERS, REACH, Profile, polynomial, scaled
+
+ORDERS = ("value", "d1", "d2")
+
+
+def over(profile, t, order=0):
+    """Value or derivative of a profile at times t (k,), (k,); the third by differences that stay on one side of its kinks."""
+    if order == len(ORDERS):
+        step = FIRST_ORDER_STEP * min(1.0, profile.shortest or 1.0)
+        return np.array([within(lambda s, at=at: profile.d2(at + s), around(profile.kinks, at), step) for at in t.tolist()])
+    return profile.over(t, order)
+
+
+def slope_over(profile, made, scale, speeds, orders, t):
+    """What `made(s)`, which is the profile at s = 0, changes by with s, in value and derivatives of these orders at times t, (k, orders).
+
+    speeds: of its kinks. Differences are taken along times that move as the kinks do, so that none of them crosses one; what that is too
+    much is taken back by the derivatives in time.
+    """
+    moved = np.interp(t, profile.kinks, speeds) if speeds.any() else np.zeros(len(t))
+    if moved.any():
+        t = np.array([_beside_kink(profile, at) for at in t.tolist()])
+
+    def table(s):
+        near = made(s)
+        return np.stack([over(near, t + s * moved, order) for order in orders], axis=1)
+
+    result = along(table, scale)
+    return result - np.stack([moved * over(profile, t, order + 1) for order in orders], axis=1) if moved.any() else result
+
+
+def _beside_kink(profile, t):
+    """t, or of a kink the time on the side of which the profile has its values there: both move, and round-off would choose the side."""
+    if not any(abs(kink - t) <= 8 * np.spacing(max(1.0, abs(t))) for kink in profile.kinks):
+        return t
+    at = np.array([beside(t, -1), t, beside(t, 1)])
+    apart = sum(np.abs(values - values[1]) for values in (over(profile, at, order) for order in range(len(ORDERS))))
+    return float(at[0] if apart[0] < apart[2] else at[2])
+
+
+def kink_speeds(made, scale):
+    """By how much the kinks of `made(s)` move with s at s = 0, (kinks,): evenly."""
+    return np.subtract(made(scale / 4).kinks, made(-scale / 4).kinks) / (scale / 2)
+
+
+def at_sides(own, x):
+    """What x (k, n) is at the sides of an OwnForce, (k, sides, 2)."""
+    return (own.A @ x.T).T.reshape(len(x), -1, 2)
+
+
+def element_work(own, element, work):
+    """`-w . A^T f` of each entry, (k,), of an element on the sides of an OwnForce, which is of one like it."""
+    x, v = own.rest + at_sides(own, work.q), at_sides(own, work.v)
+    forces = [element.forces(*state) for state in zip(work.t.tolist(), x, v)]
+    return -np.einsum("kie,kie->k", at_sides(own, work.w), np.reshape(forces, x.shape))
+
+
+def drive_works(model, work):
+    """(k, profiles, 3): the slopes of each entry of the sum in value, rate and second derivative of every profile of a scene."""
+    found = np.zeros((len(work.t), len(model.profiles), 3))
+    s, links = model.arrays.plates, model.arrays.links
+    w = work.w.reshape(len(work.t), -1, 2)
+    for k, drive in enumerate(s.load_drive):  # forces times a value: `r = ... - value F`
+        of = slice(s.load_ptr[k], s.load_ptr[k + 1])
+        found[:, drive, 0] -= np.einsum("kie,ie->k", w[:, s.load_nodes[of]], s.load_values[of])
+    for row, drive, factor in zip(links.shift_row, links.shift_drive, links.shift_factor):  # profiles that are added to rows of phi
+        for order, given in enumerate((work.mu, work.kappa, work.nu)):
+            if given is not None:
+                found[:, drive, order] += factor * given[:, row]
+    _add_products(model, work, found)
+    for name, part in model.parts.items():
+        if isinstance(part, ForceElement):
+            _add_element(model, name, part, work, found)
+    return found
+
+
+def _add_products(model, work, found):
+    """Angles that turn a vector: of `R(theta) E . F`, with `across = (R E) x F` and `along = R E . F`, the slopes of value, rate and bias.
+
+    The value's is `across`; the rate's `theta' across + E' . F + E . F'`; the bias' that of `2 E' . F' + theta'' across
+    - theta'^2 along + 2 theta' (E' x F + E x F')`. A turn by a right angle makes across of along, and minus along of across.
+    """
+    from scipy.sparse import csr_array
+
+    s = model.arrays.links
+    turned = np.flatnonzero(s.product_drive >= 0)
+    if not (len(turned) and len(work.t)):
+        return
+    angles = drive_table(model, work.t, (work.t[0], work.t[-1]))[:, s.product_drive[turned]]
+    turn, speed, second = np.exp(1j * angles[..., 0]), angles[..., 1], angles[..., 2]
+    shape, used = (len(s.vector_rest), model.n_points), np.unique(s.point_nodes)
+    vectors = csr_array((s.vector_weights @ (1, 1j), s.vector_points, s.vector_start), shape)  # W: vectors are `rest + W dz`
+    weights = model.point_weights[:, used].toarray().T
+    first, other, rows = s.product_first[turned], s.product_second[turned], s.product_row[turned]
+
+    def moved(x):
+        z = complex_of_pairs(x.reshape(len(x), -1, 2)[:, used]) @ weights
+        return turn * (vectors[first] @ z.T).T, (vectors[other] @ z.T).T
+
+    rest = complex_of_pairs(s.vector_rest)
+    (e, f), (we, wf) = moved(work.q), moved(work.w)
+    e, f = e + turn * rest[first], f + rest[other]
+    slopes = np.zeros((len(work.t), len(turned), 3))
+    slopes[..., 0] = work.lam[:, rows] * (_cross(we, f) + _cross(e, wf))
+    if work.mu is not None:
+        slopes[..., 0] += work.mu[:, rows] * _cross(e, f)
+    if work.kappa is not None or work.nu is not None:
+        u, g = moved(work.v)
+        mixed = _cross(u, f) + _cross(e, g)
+    if work.kappa is not None:
+        slopes[..., 0] += work.kappa[:, rows] * (mixed - speed * _dot(e, f))
+        slopes[..., 1] += work.kappa[:, rows] * _cross(e, f)
+    if work.nu is not None:
+        nu, pushed = work.nu[:, rows], _dot(u, f) + _dot(e, g)
+        slopes[..., 0] += nu * (2.0 * _cross(u, g) - second * _dot(e, f) - speed**2 * _cross(e, f) - 2.0 * speed * pushed)
+        slopes[..., 1] += nu * 2.0 * (mixed - speed * _dot(e, f))
+        slopes[..., 2] += nu * _cross(e, f)
+    for p, drive in enumerate(s.product_drive[turned]):
+        found[:, drive] += slopes[:, p]
+
+
+def _cross(a, b):
+    return (a.conj() * b).imag
+
+
+def _dot(a, b):
+    return (a.conj() * b).real
+
+
+def _add_element(model, name, element, work, found):
+    """Profiles of a force element, by differences of its forces, which take their rates too if they are Python."""
+    own = OwnForce(name, element, model)
+    for drive, profile in enumerate(model.profiles):
+        if not any(known is profile for known in profiles_of(element)):
+            continue
+        for order, function in enumerate(ORDERS[:1] if element.by_numba else ORDERS):
+            of_time, size = getattr(profile, function), max(1.0, np.abs(over(profile, work.t, order)).max())
+
+            def pushed(s, profile=profile, function=function, of_time=of_time):
+                other = replace(profile, formula=(), **{function: lambda t: of_time(t) + s})
+                return element_work(own, holding_profile(element, profile, other), work)
+
+            found[:, drive, order] += along(pushed, size)
+
+
+SCALE = REACH[1] / FIRST_ORDER_STEP  # s, over which functions of time of one's own vary
+
+
+def in_time(model, work):
+    """The slope of `w . r + mu . phi + kappa . rate + nu . bias` of each entry in its time, its state as it is, (k,).
+
+    Of a scene by its profiles' derivatives; of models and force elements of one's own by differences.
+    """
+    result = np.zeros(len(work.t))
+    if not model.is_scene:
+        for k, t in enumerate(work.t.tolist()):
+            entry = type(work)(*(x if x is None else x[k : k + 1] for x in work))
+            result[k] = along(lambda s, entry=entry: total(model, entry._replace(t=entry.t + s)), SCALE, model._smooth(t))
+        return result
+    each = drive_works(model, work)
+    for drive, profile in enumerate(model.profiles):
+        for order in range(len(ORDERS)):
+            used = np.flatnonzero(each[:, drive, order])
+            result[used] += each[used, drive, order] * over(profile, work.t[used], order + 1)
+    elements = [(name, part) for name, part in model.parts.items() if isinstance(part, ForceElement)]
+    for name, part in elements:
+        functions = (value for value in vars(part).values() if callable(value) and not isinstance(value, Profile))
+        if type(part).__module__.startswith("polyida.") and not any(functions):  # time is in its forces by profiles alone
+            continue
+        own = OwnForce(name, part, model)
+
+        def later(s, own=own, element=part):  # at times that are later by s, with profiles that are late by as much
+            held = element
+            for profile in profiles_of(element):
+                late = {order: lambda t, f=f: f(t - s) for order in ORDERS for f in [getattr(profile, order)]}
+                held = holding_profile(held, profile, replace(profile, formula=(), **late))
+            return element_work(own, held, work._replace(t=work.t + s))
+
+        result += along(later, SCALE)
+    return result
+
+
+DEFAULTS = tuple(kind.profile for kind in (PointLoad, EdgeTraction))  # of loads that were given none
+
+
+@dataclass(frozen=True, eq=False)
+class OfProfile(Parameter):
+    """A number of a profile, wherever the scene has that.
+
+    drive: which of the model's profiles. made: the profile of another number. scale: over which it varies with that. works: of AdjointMultipliers,
+    what the drives are multiplied by. slopes: of (t, q, bar), the MotionSlopes of the start. asked: where the profile's own numbers say
+    the same.
+    """
+
+    drive: int
+    made: Callable[[Any], Profile]
+    scale: Callable[[Any], float]
+    works: Callable
+    slopes: Callable
+    asked: bool = False
+    why = "the numbers of the profile have slopes of their own"
+
+    @property
+    def profile(self):
+        """The profile as it is."""
+        return self.model.profiles[self.drive]
+
+    def slope(self, work):
+        """`sum (w . dr/dp + mu . dphi/dp + ...)` by the profile's slopes in value, rate and second derivative."""
+        each = self.works(work)[:, self.drive]
+        used, orders = np.flatnonzero(each.any(axis=1)), np.flatnonzero(each.any(axis=0))
+        if not len(used):
+            return 0.0 * self.value
+        return np.tensordot(each[np.ix_(used, orders)], self._slopes(orders, work.t[used]), 2)
+
+    def start(self, t, q, bar):
+        """Where driven joints change the motions that bodies were given."""
+        found = self.slopes(t, q, bar)
+        if found is None:
+            return None
+        none = np.zeros_like(found.lam)
+        entries = (found.v, found.lam, found.left, none, found.kappa), (found.v, none, -found.left, none, none)  # but for loads
+        v, lam, w, mu, kappa = map(np.stack, zip(*entries))
+        return self.slope(AdjointMultipliers(np.full(2, t), np.stack((q, q)), v, np.zeros_like(v), lam, w, mu, kappa))
+
+    def _slopes(self, orders, t):
+        return slope_over(self.profile, self._near, self.scale(t), self._speeds, orders, t)
+
+    @cached_property
+    def _speeds(self):
+        """By how much the profile's kinks move, (kinks,)."""
+        return kink_speeds(self._near, self.scale(np.zeros(0)))
+
+    def _near(self, s):
+        return self.made(self.value + s)
+
+    def replaced(self, value):
+        """The scene with the profile of another number."""
+        if not is_number(value):
+            raise InputError(f"{self.name}: {value!r} must be a finite number")
+        return with_profile(self.model, self.profile, self.made(float(value)))
+
+    def kinks(self, t0, t1):
+        """Those of the profile that move with its begin and duration."""
+        moving = zip(self.profile.kinks, self._speeds.tolist())
+        return {kink: speed for kink, speed in moving if speed and t0 < kink < t1}
+
+
+class Coefficients(OfProfile):
+    """The coefficients of a polynomial, (k,)."""
+
+    def _slopes(self, orders, t):
+        units = [polynomial(unit) for unit in np.eye(len(self.value))]
+        return np.stack([np.stack([over(unit, t, order) for order in orders], axis=1) for unit in units], axis=2)
+
+    def replaced(self, value: ArrayLike):
+        """The scene with other coefficients, as many."""
+        given = floats(value)
+        if given is None or given.shape != self.value.shape:
+            raise InputError(f"{self.name}: {value!r} must be {len(self.value)} finite numbers")
+        return with_profile(self.model, self.profile, polynomial(given))
+
+    def kinks(self, t0, t1):
+        """There are none."""
+        return {}
+
+
+def of_profiles(model, works, slopes):
+    """The parameters of all profiles that parts of a scene, or its gravity, were given."""
+    for drive, name in named_drives(model).items():
+        profile, shared = model.profiles[drive], (works, slopes)
+        if any(profile is default for default in DEFAULTS):
+            continue
+        kind, *given = profile.formula or ("",)
+        if kind == "polynomial" and len(given) > 1:
+            yield Coefficients(f"{name}.coefficients", np.array(given), model, drive, polynomial, lambda t: 1.0, *shared)
+        elif kind:
+            keys = ["value"] if kind == "polynomial" else list(signature(MAKERS[kind]).parameters)
+            for i, key in enumerate(keys):
+                made = lambda value, i=i, kind=kind, given=given: MAKERS[kind](*given[:i], value, *given[i + 1 :])  # noqa: E731
+                yield OfProfile(f"{name}.{key}", given[i], model, drive, made, _scale_of(key, dict(zip(keys, given))), *shared)
+        times = lambda value, profile=profile: scaled(profile, value)  # noqa: E731
+        yield OfProfile(f"{name}.scale", 1.0, model, drive, times, lambda t: 1.0, *shared, bool(kind))
+
+
+def named_drives(model):
+    """{number of a profile: its name}: that of the first part that has it, with the field, or axis, where the part has several.
+
+    Not those of a joint of one's own that turns two vectors of one row by two of them: the row then has their difference.
+    """
+    given = [(name, _fields(part)) for name, part in model.parts.items()] + [(GRAVITY, zip("xy", model.gravity))]
+    named = [(name, _named(name, values)) for name, values in given]
+    known = {key for _, profiles in named for key in profiles}
+    mixed = {name for name, profile in model.named_profiles if name and id(profile) not in known}
+    found = {key: called for name, profiles in reversed(named) if name not in mixed for key, called in profiles.items()}
+    return {drive: found[id(profile)] for drive, profile in enumerate(model.profiles) if id(profile) in found}
+
+
+def _fields(part):
+    """(name, value) of the fields of a part; of a pair of profiles each axis."""
+    for field in fields(part):
+        value = getattr(part, field.name)
+        pair = isinstance(value, tuple) and len(value) == 2
+        yield from zip("xy", value) if pair else [(field.name, value)]
+
+
+def _named(name, given):
+    """{id of a profile: name} of what a part is given."""
+    held = [(key, value) for key, value in given if isinstance(value, Profile)]
+    return {id(value): name if len(held) == 1 else f"{name}.{key}" for key, value in held}
+
+
+def _scale_of(key, given):
+    """Of times t, the size over which a profile varies with one of its numbers."""
+    if key in ("begin", "duration"):
+        return lambda t: given["duration"]
+    if key == "frequency":
+        return lambda t: 1.0 / (2 * np.pi * max(1.0, np.abs(t).max(initial=0.0)))
+    return lambda t: max(1.0, abs(given[key]))
