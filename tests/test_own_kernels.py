@@ -16,7 +16,7 @@ import pytest
 import polyida
 import polyida as pi
 from polyida.jit import cache as kernel_cache
-from polyida.jit.own_data import over
+from polyida.jit.own_functions import over
 from polyida.mark import machine_mark_of
 
 HELPERS = "SCALE = 2.0\n\n\ndef scaled(x):\n    return SCALE * x\n"
@@ -124,7 +124,7 @@ def test_what_it_does_not_depend_on_compiles_nothing(start, edit):
 @pytest.mark.parametrize("damage", [b"", b"no pickle", None])
 def test_a_damaged_file_is_compiled_anew(start, damage):
     start()
-    files = list(start.cache.rglob("own_data.*.nbc"))
+    files = list(start.cache.rglob("own_functions.*.nbc"))
     for path in files:
         path.write_bytes(path.read_bytes()[:200] if damage is None else damage)
     assert files and any("Own.force" in name for name in start()[0])
@@ -188,7 +188,7 @@ def test_what_is_printed_is_the_same_from_kept_code(tmp_path):
     """Printing takes objects of Python, which kept code has to find again."""
     script = tmp_path / "script.py"
     script.write_text(
-        "import numpy as np, polyida as pi\nfrom polyida.jit.own_data import over\n\n\ndef inner(x):\n    print(x)\n    return x[0]\n\n\n"
+        "import numpy as np, polyida as pi\nfrom polyida.jit.own_functions import over\n\n\ndef inner(x):\n    print(x)\n    return x[0]\n\n\n"
         "@pi.compiled\ndef outer(x):\n    return inner(x)\n\n\nover('test', outer, np.eye(2))\n"
     )
     settings = os.environ | {"PYTHONPATH": str(Path(polyida.__file__).parents[1]), "NUMBA_CACHE_DIR": str(tmp_path)}
@@ -202,18 +202,18 @@ def test_code_that_holds_an_address_is_not_kept(recwarn):
     table = np.ones(300_000)
     large = lambda x: x * table[7]  # noqa: E731
     folder = kernel_cache.folder()
-    kept = len(list(folder.rglob("own_data.*")))
+    kept = len(list(folder.rglob("own_functions.*")))
     assert over("test", pi.compiled(large), np.array([2.0]))[0, 0] == 2.0
-    assert len(list(folder.rglob("own_data.*"))) == kept and not recwarn.list
+    assert len(list(folder.rglob("own_functions.*"))) == kept and not recwarn.list
 
 
 def test_old_files_of_users_functions_go(tmp_path, monkeypatch):
     monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
     for k in range(kernel_cache.KEPT_OWN + 2):
-        path = tmp_path / f"own_data.{k}.nbc"
+        path = tmp_path / f"own_functions.{k}.nbc"
         path.touch()
         os.utime(path, (k, k))
     (tmp_path / "other.0.nbc").touch()
-    kernel_cache.remove_old_own.__wrapped__("own_data")
-    assert not {"own_data.0.nbc", "own_data.1.nbc"} & {path.name for path in tmp_path.iterdir()}
+    kernel_cache.remove_old_own.__wrapped__("own_functions")
+    assert not {"own_functions.0.nbc", "own_functions.1.nbc"} & {path.name for path in tmp_path.iterdir()}
     assert len(list(tmp_path.iterdir())) == kernel_cache.KEPT_OWN + 1

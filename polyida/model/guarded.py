@@ -13,7 +13,8 @@ import numpy as np
 
 from polyida.errors import DONE, REASONS, InputError, StepFailure
 from polyida.given import floats, is_number, is_whole, read_only
-from polyida.jit.own_data import CALLBACK, OwnData
+from polyida.jit.own_data import OwnData
+from polyida.jit.own_functions import CALLBACK
 from polyida.model import Model, Needs, require_model
 from polyida.model.differences import FIRST_ORDER_STEP
 

@@ -5,7 +5,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.given import is_number, read_only, reals
 from polyida.integrate.state import Stretch, between
-from polyida.jit.own_data import over
+from polyida.jit.own_functions import over
 from polyida.sensor import Sensor
 
 FEW = 64  # rows of sensors to begin with

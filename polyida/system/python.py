@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFailure
-from polyida.jit.own_data import CALLBACK
+from polyida.jit.own_functions import CALLBACK
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import MOST, OF_STEPS, Compiled, unguarded, writes

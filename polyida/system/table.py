@@ -47,7 +47,7 @@ The backward sweep of generalized-alpha has tables of its own (adjoint/tables.py
 from numba import types
 
 from polyida import jit
-from polyida.jit.own_data import ARGUMENTS
+from polyida.jit.own_functions import ARGUMENTS
 
 INSTANTS = 1024  # that are prepared at once, at most: of small models steps take less than 1 ms in hundreds, what is between them 0.1 ms
 STEPS = 256  # the same of steps of Radau IIA

@@ -27,7 +27,7 @@ from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import complex_pointer, pointer
-from polyida.jit.own_data import CALLBACK
+from polyida.jit.own_functions import CALLBACK
 from polyida.linear.dense import clear
 from polyida.system import table as of
 from polyida.system.scene import add_forces
