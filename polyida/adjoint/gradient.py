@@ -56,7 +56,8 @@ def gradient(
     method leaves more: the errors are about rtol, and up to 70 times that for PeakStress and PeakReaction, which see what it leaves of
     stiff modes, as where a load begins late. No tolerance that costs next to nothing helps: rtol^2 of the model's length leaves at most 3
     rtol of these for 20 to 50 % more solves, and tolerance=1e-12 at most 1e-6 for 50 to 70 %. Cost, whatever the number of parameters: 0.9
-    to 1.7 runs, of RadauIIA five of large scenes and eight of small ones. A run whose frames are not all of its steps is taken again from
+    to 1.7 runs of plates by generalized-alpha (studies/gradient_over_run.py); more runs of small models, whose steps take microseconds, and
+    of RadauIIA, whose steps back are taken in Python. A run whose frames are not all of its steps is taken again from
     its beginning; its steps are held in memory up to `memory_limit` bytes, beyond that as checkpoints between which it is taken a third
     time.
 

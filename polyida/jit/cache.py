@@ -16,9 +16,9 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
-import llvmlite
 import numba
 import numpy as np
 
@@ -70,7 +70,7 @@ def folder():
 
 def _digest(package):
     """Hash of the kernels' sources, of the versions of what compiles them and of which compilers are at work."""
-    versions = numba.__version__, llvmlite.__version__, np.__version__, sys.version
+    versions = numba.__version__, version("llvmlite"), np.__version__, sys.version
     digest = hashlib.sha256(f"{versions} {PLAIN} {numba.config.OPT} {numba.config.BOUNDSCHECK}".encode())
     for path, content in sources(package):
         digest.update(f"\n{os.path.relpath(path, package)} {len(content)}\n".encode() + content)
