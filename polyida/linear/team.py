@@ -2,7 +2,8 @@
 
 Thread k takes the fronts cuts[k]:cuts[k + 1], without those on the way from a cut to the root, `top`. What it hands to their places it
 leaves in `late`, and thread 0 adds all that in the order of the fronts: every sum is made in the order in which one thread makes it, so the
-result is the same bit by bit for any number of threads. Threads wait for each other awake: a solve is some thousandths of a second.
+result is the same bit by bit for any number of threads (with POLYIDA_PLAIN_NUMBA=1: to round-off). Threads wait for each other awake: a
+solve is some thousandths of a second.
 """
 
 from contextlib import contextmanager
