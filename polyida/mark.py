@@ -80,7 +80,6 @@ class _Reader:
 
     def __init__(self):
         self.digest = hashlib.sha256()
-        self.constant, self.named, self.arrays = True, [], []  # as of `_known`; whether no other value can change in place
         self.seen, self.alive = {}, []  # numbers by id, and the things themselves: the id of one that is gone is given again
 
     def by_name(self, module):
@@ -140,9 +139,6 @@ class _Reader:
         cells = zip(function.__code__.co_freevars, function.__closure__ or ())
         closed = {name: cell.cell_contents for name, cell in cells if cell != CellType()}
         values = closed | _named(function, closed, self.by_name)
-        names = {name for code in _codes(function.__code__) for name in code.co_names}
-        self.named += [(function.__globals__, name, function.__globals__.get(name, function.__globals__)) for name in names]
-        self.constant = self.constant and not closed and not any("." in name for name in values)
         assigned, filled = self._stores(function.__code__)
         for name, value in values.items():
             last = name.rpartition(".")[2]
@@ -158,7 +154,6 @@ class _Reader:
         return _stores(code)
 
     def _class(self, kind):
-        self.constant = False
         self._all(kind.__bases__)
         for name, value in vars(kind).items():
             parts = _wrapped(value)
@@ -182,7 +177,14 @@ class _Reader:
 
 
 class _MachineReader(_Reader):
-    """The same for machine code: what it cannot tell by value has no mark."""
+    """The same for machine code: what it cannot tell by value has no mark.
+
+    named, arrays: as of `_known`; constant: whether nothing else that was read can change in place.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.constant, self.named, self.arrays = True, [], []
 
     def by_name(self, module):
         top = module.partition(".")[0] if isinstance(module, str) and module != "__main__" else ""
@@ -191,7 +193,18 @@ class _MachineReader(_Reader):
     def _stores(self, code):
         return (), ()
 
+    def _function(self, function):
+        space = function.__globals__
+        self.named += [(space, name, space.get(name, space)) for code in _codes(function.__code__) for name in code.co_names]
+        self.constant = self.constant and not function.__closure__
+        super()._function(function)
+
+    def _class(self, kind):
+        self.constant = False
+        super()._class(kind)
+
     def _value(self, name, value):
+        self.constant = self.constant and "." not in name
         if "." in name and (isinstance(value, FunctionType) or is_dispatcher(value)):
             raise NoMark(name)
         super()._value(name, value)

@@ -29,14 +29,16 @@ def drive_table(model, times, ends):
     inner = np.array(times)
     inner[[0, -1]] = ends
     for k, profile in enumerate(model.profiles):
-        for order, at in enumerate((times if k in driving else inner, inner, inner)):
+        for order, at in enumerate((times if driving[k] else inner, inner, inner)):
             table[:, k, order] = profile.over(at, order)
     return table
 
 
 def _driving(model):
-    """The profiles that drive rows of phi."""
-    return {*model.motor_profiles.tolist(), *model.path_profiles.tolist()}
+    """Whether each profile drives rows of phi."""
+    found = np.zeros(len(model.profiles), bool)
+    found[model.motor_profiles] = found[model.path_profiles] = True
+    return found
 
 
 def gain_table(model, times, drives, h):
@@ -63,7 +65,7 @@ def stage_tables(model, starts, times, edge, h):
 def _gains(model, begin, times, before, after, h):
     gains, lost = np.empty(before.shape), np.zeros(before.shape[:2], bool)
     if gains.size:
-        driving = _flags(model)
+        driving = _driving(model)
         change_each(driving, h, times, before, after, gains, lost)
         for k in np.flatnonzero(driving):
             rows = np.flatnonzero(lost[:, k])
@@ -71,13 +73,6 @@ def _gains(model, begin, times, before, after, h):
                 second = model.profiles[k].over(begin[rows, None] + h[rows, None] * AT, 2)
                 sharpen_each(k, rows, second, h, times, before, after, gains)
     return gains
-
-
-def _flags(model):
-    """Whether each profile drives rows of phi."""
-    found = np.zeros(len(model.profiles), bool)
-    found[[*_driving(model)]] = True
-    return found
 
 
 @entry
@@ -127,7 +122,7 @@ def sharpen(h, t, before, after, second, gain):
 @pack
 class Moves(NamedTuple):
     """The profiles of a scene as numbers, from `start` on: POLYNOMIAL: its coefficients; SINE: the sizes of value and derivatives, angular
-    frequency, phase; MOVE: start, span, duration, begin, the sizes of value and derivatives, coefficients. driving: as of `_flags`.
+    frequency, phase; MOVE: start, span, duration, begin, the sizes of value and derivatives, coefficients. driving: as of `_driving`.
     """
 
     kind: np.ndarray
@@ -151,7 +146,7 @@ def moves(model):
         kinds.append({"polynomial": POLYNOMIAL, "sine": SINE}.get(kind, MOVE))
         rows.append(np.array(given, float))
     start = np.cumsum([0, *map(len, rows)])
-    return Moves(np.array(kinds, np.int64), start, np.concatenate([*rows, np.zeros(0)]), _flags(model)), all(map(len, rows))
+    return Moves(np.array(kinds, np.int64), start, np.concatenate([*rows, np.zeros(0)]), _driving(model)), all(map(len, rows))
 
 
 @part

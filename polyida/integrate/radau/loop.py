@@ -31,7 +31,8 @@ from polyida.system.table import MATRICES, PREPARE, SELECT
 NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only
 FAILURES = 20.0  # in a row
 SHORT = 16.0  # times that a step is apart, at least
-SHARE = 0.05  # of the allowed local error that Newton may leave
+SHARE = 0.05  # of the local error that Newton may leave, times the relative error to the power BELOW: a step's true error is far below
+BELOW = 0.6
 EXACT = 1e-15  # of the model's length: what it may leave in a fixed step that none went before, as good as nothing
 NOTHING = 1e-20  # the same behind a step without any error
 ROUND_OFF = 2.0**-53  # of v, which is e over h
@@ -221,7 +222,7 @@ def left(p, h, y):
     if error < 0.0:
         return EXACT * p.length
     round_off = max(NOTHING * p.length, ROUND_OFF * h * np.sqrt(mean_square(y.past[SHARES], y.past[V])))
-    return max(round_off, SHARE * (error / p.length) ** 0.6 * error)
+    return max(round_off, SHARE * (error / p.length) ** BELOW * error)
 
 
 @part

@@ -61,7 +61,6 @@ from polyida.system.table import ACCELERATION, STEPS
 
 WORK = "residuals", "newton_iterations", "solves", "rejected", "tangents", "factorizations"
 CHUNK = 4_000_000  # bytes that the steps of a stretch leave
-SHARE = 0.05  # of the allowed local error that Newton may leave; rtol^0.6 where that is less: a step's true error is far below
 
 
 def _nowhere(taken, k, rung):
@@ -165,7 +164,7 @@ class Steps:
             extent=float(model.extent or 1.0),
             least=ROUND_OFF * float(sizes[0]),
             tolerance=float(s.tolerance or 0.0),
-            share=min(SHARE, rtol**0.6) if s.adaptive else 0.0,
+            share=min(loop.SHARE, rtol**loop.BELOW) if s.adaptive else 0.0,
             rtol=rtol,
             atol=atol,
             length=float(sizes[0]),

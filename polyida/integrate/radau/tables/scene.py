@@ -55,10 +55,10 @@ class Solver(NamedTuple):
 class SceneWork(NamedTuple):
     """The workspace of a scene and s stages: its arrays, the factors of the modes (None where there is none) and scratch.
 
-    damp, laws, tie: None where there is nothing of the kind. moves: the profiles that have formulas. drives, gains (instants, profiles, 3): of the profiles, at each instant and from
-    the step's beginning to it; rotation, turn (s, nodes, 2); points (4, points, 2); dz (s, points, 2); vz (points, 2): velocities in the middle
-    stage; c: the tableau's; h (1,); still (nodes, 2), level (m,): zero; inverse (nodes, nodes): of M, complex, or (0, 0); anew (2,): whether the border of
-    the real mode, of the pair, is to be made with the next solve.
+    damp, laws, tie: None where there is nothing of the kind. moves: the profiles that have formulas. drives, gains (instants, profiles, 3): of
+    the profiles, at each instant and from the step's beginning to it; rotation, turn (s, nodes, 2); points (4, points, 2); dz (s, points, 2);
+    vz (points, 2): velocities in the middle stage; c: the tableau's; h (1,); still (nodes, 2), level (m,): zero; inverse (nodes, nodes): of M,
+    complex, or (0, 0); anew (2,): whether the border of the real mode, of the pair, is to be made with the next solve.
     """
 
     scene: tuple
