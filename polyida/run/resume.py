@@ -45,9 +45,10 @@ def resume(
 ) -> "Trajectory":
     """Go on with the run in a file of `solve(..., out=path)` or `save`, to its t_end or another; the whole Trajectory.
 
-    It starts at the state of the last flush; frames beyond it are computed again. Radau IIA and fixed-step generalized-alpha to the same
-    t_end give the frames of a run that was never interrupted, bit by bit on the same machine. Adaptive generalized-alpha, EnergyMomentum
-    and IDA, which starts anew at order 1, agree to their tolerance. The file is replaced by a copy that goes on, whole or not at all.
+    It starts at the last state in the file from which the integrator can go on: for small models this may be 1024 steps before the last
+    frame. Frames after it are computed again. Radau IIA and fixed-step generalized-alpha to the same t_end give the frames of a run that
+    was never interrupted, bit by bit on the same machine. Adaptive generalized-alpha, EnergyMomentum and IDA, which starts anew at
+    order 1, agree to their tolerance. The file is replaced by a copy that goes on, whole or not at all.
     model: needed for a model of a user's own, and where a motor or load follows a user's own function; the scene in the file otherwise.
     until: as in `solve`, needed where the run had one (False: go on without); sensors too, with the same names (False: what they gave so
     far is kept). Raises InputError for a file that cannot be read or is being written, has nothing to go on from, or has reached t_end.

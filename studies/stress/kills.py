@@ -18,9 +18,10 @@ from polyida.problems import plates
 from polyida.run.resume import resume
 from polyida.run.solve import solve
 from polyida.study.harness import Study, results
+from polyida.system.table import INSTANTS
 from stress.outcome import Check, integrator
 
-FLUSH, STRETCH = 50, 256  # steps between flushes; steps that the compiled code takes in one go
+FLUSH = 50  # steps between flushes
 ALLOWED = {"alpha": 0.0, "radau": 0.0, "energy": 1e-9, "ggl2": 5e-3, "ggl1": 5e-3}  # m: the resumed run against the whole one
 SETTINGS = {"alpha": {"h": 1e-4}, "energy": {"h": 1e-4}, "radau": {"rtol": 1e-11}}  # of those that go on step for step
 
@@ -53,8 +54,9 @@ def killed_after(work, seconds):
 def killed_runs(kills, name, seed=0, t_end=0.4):
     """`kills` kills of runs to a file, each resumed until it is killed again or ends: (last whole Trajectory, checks).
 
-    Lost frames: those accepted up to the last flush before a kill that the file does not hold, where at most one flush
-    interval and one stretch may be missing. Wrong frames: up to the first kill and, where resuming is exact, all.
+    Lost frames: those accepted before a kill that the file does not hold. At most one flush interval may be missing, and the
+    INSTANTS steps that compiled code takes at most before a state from which a resumed run can go on. Wrong frames: up to the
+    first kill and, where resuming is exact, all.
     """
     model, method = plates.double_plate_motors(cells=4).build(), integrator(name, **SETTINGS.get(name, {"rtol": 1e-6}))
     solve(model, t_end / 100, method)  # loads the kernels
@@ -72,7 +74,7 @@ def killed_runs(kills, name, seed=0, t_end=0.4):
                 continue
             part = load(path)
             told = struct.unpack("q", accepted[:8])[0]
-            lost = max(lost, told - FLUSH - STRETCH - (len(part) - 1))
+            lost = max(lost, told - FLUSH - INSTANTS - (len(part) - 1))
             deviation = max(deviation, _apart(part, whole, name))
             if part.status == "done":
                 path.unlink()
