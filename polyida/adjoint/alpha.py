@@ -21,7 +21,6 @@ solves the system above at the end of step k; w and mu hold a prediction before 
 
 from collections import deque
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -36,13 +35,11 @@ from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.step import nearest
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import State
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, fast, pack
 from polyida.jit.intrinsics import address, call
 from polyida.linear.lu import Kept
 from polyida.system.python import small_own, small_table
 from polyida.system.table import ADJOINT
-
-fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
 # constants of compiled code
 Q, V, A, AHEAD = range(4)  # rows of Memory.bars

@@ -1,6 +1,5 @@
 """Products of a scene's matrices with a field at one state: `K^T w + B^T mu`, `M w` and `C^T w`, without a matrix."""
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +10,6 @@ from polyida.assembly.rows import joints
 from polyida.element import cell_products, kernels, stabilisation
 from polyida.jit import entry, pack, part
 from polyida.linear.dense import clear
-
-fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
 
 @pack

@@ -15,7 +15,7 @@ from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.integrate.alpha.step import SLOW
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear.team import Helpers
 from polyida.machine import threads
@@ -110,7 +110,7 @@ def correct(s, c, room, r, phi, dw, dmu):
     return free
 
 
-@products.fast
+@fast
 def residual(w, right, below, x):
     """r = S^T w + B^T mu - right and phi = B w - below."""
     r = w.now[R]
@@ -125,7 +125,7 @@ def residual(w, right, below, x):
         w.rows[PHI, i] = x.rows[i] - below[i]
 
 
-@products.fast
+@fast
 def add_correction(now, multipliers, dw, dmu):
     """w += dw, mu += dmu; the sums of |dw| and |w|, whose squares may be too small for a number."""
     moved = size = 0.0

@@ -8,14 +8,11 @@ y = (Re conj(z_i) z_j, i <= j; Im conj(z_i) z_j, i < j), so that `W = d^T form d
 (Gerstmayr and Ambrosio 2008; Pechstein, Reischl, Gerstmayr 2013). Nothing here grows with the cells of a body.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from polyida.jit import entry, leaf, pack, part
-
-fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
+from polyida.jit import entry, fast, leaf, pack, part
 
 
 @pack

@@ -14,9 +14,10 @@ import numba
 from polyida.jit import cache as kernel_cache
 from polyida.jit.pack import pack
 
-__all__ = ["bound", "c_address", "entry", "leaf", "own_address", "own_part", "pack", "part", "shared", "typed"]
+__all__ = ["FAST", "bound", "c_address", "entry", "fast", "leaf", "own_address", "own_part", "pack", "part", "shared", "typed"]
 
 TESTED = (0, 63), (0, 68)  # first and last version of numba that compilers.py is known to work with
+FAST = {"contract", "reassoc", "nsz"}  # not "nnan": NaN must be found
 _COMMON = {"nogil": True, "error_model": "numpy"}  # releases the GIL, divides by zero as numpy does
 _INNER = _COMMON | {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
@@ -57,6 +58,11 @@ def shared(function, **options):
 def part(function, **options):
     """What only compiled code calls: cached within its callers. It has no wrapper for Python: a call from there crashes."""
     return numba.njit(**_INNER, **_parts, **options)(function)
+
+
+def fast(function):
+    """A part whose sums may be reordered, so that they are taken several numbers at once."""
+    return part(function, fastmath=FAST)
 
 
 def leaf(function):

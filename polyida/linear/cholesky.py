@@ -1,11 +1,10 @@
 """Factors of the plates' matrix `S = c_m M + c_v C + K`, real or complex symmetric, in the layout that the compiled solves read."""
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, fast, pack
 from polyida.linear.dissection import NOTHING, Symbolic, symbolic
 from polyida.linear.fronts import factorize, single
 from polyida.linear.lu import SYMMETRIC_MODE
@@ -106,10 +105,6 @@ def _columns(indptr, indices, blocks, n):
         values=lower.data.astype(dtype),
         reciprocal=(1.0 / diagonal).astype(dtype),
     )
-
-
-FAST = {"contract", "reassoc", "nsz"}
-fast = partial(part, fastmath=FAST)
 
 
 @entry

@@ -11,9 +11,8 @@ import numpy as np
 
 from polyida import jit
 
-FAST = {"contract", "reassoc", "nsz"}
-entry = partial(jit.entry, fastmath=FAST)
-part = partial(jit.part, fastmath=FAST)
+entry = partial(jit.entry, fastmath=jit.FAST)
+part = partial(jit.part, fastmath=jit.FAST)
 
 
 def factorize(symbolic, blocks, phase=1.0, dtype=None, panels=None):

@@ -17,10 +17,10 @@ from polyida import jit
 from polyida.jit import bound, pack
 from polyida.jit.intrinsics import leave, seen
 from polyida.linear.cholesky import FRONTS
-from polyida.linear.fronts import FAST, ascend, descend, spread
+from polyida.linear.fronts import ascend, descend, spread
 
-entry = partial(jit.entry, fastmath=FAST)
-part = partial(jit.part, fastmath=FAST)
+entry = partial(jit.entry, fastmath=jit.FAST)
+part = partial(jit.part, fastmath=jit.FAST)
 LINE = 8  # numbers of a cache line: nobody waits on the line that another writes
 CALLED, DONE, GONE = 0, LINE, -1
 

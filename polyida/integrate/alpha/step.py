@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import DONE, NOT_FINITE, REFACTOR, TOO_FAR, TOO_NEAR
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.system import table
 
@@ -108,7 +108,7 @@ def predict(p, y, w):
         w.rows[LAM, k] = y.closed[LAM, k]
 
 
-@entry
+@part
 def begin(p, y, w):
     """Begin a step, or go on with one that has been: the last |dq|, 0 at a beginning."""
     if y.marks[MOVED] == 0.0:
@@ -118,7 +118,7 @@ def begin(p, y, w):
     return y.marks[MOVED]
 
 
-@entry
+@fast
 def correct(p, y, w, first, last):
     """Add dq and dlam to the trial state; what an iteration that moved by |dq| after one by `last` tells.
 
@@ -160,7 +160,7 @@ def judge(p, marks, first, last, moved, length, size, pull, change):
     return moved, small or stalled or moved <= fine, measured and rate > SLOW and moved > coarse, allowed
 
 
-@entry
+@part
 def finish(p, y, w, q, v, a, lam):
     """Accept the settled trial state, unless its local error is too large, and copy it into a frame (n,), (m,): how the step ended."""
     y.marks[AGE] += 1.0
@@ -185,7 +185,7 @@ def finish(p, y, w, q, v, a, lam):
     return DONE
 
 
-@part
+@fast
 def local_error(p, y, w):
     """Local error of q over what is allowed, both root mean squares weighted with the masses; where no step went before, from this one."""
     change = earlier = size = 0.0
@@ -198,7 +198,7 @@ def local_error(p, y, w):
     return control * np.sqrt(change) / max(p.atol + p.rtol * np.sqrt(size), 1e-300)
 
 
-@part
+@fast
 def accept(p, y, w):
     """Move the trial state into memory; the algorithmic acceleration; the next step's predictor."""
     past, now = y.past, w.now

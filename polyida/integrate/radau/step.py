@@ -22,7 +22,7 @@ import numpy as np
 
 from polyida.errors import DONE, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.integrate.sizes import ROUND_OFF
-from polyida.jit import pack, part
+from polyida.jit import fast, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.system.table import ACCELERATION, ACCEPT, CLOSE, HOLD, OFF, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
 
@@ -175,7 +175,7 @@ def empty(stages, n, m, tied):
     return memory, trial, Room(*map(np.zeros, (*shapes, *modal)), *(np.zeros(shape, complex) for shape in modal))
 
 
-@part
+@fast
 def mean_square(shares, x):
     """The sum of shares x^2."""
     total = 0.0
@@ -273,7 +273,7 @@ def add_miss(y, x, z):
             x.mu[k, e] = ahead * y.mu[k, e]
 
 
-@part
+@fast
 def take_miss(y, x, z):
     """Note what the stages are beyond the last step's polynomial, and what part of that the next step is expected to have again."""
     if z.seen[EXTENDED] == 0.0:
@@ -342,7 +342,7 @@ def residuals(f, w, first, p, t, h, y, x, z):
     return ended
 
 
-@part
+@fast
 def into_modes(t, z):
     """The residuals of the modes."""
     stages, real = z.r.shape[0], t.real_row.shape[0] > 0
@@ -361,6 +361,15 @@ def into_modes(t, z):
                     one += t.real_row[k] * z.rows[g, k, e]
                 pair += t.pair_row[k] * z.rows[g, k, e]
             z.closing[g, e], z.closing_pair[g, e] = one, pair
+
+
+@fast
+def from_modes(t, z):
+    """The corrections of the stages."""
+    for k in range(z.r.shape[0]):
+        real, pair = t.real_column[k] if t.real_row.shape[0] else 0.0, 2.0 * t.pair_column[k]
+        for i in range(z.r.shape[1]):
+            z.r[k, i] = real * z.dq[i] + (pair * z.dq_pair[i]).real
 
 
 @part
@@ -403,10 +412,7 @@ def iterate(f, w, first, p, t, h, y, x, z):
         ended = solve_pair(f, w, middle, lam, z)
     if ended != DONE:
         return ended, 0.0
-    for k in range(stages):
-        real, pair = t.real_column[k] if t.real_row.shape[0] else 0.0, 2.0 * t.pair_column[k]
-        for i in range(n):
-            z.r[k, i] = real * z.dq[i] + (pair * z.dq_pair[i]).real
+    from_modes(t, z)
     if f[TURN]:
         call(f[TURN], w, first, address(z.r), 1, 0, 0, 0, 0)
     through(t.W, 1.0, z.r, x.dv)

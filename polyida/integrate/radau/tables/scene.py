@@ -6,7 +6,6 @@ stage's, R(q_k) R(q_i)^T node by node, and the correction that comes back is tur
 
 import ctypes
 from contextlib import nullcontext
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASON
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import complex_pointer, pointer
 from polyida.jit.own_functions import CALLBACK
 from polyida.linear.dense import clear
@@ -37,7 +36,6 @@ START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and ve
 PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes
 CALL = 4000.0  # and of a scene of one coordinate: the Python code around them costs as much for every scene
 FEW = 40  # nodes of a scene whose M^-1 is a full matrix
-fast = partial(part, fastmath={"contract", "reassoc", "nsz"})
 
 
 @pack
