@@ -3,12 +3,12 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.parameter import OfPart, Parameter, Shared, changed, total, with_part
+from polyida.adjoint.parameter import OfPart, Parameter, Shared, changed, entries_of, sum_of, total, with_part
 from polyida.adjoint.profile_parameters import drive_works, element_work, in_time, of_profiles, over
 from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
@@ -26,7 +26,7 @@ from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
 from polyida.model import NEARBY
 from polyida.model.differences import EVERYWHERE, along
-from polyida.model.guarded import guard
+from polyida.model.guarded import guard, unguarded, writes
 
 FIELDS = {PointLoad: "force", EdgeTraction: "traction"}
 
@@ -288,20 +288,41 @@ def _inner(part, path, keys):
 class OfOwnModel(Parameter):
     """An attribute of a model, a number or an array."""
 
+    @cached_property
+    def _sums(self):
+        """{value: what adds up multipliers times equations of the copy of the model that has it}."""
+        return {}
+
     def slope(self, work):
-        """By the model's residual_p and phi_p; the slopes of rate and bias by differences."""
-        result, model = np.zeros(np.shape(self.value)), guard(self.model)
-        phi = lambda t, q, v: self.model.phi_p(self.name, t, q)  # noqa: E731
-        rate, bias = (partial(self._slope, function) for function in ("phi_rate", "phi_bias"))
-        for k, state in enumerate(zip(work.t.tolist(), work.q, work.v, work.a, work.lam)):
-            result = result + work.w[k] @ model.residual_p(self.name, *state)
-            for given, slope in ((work.mu, phi), (work.kappa, rate), (work.nu, bias)):
-                if given is not None and given[k].any():
-                    result = result + given[k] @ slope(*state[:3])
+        """By the model's residual_p and phi_p as far as it writes these; by differences of the sum over all entries, of copies of the model."""
+        result, model, own = np.zeros(np.shape(self.value)), guard(self.model), unguarded(self.model)
+        if writes(own, "residual_p"):
+            for w, *state in zip(work.w, work.t.tolist(), work.q, work.v, work.a, work.lam):
+                result = result + w @ model.residual_p(self.name, *state)
+            work = work._replace(w=np.zeros_like(work.w))
+        if writes(own, "phi_p") and work.mu is not None:
+            for mu, t, q in zip(work.mu, work.t.tolist(), work.q):
+                result = result + (mu @ model.phi_p(self.name, t, q) if mu.any() else 0.0)
+            work = work._replace(mu=None)
+        near = work.t if writes(own, "kinks") else np.zeros(0)
+        for t in np.unique(near).tolist():
+            result = result + self._by_differences(entries_of(work, near == t), t)
+        result = result if len(near) else result + self._by_differences(work, None)
         return result if result.ndim else float(result)
 
-    def _slope(self, function, t, q, v):
-        return self.model.slope_p(self.name, lambda model: getattr(model, function)(t, q, v), t)
+    def _by_differences(self, work, t):
+        """Of entries that no kink that moves with the number passes; t: their time, or None if the model has no kinks."""
+        if not any(factors is not None and factors.any() for factors in work[5:]):
+            return 0.0
+
+        def summed(model):
+            key = np.asarray(model.parameter(self.name), float).tobytes()
+            found = self._sums.get(key) or sum_of(guard(model))
+            if t is None:  # the same few values for all entries
+                self._sums[key] = found
+            return np.array([found(work)])
+
+        return self.model.slope_p(self.name, summed, t)[0]
 
     def of_model(self, function):
         """By differences of copies of the model."""

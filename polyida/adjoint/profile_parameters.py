@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.adjoint.parameter import AdjointMultipliers, Parameter, holding_profile, total, with_profile
+from polyida.adjoint.parameter import AdjointMultipliers, Parameter, entries_of, holding_profile, total, with_profile
 from polyida.assembly.loads import GRAVITY
 from polyida.assembly.own_forces import OwnForce
 from polyida.assembly.rows.increments import drive_table
@@ -179,7 +179,7 @@ def in_time(model, work):
     result = np.zeros(len(work.t))
     if not model.is_scene:
         for k, t in enumerate(work.t.tolist()):
-            entry = type(work)(*(x if x is None else x[k : k + 1] for x in work))
+            entry = entries_of(work, slice(k, k + 1))
             result[k] = along(lambda s, entry=entry: total(model, entry._replace(t=entry.t + s)), SCALE, model._smooth(t))
         return result
     each = drive_works(model, work)
