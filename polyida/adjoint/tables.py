@@ -140,18 +140,21 @@ def evaluate(w, k):
     """K, C, and the model's B and M at state k. Returns how it ended."""
     d = w.model
     d.t[INNER] = d.t[END] = w.t[k]
-    d.q[:], d.v[:], d.a[:], d.lam[:], d.c[:] = w.q[k], w.v[k], w.a[k], w.lam[k], 0.0
-    ended = small.ask(d, TANGENT, INNER, d.S) if d.functions[TANGENT] else small.add_slopes(d)
+    d.q[:], d.v[:], d.a[:], d.lam[:], d.c[:], d.flags[small.ENDED] = w.q[k], w.v[k], w.a[k], w.lam[k], 0.0, DONE
+    if d.functions[TANGENT]:
+        small.ask(d, TANGENT, INNER, d.S)
+    else:
+        small.add_slopes(d)
     w.K[:] = d.S
-    if ended == DONE and d.flags[VELOCITY]:
+    if d.flags[VELOCITY]:
         d.S[:] = 0.0
-        ended = small.add_slope(d, FORCE_V, FORCE, d.v, 1.0)
+        small.add_slope(d, FORCE_V, FORCE, d.v, 1.0)
         w.C[:] = d.S
-    if ended == DONE and d.lam.shape[0] and d.flags[BENT]:
-        ended = small.ask(d, PHI_Q, INNER, d.B)
-    if ended == DONE and d.flags[MASS_VARIES]:
-        ended = small.ask(d, MASS, INNER, d.M)
-    return ended
+    if d.lam.shape[0] and d.flags[BENT]:
+        small.ask(d, PHI_Q, INNER, d.B)
+    if d.flags[MASS_VARIES]:
+        small.ask(d, MASS, INNER, d.M)
+    return d.flags[small.ENDED]
 
 
 @entry

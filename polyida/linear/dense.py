@@ -59,6 +59,13 @@ def solve(matrix, pivots, b):
 
 
 @part
+def put(c, x, y):
+    """y = c x; y may be longer."""
+    for i in range(x.shape[0]):
+        y[i] = c * x[i]
+
+
+@part
 def clear(matrix):
     """Every entry 0."""
     for i in range(matrix.shape[0]):

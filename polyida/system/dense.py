@@ -22,9 +22,9 @@ FUNCTIONS = (
     "mass", "force", "phi", "phi_q", "phi_t", "residual", "objection", "tangent", "force_q", "force_v", "mass_a_q", "reaction_q", "phi_bias",
     "potential",
 )  # fmt: skip
-MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT, HELD = range(7)  # of Dense.flags
-# KEPT: the factors are of the S and B of now; HELD: B is that of the state already
-FLAGS = 7
+MASS_VARIES, VELOCITY, DRIVEN, BENT, VARIES, KEPT, HELD, ENDED = range(8)  # of Dense.flags
+# KEPT: the factors are of the S and B of now; HELD: B is that of the state already; ENDED: how the calls since `take` ended
+FLAGS = 8
 REACH = FIRST_ORDER_STEP
 INNER, END = range(2)  # of Dense.t: within the step beside a kink at its end, and the end itself
 
@@ -85,18 +85,27 @@ def vector(at, size):
 
 @part
 def ask(w, function, time, out):
-    """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam."""
-    t = address(w.t) + 8 * time
-    return call(w.functions[function], w.data, 0, t, address(w.q), address(w.v), address(w.a), address(w.lam), address(out))
+    """Call a function of the model at w.t[time], w.q, w.v, w.a, w.lam, unless one failed since `take`. Returns how they ended."""
+    if w.flags[ENDED] == DONE:
+        t = address(w.t) + 8 * time
+        w.flags[ENDED] = call(w.functions[function], w.data, 0, t, address(w.q), address(w.v), address(w.a), address(w.lam), address(out))
+    return w.flags[ENDED]
 
 
 @part
 def take(w, instant, q, v):
     """Take the state for the functions' arguments."""
+    w.flags[ENDED] = DONE
     w.t[INNER], w.t[END] = w.times[instant, INNER], w.times[instant, END]
-    given_q, given_v = vector(q, w.q.shape[0]), vector(v, w.q.shape[0])
-    for i in range(w.q.shape[0]):
-        w.q[i], w.v[i] = given_q[i], given_v[i]
+    dense.put(1.0, vector(q, w.q.shape[0]), w.q)
+    dense.put(1.0, vector(v, w.q.shape[0]), w.v)
+
+
+@part
+def take_forces(w, a, lam):
+    """Take the accelerations and multipliers for the functions' arguments."""
+    dense.put(1.0, vector(a, w.a.shape[0]), w.a)
+    dense.put(1.0, vector(lam, w.lam.shape[0]), w.lam)
 
 
 @part
@@ -104,8 +113,8 @@ def take_rows(w):
     """B at the state, where it changes."""
     if w.lam.shape[0] and w.flags[BENT] and not w.flags[HELD]:
         w.flags[KEPT] = 0
-        return ask(w, PHI_Q, INNER, w.B)
-    return DONE
+        ask(w, PHI_Q, INNER, w.B)
+    return w.flags[ENDED]
 
 
 @part
@@ -120,54 +129,35 @@ def finite(x):
 @part
 def equilibrium(w, found):
     """`M a + g + B^T lam` at w.t, w.q, w.v, w.a, w.lam with w.B."""
-    n, m = w.q.shape[0], w.lam.shape[0]
     if w.functions[WHOLE]:
-        ended = ask(w, WHOLE, INNER, w.g)
-        if ended != DONE:
-            return ended
-        for i in range(n):
-            found[i] = w.g[i]
-    else:
-        if w.flags[MASS_VARIES]:
-            ended = ask(w, MASS, INNER, w.M)
-            if ended != DONE:
-                return ended
-        ended = ask(w, FORCE, INNER, w.g)
-        if ended != DONE:
-            return ended
-        for i in range(n):
-            total = w.g[i]
-            for j in range(n):
-                total += w.M[i, j] * w.a[j]
-            for k in range(m):
-                total += w.B[k, i] * w.lam[k]
-            found[i] = total
-    return DONE
+        ask(w, WHOLE, INNER, w.g)
+        dense.put(1.0, w.g, found)
+        return w.flags[ENDED]
+    if w.flags[MASS_VARIES]:
+        ask(w, MASS, INNER, w.M)
+    ask(w, FORCE, INNER, w.g)
+    for i in range(found.shape[0]):
+        total = w.g[i]
+        for j in range(found.shape[0]):
+            total += w.M[i, j] * w.a[j]
+        for k in range(w.lam.shape[0]):
+            total += w.B[k, i] * w.lam[k]
+        found[i] = total
+    return w.flags[ENDED]
 
 
 @entry
 def residual(w, instant, q, v, a, lam, r, phi):
     """r at the state within the step, phi at its end."""
-    n, m = w.q.shape[0], w.lam.shape[0]
     take(w, instant, q, v)
-    given_a, given_lam, found, rows = vector(a, n), vector(lam, m), vector(r, n), vector(phi, m)
-    for i in range(n):
-        w.a[i] = given_a[i]
-    for k in range(m):
-        w.lam[k] = given_lam[k]
-    if m:
-        ended = ask(w, PHI, END, w.phi)
-        if ended != DONE:
-            return ended
-        for k in range(m):
-            rows[k] = w.phi[k]
-        ended = take_rows(w)
-        if ended != DONE:
-            return ended
+    take_forces(w, a, lam)
+    found, rows = vector(r, w.q.shape[0]), vector(phi, w.lam.shape[0])
+    if rows.shape[0]:
+        ask(w, PHI, END, w.phi)
+        dense.put(1.0, w.phi, rows)
+        take_rows(w)
     ended = equilibrium(w, found)
-    if ended != DONE:
-        return ended
-    return DONE if finite(found) and finite(rows) else NOT_FINITE
+    return NOT_FINITE if ended == DONE and not (finite(found) and finite(rows)) else ended
 
 
 @entry
@@ -179,13 +169,11 @@ def hold(w, instant, q, v, c, d, e, f):
 @entry
 def close(w, instant, q, dd, dv, phi, rate, f):
     """phi at the end; the rate stays."""
-    m = w.lam.shape[0]
-    if not m:
+    if not w.lam.shape[0]:
         return DONE
     take(w, instant, q, address(w.v))
-    ended, rows = ask(w, PHI, END, w.phi), vector(phi, m)
-    for k in range(m):
-        rows[k] = w.phi[k]
+    ended = ask(w, PHI, END, w.phi)
+    dense.put(1.0, w.phi, vector(phi, w.lam.shape[0]))
     return ended
 
 
@@ -207,20 +195,18 @@ def bordered(A, w, matrix, size):
 @part
 def combined(w, function, out):
     """A function's value, M a of "mass", B^T lam of "phi_q"."""
-    n, m = w.q.shape[0], w.lam.shape[0]
     if function == FORCE:
         ended = ask(w, FORCE, INNER, w.g)
-        for i in range(n):
-            out[i] = w.g[i]
+        dense.put(1.0, w.g, out)
         return ended
     ended = ask(w, MASS, INNER, w.slope) if function == MASS else ask(w, PHI_Q, INNER, w.B)
-    for i in range(n):
+    for i in range(out.shape[0]):
         total = 0.0
         if function == MASS:
-            for j in range(n):
+            for j in range(w.a.shape[0]):
                 total += w.slope[i, j] * w.a[j]
         else:
-            for k in range(m):
+            for k in range(w.lam.shape[0]):
                 total += w.B[k, i] * w.lam[k]
         out[i] = total
     return ended
@@ -234,14 +220,11 @@ def add_difference(w, function, x, c):
         step = REACH * max(1.0, abs(at))
         for e in range(4):
             x[j] = at + (1.0, -1.0, 2.0, -2.0)[e] * step
-            ended = combined(w, function, w.near[e])
-            if ended != DONE:
-                x[j] = at
-                return ended
+            combined(w, function, w.near[e])
         x[j] = at
         for i in range(w.S.shape[0]):
             w.S[i, j] += c * (8.0 * (w.near[0, i] - w.near[1, i]) - (w.near[2, i] - w.near[3, i])) / (12.0 * step)
-    return DONE
+    return w.flags[ENDED]
 
 
 @part
@@ -259,34 +242,32 @@ def add_slope(w, written, function, x, c):
 @part
 def add_slopes(w):
     """S from the terms that the model has, at w.t, w.q, w.v, w.a, w.lam."""
-    n = w.q.shape[0]
-    ended = ask(w, MASS, INNER, w.M) if w.flags[MASS_VARIES] else DONE
-    for i in range(n):
-        for j in range(n):
-            w.S[i, j] = w.c[0] * w.M[i, j]
-    if ended == DONE:
-        ended = add_slope(w, FORCE_Q, FORCE, w.q, 1.0)
-    if ended == DONE and w.flags[VELOCITY]:
-        ended = add_slope(w, FORCE_V, FORCE, w.v, w.c[1])
-    if ended == DONE and w.flags[MASS_VARIES]:
-        ended = add_slope(w, MASS_A_Q, MASS, w.q, 1.0)
-    if ended == DONE and w.flags[VARIES] and w.lam.shape[0]:
-        ended = add_slope(w, REACTION_Q, PHI_Q, w.q, 1.0)
-    return ended
+    if w.flags[MASS_VARIES]:
+        ask(w, MASS, INNER, w.M)
+    for i in range(w.S.shape[0]):
+        dense.put(w.c[0], w.M[i], w.S[i])
+    add_slope(w, FORCE_Q, FORCE, w.q, 1.0)
+    if w.flags[VELOCITY]:
+        add_slope(w, FORCE_V, FORCE, w.v, w.c[1])
+    if w.flags[MASS_VARIES]:
+        add_slope(w, MASS_A_Q, MASS, w.q, 1.0)
+    if w.flags[VARIES] and w.lam.shape[0]:
+        add_slope(w, REACTION_Q, PHI_Q, w.q, 1.0)
+    return w.flags[ENDED]
 
 
 @entry
 def factor(w, instant, q, v, a, lam, c, f):
     """S at a state; it is factored with the B of a solve."""
-    n, m = w.q.shape[0], w.lam.shape[0]
+    n = w.q.shape[0]
     take(w, instant, q, v)
-    given_a, given_lam, given_c = vector(a, n), vector(lam, m), vector(c, 2)
-    w.c[0], w.c[1], w.made[0] = given_c[0], given_c[1], w.t[INNER]
-    for i in range(n):
-        w.a[i] = given_a[i]
-        w.made[1 + i], w.made[1 + n + i], w.made[1 + 2 * n + i] = w.q[i], w.v[i], w.a[i]
-    for k in range(m):
-        w.lam[k] = w.made[1 + 3 * n + k] = given_lam[k]
+    take_forces(w, a, lam)
+    dense.put(1.0, vector(c, 2), w.c)
+    w.made[0] = w.t[INNER]
+    dense.put(1.0, w.q, w.made[1:])
+    dense.put(1.0, w.v, w.made[1 + n :])
+    dense.put(1.0, w.a, w.made[1 + 2 * n :])
+    dense.put(1.0, w.lam, w.made[1 + 3 * n :])
     w.flags[KEPT] = 0
     return ask(w, TANGENT, INNER, w.S) if w.functions[TANGENT] else add_slopes(w)
 
@@ -300,6 +281,27 @@ def typical(matrix):
     return total / matrix.shape[0] if total > 0.0 else 1.0
 
 
+@part
+def solve_bordered(w, A, pivots, size):
+    """w.x becomes the solution of a `bordered` system, factored, whose last rows and unknowns are in units of `size`."""
+    for k in range(w.q.shape[0], w.x.shape[0]):
+        w.x[k] *= size
+    dense.solve(A, pivots, w.x)
+    for k in range(w.q.shape[0], w.x.shape[0]):
+        w.x[k] *= size
+
+
+@part
+def solve_masses(w):
+    """w.x becomes the solution of the system of M and B. Returns how it ended."""
+    size = typical(w.M)
+    bordered(w.masses, w, w.M, size)
+    if not dense.factor(w.masses, w.mass_pivots):
+        return SINGULAR
+    solve_bordered(w, w.masses, w.mass_pivots, size)
+    return DONE
+
+
 @entry
 def solve(w, instant, q, lam, r, phi, dq, dlam):
     """dq and dlam of one Newton correction."""
@@ -309,61 +311,47 @@ def solve(w, instant, q, lam, r, phi, dq, dlam):
         if not dense.factor(w.lu, w.pivots):
             return SINGULAR
         w.flags[KEPT] = 1
-    given, rows, moved, more = vector(r, n), vector(phi, m), vector(dq, n), vector(dlam, m)
-    for i in range(n):
-        w.x[i] = -given[i]
-    for k in range(m):
-        w.x[n + k] = -size * rows[k]
-    dense.solve(w.lu, w.pivots, w.x)
-    for i in range(n):
-        moved[i] = w.x[i]
-    for k in range(m):
-        more[k] = size * w.x[n + k]
+    dense.put(-1.0, vector(r, n), w.x)
+    dense.put(-1.0, vector(phi, m), w.x[n:])
+    solve_bordered(w, w.lu, w.pivots, size)
+    dense.put(1.0, w.x[:n], vector(dq, n))
+    dense.put(1.0, w.x[n:], vector(dlam, m))
     return DONE
 
 
 @entry
 def rate(w, instant, q, v, found, d, e, f):
     """phi_q v + phi_t."""
-    m, rows = w.lam.shape[0], vector(found, w.lam.shape[0])
+    rows = vector(found, w.lam.shape[0])
     take(w, instant, q, v)
-    ended = take_rows(w)
-    if ended != DONE:
-        return ended
+    take_rows(w)
     if w.flags[DRIVEN]:
-        ended = ask(w, PHI_T, INNER, w.phi_t)
-        if ended != DONE:
-            return ended
-    for k in range(m):
+        ask(w, PHI_T, INNER, w.phi_t)
+    for k in range(rows.shape[0]):
         total = w.phi_t[k]
         for i in range(w.q.shape[0]):
             total += w.B[k, i] * w.v[i]
         rows[k] = total
-    return DONE
+    return w.flags[ENDED]
 
 
 @entry
 def project(w, instant, rows, x, anew, d, e, f):
     """B x falls by rows, by a change of x of the least M-norm; anew: x becomes the change that has the same B x."""
     n, m = w.q.shape[0], w.lam.shape[0]
-    if w.flags[MASS_VARIES]:
-        ended = ask(w, MASS, INNER, w.M)
-        if ended != DONE:
-            return ended
-    size = typical(w.M)
-    bordered(w.masses, w, w.M, size)
-    if not dense.factor(w.masses, w.mass_pivots):
-        return SINGULAR
+    if w.flags[MASS_VARIES] and ask(w, MASS, INNER, w.M) != DONE:
+        return w.flags[ENDED]
     wanted, moved = vector(rows, m), vector(x, n)
     for k in range(m):
         total = wanted[k]
         if anew:
             for i in range(n):
                 total -= w.B[k, i] * moved[i]
-        w.x[n + k] = -size * total
+        w.x[n + k] = -total
     for i in range(n):
         w.x[i] = 0.0
-    dense.solve(w.masses, w.mass_pivots, w.x)
+    if solve_masses(w) != DONE:
+        return SINGULAR
     for i in range(n):
         moved[i] = w.x[i] if anew else moved[i] + w.x[i]
     return DONE
@@ -397,21 +385,18 @@ def bias(w):
         w.phi_bias[k] = 0.0
     if not w.flags[BENT]:
         return DONE
-    at, step, ended = w.near[0], REACH * reach(w), DONE
-    for i in range(n):
-        at[i] = w.q[i]
+    at, step = w.near[0], REACH * reach(w)
+    dense.put(1.0, w.q, at)
     for e in range(4):
         s, weight = (1.0, -1.0, 2.0, -2.0)[e] * step, (8.0, -8.0, -1.0, 1.0)[e] / (12.0 * step)
         for i in range(n):
             w.q[i] = at[i] + s * w.v[i]
-        if ended == DONE:
-            ended = ask(w, PHI_Q, INNER, w.B)
+        ask(w, PHI_Q, INNER, w.B)
         for k in range(m):
             for i in range(n):
                 w.phi_bias[k] += weight * w.B[k, i] * w.v[i]
-    for i in range(n):
-        w.q[i] = at[i]
-    return ended
+    dense.put(1.0, at, w.q)
+    return w.flags[ENDED]
 
 
 @entry
@@ -419,29 +404,19 @@ def acceleration(w, instant, q, v, a, lam, e, f):
     """a and lam that are consistent with q and v: `[[M, B^T], [B, 0]] (a, lam) = (-g, -phi_bias)`."""
     n, m = w.q.shape[0], w.lam.shape[0]
     take(w, instant, q, v)
-    ended = ask(w, MASS, INNER, w.M) if w.flags[MASS_VARIES] else DONE
-    if ended == DONE:
-        ended = ask(w, FORCE, INNER, w.g)
-    if ended == DONE and m:
-        ended = bias(w)
-    if ended == DONE:
-        ended = take_rows(w)
-    if ended != DONE:
-        return ended
-    size = typical(w.M)
-    bordered(w.masses, w, w.M, size)
-    if not dense.factor(w.masses, w.mass_pivots):
+    if w.flags[MASS_VARIES]:
+        ask(w, MASS, INNER, w.M)
+    ask(w, FORCE, INNER, w.g)
+    if m:
+        bias(w)
+    if take_rows(w) != DONE:
+        return w.flags[ENDED]
+    dense.put(-1.0, w.g, w.x)
+    dense.put(-1.0, w.phi_bias, w.x[n:])
+    if solve_masses(w) != DONE:
         return SINGULAR
-    for i in range(n):
-        w.x[i] = -w.g[i]
-    for k in range(m):
-        w.x[n + k] = -size * w.phi_bias[k]
-    dense.solve(w.masses, w.mass_pivots, w.x)
-    found, multipliers = vector(a, n), vector(lam, m)
-    for i in range(n):
-        found[i] = w.x[i]
-    for k in range(m):
-        multipliers[k] = size * w.x[n + k]
+    dense.put(1.0, w.x[:n], vector(a, n))
+    dense.put(1.0, w.x[n:], vector(lam, m))
     return DONE
 
 

@@ -170,7 +170,7 @@ class DenseTable(PythonTable):
     def _fill(self):
         model, needs = self.model, self.model.needs
         functions, bent = np.zeros(len(small.FUNCTIONS), np.int64), needs.phi_q_varies or needs.driven
-        flags = needs.mass_varies, needs.velocity_forces, needs.driven, bent, needs.phi_q_varies, 0, 0
+        flags = needs.mass_varies, needs.velocity_forces, needs.driven, bent, needs.phi_q_varies, 0, 0, DONE
         self.w = w = small.workspace(model.n, model.m, functions, 0, flags)._replace(times=self.times)
         for name, function in self._functions(w).items():
             functions[small.FUNCTIONS.index(name)] = self._address(function, ALONE) if function else 0

@@ -233,7 +233,7 @@ class SceneTable:
     @contextmanager
     def at_work(self, system):
         """(addresses of the functions, address of the workspace) with a factored system."""
-        with self.helpers.at_work(system.corotated.factor, system.room) as room:
+        with self.helpers.at_work(system.corotated, system.room) as room:
             self.w["numbers"][TO_A] = system.c_m
             if self.work is None or self.work.room is not room:
                 self._take(SceneWork(factored=system.corotated, room=room, **self.w))

@@ -21,6 +21,7 @@ from polyida.model.differences import FIRST_ORDER_STEP, along
 from polyida.model.guarded import OF_STEPS, unguarded
 from polyida.system.dense import (
     END,
+    ENDED,
     INNER,
     PHI,
     POTENTIAL,
@@ -30,6 +31,7 @@ from polyida.system.dense import (
     example,
     finite,
     take,
+    take_forces,
     take_rows,
     vector,
 )  # fmt: skip
@@ -44,11 +46,11 @@ OF_ENERGY = (*OF_STEPS, "potential")
 
 @part
 def potential(w, x, d, s):
-    """(how it ended, V at x + s d)."""
+    """V at x + s d."""
     for i in range(w.q.shape[0]):
         w.q[i] = x[i] + s * d[i]
-    ended = ask(w, POTENTIAL, INNER, w.x)
-    return ended, w.x[0]
+    ask(w, POTENTIAL, INNER, w.x)
+    return w.x[0]
 
 
 @entry
@@ -56,29 +58,18 @@ def middle(w, instant, states, lam, r, phi, e, f):
     """r at the middle of a step, whose time is that before the instant of its end, and phi there."""
     n, m = w.q.shape[0], w.lam.shape[0]
     take(w, instant - 1, states + 16 * n, states + 24 * n)
-    given_a, given_lam, found, rows = vector(states + 32 * n, n), vector(lam, m), vector(r, n), vector(phi, m)
-    for i in range(n):
-        w.a[i] = given_a[i]
-    for k in range(m):
-        w.lam[k] = given_lam[k]
-    ended = take_rows(w)
-    if ended == DONE:
-        ended = equilibrium(w, found)
-    if ended != DONE:
-        return ended
+    take_forces(w, states + 32 * n, lam)
+    found, rows = vector(r, n), vector(phi, m)
+    take_rows(w)
+    equilibrium(w, found)
     x0, x1, x, d = vector(states, n), vector(states + 8 * n, n), vector(states + 16 * n, n), w.near[0]
     for i in range(n):
         d[i] = x1[i] - x0[i]
-    ended, first = potential(w, x0, d, 0.0)
-    if ended != DONE:
-        return ended
-    _, last = potential(w, x1, d, 0.0)
-    work = 0.0
+    first, last, work = potential(w, x0, d, 0.0), potential(w, x1, d, 0.0), 0.0
     for k in range(4):
-        ended, value = potential(w, x, d, (1.0, -1.0, 2.0, -2.0)[k] * STEP)
-        if ended != DONE:
-            return ended
-        work += (8.0, -8.0, -1.0, 1.0)[k] * value / (12.0 * STEP)
+        work += (8.0, -8.0, -1.0, 1.0)[k] * potential(w, x, d, (1.0, -1.0, 2.0, -2.0)[k] * STEP) / (12.0 * STEP)
+    if w.flags[ENDED] != DONE:
+        return w.flags[ENDED]
     metric, size = w.near[1], 0.0
     for i in range(n):
         metric[i] = 0.0

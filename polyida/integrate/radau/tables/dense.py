@@ -32,6 +32,7 @@ from polyida.system.dense import (
     finite,
     reach,
     take,
+    take_forces,
     take_rows,
     vector,
 )
@@ -357,23 +358,16 @@ def acceleration(w, instant, q, v, a, lam, e, f):
 @entry
 def factor(w, instant, q, v, a, lam, slot, f):
     """K, C and M of a state."""
-    d, n, m = w.dense, w.K.shape[1], w.B.shape[0]
+    d, n = w.dense, w.K.shape[1]
     K, C, M = w.K[slot], w.C[slot], w.M[slot]
     take(d, instant, q, v)
-    given_a, given_lam = vector(a, n), vector(lam, m)
-    for i in range(n):
-        d.a[i] = given_a[i]
-    for k in range(m):
-        d.lam[k] = given_lam[k]
-    ended = DONE
+    take_forces(d, a, lam)
     if d.flags[VELOCITY]:
         lu.clear(d.S)
-        ended = add_slope(d, FORCE_V, FORCE, d.v, 1.0)
+        add_slope(d, FORCE_V, FORCE, d.v, 1.0)
         copy(d.S, C)
-    if ended == DONE and d.flags[MASS_VARIES]:
-        ended = ask(d, MASS, INNER, d.M)
-    if ended != DONE:
-        return ended
+    if d.flags[MASS_VARIES]:
+        ask(d, MASS, INNER, d.M)
     copy(d.M, M)
     d.c[0] = d.c[1] = 0.0
     ended = ask(d, TANGENT, INNER, d.S) if d.functions[TANGENT] else add_slopes(d)
