@@ -6,7 +6,6 @@ A scene is compiled and tested; it is called as it is and pays nothing.
 from collections import defaultdict
 from inspect import signature
 from itertools import product
-from sys import getrefcount
 from traceback import extract_tb
 
 import numpy as np
@@ -37,8 +36,21 @@ SHAPES = {  # of what the functions return, in n and m
     "reaction_q": "nn",
     "phi_bias": "m",
     "potential": "",
+    "tangent": "nn",
+    "phi_rate": "m",
+    "phi_rate_q": "mn",
+    "phi_bias_q": "mn",
 }
-OF_STEPS = tuple(name for name in SHAPES if name != "potential")  # which only the energy-momentum method asks for
+OF_STEPS = tuple(name for name in SHAPES if name not in ("potential", "tangent", "phi_rate", "phi_rate_q", "phi_bias_q"))  # for tables
+CHECKED = tuple(name for name in SHAPES if name != "potential")
+ANSWERS = {  # what other functions return, and what that is called
+    "potential": (lambda found: found is None or is_number(found), "a finite number or None"),
+    "momenta": (lambda found: found is None or np.shape(floats(found)) == (3,), "three finite numbers px, py, L, or None"),
+    "powers": (
+        lambda found: isinstance(found, dict) and all(isinstance(name, str) and is_number(value) for name, value in found.items()),
+        "{name: finite number}",
+    ),
+}
 OWN = ("potentials", "mass_system", "step_matrix", "increments")  # those that rest on checked functions unless the model writes its own
 
 
@@ -92,36 +104,17 @@ def blame(model, t, state):
     return ""
 
 
-def _shapes(n, m):
-    """{name: shape of its result}."""
-    square = dict.fromkeys(("mass", "force_q", "force_v", "mass_a_q", "reaction_q", "tangent"), (n, n))
-    rows = dict.fromkeys(("phi", "phi_t", "phi_rate", "phi_bias"), (m,))
-    return square | dict.fromkeys(("force", "residual"), (n,)) | rows | dict.fromkeys(("phi_q", "phi_rate_q", "phi_bias_q"), (m, n))
+def shape_of(name, model):
+    """The shape of what a function returns."""
+    return tuple(getattr(model, letter) for letter in SHAPES[name])
 
 
-def _references():
-    """What `getrefcount` says of an array that a function's caller alone holds."""
-    found = np.zeros(1)
-    return getrefcount(found)
-
-
-def _view(array):
-    view = array.view()
-    view.setflags(False)
-    return view
-
-
-def _of_all(call):
-    return lambda *given: call(*(_view(x) if isinstance(x, np.ndarray) else x for x in given))
-
-
-ALONE = _references()
-SEEN = {  # what runs call all the time: half the cost of `_of_all`
-    "mass": lambda call: lambda q: call(_view(q)),
-    "force": lambda call: lambda t, q, v: call(t, _view(q), _view(v)),
-    "phi": lambda call: lambda t, q: call(t, _view(q)),
-    "phi_q": lambda call: lambda t, q: call(t, _view(q)),
-}
+def _view(given):
+    """An array so that nobody can write it; anything else as it is."""
+    if isinstance(given, np.ndarray):
+        given = given.view()
+        given.setflags(False)
+    return given
 
 
 class Guarded(Model):
@@ -144,15 +137,18 @@ class Guarded(Model):
         self.dissipating, self.parameters = model.dissipating, model.parameters
         self._last = defaultdict(lambda: [(), np.zeros(0)])  # of each function its arguments and what it gave
         compiled = Compiled(self).calls() if model.by_numba and self.n + self.m > MOST else {}  # smaller ones get a table of C functions
-        for name, shape in _shapes(self.n, self.m).items():
+        for name in CHECKED:
             if writes(model, name) and (self.m or name not in OF_CONSTRAINTS):
-                setattr(self, name, self._checked(name, compiled.get(name) or getattr(model, name), shape))
+                setattr(self, name, self._checked(name, compiled.get(name) or getattr(model, name), shape_of(name, self)))
         if "mass" in vars(self):
             self.written_mass, self.mass = self.mass, self._mass
         if writes(model, "kinks"):
             self.kinks = self._kinks
         if writes(model, "objection"):
             self.objection = lambda t, q: model.objection(t, read_only(q))
+        for name, (right, wanted) in ANSWERS.items():
+            if writes(model, name):
+                setattr(self, name, self._answer(name, right, wanted))
         self.gaps = self._gaps
         for name in PASSED + tuple(name for name in OWN if writes(model, name)):
             setattr(self, name, getattr(self.user, name))
@@ -164,7 +160,7 @@ class Guarded(Model):
         return getattr(self.user, name)
 
     def _checked(self, name, function, shape):
-        """The function with its arguments read-only; a result that anybody else holds is copied: it may be filled again and again."""
+        """The function with its arguments read-only and its result copied: it may be filled again and again."""
         last = self._last[name]
 
         def call(*seen):
@@ -180,13 +176,11 @@ class Guarded(Model):
                 self._require(name, found, shape)
                 sparse = getattr(found, "format", "csr") not in ("csr", "csc")  # of diagonals and the like, without all operations
                 found = (found.tocsr() if sparse else found).astype(float)
-            elif getrefcount(found) > ALONE or found.base is not None:
-                found = found.copy()
             last[1] = found
             return found
 
-        checked = SEEN.get(name, _of_all)(call)
-        checked.given = call  # for who gives arrays that cannot be written
+        checked = lambda *given: call(*map(_view, given)).copy()  # noqa: E731
+        checked.given = call  # for who gives arrays that cannot be written, and copies the result
         return checked
 
     def _require(self, name, found, shape):
@@ -262,26 +256,16 @@ class Guarded(Model):
             raise InputError(f"{self.name}.{function}({name!r}) must return finite numbers of shape {shape}, not {what}")
         return given
 
-    def potential(self, q):
-        """As the model says, J or None."""
-        value = self.user.potential(read_only(q))
-        if value is not None and not is_number(value):
-            raise InputError(f"{self.name}.potential must return a finite number or None, not {value!r}")
-        return value
+    def _answer(self, name, right, wanted):
+        """The function with its arguments read-only; InputError where its result is not right."""
 
-    def momenta(self, q, v):
-        """As the model says, (3,) or None."""
-        found = self.user.momenta(read_only(q), read_only(v))
-        if found is not None and getattr(floats(found), "shape", None) != (3,):
-            raise InputError(f"{self.name}.momenta must return three finite numbers px, py, L, or None, not {found!r:.100}")
-        return found
+        def call(*given):
+            found = getattr(self.user, name)(*map(_view, given))
+            if not right(found):
+                raise InputError(f"{self.name}.{name} must return {wanted}, not {found!r:.100}")
+            return found
 
-    def powers(self, t, q, v, lam):
-        """As the model says, {name: W}."""
-        found = self.user.powers(t, read_only(q), read_only(v), read_only(lam))
-        if not isinstance(found, dict) or not all(isinstance(name, str) and is_number(value) for name, value in found.items()):
-            raise InputError(f"{self.name}.powers must return {{name: finite number}}, not {found!r:.100}")
-        return found
+        return call
 
     @property
     def not_finite(self):
@@ -310,20 +294,21 @@ class Compiled:
         model, n, m = guarded.user, guarded.n, guarded.m
         written = [name for name in wanted if writes(model, name) and (m or name not in OF_CONSTRAINTS)]
         self.functions = functions = {name: getattr(type(model), name) for name in written}
-        self.own, self.sizes = OwnData(model, functions.values()), {"n": n, "m": m}
+        self.own, self.guarded = OwnData(model, functions.values()), guarded
         given = {"t": ("t",), "q": ("b", (n,)), "v": ("c", (n,)), "a": ("d", (n,)), "lam": ("e", (m,))}
-        self.addresses = {name: self.own.c_function(function, given, self._shape(name)) for name, function in functions.items()}
+        self.addresses = {name: self.own.c_function(function, given, shape_of(name, guarded)) for name, function in functions.items()}
         self.data = self.own.words.ctypes.data
-
-    def _shape(self, name):
-        return tuple(self.sizes[letter] for letter in SHAPES[name])
 
     def calls(self):
         """{name: function of Python that calls the C function}. They raise StepFailure."""
         return {name: self._call(name, self.functions[name].__qualname__, CALLBACK(address)) for name, address in self.addresses.items()}
 
     def _call(self, name, label, function):
-        arguments, shape, places = list(signature(getattr(Model, name)).parameters)[1:], self._shape(name), ("t", "q", "v", "a", "lam")
+        arguments, shape, places = (
+            list(signature(getattr(Model, name)).parameters)[1:],
+            shape_of(name, self.guarded),
+            ("t", "q", "v", "a", "lam"),
+        )
 
         def call(*given):
             values = {argument: np.ascontiguousarray(value, float) for argument, value in zip(arguments, given)}
