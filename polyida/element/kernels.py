@@ -43,8 +43,6 @@ from polyida.jit.intrinsics import (
     load_float,
     load_integer,
     load_pair,
-    misalignment,
-    prefetch_blocks,
     scatter_add,
     spread,
     store,
@@ -57,12 +55,11 @@ from polyida.jit.intrinsics import (
 
 @part
 def _room(layout, per_corner, per_corner_point):
-    """Scratch for the largest block, in vectors per corner and per corner and point; begins on a 64-byte boundary."""
+    """Scratch for the largest block, in vectors per corner and per corner and point."""
     vectors = 1
     for b in range(layout.shape[0]):
         vectors = max(vectors, layout[b, 0] * (per_corner + layout[b, 1] * per_corner_point))
-    room = np.empty((vectors + 1) * LANES)
-    return room[misalignment(room) :]
+    return np.empty(vectors * LANES)
 
 
 @part
@@ -163,9 +160,6 @@ def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset
         m, points, g = layout[b, 0] - 1, layout[b, 1], layout[b, 3]
         sums, products = room[2 * m * LANES :], room[6 * m * LANES :]
         _differences(u, corners, layout[b, 2], node_offset, m, room)
-        if b + 1 < layout.shape[0]:
-            for k in range(layout[b + 1, 0] ** 2):
-                prefetch_blocks(blocks, pairs, layout[b + 1, 5] + k * LANES, pair_offset)
         for p in range(points):
             start = g + 2 * p * m * LANES
             a = moduli(

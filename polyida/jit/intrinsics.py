@@ -225,17 +225,6 @@ def lane(typing_context, value, index):
     return types.float64(lanes, types.intp), lambda context, builder, sig, args: builder.extract_element(*args)
 
 
-@intrinsic
-def misalignment(typing_context, array):
-    """Numbers to skip so that the array begins on a 64-byte boundary."""
-
-    def generate(context, builder, sig, args):
-        address = builder.ptrtoint(_data(context, builder, sig.args[0], args[0]), INT64)
-        return builder.and_(builder.lshr(builder.neg(address), address.type(3)), address.type(7))
-
-    return types.intp(array), generate
-
-
 def _rows(context, builder, array_type, array, places, width):
     """Pointers to rows of `width` doubles; places = (type of int32 array, the array, start, offset to its numbers)."""
     place_type, place_array, start, offset = places
@@ -290,21 +279,6 @@ def add_pair(typing_context, array, start, value):
         return context.get_dummy_value()
 
     return types.void(array, types.intp, pair), generate
-
-
-@intrinsic
-def prefetch_blocks(typing_context, array, places, start, offset):
-    """Ask for array[k], k = places[start : start + LANES] + offset, array (N, 2, 2), to be brought near for writing."""
-
-    def generate(context, builder, sig, args):
-        byte = ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
-        request = builder.module.declare_intrinsic("llvm.prefetch", (byte,), kind)
-        for pointer in _rows(context, builder, sig.args[0], args[0], (sig.args[1], *args[1:]), 4):
-            builder.call(request, [builder.bitcast(pointer, byte), INT32(1), INT32(3), INT32(1)])
-        return context.get_dummy_value()
-
-    return types.void(array, places, types.intp, types.intp), generate
 
 
 @intrinsic
