@@ -28,7 +28,7 @@ from polyida.integrate.statics.static import FREE, Equilibrium
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem
-from polyida.linear.saddle import KKT, scaling_factors
+from polyida.linear.saddle import KKT
 from polyida.machine import one_blas_thread
 from polyida.modal.modes import Modes
 from polyida.model.guarded import guard
@@ -146,7 +146,7 @@ def _add_static(equilibrium, own, totals, counts):
     K = model.tangent(t, about[0], still, still, about[1], 0.0, 0.0, 1.0)
     counts.tangents, counts.factorizations, counts.solves = 1, 1, 1
     try:
-        w, mu = KKT(K, model.phi_q(t, about[0]), scaling_factors("physical", 1.0, K)).adjoint(j_q, j_lam)
+        w, mu = KKT(K, model.phi_q(t, about[0])).solve(j_q, j_lam, transposed=True)
     except SingularSystem:
         raise StepFailure("singular", FREE, t) from None
     entry = (t, about[0], still, still, lam, w, mu)

@@ -12,7 +12,7 @@ from polyida.element import stabilisation as virtual
 from polyida.element.choose import operator_of, stabilisation_factor
 from polyida.given import complex_of_pairs
 from polyida.jit.intrinsics import LANES
-from polyida.linear.saddle import KKT, scaling_factors
+from polyida.linear.saddle import KKT
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ def basis_of(matrices, sides, count, own=None, made=None):
     nodal = [side for side in sides if not isinstance(side, BodyPoint)]
     rows, longer = rows_of(plate, nodal)
     C = _independent(_completed(rows, M, arms, len(nodal) < len(sides)))
-    hold = KKT(K, C, scaling_factors("physical", 1.0, K))
+    hold = KKT(K, C)
     if made is None:
         fields = [np.zeros((len(arms), 0)), *(() if own is None else (own,))]
         if count:

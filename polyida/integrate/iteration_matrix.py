@@ -18,7 +18,7 @@ from polyida.integrate.sizes import weights
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
-from polyida.linear.saddle import assemble, scaling_factors
+from polyida.linear.saddle import assemble, scaling_size
 from polyida.linear.whole import condition, scaled
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
@@ -98,7 +98,7 @@ def _alpha(model, integrator, state, unknown):
     tangent = model.tangent(state.t, state.q, state.v, state.a, state.lam, to_a, to_v, 1.0)
     phi_q = model.phi_q(state.t, state.q)
     divided = {"q": 1.0, "v": to_v, "a": to_a}[unknown]
-    matrix = assemble(tangent, phi_q, scaling_factors(integrator.scaling, c.beta * h * h, tangent))
+    matrix = assemble(tangent, phi_q, scaling_size(integrator.scaling, c.beta * h * h, tangent))
     columns = np.ones(matrix.shape[0])
     columns[: model.n] = 1 / divided
     return scaled(matrix, np.ones(matrix.shape[0]), columns)

@@ -9,7 +9,6 @@ rows of B, exactly where K is. It is congruent to itself with `K + g B^T B` in p
 and those of `-B (K + g B^T B)^-1 B^T` (Haynsworth 1968); those of a symmetric factor L D L^T are the negative entries of D (Sylvester).
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,51 +20,36 @@ DEPENDENT = 1e-6  # smallest singular value of the rows of phi_q, made of length
 SCALINGS = ("none", "bottasso", "physical")
 
 
-@dataclass(frozen=True)
-class Scaling:
-    """Row and column factors of the system: rows of r by `row`, multipliers by `column`; phi and q keep theirs.
+def typical(matrix):
+    """The mean size of the diagonal; 1 where that is 0."""
+    return float(np.mean(np.abs(matrix.diagonal()))) or 1.0
 
-    Bottasso, Dopico, Trainelli 2008: row = beta h^2, column = 1/(beta h^2). Physical (Bauchau, Epple, Bottasso 2009): both
-    divided by, and multiplied with, s = m_r + gamma h d_r + beta h^2 k_r, of typical mass, damping and stiffness.
+
+def scaling_size(kind, step_square, tangent):
+    """What rows of r are divided by, and multipliers measured in, for beta h^2 = `step_square`; phi and q keep their units.
+
+    Bottasso, Dopico, Trainelli 2008: 1 / (beta h^2). Physical (Bauchau, Epple, Bottasso 2009): the same times
+    s = m_r + gamma h d_r + beta h^2 k_r, of typical mass, damping and stiffness: the mean of the diagonal of S.
     """
-
-    row: float = 1.0
-    column: float = 1.0
+    return {"none": 1.0, "bottasso": 1.0 / step_square}.get(kind) or typical(tangent)
 
 
-def scaling_factors(kind, step_square, tangent):
-    """Scaling of a kind for beta h^2 = `step_square`; beta h^2 S has the typical size s, the mean of its diagonal."""
-    if kind == "none":
-        return Scaling()
-    if kind == "bottasso":
-        return Scaling(step_square, 1.0 / step_square)
-    size = step_square * float(np.mean(np.abs(tangent.diagonal())))
-    return Scaling(step_square / size, size / step_square) if size > 0 else Scaling()
-
-
-def assemble(tangent, phi_q, scaling=Scaling(), pull=None):
+def assemble(tangent, phi_q, size=1.0, pull=None):
     """The scaled matrix, (n + m, n + m): dense where S is dense, CSC otherwise. pull: B of the upper right block, where it is another."""
-    pull = phi_q if pull is None else pull
-    return block_matrix([[scaling.row * tangent, scaling.row * scaling.column * pull.T], [phi_q, None]])
+    return block_matrix([[1 / size * tangent, (phi_q if pull is None else pull).T], [phi_q, None]])
 
 
 class KKT:
-    """A factorization of the system; `solve` any number of right-hand sides. Raises SingularSystem."""
+    """A factorization of the system, in the physical scaling unless another `size` is given. Raises SingularSystem."""
 
-    def __init__(self, tangent, phi_q, scaling=Scaling(), pull=None):
-        self.n, self.scaling = tangent.shape[0], scaling
-        self.lu = LU(assemble(tangent, phi_q, scaling, pull), pivoting=True)
+    def __init__(self, tangent, phi_q, size=None, pull=None):
+        self.n, self.size = tangent.shape[0], size or typical(tangent)
+        self.lu = LU(assemble(tangent, phi_q, self.size, pull), pivoting=True)
 
-    def solve(self, r, phi):
-        """(dq, dlam) for the residuals r (n,) and phi (m,)."""
-        x = self.lu.solve(-np.concatenate([self.scaling.row * r, phi]))
-        return x[: self.n], self.scaling.column * x[self.n :]
-
-    def adjoint(self, r, phi):
-        """(w, mu) of `S^T w + B^T mu = -r`, `B w = -phi`."""
-        row, column = self.scaling.row, self.scaling.column
-        x = self.lu.solve(-np.concatenate([row * r, row * column * phi]), transposed=True)
-        return x[: self.n], x[self.n :] / row
+    def solve(self, r, phi, transposed=False):
+        """(dq, dlam) for the residuals r (n,) and phi (m,); transposed: with S^T in place of S."""
+        x = self.lu.solve(-np.concatenate([1 / self.size * r, phi]), transposed)
+        return x[: self.n], self.size * x[self.n :]
 
 
 def require_independent(model, phi_q, q):
@@ -93,10 +77,10 @@ def falling(tangent, phi_q):
     if not symmetric(tangent):
         return None
     m = phi_q.shape[0]
+    size = typical(tangent)
     if not hasattr(tangent, "tocsc"):
-        matrix = assemble(tangent, phi_q, scaling_factors("physical", 1.0, tangent))
+        matrix = assemble(tangent, phi_q, size)
         return int(np.sum(np.linalg.eigvalsh((matrix + matrix.T) / 2) < 0)) - m
-    size = float(np.mean(np.abs(tangent.diagonal()))) or 1.0
     if not m:
         return _negative(tangent / size)[0]
     from scipy.sparse import csr_array, diags_array

@@ -5,7 +5,7 @@ from contextlib import suppress
 import numpy as np
 
 from polyida.linear.lu import LU, SingularSystem, dense
-from polyida.linear.saddle import KKT, scaling_factors
+from polyida.linear.saddle import KKT, scaling_size
 
 MANY = 50  # constraints beyond which the border's columns are not made anew in every iteration
 
@@ -88,7 +88,7 @@ class StepMatrix:
         """(dq, dlam) of `S dq + B^T dlam = -r`, `B dq = -phi`, B that of (t, q) itself. Raises SingularSystem."""
         if self.whole is None and self.border is None and (self.model.m > MANY or not self.stands_alone()):
             at = float(self.made_at[0]), self.made_at[1 : self.model.n + 1]
-            self.whole = KKT(self.S, self.model.phi_q(*at), scaling_factors("physical", 1 / abs(self.c_m), self.S))
+            self.whole = KKT(self.S, self.model.phi_q(*at))
         if self.whole:
             return self.whole.solve(r, phi)
         B = self.model.phi_q(t, q)
@@ -112,7 +112,7 @@ class WholeMatrix(StepMatrix):
         """Factor the whole matrix at a state. Raises SingularSystem."""
         S = self.model.tangent(t, q, v, a, lam, c_m, c_v, 1.0)
         self.made_at = np.concatenate([[t], q, v, a, lam])
-        self.whole = KKT(S, self.model.phi_q(t, q), scaling_factors(self.scaling, 1 / abs(c_m), S))
+        self.whole = KKT(S, self.model.phi_q(t, q), scaling_size(self.scaling, 1 / abs(c_m), S))
 
 
 ENOUGH = 1e-11  # of |x|: the error at which refinement ends
@@ -160,9 +160,9 @@ class ExactSaddle:
     def _direct(self, right, below, transposed):
         if self.direct is None:
             self.counts.factorizations += 1
-            self.direct = KKT(self.S, self.B, scaling_factors("physical", 1 / abs(self.c_m), self.S))
+            self.direct = KKT(self.S, self.B)
         self.counts.solves += 1
-        return (self.direct.adjoint if transposed else self.direct.solve)(-right, -below)
+        return self.direct.solve(-right, -below, transposed)
 
     def _refine(self, S, right, below):
         """(x, mu), or None where the factor is too old."""

@@ -24,12 +24,6 @@ def joined(c, K, slope, lam, mu, on_q, on_v):
     return block_matrix(rows if mu is not None else [row[:3] for row in rows])
 
 
-def typical(c, K, slope):
-    """s, the mean size of the diagonal of `S = K + c (c M + C)`; 1 where that is 0."""
-    s = float(np.mean(np.abs(K.diagonal() + c * slope.diagonal())))
-    return s if s > 0 else 1.0
-
-
 def sizes(c, s, n, m, orders, mu, unit=1.0):
     """Factors (of rows, of columns), (N,) each: r divided by s, q' by c, the k-th derivative of phi, k in `orders`, by c^k; dv and mu,
     where there is any, measured in c, lam in s, both multipliers in `unit` more.

@@ -47,7 +47,7 @@ class Coordinates:
     def __init__(self, part, system, inputs, modes=None):
         self.system, n, m = system, system.n, system.model.m
         try:
-            self.mass = KKT(system.M, system.B)
+            self.mass = KKT(system.M, system.B, 1.0)
         except SingularSystem:
             raise InputError(NO_MASS) from None
         self.T = _basis(part, system, modes)

@@ -11,7 +11,7 @@ from polyida.errors import InputError
 from polyida.integrate.start import require_near, require_state
 from polyida.integrate.state import State
 from polyida.linear.lu import dense
-from polyida.linear.saddle import KKT, require_independent, scaling_factors, symmetric
+from polyida.linear.saddle import KKT, require_independent, symmetric
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 
@@ -55,7 +55,7 @@ class LinearSystem:
         matrix = c_m * self.M + self.K
         if self.C is not None and c_v:
             matrix = matrix + c_v * self.C
-        return KKT(matrix, self.B, scaling_factors("physical", 1.0, matrix))
+        return KKT(matrix, self.B)
 
     @cached_property
     def basis(self):

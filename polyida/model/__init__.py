@@ -296,7 +296,7 @@ class Model:
         Raises InputError where it is singular.
         """
         try:
-            return KKT(self.mass(q), self.phi_q(t, q))
+            return KKT(self.mass(q), self.phi_q(t, q), 1.0)
         except SingularSystem:
             raise InputError("the mass matrix is singular on the constraints: every coordinate needs mass or a constraint") from None
 

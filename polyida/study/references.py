@@ -79,7 +79,7 @@ class _Step:
         J = self.h * (np.trapezoid(self.forces(at), at, axis=0) - WEIGHTS @ self.forces(STAGES))
         q = self.ends[0][1]
         try:
-            dv, mu = KKT(self.model.mass(q), self.model.phi_q(self.t + self.h, q)).solve(J, np.zeros(self.model.m))
+            dv, mu = KKT(self.model.mass(q), self.model.phi_q(self.t + self.h, q), 1.0).solve(J, np.zeros(self.model.m))
         except SingularSystem:
             return np.inf, np.inf
         return float(np.abs(dv).max(initial=0.0)), float(np.abs(mu).max(initial=0.0))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from conditioning.systems import alpha_blocks, alpha_scaling
+from conditioning.systems import alpha_blocks, alpha_factors
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.whole import sizes, whole_matrix
@@ -89,9 +89,8 @@ WHOLE = tuple(name for name, solve in BACKENDS.items() if solve not in (regulari
 def alpha_errors(model, state, h, backend, scaling):
     """(largest relative error of dq, of dlam) of generalized-alpha's system."""
     tangent, B, step_square = alpha_blocks(model, state, h)
-    n, m, factors = model.n, model.m, alpha_scaling(scaling, step_square, tangent)
-    rows, columns = np.repeat([factors.row, 1.0], (n, m)), np.repeat([1.0, factors.column], (n, m))
-    return solve_errors(dense(assemble(tangent, B)), rows, columns, _unknowns(model, state, h)[::2], backend)
+    factors = alpha_factors(scaling, step_square, tangent, model.m)
+    return solve_errors(dense(assemble(tangent, B)), *factors, _unknowns(model, state, h)[::2], backend)
 
 
 def ida_errors(model, state, h, form, backend, scaling):

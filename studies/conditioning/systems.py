@@ -10,8 +10,8 @@ from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state
 from polyida.linear.lu import dense
-from polyida.linear.saddle import SCALINGS, Scaling, assemble, scaling_factors
-from polyida.linear.whole import condition
+from polyida.linear.saddle import SCALINGS, assemble, scaling_size
+from polyida.linear.whole import condition, scaled
 from polyida.model import Model, Needs
 from polyida.problems import plates
 from polyida.run.solve import solve
@@ -107,13 +107,14 @@ def alpha_condition(model, state, h, unknown="q", scaling="none"):
     if scaling in SCALINGS:
         return condition_number(model, GeneralizedAlpha(h=h), state, scaling, unknown, exact=True)
     tangent, B, step_square = alpha_blocks(model, state, h)
-    return condition(assemble(tangent, B, alpha_scaling(scaling, step_square, tangent)), exact=True)
+    return condition(scaled(assemble(tangent, B), *alpha_factors(scaling, step_square, tangent, len(state.lam))), exact=True)
 
 
-def alpha_scaling(scaling, step_square, tangent):
-    """Scaling of a kind, the two halves of Bottasso's included."""
-    halves = {"rows only": Scaling(row=step_square), "multipliers only": Scaling(column=1.0 / step_square)}
-    return halves.get(scaling) or scaling_factors(scaling, step_square, tangent)
+def alpha_factors(scaling, step_square, tangent, m):
+    """Factors (of rows, of columns), (n + m,) each, of a scaling, the two halves of Bottasso's included."""
+    halves = {"rows only": (step_square, 1.0), "multipliers only": (1.0, 1.0 / step_square)}
+    row, column = halves.get(scaling) or (1.0 / (size := scaling_size(scaling, step_square, tangent)), size)
+    return np.repeat([row, 1.0], (tangent.shape[0], m)), np.repeat([1.0, column], (tangent.shape[0], m))
 
 
 def ida_condition(model, state, h, form, scaling="none"):

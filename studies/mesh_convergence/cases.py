@@ -10,7 +10,7 @@ from polyida.body.plate import Material, Plate
 from polyida.force.loads import PointLoad
 from polyida.integrate.statics.static import static
 from polyida.joint.joints import Clamp
-from polyida.linear.saddle import KKT, scaling_factors
+from polyida.linear.saddle import KKT
 from polyida.mesh import PolygonMesh, quads, rectangle, triangles
 from polyida.scene import Scene
 
@@ -100,7 +100,7 @@ def linear_response(model):
     """q of the small displacements under the loads at t = 0, (n,)."""
     rest, lam = np.zeros(model.n), np.zeros(model.m)
     stiffness = model.tangent(0.0, rest, rest, rest, lam, 0.0, 0.0, 1.0)
-    system = KKT(stiffness, model.phi_q(0.0, rest), scaling_factors("physical", 1.0, stiffness))
+    system = KKT(stiffness, model.phi_q(0.0, rest))
     return system.solve(model.force(0.0, rest, rest), np.zeros(model.m))[0]
 
 

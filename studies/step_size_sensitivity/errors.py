@@ -14,7 +14,7 @@ from polyida.force.loads import PointLoad
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state, start_values
-from polyida.linear.saddle import KKT, scaling_factors
+from polyida.linear.saddle import KKT, scaling_size
 from polyida.problems import plates
 from polyida.run.solve import solve
 from polyida.study.families import explicit
@@ -152,7 +152,7 @@ def _stall(model, state, settings, iterations=14):
     dd, v, a, lam, t = h * h / 2 * state.a, state.v + h * state.a, state.a.copy(), state.lam.copy(), state.t + h
     carried, start = model.increments(state.t, t, (state.t, t), h, state.q, state.v), start_values(model, state)
     matrix = model.tangent(t, state.q + h * v, v, a, lam, to_a, to_v, 1.0)
-    system = KKT(matrix, model.phi_q(t, state.q + h * v), scaling_factors(settings.scaling, c.beta * h * h, matrix))
+    system = KKT(matrix, model.phi_q(t, state.q + h * v), scaling_size(settings.scaling, c.beta * h * h, matrix))
     sizes = []
     for _ in range(iterations):
         q = state.q + (h * state.v + dd)

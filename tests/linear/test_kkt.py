@@ -7,7 +7,7 @@ from scipy.sparse import csc_array
 import polyida as pi
 from polyida.linear.dense import solve_small
 from polyida.linear.lu import SingularSystem
-from polyida.linear.saddle import KKT, SCALINGS, assemble, require_independent, scaling_factors
+from polyida.linear.saddle import KKT, SCALINGS, assemble, require_independent, scaling_size
 
 
 def system(h=1e-3, stiffness=1e5, n=8, m=3, seed=0):
@@ -25,7 +25,7 @@ def test_solves_the_system_in_every_scaling(scaling, sparse):
     S, B, step = system()
     r, phi = np.random.default_rng(1).standard_normal(8), np.random.default_rng(2).standard_normal(3)
     S_given, B_given = (csc_array(S), csc_array(B)) if sparse else (S, B)
-    dq, dlam = KKT(S_given, B_given, scaling_factors(scaling, step, S_given)).solve(r, phi)
+    dq, dlam = KKT(S_given, B_given, scaling_size(scaling, step, S_given)).solve(r, phi)
     assert np.allclose(S @ dq + B.T @ dlam, -r, atol=1e-9) and np.allclose(B @ dq, -phi, atol=1e-9)
 
 
@@ -36,7 +36,7 @@ def test_solves_the_adjoint_of_the_same_factor(scaling, sparse):
     S = S + 0.1 * np.triu(S)
     r, phi = np.random.default_rng(1).standard_normal(8), np.random.default_rng(2).standard_normal(3)
     S_given, B_given = (csc_array(S), csc_array(B)) if sparse else (S, B)
-    w, mu = KKT(S_given, B_given, scaling_factors(scaling, step, S_given)).adjoint(r, phi)
+    w, mu = KKT(S_given, B_given, scaling_size(scaling, step, S_given)).solve(r, phi, transposed=True)
     assert np.allclose(S.T @ w + B.T @ mu, -r, atol=1e-9) and np.allclose(B @ w, -phi, atol=1e-9)
 
 
@@ -50,7 +50,7 @@ def test_without_constraints(sparse):
 
 def condition(scaling, h, stiffness):
     S, B, step = system(h, stiffness)
-    return np.linalg.cond(assemble(S, B, scaling_factors(scaling, step, S)))
+    return np.linalg.cond(assemble(S, B, scaling_size(scaling, step, S)))
 
 
 def test_condition_number_against_the_step(scenes):

@@ -5,7 +5,7 @@ import pytest
 
 from conditioning import solve_error
 from conditioning import systems as conditioning
-from polyida.linear.saddle import assemble, scaling_factors
+from polyida.linear.saddle import assemble, scaling_size
 from polyida.study.rows import fitted
 
 STEPS = 1e-6 * 10.0 ** -np.arange(4)
@@ -19,7 +19,7 @@ def soft():
 def test_condition_is_that_of_singular_values_where_these_can_be_had(soft):
     model, state = soft
     tangent, B, step_square = conditioning.alpha_blocks(model, state, 1e-2)
-    matrix = assemble(tangent, B, scaling_factors("bottasso", step_square, tangent)).toarray()
+    matrix = assemble(tangent, B, scaling_size("bottasso", step_square, tangent)).toarray()
     assert conditioning.alpha_condition(model, state, 1e-2, "q", "bottasso") == pytest.approx(np.linalg.cond(matrix), rel=1e-6)
 
 

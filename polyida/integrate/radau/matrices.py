@@ -25,6 +25,7 @@ import numpy as np
 
 from polyida.linear import whole
 from polyida.linear.lu import LU, dense
+from polyida.linear.saddle import typical
 from polyida.linear.step_matrix import Border, StepMatrix
 from polyida.model.differences import bend, reach_along
 
@@ -83,7 +84,7 @@ class Matrices:
         """Factor, where it is not done. Raises SingularSystem."""
         if self.factors is not None:
             return
-        at, first = self._evaluated(), StepMatrix(self.model) if self.linear == "kkt" else self.model.step_matrix(self.linear)
+        at, first = self._evaluated(), StepMatrix(self.model) if self.linear == "kkt" else self.model.step_matrix()
         first.factor(*at, self.c[0] ** 2, self.c[0])
         more = ((c, c * slope - self.c[0] * self.slopes[0]) for c, slope in zip(self.c[1:], self.slopes[1:]))
         steps = [first, *(first.beside(c**2, c, change) for c, change in more)]
@@ -141,7 +142,7 @@ class Matrices:
 def whole_matrix(c, K, slope, rows):
     """(the matrix, typical size s of S) of K, slope = c M + C and the constraints' Rows: CSC where K is sparse, else dense."""
     mu = rows.G.T if rows.tied else None
-    return whole.joined(c, K, slope, rows.B.T, mu, rows.on_q, rows.on_v), whole.typical(c, K, slope)
+    return whole.joined(c, K, slope, rows.B.T, mu, rows.on_q, rows.on_v), typical(K + c * slope)
 
 
 def sizes(scaling, c, s, n, m, tied):

@@ -25,7 +25,7 @@ from polyida.integrate.state import State
 from polyida.integrate.statics.static import FREE, Equilibrium, Loading, whole_load
 from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem
-from polyida.linear.saddle import KKT, coordinate_sizes, scaling_factors
+from polyida.linear.saddle import KKT, coordinate_sizes
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard
@@ -105,7 +105,7 @@ class Path:
         """The factored system; along: the way whose length is held."""
         K, B = self.loading.stiffness(q, lam), self.loading.model.phi_q(self.loading.t, q)
         try:
-            return KKT(K, _under(B, self.weights * along), scaling_factors("physical", 1.0, K), _under(B, -self.loading.slope))
+            return KKT(K, _under(B, self.weights * along), pull=_under(B, -self.loading.slope))
         except SingularSystem:
             raise StepFailure("singular", LOST, self.loading.t) from None
 

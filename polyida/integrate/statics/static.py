@@ -15,7 +15,7 @@ from polyida.integrate.start import given
 from polyida.integrate.state import State
 from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem, dense
-from polyida.linear.saddle import KKT, falling, require_independent, scaling_factors
+from polyida.linear.saddle import KKT, falling, require_independent, typical
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard, unguarded
@@ -104,7 +104,7 @@ class Loading:
                 regular = True
             except StepFailure:  # as of what hangs and is not stretched yet: a touch of mass tells which way
                 M = self.model.mass(q)
-                dq, dlam, system = self._correction(K + TOUCH * _typical(K) / _typical(M) * M, q, r, phi, iteration)
+                dq, dlam, system = self._correction(K + TOUCH * typical(K) / typical(M) * M, q, r, phi, iteration)
                 regular = False
             q, lam = q + dq, lam + dlam
             if regular and self.converged(q, dq):
@@ -117,7 +117,7 @@ class Loading:
 
     def _correction(self, matrix, q, r, phi, iteration):
         try:
-            system = KKT(matrix, self.model.phi_q(self.t, q), scaling_factors("physical", 1.0, matrix))
+            system = KKT(matrix, self.model.phi_q(self.t, q))
         except SingularSystem:
             raise StepFailure("singular", FREE, self.t) from None
         dq, dlam = system.solve(r, phi)
@@ -153,7 +153,7 @@ class Loading:
         if model.m:
             require_independent(model, B, rest)
         try:
-            system = KKT(K, B, scaling_factors("physical", 1.0, K))
+            system = KKT(K, B)
         except SingularSystem:
             raise StepFailure("singular", FREE, self.t) from None
         if system.lu.doubtful():
@@ -167,10 +167,6 @@ class Loading:
             return falling(self.stiffness(q, lam), self.model.phi_q(self.t, q))
         except SingularSystem:
             return None
-
-
-def _typical(matrix):
-    return float(np.abs(matrix.diagonal()).mean()) or 1.0
 
 
 HALVINGS = 10  # of a part of the load, at most, in a row
