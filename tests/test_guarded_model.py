@@ -315,7 +315,7 @@ def test_a_step_matrix_of_one_s_own_is_taken():
     class Own(Pendulum):
         alike = True
 
-        def step_matrix(self, linear="auto"):
+        def step_matrix(self):
             return Counted(self)
 
     runs = [pi.solve(kind(), 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.0]) for kind in (Pendulum, Own)]

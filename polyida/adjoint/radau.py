@@ -175,7 +175,7 @@ class RadauAdjoint(RunAdjoint):
         unknowns = self.settings.stages * (self.model.n + self.model.m * (1 + stages.tied))
         dense_steps = self.model.compiled and self.model.small and unknowns <= radau_equations.DENSE
         refined = self.model.compiled and self.settings.linear != "kkt" and not dense_steps  # with a scene's products
-        self.equations = SceneStageEquations(*given, self.settings.linear) if refined else StageEquations(*given)
+        self.equations = SceneStageEquations(*given) if refined else StageEquations(*given)
         self.multipliers, self.entries, self.lifted = [], [], np.zeros(self.model.n)
 
     def _states(self, first, end):

@@ -183,11 +183,11 @@ def _each(matrices, x):
 
 
 class SceneStageEquations(StageEquations):
-    """Of a compiled scene; linear: what factors its step matrices."""
+    """Of a compiled scene."""
 
-    def __init__(self, model, tableau, lift, tied, counts, linear):
+    def __init__(self, model, tableau, lift, tied, counts):
         super().__init__(model, tableau, lift, tied, counts)
-        self.linear, self.kept = linear, Kept()
+        self.kept = Kept()
 
     def at(self, stages):
         """Take a step's stages, their constraints' rows and nodal rotations."""
@@ -216,7 +216,7 @@ class SceneStageEquations(StageEquations):
         x, k = self.stages, self.tableau.middle
         try:
             at = float(x.t[k]), x.q[k], x.v[k], x.a[k], x.lam[k]
-            return ModeFactors(self.model, self.tableau, self.h, at, self.linear, self.counts)
+            return ModeFactors(self.model, self.tableau, self.h, at, self.counts)
         except SingularSystem:
             return None
 
@@ -252,10 +252,10 @@ class SceneStageEquations(StageEquations):
 class ModeFactors:
     """The factors for steps of h, made at a state (t, q, v, a, lam); `surround` takes a step's rows, `solve` solves. Raises SingularSystem."""
 
-    def __init__(self, model, tableau, h, at, linear, counts):
+    def __init__(self, model, tableau, h, at, counts):
         self.model, self.tableau, self.counts = model, tableau, counts
         self.c = [mode.value / h for mode in tableau.modes]
-        first = model.step_matrix(linear)
+        first = model.step_matrix()
         first.factor(*at, self.c[0] ** 2, self.c[0])
         self.factors = [first, *(first.beside(c**2, c, None) for c in self.c[1:])]
         self.counts.factorizations += len(self.factors)

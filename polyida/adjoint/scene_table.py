@@ -233,7 +233,7 @@ class SceneAdjoint(AdjointTable):
         """(addresses of the functions, address of the workspace)."""
         marks = self.w["marks"]
         marks[SOLVES] = 0.0
-        with self.helpers.at_work(self.system.corotated.factor, self.system.room) as room:
+        with self.helpers.at_work(self.system.corotated, self.system.room) as room:
             work = SceneAdjointWork(factored=self.system.corotated, room=room, **self.w)
             self.functions[ADJOINT] = c_address(solve, typeof(work))
             yield self.functions, work.address

@@ -19,8 +19,8 @@ from polyida.assembly.equilibrium import combined, symmetric_blocks
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.assembly.rows import joints
 from polyida.jit import entry, pack, part, shared
-from polyida.linear.cholesky import BAND, FRONTS, Factor, NotFactorable, factor, solve_band, solve_columns
-from polyida.linear.fronts import solve_fronts
+from polyida.linear.dissection import Symbolic, symbolic_of
+from polyida.linear.fronts import factorize, single, solve_fronts
 from polyida.linear.lu import SingularSystem
 from polyida.linear.step_matrix import StepMatrix
 from polyida.linear.team import Team, solve_together
@@ -28,14 +28,15 @@ from polyida.linear.team import Team, solve_together
 
 @pack
 class Corotated(NamedTuple):
-    """A factor with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
+    """A factor, its fronts and panels, with its frame (cos, sin of the nodal rotations, (nodes, 2)), and the points' columns X.
 
     place: of each point the first and last node of its body, and where its two columns X begin in `reach` (., 2), which has them on that
     body's nodes alone. border: the pattern of the unknowns at the points. turns: whether the factor turns with the nodes, P, or stays as
     it was made, P = I, which is there to be compared with.
     """
 
-    factor: Factor
+    fronts: Symbolic
+    panels: np.ndarray
     frame: np.ndarray
     place: np.ndarray
     reach: np.ndarray
@@ -59,18 +60,20 @@ class Room(NamedTuple):
     team: Team | None = None
 
 
-def corotated(model, blocks, rotation, backend="auto", phase=1.0, before=None):
-    """(Corotated, name of its back-end) for the tangent blocks and raw nodal rotations at hand; phase as `factor` has it.
+def corotated(model, blocks, rotation, before=None):
+    """Corotated for the tangent blocks and raw nodal rotations at hand. Raises SingularSystem.
 
-    before: a Corotated of the model that is no longer needed; it is filled anew where the factor is of its kind. Raises NotFactorable.
+    before: a Corotated of the model that is no longer needed: it is filled anew, if it has the same kind of numbers.
     """
-    made, name = factor(model, blocks, backend, phase, before and before.factor)
-    if before is None or made is not before.factor:
+    fronts = model.once(symbolic_of, of_shape=True)
+    before = None if before is None or before.panels.dtype != single(blocks) else before
+    panels = factorize(fronts, blocks, panels=None if before is None else before.panels)
+    if before is None:
         place = model.once(column_places, of_shape=True)
-        reach = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), made.band.dtype)
-        before = Corotated(made, np.empty_like(rotation), place, reach, model.once(border, of_shape=True))
-    fill_reach(before, before.reach, rotation, model.once(unit_loads, of_shape=True), scratch(before))
-    return before, name
+        reach = np.zeros((int(2 * (place[:, 1] - place[:, 0]).sum()), 2), panels.dtype)
+        before = Corotated(fronts, panels, np.empty_like(rotation), place, reach, model.once(border, of_shape=True))
+    fill_reach(before, before.reach, rotation, model.once(unit_loads, of_shape=True), np.empty(model.n, panels.dtype))
+    return before
 
 
 def column_places(model):
@@ -95,24 +98,17 @@ def unit_loads(model):
     return loads.view(float).reshape(*loads.shape, 2)
 
 
-def scratch(c):
-    """Of one solve, single precision: behind the coordinates there are as many zeros as the band is wide."""
-    return np.zeros(len(c.factor.order) + c.factor.band.shape[1], c.reach.dtype)
-
-
 @entry
 def fill_reach(c, reach, rotation, loads, x):
     """reach = S_ref^-1 loads by the columns of the points, in the factor's own frame; rotation: raw, of that frame, or empty."""
     for i in range(rotation.shape[0]):
         size = np.sqrt(rotation[i, 0] ** 2 + rotation[i, 1] ** 2)
         c.frame[i, 0], c.frame[i, 1] = rotation[i, 0] / size, rotation[i, 1] / size
-    order, b = c.factor.order, c.border
+    order, b = c.fronts.order, c.border
     for column in range(loads.shape[0]):
         for i in range(loads.shape[1]):
             x[order[2 * i]], x[order[2 * i + 1]] = loads[column, i, 0], loads[column, i, 1]
-        for k in range(order.shape[0], x.shape[0]):
-            x[k] = np.float32(0.0)
-        triangular(c.factor, x)
+        solve_panels(c.fronts, c.panels, x)
         for n in range(b.point_start.shape[0] - 1):
             e = b.point_start[n] + column // 2
             if e < b.point_start[n + 1]:
@@ -124,10 +120,9 @@ def fill_reach(c, reach, rotation, loads, x):
 
 def room(model, system):
     """Scratch for solves with `system`."""
-    band = system.factor.band
-    dtype, coupled = np.result_type(band, float), len(model.arrays.links.coupling.columns)
+    dtype, coupled = np.result_type(system.panels, float), len(model.arrays.links.coupling.columns)
     return Room(
-        np.zeros(model.n + band.shape[1], band.dtype),
+        np.zeros(model.n, system.panels.dtype),
         np.empty((model.n_nodes, 2)),
         np.empty((model.n_points, 2)),
         np.empty((model.n_points, 2), dtype),
@@ -139,23 +134,18 @@ def room(model, system):
 
 
 @shared
-def triangular(f, x):
-    """x <- S_ref^-1 x in the factor's order."""
-    if f.kind == FRONTS:
-        solve_fronts(f.fronts, f.panels, x)
-    elif f.kind == BAND:
-        solve_band(f.band, x)
-    else:
-        solve_columns(f.start, f.rows, f.values, f.reciprocal, x)
+def solve_panels(fronts, panels, x):
+    """x <- S_ref^-1 x in the factor's order: `solve_fronts`, compiled once for all who call it."""
+    solve_fronts(fronts, panels, x)
 
 
 @part
-def solve_in_place(f, team, x):
-    """x <- S_ref^-1 x, by a team where there is one. A function of its own, for numba drops a branch only where an argument is None."""
+def solve_in_place(c, team, x):
+    """The same, by a team where there is one. A function of its own, for numba drops a branch only where an argument is None."""
     if team is None:
-        triangular(f, x)
+        solve_panels(c.fronts, c.panels, x)
     else:
-        solve_together(f.fronts, f.panels, x, team)
+        solve_together(c.fronts, c.panels, x, team)
 
 
 @part
@@ -168,13 +158,11 @@ def solve_plates(s, c, w, rotation, r, x):
 @part
 def solve_turned(c, w, r, x):
     """The same with the frames at hand."""
-    order, b, turn = c.factor.order, w.x, w.turn
+    order, b, turn = c.fronts.order, w.x, w.turn
     for i in range(r.shape[0]):
         b[order[2 * i]] = turn[i, 0] * r[i, 0] + turn[i, 1] * r[i, 1]
         b[order[2 * i + 1]] = turn[i, 0] * r[i, 1] - turn[i, 1] * r[i, 0]
-    for k in range(2 * r.shape[0], b.shape[0]):
-        b[k] = np.float32(0.0)
-    solve_in_place(c.factor, w.team, b)
+    solve_in_place(c, w.team, b)
     for i in range(r.shape[0]):
         p, q = b[order[2 * i]], b[order[2 * i + 1]]
         x[i, 0] = turn[i, 0] * p - turn[i, 1] * q
@@ -334,11 +322,12 @@ class SceneStepMatrix(StepMatrix):
     corotated, room: the factor and its scratch, for compiled loops. solves: those that its border took.
     """
 
+    backend = "multifrontal L D L^T"
     near_any_state, caution = True, 1.0
 
-    def __init__(self, model, linear="auto"):
+    def __init__(self, model):
         super().__init__(model)
-        self.linear, self.solves, self.corotated = linear, columns_together(model.once(border, of_shape=True)), None
+        self.solves, self.corotated = columns_together(model.once(border, of_shape=True)), None
 
     def factor(self, t, q, v, a, lam, c_m, c_v, parts=None):
         """Factor S at q; t and v are for force elements, t and lam for the joints' curvature in `solve`. Raises SingularSystem.
@@ -347,12 +336,8 @@ class SceneStepMatrix(StepMatrix):
         """
         model, self.made_at, self.c_m, self.at = self.model, np.concatenate([[t], q, v, a, lam]), c_m, (t, lam)
         blocks = symmetric_blocks(model, q.reshape(-1, 2), c_m, c_v) if parts is None else combined(c_m, c_v, *parts)
-        phase = abs(c_v) / c_v if np.iscomplexobj(blocks) else 1.0
         before, self.corotated = self.corotated, None
-        try:
-            self.corotated, self.backend = corotated(model, blocks, model.rotation(q), self.linear, phase, before)
-        except NotFactorable as error:
-            raise SingularSystem(str(error)) from None
+        self.corotated = corotated(model, blocks, model.rotation(q), before)
         self.room = self.room if self.corotated is before else room(model, self.corotated)
         if model.laws is not None:
             coupling, self.room.own[...] = model.arrays.links.coupling, 0.0
@@ -360,7 +345,7 @@ class SceneStepMatrix(StepMatrix):
 
     def beside(self, c_m, c_v, change):
         """The same with other c_m and c_v, of C and M as if at rest: not those of change."""
-        other = type(self)(self.model, self.linear)
+        other = type(self)(self.model)
         other.again(self.made_at, c_m, c_v)
         return other
 

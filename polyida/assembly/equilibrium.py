@@ -60,23 +60,28 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
 
 
 @entry
-def tangent_blocks(scene, u, c_m, c_q, blocks):
-    """Fill blocks (nnz, 2, 2) = c_m M + c_q dg_int/dq of the bodies on their pattern, without masses at points and joints."""
+def tangent_blocks(scene, u, v, c_m, c_v, c_q, blocks):
+    """Fill blocks (nnz, 2, 2) = `c_m M + c_v dg/dv + c_q dg/dq` of the bodies on their pattern, without masses at points and joints.
+
+    v: velocities (nodes, 2), or None of bodies without damping; dg/dq is not symmetric where v is not zero.
+    """
     s = scene.plates
-    for k in range(blocks.shape[0]):
-        blocks[k, 0, 0] = blocks[k, 0, 1] = blocks[k, 1, 0] = blocks[k, 1, 1] = 0.0
+    blocks[:] = 0.0
     for b in range(s.body_operator.shape[0]):
         o, first = s.body_operator[b], s.body_block[b]
         p, e = s.at[o], s.at[o + 1]
-        if c_q != 0.0:
-            kernels.tangent(*cells(s, o), s.pairs[p[4] : e[4]], s.body_node[b], first, s.body_c1[b], s.body_nu[b], u, c_q, blocks)
-        mass_scale, stiffness_scale = c_m * s.body_density[b], c_q * s.body_stabilisation[b]
-        if mass_scale != 0.0 or stiffness_scale != 0.0:
+        place = s.pairs[p[4] : e[4]], s.body_node[b], first, s.body_c1[b], s.body_nu[b]
+        if v is not None:
+            two_states.tangent_viscous(*cells(s, o), *place, s.body_viscosity[b], u, v, c_q, c_v, blocks)
+        elif c_q != 0.0:
+            kernels.tangent(*cells(s, o), *place, u, c_q, blocks)
+        mass, stiffness = (c_m + c_v * s.body_drag[b]) * s.body_density[b], c_q * s.body_stabilisation[b]
+        if mass != 0.0 or stiffness != 0.0:
             for k in range(e[6] - p[6]):
-                mass = mass_scale * s.mass[p[6] + k] + stiffness_scale * s.stabilisation[p[6] + k]
-                blocks[first + k, 0, 0] += mass
-                blocks[first + k, 1, 1] += mass
-    compact.blocks(scene.compact, u, u, c_m, 0.0, c_q, blocks)
+                value = mass * s.mass[p[6] + k] + stiffness * s.stabilisation[p[6] + k]
+                blocks[first + k, 0, 0] += value
+                blocks[first + k, 1, 1] += value
+    compact.blocks(scene.compact, u, u if v is None else v, c_m, c_v, c_q, blocks)
 
 
 @entry
@@ -108,26 +113,24 @@ def symmetric_blocks(model, u, c_m, c_v):
     """
     if isinstance(c_v, complex):
         return combined(c_m, c_v, *symmetric_parts(model, u))
-    blocks = _blocks(model)
-    tangent_blocks(model.arrays, u, c_m, 0.0 if model.damped else 1.0, blocks)
-    if model.damped:
-        viscous = np.empty_like(blocks)
-        damped_blocks(model.arrays, u, np.zeros_like(u), c_v, 1.0, viscous)
-        blocks += viscous
-    return blocks
+    return blocks_at(model, u, np.zeros_like(u), c_m, c_v, 1.0)
 
 
 def symmetric_parts(model, u):
     """K (nnz, 2, 2), C alike or None where there is no damping, and the complex numbers m (nnz,) that M's blocks stand for: their real
     parts, and their imaginary parts or None where there are none.
     """
-    scene, K, C, M = model.arrays, _blocks(model), None, _blocks(model)
-    tangent_blocks(scene, u, 1.0, 0.0, M)
-    tangent_blocks(scene, u, 0.0, 1.0, K)
-    if model.damped:
-        C = _blocks(model)
-        damped_blocks(scene, u, np.zeros_like(u), 1.0, 0.0, C)
+    v = np.zeros_like(u)
+    K, M = blocks_at(model, u, v, 0.0, 0.0, 1.0), blocks_at(model, u, v, 1.0, 0.0, 0.0)
+    C = blocks_at(model, u, v, 0.0, 1.0, 0.0) if model.damped else None
     return K, C, M[:, 0, 0].copy(), M[:, 1, 0].copy() if M[:, 1, 0].any() else None
+
+
+def blocks_at(model, u, v, c_m, c_v, c_q):
+    """`tangent_blocks` of a scene at u and v (nodes, 2)."""
+    blocks = np.empty((len(model.pattern[1]), 2, 2))
+    tangent_blocks(model.arrays, u, v if model.damped else None, c_m, c_v, c_q, blocks)
+    return blocks
 
 
 def combined(c_m, c_v, K, C, m, across):
@@ -139,10 +142,6 @@ def combined(c_m, c_v, K, C, m, across):
         blocks[:, 0, 1] -= c_m * across
         blocks[:, 1, 0] += c_m * across
     return blocks
-
-
-def _blocks(model):
-    return np.empty((len(model.pattern[1]), 2, 2))
 
 
 @entry
@@ -163,33 +162,3 @@ def add_damping(scene, u, v, elastic, r):
             r[i, 0] -= elastic[i, 0]
             r[i, 1] -= elastic[i, 1]
         two_states.internal_force_viscous(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], s.body_viscosity[b], u, v, r, none)
-
-
-@entry
-def damped_blocks(scene, u, v, c_v, c_q, blocks):
-    """Fill blocks (nnz, 2, 2) = c_v dg/dv + c_q dg/dq of all bodies; dg/dq is not symmetric where v is not zero."""
-    s = scene.plates
-    blocks[:] = 0.0
-    compact.blocks(scene.compact, u, v, 0.0, c_v, c_q, blocks)
-    for b in range(s.body_operator.shape[0]):
-        o, first = s.body_operator[b], s.body_block[b]
-        p, e = s.at[o], s.at[o + 1]
-        two_states.tangent_viscous(
-            *cells(s, o),
-            s.pairs[p[4] : e[4]],
-            s.body_node[b],
-            first,
-            s.body_c1[b],
-            s.body_nu[b],
-            s.body_viscosity[b],
-            u,
-            v,
-            c_q,
-            c_v,
-            blocks,
-        )
-        drag, stiff = c_v * s.body_drag[b] * s.body_density[b], c_q * s.body_stabilisation[b]
-        for k in range(e[6] - p[6]):
-            value = drag * s.mass[p[6] + k] + stiff * s.stabilisation[p[6] + k]
-            blocks[first + k, 0, 0] += value
-            blocks[first + k, 1, 1] += value

@@ -10,7 +10,7 @@ from polyida.assembly import equilibrium as compiled
 from polyida.assembly.arrays import bilinear, concatenated, shifting_drives, turning_drives
 from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_of
 from polyida.assembly.corotated import SceneStepMatrix
-from polyida.assembly.equilibrium import add_damping, damped_blocks
+from polyida.assembly.equilibrium import add_damping, blocks_at
 from polyida.assembly.factors import factors_of, scaled, told
 from polyida.assembly.loads import Powers, largest
 from polyida.assembly.motion import velocity_at
@@ -218,7 +218,8 @@ class SceneModel(SceneBodies):
         """dr/dq of a small scene as a dense array."""
         (indptr, indices), result = self.pattern, np.zeros((self.n, self.n))
         pairs = np.repeat(np.arange(self.n_nodes), np.diff(indptr))
-        result.reshape(self.n_nodes, 2, self.n_nodes, 2)[pairs, :, indices, :] = self._blocks(q, v, 0.0, 1.0)
+        blocks = blocks_at(self, self._nodal(q), self._nodal(v), 0.0, 0.0, 1.0)
+        result.reshape(self.n_nodes, 2, self.n_nodes, 2)[pairs, :, indices, :] = blocks
         if self.own_forces:
             result += dense(self.own_forces.slopes(t, q, v, 0.0, 1.0))
         if self.needs.phi_q_varies:
@@ -231,9 +232,9 @@ class SceneModel(SceneBodies):
             return super().mass_system(t, q)
         return MassSystem(self, t, q)
 
-    def step_matrix(self, linear="auto"):
+    def step_matrix(self):
         """The plates' factor in the frame of their nodal rotations; with force elements, whose slopes that has not, the sparse one."""
-        return SceneStepMatrix(self, linear) if self.compiled else StepMatrix(self)
+        return SceneStepMatrix(self) if self.compiled else StepMatrix(self)
 
     def increments(self, t0, t1, ends, h, q, v):
         """What the rows gain in a step, by their exact differences."""
@@ -304,19 +305,11 @@ class SceneModel(SceneBodies):
         from scipy.sparse import bsr_array
 
         indptr, indices = self.pattern
-        bodies = bsr_array((self._blocks(q, v, c_v, c_q), indices, indptr), shape=(self.n, self.n)).tocsc()
+        blocks = blocks_at(self, self._nodal(q), self._nodal(v), 0.0, c_v, c_q)
+        bodies = bsr_array((blocks, indices, indptr), shape=(self.n, self.n)).tocsc()
         if self.uneven_drag is not None:
             bodies = bodies + c_v * self.uneven_drag
         return bodies if not self.own_forces else (bodies + self.own_forces.slopes(t, q, v, c_v, c_q)).tocsc()
-
-    def _blocks(self, q, v, c_v, c_q):
-        """The same of the pairs of `pattern`, (numbers, 2, 2)."""
-        blocks = np.empty((len(self.pattern[1]), 2, 2))
-        if self.damped:
-            damped_blocks(self.arrays, self._nodal(q), self._nodal(v), c_v, c_q, blocks)
-        else:
-            compiled.tangent_blocks(self.arrays, self._nodal(q), 0.0, c_q, blocks)
-        return blocks
 
     def once(self, make, of_shape=False):
         """make(self), kept: what other layers derive from the model once; of_shape: what is the same whatever the factors."""

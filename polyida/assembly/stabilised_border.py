@@ -76,7 +76,7 @@ def massive(model, system, damping=None, before=None):
         units = model.once(corotated.unit_loads, of_shape=True)
         loads = loads + (damping @ units.reshape(len(units), -1).T).T.reshape(units.shape)
     before = system._replace(reach=np.zeros_like(system.reach)) if before is None else before
-    corotated.fill_reach(system, before.reach, system.frame[:0], loads, corotated.scratch(system))
+    corotated.fill_reach(system, before.reach, system.frame[:0], loads, np.empty(model.n, system.panels.dtype))
     return before
 
 

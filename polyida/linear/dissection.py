@@ -37,30 +37,18 @@ class Symbolic(NamedTuple):
     depth: int
 
 
-_none, _int, _long = np.zeros(0, np.int32), np.zeros(1, np.int32), np.zeros(1, np.int64)
-NOTHING = Symbolic(_none, _none, _int, _long, _none, _none, _long, _int, _none, 0, 0)  # where there are no fronts
+def symbolic_of(model):
+    """The Symbolic of a scene's plates, the same for every factor of the model."""
+    return symbolic(*model.pattern, model.reference)
 
 
-def symbolic(indptr, indices, points=None):
-    """Symbolic of a symmetric nodal pattern (CSR) with 2 x 2 blocks.
-
-    points (nodes, 2): where the nodes are. Without them hop distances stand in, and the factor gets somewhat fuller.
-    """
+def symbolic(indptr, indices, points):
+    """Symbolic of a symmetric nodal pattern (CSR) with 2 x 2 blocks and nodes at points (nodes, 2)."""
     indptr, indices = (np.array(a, np.int32) for a in (indptr, indices))  # not read-only
     count = len(indptr) - 1
-    where = np.empty((0, 2)) if points is None else np.array(points, float).reshape(-1, 2)
     nodes, fronts = np.arange(count, dtype=np.int32), np.empty((2 * count + 1, 3), np.int64)
-    found = dissect(
-        indptr,
-        indices,
-        where,
-        nodes,
-        fronts,
-        np.zeros(count, np.int8),
-        np.empty(count),
-        *np.empty((3, count), np.int32),
-        *np.empty((2, count + 2), np.int64),
-    )
+    scratch = np.zeros(count, np.int8), np.empty(count), *np.empty((3, count), np.int32), *np.empty((2, count + 2), np.int64)
+    found = dissect(indptr, indices, np.array(points, float).reshape(-1, 2), nodes, fronts, *scratch)
     fronts = fronts[:found][::-1]
     place = np.empty(count, np.int32)
     place[nodes] = np.arange(count, dtype=np.int32)
@@ -135,10 +123,8 @@ def halve(indptr, indices, points, members, side, distance, queue, room):
     if hops(indptr, indices, members[0], side, distance, queue) < n:
         for k in range(n):
             c[k] = min(distance[members[k]], 0)
-    elif points.shape[0]:
-        along_axis(points, members, c)
     else:
-        between_ends(indptr, indices, queue[n - 1], members, side, distance, queue, c)
+        along_axis(points, members, c)
     t = middle(c)
     for k in range(n):
         side[members[k]] = 1 if c[k] < t else 2
@@ -155,18 +141,6 @@ def along_axis(points, members, c):
     angle = 0.5 * np.arctan2(2.0 * (xy - x * y / n), (xx - x * x / n) - (yy - y * y / n))
     for k in range(n):
         c[k] = np.cos(angle) * points[members[k], 0] + np.sin(angle) * points[members[k], 1]
-
-
-@part
-def between_ends(indptr, indices, end, members, side, distance, queue, c):
-    """c = hops from the other end of members less hops from `end`."""
-    for sweep in range(2):
-        for i in members:
-            distance[i] = -1
-        hops(indptr, indices, end, side, distance, queue)
-        end = queue[members.shape[0] - 1]
-        for k in range(members.shape[0]):
-            c[k] = distance[members[k]] - (c[k] if sweep else 0)
 
 
 @part

@@ -1,8 +1,9 @@
-"""Multifrontal Cholesky factor of a nodal block matrix: eliminated in double precision, kept and solved with in single.
+"""Multifrontal factor `S = U^T D U` of a symmetric nodal block matrix: eliminated in double precision, kept and solved with in single.
 
-Each front is a small dense matrix (Duff & Reid 1983): blocks and the children's updates go in, its own nodes are
-eliminated, rows of `U` (S = U^T U) go to the panel and the Schur complement to the parent. A panel holds four rows of U
-at a time, from their diagonal block on, with reciprocal diagonal: a solve runs through it once forward, once backward.
+Each front is a small dense matrix (Duff & Reid 1983): blocks and the children's updates go in, its own nodes are eliminated, rows of U,
+whose diagonal is 1, go to the panel and the Schur complement to the parent. A panel holds four rows of U at a time, from their diagonal
+block on, with the reciprocal of D on the diagonal: a solve runs through it once forward, once backward. There is no pivoting: S need not be
+positive definite, but a pivot that is zero ends the elimination.
 """
 
 from functools import partial
@@ -10,23 +11,25 @@ from functools import partial
 import numpy as np
 
 from polyida import jit
+from polyida.linear.lu import SingularSystem
 
 entry = partial(jit.entry, fastmath=jit.FAST)
 part = partial(jit.part, fastmath=jit.FAST)
 
 
-def factorize(symbolic, blocks, phase=1.0, dtype=None, panels=None):
-    """Panels, float32 or complex64, of the factor of blocks (nnz, 2, 2) on symbolic's pattern; None where not positive definite.
+def factorize(symbolic, blocks, dtype=None, panels=None):
+    """Panels, float32 or complex64, of the factor of blocks (nnz, 2, 2) on symbolic's pattern. Raises SingularSystem.
 
-    Complex blocks are symmetric, not Hermitian, and so is their factor; positive definite is then the real part of `phase` times them,
-    and with it that of every pivot. Of each pair of blocks only the one in the row of the node that is eliminated first is read.
-    dtype: that of the panels, single precision by default; panels: those to fill.
+    Complex blocks are symmetric, not Hermitian, and so is their factor. Of each pair of blocks only the one in the row of the node that is
+    eliminated first is read. dtype: that of the panels, single precision by default; panels: those to fill.
     """
     blocks = np.ascontiguousarray(blocks, np.result_type(blocks, float))
     panels = np.empty(symbolic.panel[-1], dtype or single(blocks)) if panels is None else panels
     numbers = np.empty(symbolic.size**2 + symbolic.depth, blocks.dtype)
     places = np.empty(len(symbolic.nodes) + len(symbolic.children), np.int32)
-    return panels if fill_panels(symbolic, blocks, blocks.dtype.type(phase), panels, numbers, places) else None
+    if not fill_panels(symbolic, blocks, panels, numbers, places):
+        raise SingularSystem("the tangent is singular or not finite")
+    return panels
 
 
 def single(values):
@@ -35,8 +38,8 @@ def single(values):
 
 
 @entry
-def fill_panels(s, blocks, phase, panels, numbers, places):
-    """Eliminate front after front; numbers, places are scratch. False where a pivot is not positive."""
+def fill_panels(s, blocks, panels, numbers, places):
+    """Eliminate front after front; numbers, places are scratch. False where a pivot is zero or not finite."""
     room, updates = numbers[: s.size * s.size], numbers[s.size * s.size :]
     local, waiting = places[: s.nodes.shape[0]], places[s.nodes.shape[0] :]
     top = behind = 0
@@ -59,7 +62,7 @@ def fill_panels(s, blocks, phase, panels, numbers, places):
             reach = s.rows[s.start[c] : s.start[c + 1]]
             top -= reach.shape[0] * (2 * reach.shape[0] + 1)
             add_update(updates[top:], reach, local, front)
-        if not eliminate(front, own, phase):
+        if not eliminate(front, own):
             return False
         keep_rows(front, own, panels[s.panel[f] : s.panel[f + 1]])
         top += keep_update(front, own, updates[top:])
@@ -106,15 +109,15 @@ def add_update(update, reach, local, front):
 
 
 @part
-def eliminate(front, own, phase):
-    """Rows of U in place of the first `own` rows, the Schur complement in the rest of the upper triangle."""
+def eliminate(front, own):
+    """Rows of U, with D on the diagonal, in place of the first `own` rows, the Schur complement in the rest of the upper triangle."""
     for i in range(0, front.shape[0], 2):
         top = min(i, own)
         for k in range(0, top - 3, 4):
             subtract_four(front, k, i)
         if top % 4:
             subtract_two(front, top - 2, i)
-        if i < own and not finish(front, i, phase):
+        if i < own and not finish(front, i):
             return False
     return True
 
@@ -124,7 +127,9 @@ def subtract_four(front, k, i):
     """Take rows k .. k + 3 of U from the rows of node i: eight products for six loads keep the processor busy."""
     x, y = front[i, i:], front[i + 1, i:]
     a, b, c, d = front[k, i:], front[k + 1, i:], front[k + 2, i:], front[k + 3, i:]
-    xa, xb, xc, xd, ya, yb, yc, yd = a[0], b[0], c[0], d[0], a[1], b[1], c[1], d[1]
+    da, db, dc, dd = front[k, k], front[k + 1, k + 1], front[k + 2, k + 2], front[k + 3, k + 3]
+    xa, xb, xc, xd = da * a[0], db * b[0], dc * c[0], dd * d[0]
+    ya, yb, yc, yd = da * a[1], db * b[1], dc * c[1], dd * d[1]
     for j in range(x.shape[0]):
         p, q, r, s = a[j], b[j], c[j], d[j]
         x[j] -= xa * p + xb * q + xc * r + xd * s
@@ -135,7 +140,8 @@ def subtract_four(front, k, i):
 def subtract_two(front, k, i):
     """Take rows k and k + 1 of U from the rows of node i."""
     x, y, a, b = front[i, i:], front[i + 1, i:], front[k, i:], front[k + 1, i:]
-    xa, xb, ya, yb = a[0], b[0], a[1], b[1]
+    da, db = front[k, k], front[k + 1, k + 1]
+    xa, xb, ya, yb = da * a[0], db * b[0], da * a[1], db * b[1]
     for j in range(x.shape[0]):
         p, q = a[j], b[j]
         x[j] -= xa * p + xb * q
@@ -143,21 +149,20 @@ def subtract_two(front, k, i):
 
 
 @part
-def finish(front, i, phase):
-    """Turn the rows of node i, less all before, into rows of U. False where a pivot's real part, times phase, is not positive."""
+def finish(front, i):
+    """Turn the rows of node i, less all before, into rows of U, with D on the diagonal. False where a pivot is zero or not finite."""
     x, y = front[i, i:], front[i + 1, i:]
-    if not (phase * x[0]).real > 0.0:
+    if not 0.0 < abs(x[0]) < np.inf:
         return False
-    scale = 1.0 / np.sqrt(x[0])
-    for j in range(x.shape[0]):
+    share, scale = x[1], 1.0 / x[0]
+    for j in range(1, x.shape[0]):
         x[j] *= scale
-    scale = x[1]
-    for j in range(x.shape[0]):
-        y[j] -= scale * x[j]
-    if not (phase * y[1]).real > 0.0:
+    for j in range(1, x.shape[0]):
+        y[j] -= share * x[j]
+    if not 0.0 < abs(y[1]) < np.inf:
         return False
-    scale = 1.0 / np.sqrt(y[1])
-    for j in range(x.shape[0]):
+    scale = 1.0 / y[1]
+    for j in range(2, y.shape[0]):
         y[j] *= scale
     return True
 
@@ -258,11 +263,11 @@ def forward(panels, at, w, own, n):
         m = n - k
         a, b = panels[at : at + m], panels[at + m : at + 2 * m]
         c, d = panels[at + 2 * m : at + 3 * m], panels[at + 3 * m : at + 4 * m]
-        p = w[k] * a[0]
-        q = (w[k + 1] - a[1] * p) * b[1]
-        r = (w[k + 2] - a[2] * p - b[2] * q) * c[2]
-        s = (w[k + 3] - a[3] * p - b[3] * q - c[3] * r) * d[3]
-        w[k], w[k + 1], w[k + 2], w[k + 3] = p, q, r, s
+        p = w[k]
+        q = w[k + 1] - a[1] * p
+        r = w[k + 2] - a[2] * p - b[2] * q
+        s = w[k + 3] - a[3] * p - b[3] * q - c[3] * r
+        w[k + 1], w[k + 2], w[k + 3] = q, r, s
         v, a, b, c, d = w[k + 4 :], a[4:], b[4:], c[4:], d[4:]
         for j in range(m - 4):
             v[j] -= a[j] * p + b[j] * q + c[j] * r + d[j] * s
@@ -270,9 +275,9 @@ def forward(panels, at, w, own, n):
     if own % 4:
         m = n - own + 2
         a, b = panels[at : at + m], panels[at + m : at + 2 * m]
-        p = w[own - 2] * a[0]
-        q = (w[own - 1] - a[1] * p) * b[1]
-        w[own - 2], w[own - 1] = p, q
+        p = w[own - 2]
+        q = w[own - 1] - a[1] * p
+        w[own - 1] = q
         v, a, b = w[own:], a[2:], b[2:]
         for j in range(m - 2):
             v[j] -= a[j] * p + b[j] * q
@@ -280,32 +285,30 @@ def forward(panels, at, w, own, n):
 
 @part
 def backward(panels, at, w, own, n):
-    """w <- U^-1 w on the front's own places, the others of n given; its panel ends at `at`."""
+    """w <- U^-1 D^-1 w on the front's own places, the others of n given; its panel ends at `at`."""
     if own % 4:
         m = n - own + 2
         at -= 2 * m
-        a, b, v = panels[at + 2 : at + m], panels[at + m + 2 : at + 2 * m], w[own:]
-        p, q = w[own - 2], w[own - 1]
+        a, b, v = panels[at : at + m], panels[at + m : at + 2 * m], w[own:]
+        p, q, e, f = w[own - 2] * a[0], w[own - 1] * b[1], a[2:], b[2:]
         for j in range(m - 2):
-            p -= a[j] * v[j]
-            q -= b[j] * v[j]
-        q *= panels[at + m + 1]
-        w[own - 2], w[own - 1] = (p - panels[at + 1] * q) * panels[at], q
+            p -= e[j] * v[j]
+            q -= f[j] * v[j]
+        w[own - 2], w[own - 1] = p - a[1] * q, q
     for k in range(own // 4 * 4 - 4, -1, -4):
         m = n - k
         at -= 4 * m
         a, b = panels[at : at + m], panels[at + m : at + 2 * m]
         c, d = panels[at + 2 * m : at + 3 * m], panels[at + 3 * m : at + 4 * m]
         e, f, g, h, v = a[4:], b[4:], c[4:], d[4:], w[k + 4 :]
-        p, q, r, s = w[k], w[k + 1], w[k + 2], w[k + 3]
+        p, q, r, s = w[k] * a[0], w[k + 1] * b[1], w[k + 2] * c[2], w[k + 3] * d[3]
         for j in range(m - 4):
             value = v[j]
             p -= e[j] * value
             q -= f[j] * value
             r -= g[j] * value
             s -= h[j] * value
-        s *= d[3]
-        r = (r - c[3] * s) * c[2]
-        q = (q - b[2] * r - b[3] * s) * b[1]
-        p = (p - a[1] * q - a[2] * r - a[3] * s) * a[0]
+        r -= c[3] * s
+        q -= b[2] * r + b[3] * s
+        p -= a[1] * q + a[2] * r + a[3] * s
         w[k], w[k + 1], w[k + 2], w[k + 3] = p, q, r, s

@@ -16,7 +16,6 @@ import numpy as np
 from polyida import jit
 from polyida.jit import bound, pack
 from polyida.jit.intrinsics import leave, seen
-from polyida.linear.cholesky import FRONTS
 from polyida.linear.fronts import ascend, descend, spread
 
 entry = partial(jit.entry, fastmath=jit.FAST)
@@ -164,10 +163,7 @@ def solve_together(s, panels, x, t):
 
 @contextmanager
 def at_work(t, factor, x):
-    """Within this the other threads serve solves of x with the factor; nothing where t is None."""
-    if t is None:
-        yield
-        return
+    """Within this the other threads serve solves of x with the factor."""
     t.signals[:] = 0
     args = factor.fronts, factor.panels, x, t
     serving = bound(serve, *args, 1)
@@ -192,8 +188,8 @@ class Helpers:
 
     @contextmanager
     def at_work(self, factor, room):
-        """The room of solves with the factor, which are shared within this; as it was where there is one thread, or the factor has no fronts."""
-        if self.count == 1 or factor.kind != FRONTS:
+        """The room of solves with the factor, which are shared within this; as it was where there is one thread."""
+        if self.count == 1:
             yield room
             return
         self.team = self.team or team(factor.fronts, self.count, factor.panels.dtype)

@@ -279,8 +279,8 @@ class Model:
         reached = [(t - kink) / speed for kink, speed in zip(kinks, speeds) if speed and t != kink]
         return max((s for s in reached if s < 0), default=-np.inf), min((s for s in reached if s > 0), default=np.inf)
 
-    def step_matrix(self, linear: str = "auto") -> Any:
-        """A StepMatrix of this model (linear/step_matrix.py), not factored yet; linear: which back-end, where there are several."""
+    def step_matrix(self) -> Any:
+        """A StepMatrix of this model (linear/step_matrix.py), not factored yet."""
         return StepMatrix(self)
 
     def increments(self, t0: float, t1: float, ends: tuple[float, float], h: float, q: NDArray, v: NDArray) -> Any:

@@ -19,7 +19,6 @@ from polyida.integrate.ida.whole import FormRows
 from polyida.integrate.sizes import sizes_of_run, typical_sizes
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
-from polyida.linear.cholesky import fill_band
 
 WIDEST_BAND = 40_000  # coordinates beyond which a band factor is out of the question
 
@@ -51,15 +50,17 @@ def matrix_of(model, blocks):
 def band(model, blocks):
     """(factor, solve) of LAPACK's band Cholesky in the mesh's own numbering."""
     from scipy.linalg.lapack import dpbtrf, dpbtrs
+    from scipy.sparse import tril
 
     if model.n > WIDEST_BAND:
         raise Missing(f"no band factor beyond {WIDEST_BAND} coordinates")
-    indptr, indices = model.pattern
-    width = 2 * int(np.max(np.abs(indices - np.repeat(np.arange(model.n_nodes), np.diff(indptr))))) + 1
-    kept, b, room = {}, np.ones(model.n), np.empty((model.n, width + 1))
+    lower = tril(matrix_of(model, blocks), format="coo")
+    row, column = lower.coords
+    kept, b, room = {}, np.ones(model.n), np.empty((model.n, int(np.max(row - column)) + 1))
 
     def factor():
-        fill_band(indptr, indices, blocks, room)
+        room[:] = 0.0
+        room[column, row - column] = lower.data
         kept["factor"] = dpbtrf(room.T, lower=1, overwrite_ab=1)[0]
 
     return factor, lambda: dpbtrs(kept["factor"], b, lower=1)[0]
@@ -149,7 +150,7 @@ class WholeJacobian:
 
     def __call__(self, t, y, yp, res, cj, JJ):
         n = self.model.n
-        equilibrium.tangent_blocks(self.model.arrays, np.array(y[:n]).reshape(-1, 2), 0.0, 1.0, self.blocks)
+        equilibrium.tangent_blocks(self.model.arrays, np.array(y[:n]).reshape(-1, 2), None, 0.0, 0.0, 1.0, self.blocks)
         (minus, borders), stiffness = self.fixed, self.blocks.ravel()[self.of_block]
         JJ[:] = np.concatenate([np.full(n, cj), minus, stiffness, cj * self.mass, borders])[self.order]
         self.calls += 1

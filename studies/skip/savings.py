@@ -18,7 +18,7 @@ from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.ida.integrator import IDA
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
-from polyida.linear.cholesky import symbolic_of
+from polyida.linear.dissection import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
 from polyida.mesh import rectangle
 from polyida.problems import plates
@@ -188,7 +188,7 @@ def single_precision(cells, t_end, repeats):
     """Ten solves with the factor kept in single precision, against in double; counted: bytes of the factor."""
     model = plates.double_plate(cells).build()
     known, blocks = model.once(symbolic_of), np.empty((len(model.pattern[1]), 2, 2))
-    equilibrium.tangent_blocks(model.arrays, np.zeros((model.n_nodes, 2)), 4.0 / H**2, 1.0, blocks)
+    equilibrium.tangent_blocks(model.arrays, np.zeros((model.n_nodes, 2)), None, 4.0 / H**2, 0.0, 1.0, blocks)
 
     def side(dtype):
         panels, x = factorize(known, blocks, dtype=dtype), np.empty(model.n, np.float32)

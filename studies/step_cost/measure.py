@@ -19,7 +19,7 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
 from polyida.jit import entry
-from polyida.linear.cholesky import symbolic_of
+from polyida.linear.dissection import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
 from polyida.machine import one_blas_thread
 from polyida.problems import plates
@@ -77,7 +77,7 @@ def _residuals(count, s, drives, u, a, lam, r, phi, rotation, dz, forces):
 @entry
 def _tangents(count, plates, u, c_m, blocks):
     for _ in range(count):
-        equilibrium.tangent_blocks(plates, u, c_m, 1.0, blocks)
+        equilibrium.tangent_blocks(plates, u, None, c_m, 0.0, 1.0, blocks)
 
 
 @entry
@@ -108,7 +108,7 @@ def kernels_ms(model):
     tangent = (model.arrays, u, c_m, blocks)
     _residuals(1, *residual)
     _tangents(1, *tangent)
-    system, _ = corotated.corotated(model, blocks, rotation)
+    system = corotated.corotated(model, blocks, rotation)
     correction = (
         model.arrays.links,
         system,
@@ -148,7 +148,7 @@ def parts_of_a_step(model, row):
 
 
 def fronts(model, blocks):
-    """(factor, solve) of our own multifrontal Cholesky: in double, kept and solved with in single."""
+    """(factor, solve) of our own multifrontal factor: in double, kept and solved with in single."""
     known, kept, b, x = model.once(symbolic_of), {}, np.ones(model.n, np.float32), np.empty(model.n, np.float32)
 
     def factor():
@@ -173,7 +173,7 @@ def floor_row(dof, backend, repeats):
     model = model_of("scene 1", dof)
     state, c_m = moved(model, 2)
     blocks = np.empty((len(model.pattern[1]), 2, 2))
-    equilibrium.tangent_blocks(model.arrays, state.q.reshape(-1, 2).copy(), c_m, 1.0, blocks)
+    equilibrium.tangent_blocks(model.arrays, state.q.reshape(-1, 2).copy(), None, c_m, 0.0, 1.0, blocks)
     with one_blas_thread():
         factor, solved = BACKENDS[backend](model, blocks)
         factor()

@@ -5,7 +5,7 @@ import numpy as np
 from against_peers import peers
 from polyida.assembly import equilibrium
 from polyida.integrate.radau.tableau import radau
-from polyida.linear.cholesky import symbolic_of
+from polyida.linear.dissection import symbolic_of
 from polyida.linear.fronts import factorize, single, solve_fronts
 from polyida.machine import one_blas_thread
 from step_cost.measure import RADAU_H, median_cpu, model_of, moved
@@ -13,13 +13,13 @@ from step_cost.measure import RADAU_H, median_cpu, model_of, moved
 SOLVES = 3  # with each factor, one an iteration
 
 
-def fronts(model, blocks, phase):
-    """(factor, solve) of our own multifrontal Cholesky, kept and solved with in single precision; phase: of complex blocks."""
+def fronts(model, blocks):
+    """(factor, solve) of our own multifrontal factor, kept and solved with in single precision."""
     known, kept, b = model.once(symbolic_of), {}, np.ones(model.n, single(blocks))
     x = b.copy()
 
     def factor():
-        kept["panels"] = factorize(known, blocks, phase)
+        kept["panels"] = factorize(known, blocks)
 
     def solved():
         x[:] = b
@@ -29,26 +29,25 @@ def fronts(model, blocks, phase):
     return factor, solved
 
 
-BACKENDS = {"fronts": fronts, "superlu": lambda model, blocks, phase: peers.superlu(model, blocks)}
+BACKENDS = {"fronts": fronts, "superlu": peers.superlu}
 
 
 def blocks_of(model):
-    """[(blocks of K + c^2 M, phase)] for the eigenvalues c = l / h of both modes at one moved state."""
+    """[blocks of K + c^2 M] for the eigenvalues c = l / h of both modes at one moved state."""
     state, made = moved(model, 2)[0], []
     for c_m in (0.0, 1.0):
         made.append(np.empty((len(model.pattern[1]), 2, 2)))
-        equilibrium.tangent_blocks(model.arrays, state.q.reshape(-1, 2).copy(), c_m, 1.0, made[-1])
+        equilibrium.tangent_blocks(model.arrays, state.q.reshape(-1, 2).copy(), None, c_m, 0.0, 1.0, made[-1])
     K, M = made[0], made[1] - made[0]
-    rates = [mode.value / RADAU_H for mode in radau(3).modes]
-    return [(K + c * c * M, abs(c) / c if np.iscomplexobj(c) else 1.0) for c in rates]
+    return [K + (mode.value / RADAU_H) ** 2 * M for mode in radau(3).modes]
 
 
 def pair_row(dof, backend, repeats):
     """Milliseconds of both factorizations, of a solve with both, of the floor; the larger relative residual."""
     model, row = model_of("scene 1", dof), {"factor_ms": 0.0, "solve_ms": 0.0, "relative_residual": 0.0}
-    for blocks, phase in blocks_of(model):
+    for blocks in blocks_of(model):
         with one_blas_thread():
-            factor, solved = BACKENDS[backend](model, blocks, phase)
+            factor, solved = BACKENDS[backend](model, blocks)
             factor()
             error = np.abs(peers.matrix_of(model, blocks) @ solved() - 1.0).max()
             row["factor_ms"] += 1e3 * median_cpu(factor, repeats)

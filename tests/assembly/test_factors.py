@@ -134,7 +134,7 @@ def numbers(thing):
 
 
 def test_nothing_else_is_built_anew():
-    from polyida.linear.cholesky import symbolic_of
+    from polyida.linear.dissection import symbolic_of
 
     model = arms()
     one, two = model.with_factors(upper=(0.5, 0.5)), model.with_factors(upper=(0.2, 0.5))

@@ -82,13 +82,12 @@ def near(found, exact):
     return found.dtype == exact.dtype and np.abs(found - exact).max(initial=0.0) < 1e-4 * np.abs(exact).max(initial=1e-300)
 
 
-@pytest.mark.parametrize("backend, name", [("fronts", "multifrontal"), ("band", "band"), ("superlu", "SuperLU")])
-def test_a_solve_is_that_of_the_tangent(bent, backend, name, c):
+def test_a_solve_is_that_of_the_tangent(bent, c):
     model, state = bent
-    system, b = SceneStepMatrix(model, backend), numbers(c, model.n, 2)
+    system, b = SceneStepMatrix(model), numbers(c, model.n, 2)
     system.factor(*state, c * c, c)
     S = whole(model, state, c)
-    assert name in system.backend and near(system.solve(state[1], b), np.linalg.solve(S, b))
+    assert near(system.solve(state[1], b), np.linalg.solve(S, b))
     assert near(system.solve(state[1], b[:, 0], transposed=True), np.linalg.solve(S.T, b[:, 0]))
 
 
@@ -124,11 +123,11 @@ def test_several_matrices_of_one_state_share_their_parts(bent, c):
     assert np.allclose(one.solve(state[1], b), other.solve(state[1], b), rtol=0, atol=1e-5 * np.abs(one.solve(state[1], b)).max())
 
 
-@pytest.mark.parametrize("backend", ["fronts", "band", "superlu"])
-def test_an_indefinite_matrix_is_left_to_l_d_lt(scenes, backend, c):
+def test_a_matrix_may_be_indefinite(scenes, c):
     """Far compressed: K falls in some directions by more than c^2 M rises."""
     model = scenes.single()[0].build()
     zero, q, b = np.zeros(model.n), -0.6 * model.reference.ravel(), numbers(c, model.n)
-    state, system, c = (0.0, q, zero, zero, zero[:0]), SceneStepMatrix(model, backend), 0.1 * c
+    state, system, c = (0.0, q, zero, zero, zero[:0]), SceneStepMatrix(model), 0.1 * c
     system.factor(*state, c * c, c)
-    assert "SuperLU" in system.backend and near(system.solve(q, b), np.linalg.solve(whole(model, state, c), b))
+    assert np.linalg.eigvalsh(whole(model, state, c).real)[0] < 0.0
+    assert near(system.solve(q, b), np.linalg.solve(whole(model, state, c), b))

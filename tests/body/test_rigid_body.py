@@ -302,7 +302,7 @@ def test_errors_are_the_same_in_any_unit_of_length(name):
         scene = pi.Scene(gravity=(0.0, -G / unit))
         body = scene.add(pi.RigidBody(1.0, 0.1 / unit**2, {"left": (0.0, 0.0)}, center=(0.5 / unit, 0.0)))
         scene.add(pi.Revolute(pi.ground, body.at("left"), name="hinge"))
-        method = pi.IDA(rtol=1e-8) if name == "ida" else METHODS[name][0]
+        method = pi.IDA(rtol=1e-7) if name == "ida" else METHODS[name][0]  # at 1e-8 round-off decides on IDA's order
         return pi.solve(scene.build(), 0.5, method)
 
     metres, millimetres = runs(1.0), runs(1e-3)

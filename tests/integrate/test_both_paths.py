@@ -13,7 +13,7 @@ from polyida.problems import plates
 def models(scene):
     """The scene's model for the compiled loop, and for the plain one."""
     compiled, plain = scene.build(), scene.build()
-    plain.compiled, plain.step_matrix = False, lambda linear="auto": SceneStepMatrix(plain, linear)
+    plain.compiled, plain.step_matrix = False, lambda: SceneStepMatrix(plain)
     return compiled, plain
 
 
@@ -53,10 +53,9 @@ def test_the_same_stages(scenes, kind, settings, damping):
     assert np.abs(compiled.drift).max() < 1e-14 or not compiled.model.m
 
 
-def test_the_same_stages_with_every_factor(scenes):
+def test_the_same_stages_with_the_whole_matrix(scenes):
     model, found = scenes.jointed("motor between", cells=12).build(), []
-    for linear in ("auto", "fronts", "band", "superlu", "kkt"):
+    for linear in ("auto", "kkt"):
         run = pi.solve(model, 0.05, pi.RadauIIA(h=2.5e-3, tolerance=1e-16, linear=linear))
-        found.append((run.counts.backend, run.q[-1]))
-    assert [name for name, _ in found[:4]] == ["multifrontal Cholesky"] * 2 + ["band Cholesky", "L D L^T (SuperLU, MMD)"]
-    assert max(np.abs(q - found[0][1]).max() for _, q in found) < 1e-12
+        found.append(run.q[-1])
+    assert np.abs(found[0] - found[1]).max() < 1e-12

@@ -63,14 +63,6 @@ def test_compiled_and_plain_paths_agree(scenes, kind):
         assert np.abs(one - other).max() < size * max(1.0, np.abs(other).max()), name
 
 
-@pytest.mark.parametrize("kind", ["revolute", "motor between"], indirect=True)
-def test_backends_agree(scenes, kind):
-    model, words = scenes.jointed(kind).build(), {"fronts": "multifrontal", "band": "band", "superlu": "SuperLU"}
-    runs = {name: pi.solve(model, 0.1, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-7, linear=name)) for name in words}
-    assert all(words[name] in run.counts.backend for name, run in runs.items())
-    assert max(np.abs(run.q - runs["superlu"].q).max() for run in runs.values()) < 1e-9
-
-
 @pytest.mark.parametrize("linear", ["auto", "kkt"])
 def test_scalings_agree(scenes, linear):
     model = scenes.jointed("motor between").build()

@@ -7,7 +7,7 @@ import polyida as pi
 from polyida import machine
 from polyida.assembly import equilibrium
 from polyida.jit import compilers, entry
-from polyida.linear.cholesky import FRONTS, symbolic_of
+from polyida.linear.dissection import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
 from polyida.linear.team import at_work, solve_together, team
 from polyida.problems import plates
@@ -28,8 +28,6 @@ def solved(s, panels, x, t):
 class Made:
     """A factor as `at_work` takes it."""
 
-    kind = FRONTS
-
     def __init__(self, fronts, panels):
         self.fronts, self.panels = fronts, panels
 
@@ -37,7 +35,7 @@ class Made:
 def factored(scene, c=1e4):
     model = scene.build()
     s, blocks = model.once(symbolic_of), np.empty((len(model.pattern[1]), 2, 2))
-    equilibrium.tangent_blocks(model.arrays, np.zeros((model.n_nodes, 2)), abs(c), 1.0, blocks)
+    equilibrium.tangent_blocks(model.arrays, np.zeros((model.n_nodes, 2)), None, abs(c), 0.0, 1.0, blocks)
     panels = factorize(s, c / abs(c) * blocks)
     return Made(s, panels), model.n
 

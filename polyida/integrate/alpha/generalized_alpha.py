@@ -18,7 +18,7 @@ from polyida.linear.saddle import SCALINGS
 from polyida.linear.step_matrix import WholeMatrix
 from polyida.model import Model
 
-LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
+LINEAR = ("auto", "kkt")
 ABSOLUTE = 1e-3  # m: atol over rtol where only rtol is given, for a start at q = 0
 FORMS = ("index3", "stabilised")
 SHARE = 1e-3  # of the local error of a step that Newton may leave, where `tolerance` says nothing
@@ -112,9 +112,8 @@ class GeneralizedAlpha:
     whose Newton fails even with a fresh matrix in each iteration, or ends where the model objects, is taken in 2, 4,
     ... 2^max_halvings parts. scaling: "none", "bottasso" or "physical". start: "consistent" (second order in lam from
     the first step) or "plain" (a_0 = q''). incremental_phi: carry phi of a scene by its increments, clean down to h =
-    1e-9, or take it from positions with their round-off. linear: "auto", or for scenes also "fronts", "band" or "superlu": the
-    model's step matrix with a border of its constraints; "kkt": the whole matrix of both, in plain code; `scaling` acts there
-    only. Raises InputError for a setting out of range.
+    1e-9, or take it from positions with their round-off. linear: "auto", the model's step matrix with a border of its constraints; "kkt": the whole
+    matrix of both, in plain code; `scaling` acts there only. Raises InputError for a setting out of range.
     """
 
     h: float | None = None
@@ -268,7 +267,7 @@ class GeneralizedAlpha:
 
     def step_matrix(self, model: Model) -> Any:
         """The model's step matrix, by `linear` and, where that is "kkt", `scaling`."""
-        return WholeMatrix(model, self.scaling) if self.linear == "kkt" else model.step_matrix(self.linear)
+        return WholeMatrix(model, self.scaling) if self.linear == "kkt" else model.step_matrix()
 
 
 def _four(given):

@@ -26,7 +26,7 @@ class SceneForm(SceneStages):
     """The table of a scene for IDA: one factor, filled anew in place."""
 
     def __init__(self, model, tableau):
-        super().__init__(model, tableau, True, "auto")
+        super().__init__(model, tableau, True)
         self.entries, self.step, self.solver = FUNCTIONS, model.step_matrix(), None
 
     def stand(self, t):

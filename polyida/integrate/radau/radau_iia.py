@@ -18,7 +18,7 @@ from polyida.linear.saddle import SCALINGS
 from polyida.model import Model
 
 FORMS = ("ggl", "index3")
-LINEAR = ("auto", "fronts", "band", "superlu", "kkt")
+LINEAR = ("auto", "kkt")
 AIM, WAYS = 1e-5, 30.0  # rtol by default, of a motion that goes its length not more often; its error is about ten times that
 EASY = 0.3  # first step: so much of the time in which the model moves by its length, for an error of that length
 
@@ -39,9 +39,8 @@ class RadauIIA:
     rtol 1e-5, or less where the motion goes that length more than 30 times, for an error about 1e-4 of it; the run's summary says
     what was chosen. h: fixed steps, s; a piece of a run between kinks takes the largest not above h that divides it evenly. stages: 3 or 2.
     project: in form "index3", v of accepted states is moved onto its constraint; without it v is of order 3 at most. linear: "auto",
-    the model's step matrices with a border of its constraints, of a scene by one of its factors ("fronts", "band", "superlu"); "kkt": the
-    whole matrix of both for each eigenvalue of W, in plain code. scaling: of the rows and columns of that, "physical", "bottasso" or "none"
-    (integrate/radau/matrices.py); it acts there only. tolerance: what Newton may leave of q, in place of the share min(0.05, rtol^0.6) of
+    the model's step matrices with a border of its constraints; "kkt": the whole matrix of both for each eigenvalue of W, in plain code.
+    scaling: of the rows and columns of that, "physical", "bottasso" or "none" (integrate/radau/matrices.py). tolerance: what Newton may leave of q, in place of the share min(0.05, rtol^0.6) of
     atol + rtol |q|, and with fixed steps of 0.05 (e/L)^(3/4) e, e the local error of the step before and L the model's length: of seventh
     order in h, for it adds up in v over all steps; flexible scenes bear far more: 3e-3 h^2 takes one to
     one and a half iterations a step from 200 steps a second on, and is erratic with longer ones. max_iterations: of one Newton solve.

@@ -288,8 +288,8 @@ def _table(settings, model, tableau, tied):
     if model.compiled and settings.linear != "kkt":
         from polyida.integrate.radau.tables.scene import SceneStages
 
-        return SceneStages(model, tableau, tied, settings.linear)
-    kind = partial(WholeModes, scaling=settings.scaling) if settings.linear == "kkt" else partial(Matrices, linear=settings.linear)
+        return SceneStages(model, tableau, tied)
+    kind = partial(WholeModes, scaling=settings.scaling) if settings.linear == "kkt" else Matrices
     return table_of(model, settings.linear, tableau, tied, kind)
 
 

@@ -351,8 +351,8 @@ class SceneStages:
 
     longest, single, lifts, timed = of.STEPS, True, False, nullcontext
 
-    def __init__(self, model, tableau, tied, linear):
-        self.model, self.tableau, self.tied, self.linear, s = model, tableau, tied, linear, tableau.stages
+    def __init__(self, model, tableau, tied):
+        self.model, self.tableau, self.tied, s = model, tableau, tied, tableau.stages
         nodes, points, instants = (model.n_nodes, 2), (model.n_points, 2), (of.STEPS * (s + 1), len(model.profiles), 3)
         small, (numbers, self.formulas) = model.n_nodes <= FEW, moves(model)
         self.entries = FUNCTIONS | ({of.ACCELERATION: acceleration} if small else {})
@@ -426,7 +426,7 @@ class SceneStages:
         """Make the factors of a slot, where they are not those, and go on with them. Raises SingularSystem."""
         known = self.slots.get(slot)
         if known is None or known.h != h or not np.array_equal(known.made_at, made_at):
-            known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied, self.linear)
+            known = self.slots[slot] = SceneMatrices(self.model, self.tableau.modes, h, made_at, self.tied)
         counts.backend = known.backend
         self.take(known.real, known.pair)
 
@@ -459,12 +459,12 @@ class SceneStages:
 class SceneMatrices:
     """The co-rotated factors of both modes for steps of h, made at t, q, v, a and lam in one array; real, pair: their Solver, or None."""
 
-    def __init__(self, model, modes, h, made_at, tied, linear):
+    def __init__(self, model, modes, h, made_at, tied):
         self.h, self.made_at, self.real = h, made_at, None
         at = (float(made_at[0]), *np.split(made_at[1:], np.cumsum([model.n] * 3)))
         parts = symmetric_parts(model, at[1].reshape(-1, 2))
         for mode in modes:
-            c, step = mode.value / h, model.step_matrix(linear)
+            c, step = mode.value / h, model.step_matrix()
             step.factor(*at, c * c, c, parts)
             self.backend, solver = step.backend, Solver(np.array([c]), step.corotated, step.room, *_border(model, step, c, at, tied))
             self.real, self.pair = (self.real, solver) if mode.paired else (solver, None)
