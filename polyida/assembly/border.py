@@ -17,8 +17,8 @@ import numpy as np
 from polyida.assembly.arrays import starts
 from polyida.given import on_pairs
 from polyida.jit import pack, part
-from polyida.linear.dense import magnitude, solve_small
-from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve_again
+from polyida.linear.dense import magnitude, put, solve_small
+from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve
 
 ACCURATE = (
     1e-10  # of the sum of an equation's terms: 1e-13 is what elimination leaves of 200 windows of a ladder, more where pivots are too small
@@ -156,7 +156,7 @@ def body_of_points(model):
 
 def border_room(model, pattern, dtype=float):
     """Numbers of a Border."""
-    s, count = model.arrays.links, len(pattern.elimination.right)
+    s, count = model.arrays.links, len(pattern.elimination.diagonal)
     first, blocks = len(s.row_columns) + 1, 4 * len(s.coupling.columns)
     slots = np.zeros(first + blocks + len(s.row_columns), dtype)
     slots[first - 1] = 1.0
@@ -216,15 +216,17 @@ def look(s, b, w, moved, m):
 def solve_border(b, w):
     """w.x from w.right, slots and blocks. False where the system is singular."""
     assemble(b, w)
-    if eliminate(b.elimination, w.values, w.x) and is_accurate(b, w):
-        return True
+    if eliminate(b.elimination, w.values, w.x):
+        solve(b.elimination, w.values, w.right, w.x)
+        if is_accurate(b, w):
+            return True
     return solve_pivoted(b, w)
 
 
 @part
 def solve_border_again(b, w):
     """The same for another right-hand side; the elimination was accurate for the one before."""
-    solve_again(b.elimination, w.values, w.right, w.x)
+    solve(b.elimination, w.values, w.right, w.x)
     total = 0.0
     for u in range(w.x.shape[0]):
         total += magnitude(w.x[u])
@@ -233,9 +235,8 @@ def solve_border_again(b, w):
 
 @part
 def assemble(b, w):
-    """w.values = I_w + F G E, and the right-hand side."""
-    for k in range(w.values.shape[0]):
-        w.values[k] = 0.0
+    """w.values = I_w + F G E."""
+    w.values[:] = 0.0
     row = w.vectors[0]
     for n in range(b.block.shape[0] - 1):
         first, count = b.column_start[n], b.column_start[n + 1] - b.column_start[n]
@@ -253,8 +254,6 @@ def assemble(b, w):
                 w.values[b.into[at + j]] += row[j]
     for i in range(b.active.shape[0]):
         w.values[b.elimination.diagonal[i]] += 1.0
-    for u in range(w.right.shape[0]):
-        w.values[b.elimination.right[u]] = w.right[u]
 
 
 @part
@@ -313,7 +312,7 @@ def solve_pivoted(b, w):
     count = w.x.shape[0]
     assemble(b, w)
     matrix = np.empty((count, count), w.x.dtype)
-    expand(b.elimination, w.values, matrix, w.x)
-    for k in range(w.values.shape[0]):
-        w.values[k] = np.nan  # no factors are there for another right-hand side
+    expand(b.elimination, w.values, matrix)
+    put(1.0, w.right, w.x)
+    w.values[:] = np.nan  # no factors are there for another right-hand side
     return solve_small(matrix, w.x)

@@ -2,8 +2,8 @@
 
 The pattern is given by groups of unknowns that are all coupled to each other, like the bodies of a mechanism. Unknowns of the same groups
 are eliminated together, those with the fewest neighbours first (minimum degree). Each elimination works on a small dense matrix, its front:
-the unknowns that it eliminates, then their neighbours, and a column for the right-hand side. What is left of it is added to the front of
-the neighbour that is next (Duff and Reid 1983). There is no pivoting: a pivot that is small beside the diagonal ends the elimination.
+the unknowns that it eliminates, then their neighbours. What is left of it is added to the front of the neighbour that is next (Duff and
+Reid 1983). There is no pivoting: a pivot that is small beside the diagonal ends the elimination.
 """
 
 import heapq
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.jit import entry, pack, part
+from polyida.jit import entry, pack
 from polyida.linear.dense import magnitude
 
 SMALL = 1e-10  # of a diagonal number: a pivot that is smaller has lost most of its digits
@@ -19,11 +19,11 @@ SMALL = 1e-10  # of a diagonal number: a pivot that is smaller has lost most of 
 
 @pack
 class Elimination(NamedTuple):
-    """The fronts in their order, by number: how many unknowns each eliminates and how many it has, its first number in the values (rows of
-    `size + 1` numbers), its first entry in `unknowns`, and its parent, -1 without one.
+    """The fronts in their order, by number: how many unknowns each eliminates and how many it has, its first number in the values, a square
+    matrix, its first entry in `unknowns`, and its parent, -1 without one.
 
     unknowns: of all fronts, those that are eliminated first. into: the place of each in the parent's front, behind the eliminated ones.
-    diagonal, right: where the values of each unknown's diagonal number and right-hand side are.
+    diagonal: where the value of each unknown's diagonal number is.
     """
 
     pivots: np.ndarray
@@ -34,7 +34,6 @@ class Elimination(NamedTuple):
     unknowns: np.ndarray
     into: np.ndarray
     diagonal: np.ndarray
-    right: np.ndarray
 
 
 def elimination(count, groups):
@@ -42,14 +41,11 @@ def elimination(count, groups):
     fronts = _merged(_fronts(_alike(count, groups)))
     pivots, size = (np.array([len(part) for part in parts], np.int64) for parts in (zip(*fronts) if fronts else ((), ())))
     size = size + pivots
-    start, first = (np.concatenate([[0], np.cumsum(numbers)]).astype(np.int64) for numbers in (size * (size + 1), size))
+    start, first = (np.concatenate([[0], np.cumsum(numbers)]).astype(np.int64) for numbers in (size * size, size))
     unknowns = np.array([u for front in fronts for part in front for u in part], np.int64)
-    made = Elimination(
-        pivots, size, start, first, -np.ones_like(pivots), unknowns, np.zeros_like(unknowns), *np.zeros((2, count), np.int64)
-    )
-    front, place = _own(made, count)
-    made.diagonal[:] = start[front] + place * (size[front] + 2)
-    made.right[:] = start[front] + place * (size[front] + 1) + size[front]
+    made = Elimination(pivots, size, start, first, -np.ones_like(pivots), unknowns, np.zeros_like(unknowns), np.zeros(count, np.int64))
+    front, place = _own(made)
+    made.diagonal[:] = start[front] + place * (size[front] + 1)
     for f, (_, border) in enumerate(fronts):
         if border:
             made.parent[f] = front[border].min()
@@ -59,9 +55,9 @@ def elimination(count, groups):
 
 def positions(e, rows, columns):
     """Where the values of the entries (rows, columns), arrays of unknowns that share a group, are."""
-    front, _ = _own(e, len(e.right))
+    front, _ = _own(e)
     of = np.minimum(front[rows], front[columns])
-    return e.start[of] + _places(e, of, rows) * (e.size[of] + 1) + _places(e, of, columns)
+    return e.start[of] + _places(e, of, rows) * e.size[of] + _places(e, of, columns)
 
 
 def _alike(count, groups):
@@ -122,9 +118,9 @@ def _merged(fronts):
     return [front for f, front in enumerate(fronts) if f not in gone]
 
 
-def _own(e, count):
+def _own(e):
     """The front in which each unknown is eliminated, and its place there."""
-    front, place = np.zeros((2, count), np.int64)
+    front, place = np.zeros((2, len(e.diagonal)), np.int64)
     for f, (at, pivots) in enumerate(zip(e.first[:-1], e.pivots)):
         front[e.unknowns[at : at + pivots]], place[e.unknowns[at : at + pivots]] = f, np.arange(pivots)
     return front, place
@@ -132,7 +128,7 @@ def _own(e, count):
 
 def _places(e, fronts, unknowns):
     """The place of each unknown in a front that has it."""
-    count = len(e.right)
+    count = len(e.diagonal)
     keys = np.repeat(np.arange(len(e.size)), e.size) * count + e.unknowns
     order = np.argsort(keys)
     at = order[np.searchsorted(keys, fronts * count + unknowns, sorter=order)]
@@ -140,82 +136,63 @@ def _places(e, fronts, unknowns):
 
 
 @entry
-def eliminate(e, values, x):
-    """Fill x with the solution of the system that `values` holds, which are overwritten. False where a pivot is too small."""
-    for u in range(x.shape[0]):
-        x[u] = values[e.diagonal[u]]
+def eliminate(e, values, sizes):
+    """Turn `values` into factors; `sizes` is scratch for a number of each unknown. False where a pivot is too small."""
+    for u in range(sizes.shape[0]):
+        sizes[u] = values[e.diagonal[u]]
     for f in range(e.size.shape[0]):
         n, at = e.size[f], e.start[f]
-        wide = n + 1
         for k in range(e.pivots[f]):
-            top = at + k * wide
+            top = at + k * n
             pivot = values[top + k]
-            if not magnitude(pivot) > SMALL * magnitude(x[e.unknowns[e.first[f] + k]]):
+            if not magnitude(pivot) > SMALL * magnitude(sizes[e.unknowns[e.first[f] + k]]):
                 return False
             pivot = 1.0 / pivot
             values[top + k] = pivot
             for i in range(k + 1, n):
-                row = at + i * wide
+                row = at + i * n
                 if values[row + k] != 0.0:
                     factor = values[row + k] * pivot
-                    for j in range(k + 1, wide):
+                    values[row + k] = factor
+                    for j in range(k + 1, n):
                         values[row + j] -= factor * values[top + j]
         if e.parent[f] >= 0:  # add what is left of the front to its parent
             above, first, last = e.start[e.parent[f]], e.first[f], e.size[e.parent[f]]
             for i in range(e.pivots[f], n):
-                row, to = at + i * wide, above + e.into[first + i] * (last + 1)
+                row, to = at + i * n, above + e.into[first + i] * last
                 for j in range(e.pivots[f], n):
                     values[to + e.into[first + j]] += values[row + j]
-                values[to + last] += values[row + n]
-    substitute(e, values, x)
     return True
 
 
 @entry
-def solve_again(e, values, right, x):
-    """Fill x with the solution for another right-hand side, with the factors that `eliminate` left in `values`."""
-    for f in range(e.size.shape[0]):
-        for i in range(e.pivots[f], e.size[f]):
-            values[e.start[f] + i * (e.size[f] + 1) + e.size[f]] = 0.0
+def solve(e, values, right, x):
+    """Fill x with the solution for a right-hand side, with the factors that `eliminate` left in `values`."""
     for u in range(x.shape[0]):
-        values[e.right[u]] = right[u]
+        x[u] = right[u]
     for f in range(e.size.shape[0]):
         n, at, first = e.size[f], e.start[f], e.first[f]
-        wide = n + 1
-        for k in range(e.pivots[f]):
-            share = values[at + k * wide + n] * values[at + k * wide + k]
-            for i in range(k + 1, n):
-                values[at + i * wide + n] -= values[at + i * wide + k] * share
-        if e.parent[f] >= 0:
-            above, last = e.start[e.parent[f]], e.size[e.parent[f]]
-            for i in range(e.pivots[f], n):
-                values[above + e.into[first + i] * (last + 1) + last] += values[at + i * wide + n]
-    substitute(e, values, x)
-
-
-@part
-def substitute(e, values, x):
-    """Fill x from the last front to the first; the diagonal holds the reciprocals of the pivots."""
+        for i in range(1, n):
+            total = x[e.unknowns[first + i]]
+            for k in range(min(i, e.pivots[f])):
+                total -= values[at + i * n + k] * x[e.unknowns[first + k]]
+            x[e.unknowns[first + i]] = total
     for f in range(e.size.shape[0] - 1, -1, -1):
         n, at, first = e.size[f], e.start[f], e.first[f]
         for k in range(e.pivots[f] - 1, -1, -1):
-            row = at + k * (n + 1)
-            total = values[row + n]
+            total = x[e.unknowns[first + k]]
             for j in range(k + 1, n):
-                total -= values[row + j] * x[e.unknowns[first + j]]
-            x[e.unknowns[first + k]] = total * values[row + k]
+                total -= values[at + k * n + j] * x[e.unknowns[first + j]]
+            x[e.unknowns[first + k]] = total * values[at + k * n + k]
 
 
 @entry
-def expand(e, values, matrix, b):
-    """Fill the dense matrix and right-hand side of the system that `values` holds."""
-    for i in range(matrix.shape[0]):
-        b[i] = values[e.right[i]]
-        for j in range(matrix.shape[1]):
-            matrix[i, j] = 0.0
+def expand(e, values, matrix):
+    """Fill the dense matrix of the system that `values` holds."""
+    matrix[:] = 0.0
     for f in range(e.size.shape[0]):
         n, at, first = e.size[f], e.start[f], e.first[f]
         for i in range(n):
             for j in range(n):
                 if i < e.pivots[f] or j < e.pivots[f]:
-                    matrix[e.unknowns[first + i], e.unknowns[first + j]] = values[at + i * (n + 1) + j]
+                    matrix[e.unknowns[first + i], e.unknowns[first + j]] = values[at + i * n + j]

@@ -8,7 +8,7 @@ from polyida.assembly.border import assemble, is_accurate, solve_border
 from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.stabilised_border import stabilised_room
 from polyida.jit import entry
-from polyida.linear.elimination import eliminate
+from polyida.linear.elimination import eliminate, solve
 from polyida.problems.n_four_bar import n_four_bar
 
 C = {"real": 2e3, "complex": 2e3 * (0.66 + 0.75j)}
@@ -68,7 +68,10 @@ def solved(b, w):
 @entry
 def fixed_order_solves(b, w):
     assemble(b, w)
-    return eliminate(b.elimination, w.values, w.x) and is_accurate(b, w)
+    if not eliminate(b.elimination, w.values, w.x):
+        return False
+    solve(b.elimination, w.values, w.right, w.x)
+    return is_accurate(b, w)
 
 
 def step_of(model, c, lam, q):
