@@ -162,7 +162,7 @@ def solve(w, k, right, below, bar, now, multipliers, found):
     products.body_products(plates, w.viscosity, u, v, now, x.rotation, x)
     hold(w, k, x)
     for iteration in range(MOST):
-        products.point_products(links, w.laws, w.room.slopes, now, multipliers, x)
+        products.point_products(links, w.laws, w.room.border.slopes, now, multipliers, x)
         residual(w, right, below, x)
         free = correct(links, w.factored, w.room, w.now[R], w.rows[PHI], w.now[DW], w.rows[DMU])
         if free < 0.0:
@@ -173,7 +173,7 @@ def solve(w, k, right, below, bar, now, multipliers, found):
         products.body_products(plates, w.viscosity, u, v, now, x.rotation[:0], x)
         small, hopeless = judge(w, moved, size, last, iteration)
         if small:
-            products.point_products(links, w.laws, w.room.slopes, now, multipliers, x)
+            products.point_products(links, w.laws, w.room.border.slopes, now, multipliers, x)
             n = x.stiff.shape[0]
             lost = carray(pointer(found), (2 * n, 2))
             for i in range(n):

@@ -59,12 +59,14 @@ class Border(NamedTuple):
 @pack
 class BorderRoom(NamedTuple):
     """Numbers of a Border, float or complex: slots of E and F, the bodies' matrices, values of the elimination, right-hand side, unknowns;
-    scratch, vectors (3, .) and answers of a body, and of equations their left-hand sides and the sums of their terms. curvature: a view of
-    its slots.
+    scratch, vectors (3, .) and answers of a body, and of equations their left-hand sides and the sums of their terms. slopes, curvature, rates:
+    views of the slots of Bz, C and Hz.
     """
 
     slots: np.ndarray
+    slopes: np.ndarray
     curvature: np.ndarray
+    rates: np.ndarray
     blocks: np.ndarray
     values: np.ndarray
     right: np.ndarray
@@ -163,7 +165,9 @@ def border_room(model, pattern, dtype=float):
     wide, columns = (int(np.diff(each).max(initial=0)) for each in (2 * pattern.layers * pattern.point_start, pattern.column_start))
     return BorderRoom(
         slots,
+        slots[: first - 1],
         slots[first : first + blocks].reshape(-1, 2, 2),
+        slots[first + blocks :],
         np.zeros(pattern.block[-1], dtype),
         np.zeros(pattern.elimination.start[-1], dtype),
         np.zeros(count, dtype),
@@ -183,33 +187,17 @@ def body_blocks(pattern, left, right):
 
 
 @part
-def put_slopes(w, slopes, first):
-    """Slopes of the rows into the slots from `first` on."""
-    for e in range(slopes.shape[0]):
-        w.slots[first + e] = slopes[e]
-
-
-@part
-def look(s, b, w, moved, m):
-    """right = F moved, moved (points, 2) = A y, and for mu with Hz."""
-    count, first = b.active.shape[0], s.row_columns.shape[0] + 1
-    for i in range(count):
-        total, p, axis = 0.0, b.active[i] // 2, b.active[i] % 2
-        for block in range(s.coupling.start[p], s.coupling.start[p + 1]):
-            q = s.coupling.columns[block]
-            total += w.curvature[block, axis, 0] * moved[q, 0] + w.curvature[block, axis, 1] * moved[q, 1]
-        w.right[i] = total
-    behind = first + 4 * s.coupling.columns.shape[0]
-    for k in range(m):
-        total = rate = 0.0
-        for e in range(s.row_start[k], s.row_start[k + 1]):
-            q = s.row_columns[e]
-            total += w.slots[e] * moved[q // 2, q % 2]
-            if b.layers == 2:
-                rate += w.slots[behind + e] * moved[q // 2, q % 2]
-        w.right[count + k] = total
-        if b.layers == 2:
-            w.right[count + m + k] = rate
+def look(b, w, moved):
+    """right = F moved, moved (points, 2) = A y, in the first layer."""
+    for u in range(w.right.shape[0]):
+        w.right[u] = 0.0
+    for n in range(b.block.shape[0] - 1):
+        layer = width(b, n) // b.layers
+        for r in range(b.row_start[n], b.row_start[n + 1]):
+            for e in range(b.row_entry[r], b.row_entry[r + 1]):
+                at = b.row_component[e]
+                if at < layer:
+                    w.right[b.rows[r]] += w.slots[b.row_slot[e]] * moved[b.points[b.point_start[n] + at // 2], at % 2]
 
 
 @part

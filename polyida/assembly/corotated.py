@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.border import Border, BorderRoom, body_of_points, border, border_room, look, put_slopes, solve_border
+from polyida.assembly.border import Border, BorderRoom, body_of_points, border, border_room, look, solve_border
 from polyida.assembly.equilibrium import combined, symmetric_blocks
 from polyida.assembly.own_laws import add_own_curvature
 from polyida.assembly.rows import joints
@@ -53,7 +53,6 @@ class Room(NamedTuple):
     turn: np.ndarray
     spin: np.ndarray
     moved: np.ndarray
-    slopes: np.ndarray
     border: BorderRoom
     pull: np.ndarray
     own: np.ndarray
@@ -126,7 +125,6 @@ def room(model, system):
         np.empty((model.n_nodes, 2)),
         np.empty((model.n_points, 2)),
         np.empty((model.n_points, 2), dtype),
-        np.empty(len(model.arrays.links.row_columns)),
         border_room(model, system.border, dtype),
         np.empty(2 * model.n_points, dtype),
         np.zeros((0 if model.laws is None else coupled, 2, 2), dtype),
@@ -259,10 +257,9 @@ def add_masses(s, c_m, curvature):
 
 @part
 def hold_border(s, c, w, drives, dz):
-    """G of the bodies and w.slopes = Bz of a state, whose frames are at hand."""
+    """G of the bodies and Bz of a state, whose frames are at hand."""
     points_matrix(s, c, w, c.border, w.border.blocks, 0)
-    joints.joint_jacobian(s, drives, dz, w.slopes)
-    put_slopes(w.border, w.slopes, 0)
+    joints.joint_jacobian(s, drives, dz, w.border.slopes)
 
 
 @part
@@ -272,28 +269,28 @@ def close(s, c, w, phi, dlam):
     `dq = y - X s`, `s = w + Bz^T dlam`, `w = C A dq`: unknowns w on the active components and dlam,
     `(I + C G) w + C G Bz^T dlam = C A y`, `Bz G w + Bz G Bz^T dlam = Bz A y + phi`.
     """
-    look(s, c.border, w.border, w.moved, phi.shape[0])
+    look(c.border, w.border, w.moved)
     count = c.border.active.shape[0]
     for k in range(phi.shape[0]):
         w.border.right[count + k] += phi[k]
     if not solve_border(c.border, w.border):
         return False
-    pull_of(s, c.border, w.border.x, w.slopes, w.pull, dlam)
+    pull_of(s, c.border, w.border, w.pull, dlam)
     return True
 
 
 @part
-def pull_of(s, b, x, slopes, pull, dlam):
-    """dlam and pull = w + Bz^T dlam of the unknowns x."""
+def pull_of(s, b, w, pull, dlam):
+    """dlam and pull = w + Bz^T dlam of the unknowns."""
     count = b.active.shape[0]
     for i in range(pull.shape[0]):
         pull[i] = 0.0
     for i in range(count):
-        pull[b.active[i]] = x[i]
+        pull[b.active[i]] = w.x[i]
     for k in range(dlam.shape[0]):
-        dlam[k] = x[count + k]
+        dlam[k] = w.x[count + k]
         for e in range(s.row_start[k], s.row_start[k + 1]):
-            pull[s.row_columns[e]] += slopes[e] * dlam[k]
+            pull[s.row_columns[e]] += w.slopes[e] * dlam[k]
 
 
 @part

@@ -12,18 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly import corotated
-from polyida.assembly.border import (
-    Border,
-    BorderRoom,
-    body_blocks,
-    border,
-    border_room,
-    look,
-    put_slopes,
-    solve_border,
-    solve_border_again,
-    width,
-)
+from polyida.assembly.border import Border, BorderRoom, body_blocks, border, border_room, look, solve_border, solve_border_again, width
 from polyida.assembly.equilibrium import momentum
 from polyida.assembly.rows import joints
 from polyida.jit import pack, part
@@ -38,12 +27,11 @@ class StabilisedRoom(NamedTuple):
     room: BorderRoom
     swing: np.ndarray
     moved: np.ndarray
-    rate_slopes: np.ndarray
 
 
 def stabilised_room(model, dtype=float):
     """Scratch for the borders of a model's step matrices, float or complex."""
-    pattern, links, points = model.once(border_with_rates, of_shape=True), model.arrays.links, (model.n_points, 2)
+    pattern, points = model.once(border_with_rates, of_shape=True), (model.n_points, 2)
     numbers, flat = border_room(model, pattern, dtype), model.once(overlaps, of_shape=True)
     at = 0
     for begin, end in zip(pattern.block, pattern.block[1:]):
@@ -51,7 +39,7 @@ def stabilised_room(model, dtype=float):
         block = numbers.blocks[begin:end].reshape(2 * size, 2 * size)
         block[size:, size:] = -flat[at : at + size * size].reshape(size, size)
         at += size * size
-    return StabilisedRoom(pattern, numbers, np.zeros(points, dtype), np.empty(points, dtype), np.empty(len(links.row_columns)))
+    return StabilisedRoom(pattern, numbers, np.zeros(points, dtype), np.empty(points, dtype))
 
 
 def border_with_rates(model):
@@ -101,13 +89,11 @@ def stabilised_border(s, c, cm, cr, w, drives, dz, vz, lam, c_v, anew, dq, r3, r
         corotated.points_matrix(s, c, cr, b, y.blocks, 0)
         corotated.points_matrix(s, cm, cr, b, y.blocks, 1)
         add_masses(s, b, c_v, y.blocks)
-        joints.joint_jacobian(s, drives, dz, cr.slopes)
-        joints.joint_rate_jacobian(s, drives, dz, vz, w.rate_slopes)
-        put_slopes(y, cr.slopes, 0)
-        put_slopes(y, w.rate_slopes, y.slots.shape[0] - w.rate_slopes.shape[0])
+        joints.joint_jacobian(s, drives, dz, y.slopes)
+        joints.joint_rate_jacobian(s, drives, dz, vz, y.rates)
         corotated.fill_curvature(s, cr, y.curvature, drives, lam, c_v * c_v)
     joints.point_values(s, dq, w.moved)
-    look(s, b, y, w.moved, m)
+    look(b, y, w.moved)
     count = b.active.shape[0]
     for k in range(m):
         y.right[count + k] -= r3[k]
@@ -140,12 +126,12 @@ def apply_border(s, c, cm, cr, w, c_v, dq, dlam, dmu):
     """dq -= X (w + Bz^T dlam + c m A A^T Bz^T dmu) + c S^-1 M A^T Bz^T dmu; w.swing = Bz^T dmu."""
     clear(w.swing)
     b, m = w.border, dlam.shape[0]
-    corotated.pull_of(s, b, w.room.x, cr.slopes, cr.pull, dlam)
+    corotated.pull_of(s, b, w.room, cr.pull, dlam)
     for k in range(m):
         dmu[k] = w.room.x[b.active.shape[0] + m + k]
         for e in range(s.row_start[k], s.row_start[k + 1]):
             p = s.row_columns[e]
-            w.swing[p // 2, p % 2] += cr.slopes[e] * dmu[k]
+            w.swing[p // 2, p % 2] += w.room.slopes[e] * dmu[k]
     for n in range(b.block.shape[0] - 1):
         wide, points = width(b, n), b.points[b.point_start[n] : b.point_start[n + 1]]
         size = wide // 2

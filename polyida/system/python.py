@@ -253,23 +253,19 @@ def _kept(copy):
     return found
 
 
-class DenseMatrix:
+class DenseMatrix(StepMatrix):
     """S of a small model, made by its table; it is factored with B in compiled code."""
 
-    backend, solves = "dense LU", 0
-    near_any_state, caution = StepMatrix.near_any_state, StepMatrix.caution
+    backend = "dense LU"
 
     def __init__(self, model, table):
-        self.model, self.table, self.made_at, self.S = model, table, np.zeros(0), None
+        super().__init__(model)
+        self.table = table
 
     def factor(self, t, q, v, a, lam, c_m, c_v):
         """Make S at a state."""
         self.table.make(t, q, v, a, lam, c_m, c_v)
         self.read()
-
-    def again(self, made_at, c_m, c_v):
-        """Make S as it was made before."""
-        self.factor(float(made_at[0]), *np.split(made_at[1:], np.cumsum([self.model.n] * 3)), c_m, c_v)
 
     def read(self):
         """Take the S that the table made last."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.border import Border, BorderRoom, body_blocks, body_of_points, border, border_room, put_slopes, solve_border
+from polyida.assembly.border import Border, BorderRoom, body_blocks, body_of_points, border, border_room, solve_border
 from polyida.assembly.rows import joints
 from polyida.jit import entry, pack, part
 
@@ -31,12 +31,11 @@ class Tie(NamedTuple):
 def tie(model):
     """The Tie of a scene."""
     points, m = model.n_points, model.m
-    shapes = (m, m, len(model.arrays.links.row_columns), (points, 2), (points, 2))
-    rate, bias, slopes, vz, pull = map(np.empty, shapes)
+    rate, bias, vz, pull = map(np.empty, (m, m, (points, 2), (points, 2)))
     pattern, (reach, place, blocks) = model.once(border_of_rows, of_shape=True), model.once(point_columns)
     numbers = border_room(model, pattern)
     numbers.blocks[:] = blocks
-    return Tie(reach, place, pattern, numbers, numbers.x, rate, bias, slopes, vz, pull)
+    return Tie(reach, place, pattern, numbers, numbers.x, rate, bias, numbers.slopes, vz, pull)
 
 
 def border_of_rows(model):
@@ -113,7 +112,6 @@ def velocity_rate(s, drives, dz, v, t):
 @part
 def project(s, t, wanted, x):
     """x -= M^-1 phi_q^T eta with `phi_q M^-1 phi_q^T eta = wanted`. False where that is singular."""
-    put_slopes(t.room, t.slopes, 0)
     for i in range(wanted.shape[0]):
         t.room.right[i] = wanted[i]
     if not solve_border(t.border, t.room):
