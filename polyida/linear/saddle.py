@@ -40,10 +40,13 @@ def assemble(tangent, phi_q, size=1.0, pull=None):
 
 
 class KKT:
-    """A factorization of the system, in the physical scaling unless another `size` is given. Raises SingularSystem."""
+    """A factorization of the system, by default with the power of two for `size` that is nearest the physical one, which rounds nothing.
+
+    Raises SingularSystem.
+    """
 
     def __init__(self, tangent, phi_q, size=None, pull=None):
-        self.n, self.size = tangent.shape[0], size or typical(tangent)
+        self.n, self.size = tangent.shape[0], size or 2.0 ** np.round(np.log2(typical(tangent)))
         self.lu = LU(assemble(tangent, phi_q, self.size, pull), pivoting=True)
 
     def solve(self, r, phi, transposed=False):
