@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -122,20 +121,27 @@ def total(model: Any, work: AdjointMultipliers) -> float:
     return float(result)
 
 
-def sum_of(model):
-    """A function (work) that gives `total` of a guarded model of one's own; in compiled code where numba compiled its functions."""
-    if not (unguarded(model).by_numba and small_own(model)):
-        return partial(total, model)
-    table = small_table(model)
+def values_of(model):
+    """A function (work) that gives all that its factors multiply, r, phi, rate and bias of all entries, one behind the other.
 
-    def compiled(work):
-        table.hold_constant(float(work.t[0]), work.q[0])
-        none = np.zeros((0, model.m))
-        given = (none if x is None else np.ascontiguousarray(x, float) for x in work)
-        ended, found = small.work(table.w, *given)
-        return found if ended == DONE else total(model, work)
+    In compiled code where numba compiled the functions of a guarded model of one's own.
+    """
+    table = small_table(model) if unguarded(model).by_numba and small_own(model) else None
 
-    return compiled
+    def values(work):
+        state, (w, *rows) = [np.ascontiguousarray(x, float) for x in work[:5]], work[5:]
+        found = [np.zeros(np.shape(w)), *(np.zeros((0 if x is None else len(x), model.m)) for x in rows)]
+        if table:
+            table.hold_constant(float(work.t[0]), work.q[0])
+        if not table or small.values(table.w, *state, *found) != DONE:
+            for k, (t, q, v, a, lam) in enumerate(zip(work.t.tolist(), *state[1:])):
+                found[0][k] = model.residual(t, q, v, a, lam)
+                for made, function, given in zip(found[1:], (model.phi, model.phi_rate, model.phi_bias), ((q,), (q, v), (q, v))):
+                    if len(made):
+                        made[k] = function(t, *given)
+        return np.concatenate([x.ravel() for x in found])
+
+    return values
 
 
 def entries_of(work, which):

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from polyida.adjoint.parameter import OfPart, Parameter, Shared, changed, entries_of, sum_of, total, with_part
+from polyida.adjoint.parameter import AdjointMultipliers, OfPart, Parameter, Shared, changed, entries_of, total, values_of, with_part
 from polyida.adjoint.profile_parameters import drive_works, element_work, in_time, of_profiles, over
 from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
@@ -289,12 +289,12 @@ class OfOwnModel(Parameter):
     """An attribute of a model, a number or an array."""
 
     @cached_property
-    def _sums(self):
-        """{value: what adds up multipliers times equations of the copy of the model that has it}."""
+    def _values(self):
+        """{value: `values_of` the copy of the model that has it}."""
         return {}
 
     def slope(self, work):
-        """By the model's residual_p and phi_p as far as it writes these; by differences of the sum over all entries, of copies of the model."""
+        """By the model's residual_p and phi_p as far as it writes these; by differences of copies of the model."""
         result, model, own = np.zeros(np.shape(self.value)), guard(self.model), unguarded(self.model)
         if writes(own, "residual_p"):
             for w, *state in zip(work.w, work.t.tolist(), work.q, work.v, work.a, work.lam):
@@ -312,17 +312,19 @@ class OfOwnModel(Parameter):
 
     def _by_differences(self, work, t):
         """Of entries that no kink that moves with the number passes; t: their time, or None if the model has no kinks."""
-        if not any(factors is not None and factors.any() for factors in work[5:]):
+        work = AdjointMultipliers(*work[:6], *(None if x is None or not x.any() else x for x in work[6:]))
+        weights = np.concatenate([x.ravel() for x in work[5:] if x is not None])
+        if not weights.any():
             return 0.0
 
-        def summed(model):
+        def values(model):
             key = np.asarray(model.parameter(self.name), float).tobytes()
-            found = self._sums.get(key) or sum_of(guard(model))
+            found = self._values.get(key) or values_of(guard(model))
             if t is None:  # the same few values for all entries
-                self._sums[key] = found
-            return np.array([found(work)])
+                self._values[key] = found
+            return found(work)
 
-        return self.model.slope_p(self.name, summed, t)[0]
+        return np.tensordot(weights, self.model.slope_p(self.name, values, t), 1)
 
     def of_model(self, function):
         """By differences of copies of the model."""

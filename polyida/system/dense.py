@@ -421,29 +421,24 @@ def acceleration(w, instant, q, v, a, lam, e, f):
 
 
 @entry
-def work(d, t, q, v, a, lam, w, mu, kappa, nu):
-    """(how it ended, `sum w . r + mu . phi + kappa . rate + nu . bias`) over states (k, .); of mu, kappa and nu each may be (0, m)."""
-    n, m, found = d.q.shape[0], d.lam.shape[0], 0.0
+def values(d, t, q, v, a, lam, r, phi, rates, biases):
+    """Fill r, phi, phi's rate and bias of states (k, .); of the last three each may be (0, m). Returns how it ended."""
+    n, ended = d.q.shape[0], DONE
     for k in range(t.shape[0]):
         d.times[0, INNER] = d.times[0, END] = t[k]
         given = address(q[k]), address(v[k]), address(a[k]), address(lam[k])
-        ended = residual(d, 0, given[0], given[1], given[2], given[3], address(d.x), address(d.x[n:]))
-        for i in range(n):
-            found += w[k, i] * d.x[i]
-        for i in range(mu.shape[1] if mu.shape[0] else 0):
-            found += mu[k, i] * d.x[n + i]
-        if ended == DONE and kappa.shape[0]:
-            ended = rate(d, 0, given[0], given[1], address(d.x), 0, 0, 0)
-            for i in range(m):
-                found += kappa[k, i] * d.x[i]
-        if ended == DONE and nu.shape[0]:
+        ended = residual(d, 0, given[0], given[1], given[2], given[3], address(r[k]), address(d.x[n:]))
+        if phi.shape[0]:
+            phi[k] = d.x[n:]
+        if ended == DONE and rates.shape[0]:
+            ended = rate(d, 0, given[0], given[1], address(rates[k]), 0, 0, 0)
+        if ended == DONE and biases.shape[0]:
             take(d, 0, given[0], given[1])
             ended = bias(d)
-            for i in range(m):
-                found += nu[k, i] * d.phi_bias[i]
+            biases[k] = d.phi_bias
         if ended != DONE:
-            return ended, found
-    return DONE, found
+            return ended
+    return DONE
 
 
 @cache
