@@ -1,9 +1,20 @@
 """Wrong input is answered before any run, by a message that names the part and the value."""
 
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import polyida as pi
+from polyida.adjoint.parameters import parameters_of
+from polyida.mesh import Circle, Intersection, Rectangle, polygonize
+from polyida.show import plates
+from polyida.show.animation import animation
+from polyida.study.chosen import load
+from polyida.study.compare import compare
 
 MATERIAL = pi.Material(50e6, 0.3, 1100.0)
 MESH = pi.mesh.rectangle(1.0, 0.1, cells=20, seed=1)
@@ -206,6 +217,258 @@ def test_message_names_part_and_value(case):
     message = str(caught.value)
     assert all(word in message for word in words), message
     assert len(message) < 300 and "\n" not in message
+
+
+ALPHA, IDA, RADAU = pi.GeneralizedAlpha(h=1e-3), pi.IDA(), pi.RadauIIA(h=1e-3)
+AWAY = pi.objective.Deviation("tip", (1.0, 0.0))
+POINT = {"A": (0.0, 0.0)}
+
+
+@cache
+def run(until=0.01, **options):
+    """A short run of a hinged plate with a tip mass and a load and a motor that follow profiles."""
+    board = plate()
+    end = board.section("right")
+    parts = (
+        board,
+        hinge(board),
+        pi.PointMass(end, 1.0, name="tip"),
+        pi.PointLoad(end, (0.0, 1.0), pi.profile.polynomial([1.0, 1.0]), name="wind"),
+    )
+    drive = pi.AngleMotor(pi.ground, board.section("left"), lambda t: t * t, name="drive")
+    return pi.solve(scene(*parts, drive), until, ALPHA)
+
+
+def onward():
+    return pi.solve(run().model, 0.02, ALPHA, state=run().state)
+
+
+@cache
+def welded():
+    """A run of a bar on a weld, which has forces and a moment."""
+    bar = pi.RigidBody.bar(1.0, 1.0, name="bar")
+    return pi.solve(scene(bar, pi.Weld(bar.at("left"), pi.ground, name="wall")), 0.01, ALPHA)
+
+
+class Own(pi.Model):
+    """A pendulum of a user's own."""
+
+    n, m = 2, 1
+
+    def mass(self, q):
+        return np.eye(2)
+
+    def force(self, t, q, v):
+        return np.array([0.0, 9.81])
+
+    def phi(self, t, q):
+        return np.array([q @ q - 1.0])
+
+    def phi_q(self, t, q):
+        return 2.0 * q[None]
+
+
+def own(**functions):
+    """A run of such a model with other functions or attributes."""
+    return pi.solve(type("Own", (Own,), functions)(), 0.01, ALPHA, q0=[-1.0, 0.0])
+
+
+def factors(**given):
+    board, rod = plate(), pi.Rigid(plate("rod", origin=(0.0, 1.0)))
+    return scene(board, rod, hinge(board)).with_factors(**given)
+
+
+def condition(integrator, *choice, **more):
+    return pi.condition_number(run().model, integrator, run().state, *choice, **more)
+
+
+def precision(*about, **more):
+    about = about or ("pendulum", 0.01)
+    return pi.study.work_precision(*about, **({"integrators": {"IDA": IDA}} | more))
+
+
+def step_sizes(**more):
+    return pi.study.step_sizes("pendulum", 0.01, **({"integrators": {"alpha": lambda h: pi.GeneralizedAlpha(h=h)}} | more))
+
+
+def digits(**more):
+    return {"q": np.zeros(2), "v": np.zeros(2), "lam": np.zeros(1)} | more
+
+
+def mounted_twice():
+    """Two bodies of one plate, which has one place."""
+    made, one = pi.Scene(), plate()
+    for name, place in (("x", 0.01), ("y", 0.5)):
+        made.add(pi.Revolute(pi.ground.at((place, 0.0)), made.add(pi.Rigid(one, name=name)).section("left")))
+    return made.assemble()
+
+
+def sprung():
+    board = plate()
+    spring = pi.SpringDamper(pi.ground.at((1.0, 1.0)), board.section("right"), 1.0, force=lambda e, rate: "much", name="spring")
+    return pi.solve(scene(board, spring), 0.01, ALPHA)
+
+
+@cache
+def standing(number=1):
+    """Modes of a clamped plate, or of a model of a user's own that hangs."""
+    board = plate()
+    return pi.modes(scene(board, pi.Clamp(board.section("left"))), count=number)
+
+
+def held():
+    """As many constraints as coordinates."""
+    return type("Held", (Own,), {"m": 2, "phi": lambda self, t, q: q - [0.0, -1.0], "phi_q": lambda self, t, q: np.eye(2)})()
+
+
+def free():
+    return type("Free", (Own,), {"m": 0, "force": lambda self, t, q, v: 3.0 * q})()
+
+
+def loose():
+    return type("Loose", (Own,), {"m": 0, "mass": lambda self, q: np.diag([1.0, 0.0]), "force": lambda self, t, q, v: 3.0 * q})()
+
+
+def named_kinks(self, t0, t1):
+    return ["soon"]
+
+
+def doubled():
+    """A reaction that is shared by two joints at will."""
+    board = plate()
+    model = pi.Scene.build(_scene(board, pi.Clamp(board.section("left")), hinge(board, "double")), redundant="least-norm")
+    still = pi.Trajectory(model, "by hand", np.zeros(1), *np.zeros((3, 1, model.n)), np.zeros((1, model.m)))
+    return pi.objective.PeakReaction("double").slopes(still)
+
+
+def _scene(*parts):
+    made = pi.Scene()
+    for part in parts:
+        made.add(part)
+    return made
+
+
+MORE = [  # (what is wrong, what the message says)
+    (lambda: factors(uper=(1.0, 1.0)), "'uper' is no part of the scene; plates: 'board'"),
+    (lambda: factors(rod=(1.0, 1.0)), "'rod' is a Rigid: only the cells of full plates have factors"),
+    (lambda: factors(board=0.5), "board = 0.5 must be a pair"),
+    (lambda: factors(board=(np.ones(3), 1.0)), r"stiffness of 'board' .* of shape \(3,\), must be a positive number, or one for each"),
+    (lambda: factors(board=(1.0, -0.5)), "mass of 'board' is -0.5: factors must be positive"),
+    (lambda: condition(ALPHA, "none", "p"), "unknown = 'p' must be one of"),
+    (lambda: condition(IDA, "none", "v", h=1e-3), "unknown = 'v' must be 'q'"),
+    (lambda: condition(IDA, "none", h=-1), "h = -1 must be a positive step"),
+    (lambda: condition(IDA), "h = None must be a positive step"),
+    (lambda: condition(pi.GeneralizedAlpha()), "h = None must be a positive step in s: GeneralizedAlpha"),
+    (lambda: condition(ALPHA, mode="real"), "must be None for GeneralizedAlpha"),
+    (lambda: condition(RADAU, mode="both"), "mode = 'both' must be one of real, complex"),
+    (lambda: condition(pi.RadauIIA(stages=2), h=1e-3, mode="real"), "must be 'complex' for RadauIIA of two stages"),
+    (lambda: condition(pi.EnergyMomentum(h=1e-3)), "must be GeneralizedAlpha, IDA or RadauIIA"),
+    (lambda: pi.gradient(run(), AWAY, 2), "list of names"),
+    (lambda: pi.gradient(run(), len), "no objective"),
+    (lambda: pi.gradient(3, AWAY), "no run"),
+    (lambda: pi.gradient(replace(run(), integrator=pi.GeneralizedAlpha(3e-3)), AWAY), "not steps"),
+    (lambda: pi.gradient(run(), AWAY)["board.colour"], "known"),
+    (lambda: pi.gradient(onward(), AWAY), "goes on from a state of another one"),
+    (lambda: pi.check_gradient(run(), AWAY, seed=-1), "seed = -1 must be"),
+    (lambda: parameters_of(run().model)["wind.coefficients"].replaced((1.0,)), "wind.coefficients: .* must be 2 finite numbers"),
+    (lambda: parameters_of(type("Own", (Own,), {"parameters": "weight"})()), r"must be a tuple of names, such as \(.weight.,\)"),
+    (
+        lambda: parameters_of(type("Own", (Own,), {"parameters": ("red",), "red": "x"})()),
+        "its parameter 'red' must be an attribute that is a number",
+    ),
+    (lambda: pi.objective.Own(lambda run: 1.0 / 0.0, dict)(run()), "Own: value.run., the function <lambda>, raised ZeroDivisionError: "),
+    (lambda: pi.objective.Own(lambda run: "much", dict)(run()), "value.run. must return a finite number"),
+    (lambda: (1.0 * pi.objective.Frequency(10**4))(run()), "number = 10000 is too large"),
+    (lambda: pi.objective.PeakReaction("wall")(welded()), "the reaction of 'wall' is in N and N m; give one of these as unit"),
+    (doubled, "'double' is not unique"),
+    (lambda: pi.objective.StrainEnergy()(own()), "is no scene's model"),
+    (lambda: pi.RigidBody(1.0, 1.0, {}), "points = {} must be a dictionary"),
+    (lambda: pi.RigidBody(1.0, 1.0, POINT, name="crank").at("B"), "'crank': no attachment is called 'B'; known: 'A'"),
+    (lambda: pi.RigidBody.from_mesh("square", MATERIAL, 0.01), "from_mesh takes a polyida mesh"),
+    (lambda: pi.RigidBody.from_mesh(MESH, MATERIAL, 0.01, points=[(0.0, 0.0)]), "points = .* must be a dictionary"),
+    (lambda: pi.Rigid("plate"), "Rigid.*is no plate"),
+    (lambda: pi.Reduced(plate(), modes=-1), "'board': modes = -1 must be a whole number from 0 to 40"),
+    (lambda: pi.Reduced(plate(), modes=0), "modes = 0 leaves no field; give modes, fields, or take Rigid"),
+    (lambda: pi.Reduced(plate(), fields="all"), "fields of shape str"),
+    (lambda: pi.GeneralizedAlpha.newmark(1e-3, 0.25, 0.5), "trapezoidal"),
+    (lambda: pi.GeneralizedAlpha.newmark(1e-3, -0.1, 0.6), "beta > 0"),
+    (lambda: pi.GeneralizedAlpha.newmark(None), "h = None must be a step in s for the member"),
+    (lambda: pi.GeneralizedAlpha.hht(1e-3, 0.0), "alpha = 0.0"),
+    (lambda: pi.GeneralizedAlpha.wbz(1e-3, "soft"), "alpha = 'soft'"),
+    (lambda: pi.problems.get("pendulum").errors(foo=1.0), "'foo' is not in the reference, which knows q, v, lam"),
+    (lambda: pi.problems.get("pendulum").errors(q=[1.0]), r"q has shape \(1,\), the reference has \(2,\)"),
+    (lambda: pi.problems.get("plate-chain", link=3), "has no option 'link'; its options are links, cells, seed"),
+    (lambda: pi.problems.get("slider-crank", level="soft"), "level 'soft' is unknown; known: full, reduced, rigid; its options are level"),
+    (lambda: pi.problems.get("plate-chain").compare(run()), "the run ends at t = 0.01 s, the reference is known at t = 1 s"),
+    (
+        lambda: pi.Clamp(pi.ground.at((0.3, 0.0)), plate().section("left"), name="root"),
+        "Clamp 'root'.*where that is at rest, not at ground",
+    ),
+    (lambda: plate().section("left").d.turned("fast"), "neither a number in rad nor a profile"),
+    (lambda: pi.compiled(3.0), "must be a function, or a subclass of polyida.Model, ForceElement or Body"),
+    (lambda: pi.threads(10**6), "the cores that this process may use"),
+    (lambda: scene(*[plate()] * 2), "board.*already"),
+    (mounted_twice, "'x' would have to move, but it is made of one plate with 'y'"),
+    (sprung, "SpringDamper 'spring': .*must return a number, not much"),
+    (lambda: run().model.force(0.0, np.zeros(2), np.zeros(2)), "has shape"),
+    (lambda: pi.equilibrium_path(run().model, load="drive"), "moves constraints"),
+    (lambda: pi.equilibrium_path(run().model, load=lambda q: 0.0 * q), "the load is zero"),
+    (lambda: pi.linearise(run().model, modes=pi.modes(free(), count=1)), "of another model"),
+    (lambda: pi.linearise(free(), modes=pi.modes(free(), count=1, damped=True)), "modes with damping are complex"),
+    (lambda: pi.linearise(run().model, outputs=("tip", "reaction")), "no joint is called 'tip'; known: 'hinge', 'drive'"),
+    (lambda: pi.modes(held(), pi.consistent_state(held(), q0=[0.0, -1.0])), "cannot move"),
+    (lambda: pi.modes(loose(), count=1), "needs mass"),
+    (lambda: standing().plot(number=3), "number = 3"),
+    (lambda: standing().plot(scale=0.0), "scale = 0.0"),
+    (lambda: own(force=pi.Model.force), "Own has not all"),
+    (lambda: own().plot.deformed(), "is no scene's model"),
+    (lambda: own(kinks=named_kinks), "Own.kinks must return finite times"),
+    (lambda: own(momenta=lambda self, q, v: 1.0).momentum, "Own.momenta must return three"),
+    (lambda: own(powers=lambda self, t, q, v, lam: [1.0], dissipating=()).energy.work, "Own.powers must return"),
+    (lambda: own().model.attachment("tip"), "Own has no named points"),
+    (lambda: own().reaction("tip"), "no joint is called 'tip'"),
+    (lambda: own().plot.reactions(), "has no joints"),
+    (lambda: own().position("tip"), "is no scene's model|has no named points"),
+    (lambda: pi.solve(Own(), 0.01, SimpleNamespace(steps=3), q0=[-1.0, 0.0]), "steps = 3 of SimpleNamespace must be a function"),
+    (lambda: pi.solve(run().model, 1e17, IDA), "16 s apart"),
+    (lambda: swing(precision="half"), "precision = 'half' must be one of double, single"),
+    (lambda: run().save("run.h5", overwrite="no"), "overwrite = 'no' must be True or False"),
+    (lambda: pi.export.vtu(run(), "frames", overwrite="no"), "overwrite = 'no' must be True or False"),
+    (lambda: pi.export.vtu(run(), __file__, overwrite=True), "is a file"),
+    (lambda: pi.export.vtu(welded(), "frames"), "no body of the scene has a mesh"),
+    (lambda: plates.spread(run(), 0), "frames = 0"),
+    (lambda: animation(run(), "run.avi"), "only .gif and .mp4"),
+    (lambda: MESH.cell(99), r"mesh has cells 0\.\.19, not 99"),
+    (lambda: polygonize(Rectangle(1.0, 1.0, (1e9, 0.0)), 10), "move the plate by its origin="),
+    (lambda: Intersection(Circle(1.0), Circle(1.0, (5, 5))), "their bounding boxes do not overlap"),
+    (lambda: polygonize(Circle(1.0) - Circle(2.0), 50), "domain is empty"),
+    (lambda: polygonize(Rectangle(2, 1) - Circle(0.02, (1, 0.5)), 10), "too few"),
+    (lambda: pi.mesh.from_lists(MESH.points, [[0, 0, 0]]), "no cell has three different corners"),
+    (lambda: pi.mesh.from_lists(MESH.points, [MESH.cell(0)], loads={int(MESH.cell(9)[0]): (1.0, 2.0)}), "which is no corner of a cell"),
+    (lambda: precision(3, 1.0), "the model is int; a Model, a Scene, a Problem or the name of one"),
+    (lambda: precision("pendulum", -1.0), "t_end = -1.0 must be a positive time"),
+    (lambda: precision(integrators=None), "integrators = None must be a dictionary"),
+    (lambda: precision(integrators={"alpha": []}), r"integrators\['alpha'\] = \[\] must be one or more integrators"),
+    (lambda: precision(repeats=0), "repeats = 0 must be a whole number of at least 1"),
+    (lambda: precision(reference={"q": [1.0]}), r"reference\['q'\] must be 2 finite numbers"),
+    (lambda: precision(reference=digits(known_to={"q": "little"})), r"reference\['known_to'\]\['q'\]"),
+    (lambda: precision(reference=swing()), "the reference ends at"),
+    (lambda: precision(reference=digits()).plot("a"), "must be one of"),
+    (lambda: step_sizes(h=(0.0,)), "h = .* must be positive steps"),
+    (lambda: step_sizes(integrators={"own": IDA}), "must be a class or a function of h"),
+    (lambda: step_sizes(integrators={"IDA": pi.IDA}), "IDA makes no integrator of a step h: the class takes no h"),
+    (lambda: pi.study.energy("pendulum", 0.01, integrators={"alpha": [ALPHA] * 2}), "one integrator"),
+    (lambda: compare(load("double-plate", cells=8, time=0.01), members=3), "members = 3 must be a dictionary"),
+    (lambda: compare(load("double-plate", cells=8, time=0.01), members={"a/b": IDA}), "label 'a/b' must be the name of a file"),
+    (lambda: pi.study.Result([{"number": 7}]).report(None), "folder = None must be the path"),
+    (lambda: pi.study.Result([{"number": 7}]).report(Path(__file__) / "below"), "cannot be made: Not a directory"),
+]
+
+
+@pytest.mark.parametrize("make, told", MORE, ids=[told for _, told in MORE])
+def test_message_tells_what_is_wrong(make, told):
+    with pytest.raises(ValueError, match=told):
+        make()
 
 
 @pytest.mark.parametrize("content", [None, b"", b"garbage", b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"])

@@ -31,7 +31,7 @@ def chain(tmp_path):
     (package / "called.py").write_text(CALLED.format(1))
 
     def say(processes=1, **environment):
-        own = {"PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "user"), "PYTHONDONTWRITEBYTECODE": "1"}
+        own = {"PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "user"), "PYTHONDONTWRITEBYTECODE": "1", "NUMBA_CACHE_DIR": ""}
         settings = os.environ | own | environment
         started = [
             subprocess.Popen([sys.executable, "-c", SAY], env=settings, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
@@ -115,11 +115,6 @@ def test_the_folder_is_where_numba_was_told_or_where_files_can_be_written(chain,
     shutil.rmtree(package / "__pycache__", ignore_errors=True)
     (package / "__pycache__").write_text("no folder")
     assert say()[0][2].is_relative_to(tmp_path / "user")
-
-
-def test_without_any_folder_kernels_are_compiled_but_not_kept(monkeypatch):
-    monkeypatch.setattr(kernel_cache, "folder", lambda: None)
-    assert entry(lambda x: x + 1.0)(1.0) == 2.0
 
 
 def test_numba_itself_and_the_sources_change_the_name(monkeypatch, tmp_path):

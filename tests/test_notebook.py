@@ -113,13 +113,6 @@ def test_names_are_text_in_a_table(scenes):
     pyplot.close(axes.figure)
 
 
-def test_a_scenes_table_says_what_its_parts_are_given(scenes):
-    text = Parser(scenes.jointed("weld")._repr_html_()).text
-    assert "Scene, gravity (0, -9.81) m/s²" in text and "thickness 0.01" in text and "a Plate 'upper' right, b Plate 'lower' left" in text
-    model = Parser(scenes.jointed("weld").build()._repr_html_()).text
-    assert "SceneModel: n = 132, m = 6, 2 bodies, 2 joints" in model and "66 coordinates" in model and "4 rows of phi" in model
-
-
 def test_a_runs_last_frame_is_drawn(run):
     text = run._repr_html_()
     picture = ElementTree.fromstring(text[text.index("<svg") :])
@@ -147,16 +140,6 @@ def test_a_run_as_a_data_frame(run):
     assert np.array_equal(frame["energy.total"], run.energy.total)
     own = pi.solve(Pendulum(), 0.1, pi.IDA(), q0=[1.0, 0.0])
     assert list(own.to_dataframe().columns) == ["t", "q[0]", "q[1]", "v[0]", "v[1]", "lam[0]"]
-
-
-def test_a_clamp_has_a_column_for_every_node_it_holds(scenes):
-    held = pi.solve(scenes.cantilever()[0].build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
-    (name,) = held.model.joints
-    count = held.reaction(name).shape[1]
-    frame, data = held.to_dataframe(), held.to_xarray()
-    forces = [f"{name}.force_{axis}_{node}" for node in range(1, count // 2 + 1) for axis in "xy"]
-    assert count > 2 and np.array_equal(frame[forces], held.reaction(name)) and list(data.component.values) == forces
-    assert np.array_equal(data.reaction, held.reaction(name)) and len(held.plot.reactions().lines) == count
 
 
 def test_a_run_as_a_data_set(run, monkeypatch):
@@ -193,29 +176,6 @@ def test_pictures_take_and_return_axes(run, name):
     for axes in (given, new):
         axes.figure.canvas.draw()
         pyplot.close(axes.figure)
-
-
-def test_pictures_show_the_run(run):
-    energy, path, pushed = run.plot.energy(), run.plot.tip(), run.plot.reactions()
-    assert {line.get_label() for line in energy.lines} == {"kinetic", "potential", "strain", "total"}
-    assert np.array_equal(energy.lines[3].get_ydata(), run.energy.total)
-    assert np.array_equal(path.lines[0].get_xydata(), run.position("tip"))
-    assert [line.get_label() for line in pushed.lines][-1] == "joint: torque, N m" and len(pushed.lines) == 5
-    bodies = run.plot.deformed([0.0, 0.03])
-    assert (len(bodies.collections), len(bodies.patches)) == (4, 2)  # cells and sticks, outlines, each twice
-    pyplot.close("all")
-
-
-def test_a_picture_that_a_run_does_not_have_is_told(run):
-    own = pi.solve(Pendulum(), 0.1, pi.IDA(), q0=[1.0, 0.0])
-    for draw, said in (
-        (lambda: own.plot.reactions(), "has no joints"),
-        (lambda: run.plot.position("nothing"), "'nothing'"),
-        (lambda: own.plot.deformed(), "is no scene's model"),
-    ):
-        with pytest.raises(pi.InputError, match=said):
-            draw()
-    pyplot.close("all")
 
 
 def test_a_bar_shows_how_far_a_run_is(capsys, monkeypatch, tmp_path):

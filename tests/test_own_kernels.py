@@ -1,9 +1,11 @@
 """Compiled functions of users are kept between processes, and compiled anew if anything changes that their machine code depends on."""
 
 import ctypes
+import importlib
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import types
@@ -20,10 +22,8 @@ from polyida.jit.own_functions import over
 from polyida.mark import machine_mark_of
 
 HELPERS = "SCALE = 2.0\n\n\ndef scaled(x):\n    return SCALE * x\n"
-SCRIPT = """
-import json, sys
-import numba, numpy as np
-from numba.core import event
+FUNCTIONS = """
+import numpy as np
 import polyida as pi
 from own_helpers import scaled
 
@@ -52,6 +52,10 @@ class Own(pi.Model):
 
     def force(self, t, q, v):
         return self.stiffness * q + helper(TABLE) + scaled(shifted(q))
+"""
+SCRIPT = """
+import json
+from numba.core import event
 
 compiled = []
 class Listener(event.Listener):
@@ -82,53 +86,47 @@ NO_CHANGES = {
 }
 
 
-@pytest.fixture(scope="module")
-def start(tmp_path_factory):
-    """Function (edit, processes) -> names of the functions that each of new processes compiles, with the edited script."""
-    place = tmp_path_factory.mktemp("own")
-    own = {"PYTHONPATH": os.pathsep.join([str(place), str(Path(polyida.__file__).parents[1])]), "NUMBA_CACHE_DIR": str(place / "cache")}
+@pytest.mark.parametrize("edit", (CHANGES | NO_CHANGES).values(), ids=CHANGES | NO_CHANGES)
+def test_the_mark_of_a_function_is_that_of_its_machine_code(edit, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    marks = []
+    for change in (("", ""), edit):
+        for name, text in (("own_helpers", HELPERS), ("own_functions_here", FUNCTIONS)):
+            (tmp_path / f"{name}.py").write_text(text.replace(*change))
+            monkeypatch.delitem(sys.modules, name, raising=False)
+        importlib.invalidate_caches()
+        marks.append(machine_mark_of(importlib.import_module("own_functions_here").Own.force))
+    assert None not in marks and (marks[0] != marks[1]) is (edit in CHANGES.values())
 
-    def run(edit=None, processes=1):
-        texts = [text.replace(*edit) if edit else text for text in (HELPERS, SCRIPT)]
-        assert not edit or texts != [HELPERS, SCRIPT]
-        for name, text in zip(("own_helpers", "script"), texts):
-            (place / f"{name}.py").write_text(text)
+
+def test_kept_code_serves_other_processes_and_is_compiled_anew_where_it_does_not_fit(tmp_path):
+    """Each process compares the forces with those in Python, and says what it compiled; polyida's own kernels are there."""
+    kernels = kernel_cache.folder()
+    shutil.copytree(kernels, tmp_path / "cache" / kernels.name, ignore=shutil.ignore_patterns("own_functions.*"))
+    own = {
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(polyida.__file__).parents[1])]),
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+    }
+
+    def compiled(edit=("", ""), processes=1):
+        for name, text in (("own_helpers", HELPERS), ("script", FUNCTIONS + SCRIPT)):
+            (tmp_path / f"{name}.py").write_text(text.replace(*edit))
         settings = os.environ | own | {"PYTHONDONTWRITEBYTECODE": "1"}
-        command = [sys.executable, place / "script.py"]
-        started = [subprocess.Popen(command, env=settings, cwd=place, stdout=subprocess.PIPE, text=True) for _ in range(processes)]
+        command = [sys.executable, tmp_path / "script.py"]
+        started = [subprocess.Popen(command, env=settings, cwd=tmp_path, stdout=subprocess.PIPE, text=True) for _ in range(processes)]
         answers = [process.communicate()[0] for process in started]
         assert [process.returncode for process in started] == [0] * processes
-        return [json.loads(answer) for answer in answers]
+        return [name for answer in answers for name in json.loads(answer)]
 
-    run(processes=2)  # at once with an empty cache
-    run.cache = place / "cache"
-    return run
-
-
-def test_a_second_process_compiles_nothing(start):
-    assert start() == [[]]
-
-
-@pytest.mark.parametrize("edit", CHANGES.values(), ids=CHANGES)
-def test_what_the_machine_code_depends_on_is_compiled_anew(start, edit):
-    """The script itself compares the forces with those in Python."""
-    assert any("Own.force" in name for name in start(edit)[0])
-    assert start(edit) == start() == [[]]
-
-
-@pytest.mark.parametrize("edit", NO_CHANGES.values(), ids=NO_CHANGES)
-def test_what_it_does_not_depend_on_compiles_nothing(start, edit):
-    assert start(edit) == [[]]
-
-
-@pytest.mark.parametrize("damage", [b"", b"no pickle", None])
-def test_a_damaged_file_is_compiled_anew(start, damage):
-    start()
-    files = list(start.cache.rglob("own_functions.*.nbc"))
-    for path in files:
-        path.write_bytes(path.read_bytes()[:200] if damage is None else damage)
-    assert files and any("Own.force" in name for name in start()[0])
-    assert start() == [[]]
+    assert compiled(processes=2)  # at once with an empty cache
+    assert not compiled() and not compiled(NO_CHANGES["the place in the file"])
+    assert any("Own.force" in name for name in compiled(CHANGES["a constant in another file"]))
+    assert not compiled(CHANGES["a constant in another file"]) and not compiled()
+    files = list((tmp_path / "cache").rglob("own_functions.*.nbc"))
+    for k, path in enumerate(files):
+        path.write_bytes([b"", b"no pickle", path.read_bytes()[:200]][k % 3])
+    assert files and any("Own.force" in name for name in compiled()) and not compiled()
 
 
 class Springs(pi.Model):

@@ -27,22 +27,6 @@ PROFILES = {
 PARTS = ("t", "q", "v", "a", "lam")
 
 
-class Pendulum(pi.Model):
-    n, m = 2, 1
-
-    def mass(self, q):
-        return np.eye(2)
-
-    def force(self, t, q, v):
-        return np.array([0.0, 9.81])
-
-    def phi(self, t, q):
-        return np.array([q @ q - 1.0])
-
-    def phi_q(self, t, q):
-        return 2 * q[None]
-
-
 def again(thing):
     return pickle.loads(pickle.dumps(thing))
 
@@ -78,11 +62,6 @@ def test_a_profile_keeps_its_values(name):
     assert (copy.kinks, copy.formula, copy.shortest) == (given.kinks, given.formula, given.shortest)
 
 
-def test_a_function_without_a_name_stays_at_home():
-    with pytest.raises((pickle.PicklingError, AttributeError), match="lambda"):
-        pickle.dumps(pi.profile.from_function(lambda t: t))
-
-
 def test_scenes_and_models_give_the_same_run(scenes):
     scene = rich(scenes)
     model = scene.build()
@@ -102,11 +81,6 @@ def test_a_run_knows_what_it_knew(scenes, integrator):
     assert np.array_equal(run.energy.total, copy.energy.total)
     further, copied = (pi.solve(each.model, 0.015, integrator, state=each.state) for each in (run, copy))
     assert same(further, copied)
-
-
-def test_a_run_of_a_model_of_ones_own():
-    run = pi.solve(Pendulum(), 0.1, pi.IDA(), q0=[1.0, 0.0])
-    assert same(run, again(run)) and again(run).drift.max() == run.drift.max()
 
 
 def test_another_process_solves_the_scene_that_it_is_sent(scenes):

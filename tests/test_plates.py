@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from polyida import problems
-from polyida.errors import InputError
 from polyida.problems import plates
 
 
@@ -32,21 +30,3 @@ def test_chain_has_a_joint_a_link_and_meets_at_rest(links):
     model = plates.plate_chain(links, cells=6).build()
     assert len(model.bodies) == links and model.m == 2 * links
     assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
-
-
-@pytest.mark.parametrize("links", [0, -1, 2.5])
-def test_chain_refuses_a_number_of_links_that_makes_no_sense(links):
-    with pytest.raises(InputError, match="links"):
-        plates.plate_chain(links)
-
-
-@pytest.mark.parametrize("name", ["double-plate", "double-plate-motors", "plate-chain"])
-def test_scenes_are_registered(name):
-    assert name in problems.names()
-    problem = problems.get(name, cells=6)
-    assert problem.name == name and problem.t_end == 1.0 and len(problem.model.bodies) >= 2
-
-
-def test_the_same_seed_gives_the_same_mesh():
-    first, second = (plates.double_plate(cells=20, seed=3).build().reference for _ in range(2))
-    assert np.array_equal(first, second)

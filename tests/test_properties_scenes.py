@@ -13,8 +13,8 @@ from polyida.assembly.factors import mass_work, stiffness_work
 from polyida.assembly.loads import gravity_at
 from polyida.results.motion import unbalanced
 
-PROFILE = settings(max_examples=25, phases=(Phase.generate,))
-THOROUGH = settings(PROFILE, max_examples=60)
+PROFILE = settings(max_examples=15, phases=(Phase.generate,))
+THOROUGH = settings(PROFILE, max_examples=40)
 
 
 @st.composite

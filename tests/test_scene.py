@@ -28,26 +28,6 @@ def test_what_is_no_part(scenes):
             scene.add(wrong)
 
 
-def test_one_part_twice(scenes):
-    scene, upper = scenes.single()
-    with pytest.raises(pi.InputError, match="upper.*already"):
-        scene.add(upper)
-
-
-def test_a_name_twice(scenes):
-    scene, upper = scenes.single()
-    with pytest.raises(pi.InputError, match="'upper' is taken by a plate"):
-        scene.add(pi.PointMass(upper.section("left"), 1.0, name="upper"))
-    assert list(scene.parts) == ["upper"]
-
-
-@pytest.mark.parametrize("name", [5, ("a", "b"), 1.5])
-def test_a_name_is_text(scenes, name):
-    scene, _ = scenes.single()
-    with pytest.raises(pi.InputError, match="name"):
-        scene.add(scenes.plate(name))
-
-
 def test_a_scene_grows_after_it_was_built(scenes):
     scene, upper = scenes.hinged()
     before = scene.build()
@@ -61,21 +41,3 @@ def test_a_scene_grows_after_it_was_built(scenes):
 def test_a_plate_placed_by_angle_and_origin(scenes):
     upper = scenes.plate("upper", angle=np.pi / 2, origin=(3.0, 1.0))
     assert np.allclose(upper.points[:, 0].max() - 3.0, 0.05) and np.allclose(upper.points[:, 1].max(), 2.0)
-
-
-@pytest.mark.parametrize("mass", [1e-3, 1e3])
-def test_two_masses_on_one_section_add_up(scenes, mass):
-    runs = []
-    for masses in ([2 * mass], [mass, mass]):
-        scene, upper = scenes.hinged()
-        for one in masses:
-            scene.add(pi.PointMass(upper.section("right"), one))
-        runs.append(pi.solve(scene.build(), 0.02, pi.GeneralizedAlpha(h=1e-3)))
-    assert np.allclose(runs[0].q, runs[1].q, atol=1e-12)
-
-
-def test_two_scenes_may_share_plates(scenes):
-    scene, upper = scenes.hinged()
-    other = pi.Scene(gravity=(0.0, 0.0))
-    other.add(upper)
-    assert other.build().m == 0 and scene.build().m == 2

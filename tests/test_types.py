@@ -3,8 +3,6 @@
 import inspect
 from pathlib import Path
 
-import pytest
-
 import polyida as pi
 
 MODULES = (pi.mesh, pi.design, pi.profile, pi.sensor, pi.objective, pi.problems, pi.export, pi.study)
@@ -47,10 +45,7 @@ def untyped(function):
     return bare + ["return"] * (signature.return_annotation is signature.empty)
 
 
-@pytest.mark.parametrize("name", sorted(public()))
-def test_public_functions_are_typed(name):
-    assert untyped(public()[name]) == []
-
-
-def test_checkers_are_told():
+def test_public_functions_are_typed_and_checkers_are_told():
+    missing = {name: untyped(function) for name, function in public().items()}
+    assert len(missing) > 400 and not {name: bare for name, bare in missing.items() if bare}
     assert (Path(pi.__file__).parent / "py.typed").is_file()

@@ -110,11 +110,6 @@ def test_a_wrong_slope_is_named(given):
         guard(wrong()).residual_p("length", 0.0, *np.zeros((3, 2)), np.zeros(1))
 
 
-def test_a_parameter_that_is_no_number_is_named():
-    with pytest.raises(pi.InputError, match="its parameter 'colour' must be an attribute that is a number"):
-        parameters_of(type("Red", (Pendulum,), {"parameters": ("colour",), "colour": "red"})())
-
-
 class Pushed(pi.Model):
     """A free mass that a force pushes from the time `when` on: `a = 3 (t - when)`, and so `q(1) = (1 - when)^3 / 2`."""
 
@@ -162,16 +157,3 @@ def test_a_force_may_jump_where_a_parameter_says(integrator):
     run = pi.solve(Jump(), 0.2, integrator, q0=[0.0, -1.0])
     path = pi.objective.Own(lambda run: float((run.q**3).sum()), lambda run: {"q": 3 * run.q**2})
     assert max(pi.check_gradient(run, path).values()) < 1e-7
-
-
-def test_a_wrong_slope_is_named_by_a_gradient():
-    run = pi.solve(
-        type("Wrong", (Pendulum,), {"residual_p": lambda self, *_: np.ones(3)})(), 0.01, pi.GeneralizedAlpha(h=5e-3), q0=[0.0, -1.0]
-    )
-    with pytest.raises(pi.InputError, match="residual_p.* must return finite numbers of shape"):
-        pi.gradient(run, pi.objective.Own(lambda run: 0.0, lambda run: {"q": run.q}))
-
-
-def test_names_of_parameters_are_no_string():
-    with pytest.raises(pi.InputError, match=r"must be a tuple of names, such as \(.weight.,\)"):
-        parameters_of(type("One", (Pendulum,), {"parameters": "weight"})())

@@ -106,9 +106,3 @@ def test_segments_between_checkpoints_are_the_same_bit_by_bit():
     for first in range(0, len(whole.frames) - 100, 100):
         for one, other in zip(whole.states(first, first + 100), parts.states(first, first + 100)):
             assert np.array_equal(one, other)
-
-
-def test_frames_between_steps_are_refused():
-    run = pi.solve(MODEL, 0.03, pi.RadauIIA(h=4e-3), output=[0.0, 0.0151, 0.03])
-    with pytest.raises(pi.InputError, match="between two steps"):
-        pi.gradient(run, ALL)

@@ -1,7 +1,5 @@
 """Gradients of runs against differences of the very same steps, by every way that a run can go."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -60,14 +58,6 @@ def test_a_gradient_is_that_of_the_steps_that_were_taken(way):
     assert max(errors.values()) < CLOSE, errors
 
 
-@pytest.mark.parametrize("material", [{"viscosity": 1e-3, "mass_damping": 2.0}])
-@pytest.mark.parametrize("form", ["index3", "stabilised"])
-def test_a_damped_virtual_plate(material, form):
-    run = pi.solve(arm("virtual", **material), 0.06, pi.GeneralizedAlpha(2e-3, tolerance=1e-10, form=form))
-    errors = pi.check_gradient(run, ALL, parameters=["arm.stiffness", "arm.mass", "arm.E", "arm.thickness", "arm.rho", "motor.duration"])
-    assert max(errors.values()) < CLOSE, errors
-
-
 def test_value_and_sums():
     run = pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(2e-3))
     found = pi.gradient(run, DEVIATION)
@@ -106,24 +96,11 @@ def test_adaptive_runs_beyond_memory_are_read_from_their_frames():
         pi.gradient(few, DEVIATION, memory_limit=1e4)
 
 
-def test_a_run_in_a_file(tmp_path):
-    run = pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(2e-3), out=tmp_path / "run.h5", memory_limit=0)
-    found, again = pi.gradient(run, DEVIATION), pi.gradient(pi.load(tmp_path / "run.h5"), DEVIATION)
-    assert found.value == again.value
-    assert all(np.allclose(found[name], again[name], rtol=1e-12, atol=0.0) for name in found if not name.startswith(("motor", "v0")))
-
-
 def test_a_run_that_failed_has_the_gradient_of_its_frames_and_a_word():
     run = pi.solve(MODEL, 1.0, pi.GeneralizedAlpha(2e-3, rtol=1e-6, max_num_steps=12))
     assert not run.success
     with pytest.warns(UserWarning, match="ended early .too many steps"):
         assert pi.gradient(run, DEVIATION, parameters=["tip.mass"]).value == DEVIATION(run)
-
-
-def test_progress_goes_back_in_time():
-    seen = []
-    pi.gradient(pi.solve(MODEL, 0.06, pi.GeneralizedAlpha(2e-3)), DEVIATION, progress=seen.append)
-    assert seen and seen == sorted(seen, reverse=True) and 0.0 <= seen[-1] < 0.06
 
 
 def test_a_model_of_ones_own():
@@ -149,28 +126,6 @@ def test_what_has_no_adjoint_is_refused(integrator, asked, word):
         pi.gradient(pi.solve(MODEL, 0.03, integrator, **asked), DEVIATION)
 
 
-def test_wrong_input():
-    run = pi.solve(MODEL, 0.02, pi.GeneralizedAlpha(2e-3))
-    for given, word in (
-        ({"parameters": ["arm.colour"]}, "arm.colour"),
-        ({"parameters": "arm.E"}, "list of names"),
-        ({"parameters": 2}, "list of names"),
-        ({"memory_limit": -1}, "bytes"),
-    ):
-        with pytest.raises(pi.InputError, match=word):
-            pi.gradient(run, DEVIATION, **given)
-    with pytest.raises(pi.InputError, match="seed = -1 must be"):
-        pi.check_gradient(run, DEVIATION, seed=-1)
-    with pytest.raises(pi.InputError, match="no objective"):
-        pi.gradient(run, lambda run: 0.0)
-    with pytest.raises(pi.InputError, match="no run"):
-        pi.gradient(MODEL, DEVIATION)
-    with pytest.raises(pi.InputError, match="not steps"):
-        pi.gradient(dataclasses.replace(run, integrator=pi.GeneralizedAlpha(3e-3)), DEVIATION)
-    with pytest.raises(pi.InputError, match="known"):
-        pi.gradient(run, DEVIATION)["arm.colour"]
-
-
 def test_a_state_to_begin_from_is_held():
     hanging = arm_without_motor()
     run = pi.solve(hanging.with_factors(arm=(0.9, 1.1)), 0.06, pi.GeneralizedAlpha(2e-3, tolerance=1e-10), state=pi.static(hanging))
@@ -178,21 +133,6 @@ def test_a_state_to_begin_from_is_held():
     assert max(errors.values()) < CLOSE and "v0" not in pi.gradient(run, DEVIATION)
     with pytest.raises(pi.InputError, match="'v0' is no parameter"):
         pi.gradient(run, DEVIATION, parameters=["v0"])
-
-
-ONWARD = [
-    (pi.GeneralizedAlpha(2e-3), pi.GeneralizedAlpha(4e-3)),
-    *((before, pi.RadauIIA(h=5e-3)) for before in (pi.RadauIIA(h=5e-3), pi.IDA(1e-4))),
-]
-
-
-@pytest.mark.parametrize(("before", "integrator"), ONWARD)
-@pytest.mark.parametrize("until", [None, lambda t, q, v: t - 0.0051])
-def test_a_state_of_another_run_is_refused(before, integrator, until):
-    state = pi.solve(arm_without_motor(), 0.01, before, until=until).state
-    onward = pi.solve(arm_without_motor(), 0.02, integrator, state=state)
-    with pytest.raises(pi.InputError, match="goes on from a state of another one"):
-        pi.gradient(onward, DEVIATION)
 
 
 @pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(2e-3), pi.RadauIIA(h=5e-3)])
@@ -210,27 +150,6 @@ def test_slopes_in_what_moves_the_constraints_of_a_held_state_are_refused(integr
             pi.gradient(given, far, parameters=["bar.inertia"])
 
 
-@pytest.mark.parametrize("last", [0.0, 1e-60])
-def test_an_objective_may_see_next_to_nothing_of_the_last_frames(last):
-    factors = np.zeros((len(RUN), 1))
-    factors[[4, -1], 0] = 1.0, last
-    seen = pi.objective.Own(lambda run: float((factors * run.q).sum()), lambda run: {"q": factors * np.ones(run.q.shape)})
-    assert max(pi.check_gradient(RUN, seen, parameters=["tip.mass", "motor.end"]).values()) < CLOSE
-
-
-def test_a_point_that_joints_hold_moves_with_nothing():
-    found = pi.gradient(RUN, pi.objective.Deviation("hub", (1.0, 0.0)), parameters=["tip.mass", "arm.E"])
-    assert found.value > 0.1 and max(abs(found[name]) for name in found) < 1e-12
-
-
-def test_a_motor_that_ends_with_the_run_is_left_out_of_the_check():
-    assert {*pi.gradient(RUN, DEVIATION)} - {*pi.check_gradient(pi.solve(MODEL, 0.04, RUN.integrator), DEVIATION)} == {
-        "motor.begin",
-        "motor.start",
-        "motor.duration",
-    }
-
-
 @pytest.mark.parametrize(
     ("slopes", "word"),
     [({"arm.stifness": 1.0}, "'arm.stifness' is no parameter"), ({"arm.mass": 1.0}, r"has shape \(\), the parameter \(8,\)")],
@@ -238,10 +157,6 @@ def test_a_motor_that_ends_with_the_run_is_left_out_of_the_check():
 def test_own_slopes_in_parameters_are_looked_at(slopes, word):
     with pytest.raises(pi.InputError, match=word):
         pi.gradient(RUN, pi.objective.Own(lambda run: 1.0, lambda run: slopes))
-
-
-def test_what_is_zero_is_checked_from_above():
-    assert max(pi.check_gradient(RUN, DEVIATION, parameters=["arm.mass_damping"]).values()) < CLOSE
 
 
 def test_a_motor_that_holds_the_state_of_a_run_is_left_out():

@@ -101,36 +101,6 @@ def agree(found, wanted, tolerance=1e-9):
     return all(np.abs(x - y).max(initial=0) <= tolerance * np.abs(y).max(initial=0) for x, y in zip(found, wanted, strict=True))
 
 
-def test_steps_are_those_with_exact_matrices(case):
-    settings, steps = steps_of(case)
-    counts, kept, other = pi.Counts(), *(tuple(np.zeros((2, STEPS, case.n))) for _ in range(2))
-    found = swept(Sweep(case, settings, H, counts), steps, kept)
-    wanted = swept(exact(case, settings, H, pi.Counts()), steps, other)
-    assert agree([*found, *kept], [*wanted, *other])
-    assert counts.factorizations == 1 and counts.solves < 6 * STEPS + 2 * case.n_points
-
-
-def test_factors_by_cell_are_in_it(scenes):
-    model = scenes.jointed("revolute", cells=12, element="virtual").build()
-    random = np.random.default_rng(1)
-    model = model.with_factors(upper=tuple(random.uniform(0.1, 2.0, (2, 12))))
-    settings, steps = steps_of(model)
-    assert agree(swept(Sweep(model, settings, H, pi.Counts()), steps), swept(exact(model, settings, H, pi.Counts()), steps))
-
-
-def test_a_factor_that_is_too_old_is_made_anew(scenes):
-    model = scenes.jointed("revolute", cells=12).build()
-    settings, steps = steps_of(model)
-    wanted = swept(Sweep(model, settings, H, pi.Counts()), steps)
-    counts = pi.Counts()
-    sweep, other = (Sweep(model, settings, h, counts) for h in (H, 0.2 * H))
-    for one in (sweep, other):
-        one.table.take(*steps[:5])
-        one.table.refresh(STEPS - 1)
-    sweep.table.system = other.table.system
-    assert agree(swept(sweep, steps), wanted) and counts.factorizations == 3
-
-
 def test_a_step_that_no_factor_contracts_is_solved_directly(scenes, monkeypatch):
     model = scenes.jointed("slot", cells=12).build()
     settings, steps = steps_of(model)
@@ -139,46 +109,6 @@ def test_a_step_that_no_factor_contracts_is_solved_directly(scenes, monkeypatch)
     compiled, calls = loop.stretch, iter(range(99))
     monkeypatch.setattr(loop, "stretch", lambda *given: (given[5], REFACTOR) if next(calls) in (0, 2) else compiled(*given))
     assert agree([*swept(Sweep(model, settings, H, pi.Counts()), steps, kept), *kept], [*wanted, *other])
-
-
-def test_frames_that_an_objective_does_not_see_cost_next_to_nothing(scenes):
-    model, counts = scenes.jointed("slot", cells=12).build(), pi.Counts()
-    settings, (*frames, own, sent) = steps_of(model)
-    for part in (own.q, own.v, own.a, own.lam):
-        part[3:] = 0.0
-    found = Sweep(model, settings, H, counts).back(*frames, own, sent)
-    wanted = exact(model, settings, H, pi.Counts()).back(*frames, own, sent)
-    assert agree([*found.bars, found.w], [*wanted.bars, wanted.w]) and not found.w[3:].any()
-    assert counts.factorizations == 1 and counts.solves < STEPS - 3 + 6 * 3 + 2 * model.n_points
-
-
-def test_stretches_one_by_one_are_the_whole(scenes):
-    model = scenes.jointed("motor to ground", cells=12).build()
-    settings, (*frames, own, sent) = steps_of(model)
-    counts = [pi.Counts(), pi.Counts()]
-    wanted = swept(Sweep(model, settings, H, counts[0]), (*frames, own, sent))
-    sweep, parts = Sweep(model, settings, H, counts[1]), []
-    for part in (slice(5, None), slice(0, 5)):
-        slopes = Slopes(**{name: getattr(own, name)[part] for name in ("q", "v", "a", "lam")})
-        found = sweep.back(*(x[part] for x in frames), slopes, sent)
-        sent = found.bars
-        parts.insert(0, (found.w, found.mu))
-    assert all(np.array_equal(x, y) for x, y in zip([*sent, *map(np.concatenate, zip(*parts))], wanted))
-    assert vars(counts[0]) == vars(counts[1])
-
-
-def test_w_is_as_exact_as_newton_makes_worth_while(scenes):
-    model, errors = scenes.jointed("revolute", cells=12).build(), []
-    _, steps = steps_of(model)
-    wanted = swept(exact(model, pi.GeneralizedAlpha(h=H), H, pi.Counts()), steps)
-    solves = []
-    for tolerance in (1e-4, 1e-6, 1e-8):
-        counts = pi.Counts()
-        found = swept(Sweep(model, pi.GeneralizedAlpha(h=H, tolerance=tolerance), H, counts), steps)
-        errors.append(np.linalg.norm(found[4] - wanted[4]) / np.linalg.norm(wanted[4]))
-        solves.append(counts.solves)
-        assert errors[-1] < 0.1 * tolerance
-    assert solves[0] <= solves[1] < solves[2]
 
 
 def test_two_threads_give_the_same(scenes, monkeypatch):

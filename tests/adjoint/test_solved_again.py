@@ -37,41 +37,6 @@ def double_pendulum(numbers):
 HEAVY = {"lower.mass": 0.7, "lower.inertia": 0.05}
 
 
-def _square(run):
-    return float((run.position("tip")[1:] ** 2).sum())
-
-
-def _square_slopes(run):
-    return {"q": run.model.pulled((run.model.side("tip"), "point"), 2 * (run.position("tip") @ (1.0, 1.0j)) * (run.t > 0))}
-
-
-@pytest.mark.parametrize("name", HEAVY)
-@pytest.mark.parametrize(
-    ("integrator", "objective"), [(ALPHA, pi.objective.Deviation("tip", (1.0, 0.3))), (RADAU, pi.objective.Own(_square, _square_slopes))]
-)
-def test_coordinates_of_a_rigid_body_are_measured_in_what_its_mass_and_inertia_change(name, integrator, objective):
-    assert error(double_pendulum, HEAVY, name, 0.2, integrator, objective) < 1e-7
-
-
-@pytest.mark.parametrize("name", HEAVY)
-def test_a_point_of_the_body_itself_moves_with_its_mass_and_inertia(name):
-    """Its weights depend on them; a point of a part by name is the same point."""
-    run = pi.solve(double_pendulum(HEAVY), 0.2, ALPHA)
-    slopes = [
-        pi.gradient(run, pi.objective.Deviation(point, (1.0, 0.3)), parameters=[name])[name]
-        for point in ("tip", run.model.parts["lower"].at("right"))
-    ]
-    assert slopes[1] == pytest.approx(slopes[0], rel=1e-7)
-
-
-def test_parameters_that_are_left_out_are_told():
-    found = pi.gradient(pi.solve(double_pendulum(HEAVY), 0.05, ALPHA), pi.objective.Deviation("elbow", (1.0, 0.3)))
-    assert {*HEAVY} <= {*found.left_out} and not {*found} & {*found.left_out} and "differences" in found.left_out["lower.mass"]
-    assert "left out" in repr(found) and "lower.inertia" in found._repr_html_()
-    with pytest.raises(pi.InputError, match="'lower.mass' is no parameter it was taken for .*ask for it by `parameters`"):
-        found["lower.mass"]
-
-
 def test_an_objective_that_other_models_cannot_be_asked_for_is_refused():
     model = double_pendulum(HEAVY)
     point = model.parts["lower"].at("right")

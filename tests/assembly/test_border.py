@@ -168,11 +168,3 @@ def test_dependent_rows_are_singular():
     links.row_slopes[links.row_start[2] : links.row_start[4]] = 0.0  # the second pin holds nothing
     with pytest.raises(np.linalg.LinAlgError):
         model.mass_system(0.0, np.zeros(model.n)).solve(np.ones(model.n), np.ones(model.m))
-
-
-def test_a_border_grows_with_the_bodies():
-    """Twice the windows, twice the numbers."""
-    sizes = [SceneStepMatrix(n_four_bar(n).build()).model for n in (10, 20)]
-    numbers = [step_of(model, 2e3, np.zeros(model.m), np.zeros(model.n)).room.border for model in sizes]
-    for name in ("values", "blocks"):
-        assert len(getattr(numbers[1], name)) < 2.1 * len(getattr(numbers[0], name))

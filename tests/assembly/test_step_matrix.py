@@ -7,7 +7,6 @@ import pytest
 
 import polyida as pi
 from polyida.assembly.corotated import SceneStepMatrix
-from polyida.assembly.equilibrium import symmetric_parts
 
 DAMPED = {"viscosity": 1e-3, "mass_damping": 300.0}
 
@@ -112,15 +111,6 @@ def test_a_complex_matrix_turns_with_its_bodies(scenes, c):
     (dq, dlam), exact = stale.saddle(0.0, q, lam, r, phi), fresh.saddle(0.0, q, lam, r, phi)
     assert near(dq, exact[0]) and near(dlam, exact[1])
     assert np.allclose(model.phi_q(0.0, q) @ dq, -phi, rtol=1e-10)
-
-
-def test_several_matrices_of_one_state_share_their_parts(bent, c):
-    model, state = bent
-    parts, b = symmetric_parts(model, state[1].reshape(-1, 2)), numbers(c, model.n)
-    one, other = SceneStepMatrix(model), SceneStepMatrix(model)
-    one.factor(*state, c * c, c, parts)
-    other.factor(*state, c * c, c)
-    assert np.allclose(one.solve(state[1], b), other.solve(state[1], b), rtol=0, atol=1e-5 * np.abs(one.solve(state[1], b)).max())
 
 
 def test_a_matrix_may_be_indefinite(scenes, c):

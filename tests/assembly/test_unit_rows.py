@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.rows.unit_rows import LEAST, UnitRows, pattern_of
-from polyida.integrate import singular
+from polyida.assembly.rows.unit_rows import LEAST, UnitRows
 from polyida.integrate.state import State
 from polyida.linear.saddle import coordinate_sizes, least, rows_of
 
@@ -52,29 +51,3 @@ def test_the_bound_is_below_the_least_singular_value(scene, size):
         proof.begin(state)
         found, exact = proof.scratch.marks[LEAST], least(rows_of(model.phi_q(0.0, state.q), sizes))
         assert exact / np.sqrt(model.m) * (1 - 1e-6) <= found <= exact * (1 + 1e-6)
-
-
-def test_rows_are_in_an_order_of_small_bandwidth():
-    """Whatever the number of bars, and the order in which they are added."""
-    assert chain(40).build().once(pattern_of)[1] <= 4
-    assert four_bars(30).build().once(pattern_of)[1] <= 12
-
-
-@pytest.mark.parametrize("count", [1, 3])
-@pytest.mark.parametrize("h", [1e-3, 2e-2])
-def test_parallelograms_stop_where_they_lie_flat_as_by_singular_values(count, h, monkeypatch):
-    model = four_bars(count).build()
-    run = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=h))
-    heights = np.array([run.position(f"P{k}0")[:, 1] for k in range(count + 1)])
-    assert run.status == "singular" and heights[:, -1].min() > 0.0 and np.ptp(heights[:, -1]) < 1e-6
-    assert heights[:, -1].max() < heights[:, -2].max() - heights[:, -1].max() + 1e-3  # the next step would have led through
-    monkeypatch.setattr(singular, "UnitRows", lambda model, state: None)
-    looked = pi.solve(model, 2.0, pi.GeneralizedAlpha(h=h))
-    assert looked.message == run.message and np.array_equal(looked.t, run.t) and np.array_equal(looked.q, run.q)
-
-
-def test_a_sound_motion_is_proven_without_singular_values(monkeypatch):
-    model = chain(6).build()
-    monkeypatch.setattr(singular, "rows_of", None)
-    run = pi.solve(model, 0.5, pi.GeneralizedAlpha(h=1e-3))
-    assert run.status == "done" and len(run) == 501

@@ -1,10 +1,8 @@
 """Numbers of every kind that users give, whole, of numpy, in single precision: each is the float it stands for."""
 
-from dataclasses import fields
 from fractions import Fraction
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -71,34 +69,3 @@ def test_every_kind_of_number_gives_the_run_of_its_float(data, element):
     floats = {name: float(value) for name, value in whole.items()}
     for found, exact in zip(three_steps(scene_of(mixed, element)), three_steps(scene_of(floats, element))):
         assert np.array_equal(found, exact)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("damping", [(0, 0), (0, 1), (1, 0), (1, 1)])
-def test_one_kind_for_all_numbers(kind, damping):
-    numbers = {name: kind(value) for name, value in (WHOLE | dict(zip(("viscosity", "mass_damping"), damping))).items()}
-    scene = scene_of(numbers, "wachspress")
-    assert all(np.isfinite(values).all() for values in three_steps(scene))
-
-
-MIXED = ({"viscosity": 0, "mass_damping": 0.5}, {"viscosity": 1}, {"viscosity": 1e-3, "mass_damping": 0})
-
-
-@pytest.mark.parametrize("damping", MIXED)
-@pytest.mark.parametrize("integrator", [pi.IDA(), pi.EnergyMomentum(h=1e-3), pi.RadauIIA()])
-def test_damping_of_whole_numbers_runs(scenes, damping, integrator):
-    model = scenes.hinged(material=damping)[0].build()
-    assert pi.solve(model, 3e-3, integrator).success
-
-
-def test_parts_hold_floats(scenes):
-    numbers = {name: np.float32(value) for name, value in WHOLE.items()}
-    parts = scene_of(numbers, "virtual").parts.values()
-    for part in [*parts, next(iter(parts)).material]:
-        for value in (getattr(part, field.name) for field in fields(part)):
-            flat = value if isinstance(value, tuple) else (value,)
-            assert not any(isinstance(x, (int, np.generic)) for x in flat), part
-
-
-def test_single_precision_is_taken_as_it_is():
-    assert pi.Material(np.float32(0.1), 0.3, 1.0).E == float(np.float32(0.1)) != 0.1

@@ -1,12 +1,9 @@
 """Reduced plates against the full plates that they are made of: forces, energies, modes, stress, files, and what is wrong with one."""
 
-import pickle
-
 import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.model.differences import along
 
 G = 9.81
 MESHES = {"wachspress": lambda: pi.mesh.rectangle(1.0, 0.1, cells=16, seed=2), "virtual": lambda: pi.mesh.quads(1.0, 0.1, 8, 2)}
@@ -74,53 +71,6 @@ def test_it_is_the_full_plate_in_a_span(element):
     assert np.allclose(few.stress(q), full.stress(at[0]), rtol=1e-12, atol=1e-6)
 
 
-@each_element
-@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi, 5.5, 1e4])
-def test_rigid_motion_costs_nothing(element, angle):
-    model = free(element, angle=0.3, origin=(2.0, -1.0))
-    q = turned(model, angle, (3.0, -1.0))
-    assert np.abs(model.force(0.0, q, q)).max() < 1e-12 * 50e6 * 0.01
-    assert abs(model.strain_energy(q)) < 1e-20 * 50e6
-    assert np.abs(model.stress(q)).max() < 1e-12 * 50e6
-
-
-@each_element
-def test_a_turned_state_has_turned_forces(element):
-    model, angle = free(element), 1.1
-    (q,) = draws(model, 0.01)
-    z = (model.reference + q.reshape(-1, 2)) @ (1, 1j) * np.exp(1j * angle)
-    again = (np.stack([z.real, z.imag], axis=1) - model.reference).ravel()
-    before, after = (model.force(0.0, x, x).reshape(-1, 2) @ (1, 1j) for x in (q, again))
-    assert np.allclose(after, before * np.exp(1j * angle), atol=1e-11 * np.abs(before).max())
-    assert model.strain_energy(again) == pytest.approx(model.strain_energy(q), rel=1e-11)
-
-
-@each_element
-def test_derivatives(element):
-    model = driven(FEW, element).build()
-    q, v, a = draws(model, 0.03, 1.0, 10.0)
-    found = pi.check_derivatives(model, 0.2, q=q, v=v, a=a)
-    assert max(found.values()) < 1e-6, found
-
-
-@each_element
-def test_force_is_the_slope_of_the_energy(element):
-    model = free(element)
-    q, v = draws(model, 0.02, 1.0)
-    assert model.force(0.0, q, v) @ v == pytest.approx(along(lambda s: model.potential(q + s * v), 1e-2), rel=1e-7)
-
-
-def test_it_weighs_what_the_plate_weighs(scenes):
-    few, full = free(), free(body=FULL)
-    for motion in ((1.0, 0.0), (0.3, -2.0)):
-        moves = np.zeros(few.n)
-        moves[:2] = motion
-        assert moves @ (few.mass() @ moves) == pytest.approx(scenes.PLATE_MASS * np.dot(motion, motion), rel=1e-12)
-    spin = turned(few, 1.0, (0.0, 0.0)) + turned(few, -1.0, (0.0, 0.0))  # real parts apart: any motion will do
-    assert spin @ (few.mass() @ spin) == pytest.approx(few.nodal(spin).ravel() @ (full.mass() @ few.nodal(spin).ravel()), rel=1e-12)
-    assert (few.n, few.m) == (12, 0)
-
-
 def hanging(body, hold):
     scene = pi.Scene(gravity=(0.0, -G))
     plate = scene.add(body(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=60, seed=1), rubber(), 0.01, name="plate")))
@@ -182,63 +132,6 @@ def test_fields_of_a_run_bend_farther_than_modes():
     assert off[1] < off[0] / 20 and "leave much out" not in own.summary()
 
 
-@pytest.mark.filterwarnings("ignore::polyida.errors.ReductionWarning")
-def test_more_modes_are_nearer():
-    mesh = pi.mesh.rectangle(1.0, 0.1, cells=40, seed=1)
-
-    def swing(body):
-        scene = pi.Scene(gravity=(0.0, -G))
-        a, b = (scene.add(body(pi.Plate(mesh, rubber(), 0.01, origin=(k, 0.0), name=f"plate {k}"))) for k in (0.0, 1.0))
-        scene.add(pi.Revolute(pi.ground, a.section("left")))
-        scene.add(pi.Revolute(a.section("right"), b.section("left")))
-        scene.add(pi.PointMass(b.section("right"), 0.5, name="tip"))
-        return pi.solve(scene.build(), 0.6, pi.GeneralizedAlpha(h=1e-3)).position("tip")
-
-    full = swing(FULL)
-    off = [np.linalg.norm(swing(lambda plate: pi.Reduced(plate, modes=k)) - full, axis=1).max() for k in (2, 5, 10)]  # noqa: B023
-    assert off[1] < off[0] / 5 and off[2] < off[1] / 5 and off[2] < 1e-5
-
-
-def test_what_holds_it_decides_its_modes():
-    """With modes of nothing but what holds its sections, a small static load there is carried as by the full plate."""
-
-    def cantilever(body):
-        scene = pi.Scene()
-        plate = scene.add(body(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=60, seed=1), rubber(), 0.01)))
-        scene.add(pi.Revolute(pi.ground, plate.section("left")))
-        scene.add(pi.Slot(pi.ground.at(plate.section("top").point, direction=(1.0, 0.0)), plate.section("top")))
-        scene.add(pi.PointLoad(plate.section("right"), (1e-6, 2e-6), name="load"))
-        model = scene.build()
-        return model.displacement("load", pi.static(model).q)
-
-    found, known = cantilever(lambda plate: pi.Reduced(plate, modes=6)), cantilever(FULL)
-    assert np.allclose(found, known, rtol=1e-4)
-
-
-def test_files_and_pickles_hold_it(tmp_path):
-    fields = 1e-2 * np.random.default_rng(5).standard_normal((2, MESHES["wachspress"]().n_nodes, 2))
-    scene = driven(lambda plate: pi.Reduced(plate, modes=3, fields=fields, name=f"few {plate.name}"))
-    run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3), out=tmp_path / "run.h5")
-    for other in (pi.load(tmp_path / "run.h5"), pickle.loads(pickle.dumps(run))):
-        part = other.model.parts["few upper"]
-        assert isinstance(part, pi.Reduced) and part.modes == 3 and np.array_equal(part.fields, fields)
-        assert part.plate.angle == 0.5 and part.plate.name == "upper"
-        assert np.array_equal(other.q, run.q) and np.array_equal(other.energy.total, run.energy.total)
-        assert np.array_equal(other.stress(-1), run.stress(-1)) and np.array_equal(other.node_positions(3), run.node_positions(3))
-        assert np.array_equal(other.reaction("drive"), run.reaction("drive"))
-
-
-def test_a_coarse_mesh_has_as_many_modes_as_it_has():
-    """One cell: all that its nodes can do is in 2 complex fields beside the rigid ones, and the energy is the full plate's."""
-    corner = pi.Plate(pi.mesh.quads(1.0, 0.1, 1, 1), rubber(), 0.01)
-    few, full = pi.Scene(), pi.Scene()
-    few.add(pi.Reduced(corner, modes=10)), full.add(corner)
-    few, full = few.build(), full.build()
-    assert few.n == full.n == 8
-    (q,) = draws(few, 0.1)
-    assert few.strain_energy(q) == pytest.approx(full.strain_energy(few.nodal(q).ravel()), rel=1e-12)
-
-
 def test_fields_that_only_move_it_as_rigid_are_refused():
     turn = np.stack([-plate().points[:, 1], plate().points[:, 0]], axis=1)
     for field in (0 * turn, turn, turn + (1.0, 2.0)):
@@ -250,29 +143,6 @@ def test_fields_that_only_move_it_as_rigid_are_refused():
 
 def plate(**options):
     return pi.Plate(MESHES["virtual"](), rubber(), 0.01, name="arm", **options)
-
-
-@pytest.mark.parametrize(
-    "make, told",
-    [
-        (lambda: pi.Reduced("plate"), "Reduced.*is no plate"),
-        (lambda: pi.Reduced(pi.Rigid(plate())), "is no plate"),
-        (lambda: pi.Reduced(plate(), modes=-1), "'arm': modes = -1 must be a whole number from 0 to 40"),
-        (lambda: pi.Reduced(plate(), modes=2.5), "modes = 2.5"),
-        (lambda: pi.Reduced(plate(), modes=41), "modes = 41"),
-        (lambda: pi.Reduced(plate(), modes=0), "modes = 0 leaves no field; give modes, fields, or take Rigid"),
-        (lambda: pi.Reduced(plate(), fields=np.zeros((3, 2))), r"fields of shape \(3, 2\) must be finite displacements .*\(count, 27, 2\)"),
-        (lambda: pi.Reduced(plate(), fields=np.full((1, 27, 2), np.nan)), "must be finite"),
-        (lambda: pi.Reduced(plate(), fields="all"), "fields of shape str"),
-        (lambda: pi.Reduced(plate(), fields=np.zeros((0, 27, 2))), "fields of shape"),
-        (lambda: pi.Reduced(plate()).section("up"), "section 'up'"),
-        (lambda: pi.Reduced(plate()).at("A"), "no attachment is called 'A'; known: 'center'"),
-        (lambda: pi.Reduced(plate(), name=7), "name"),
-    ],
-)
-def test_what_is_wrong_is_told(make, told):
-    with pytest.raises(pi.InputError, match=told):
-        make()
 
 
 def test_a_file_keeps_the_modes_that_its_run_had(tmp_path, monkeypatch):

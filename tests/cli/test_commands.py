@@ -15,6 +15,8 @@ from polyida.cli.study import PROGRAM
 from polyida.study.chosen import KNOWN
 
 COMMANDS = [command.name or command.callback.__name__ for command in app.registered_commands]
+
+
 SCRIPT = '''"""Squares of numbers: a study that comes along.
 
 Further lines say more.
@@ -127,12 +129,6 @@ def test_a_user_s_file_that_prints_does_not_spoil_the_document(capsys):
     assert data["figures"]["steps"] > 0 and "loud" in err
 
 
-def test_an_exception_of_a_user_s_integrator_is_shown_as_theirs(capsys):
-    Path("own.py").write_text("class Bad:\n    def steps(self, *given):\n        raise RuntimeError('no step today')\n        yield\n")
-    assert main(["compare", "pendulum", "--integrators", "alpha,own.py:Bad"]) == 2
-    assert capsys.readouterr().err.startswith("own.py, line 3: RuntimeError: no step today") and not list(Path().glob("*-compare"))
-
-
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
 def test_help_shows_what_may_be_typed(capsys, command):
     assert main([*command, "--help"]) == 0
@@ -140,12 +136,6 @@ def test_help_shows_what_may_be_typed(capsys, command):
     examples = [line.split() for line in out.partition("Examples:")[2].splitlines() if line.strip().startswith("polyida")]
     assert examples and all(len(line) <= 100 for line in out.splitlines())
     assert {words[1] for words in examples} <= ({*COMMANDS, "COMMAND"} if not command else {*command})
-
-
-def test_all_commands_stand_in_a_group_of_the_help(capsys):
-    main(["--help"])
-    out = capsys.readouterr().out
-    assert all(f"\n  {name}  " in out for name in COMMANDS) and out.index("Compute:") < out.index("Look at a run:") < out.index("Studies")
 
 
 def test_names_and_files_are_completed():

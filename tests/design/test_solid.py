@@ -39,12 +39,6 @@ def test_a_section_that_is_kept_is_whole():
     assert "right" not in pi.design.threshold(MESH, rho).sections
 
 
-def test_a_section_of_one_node_keeps_the_cells_around_it():
-    mesh = pi.mesh.PolygonMesh(MESH.points, MESH.nodes, MESH.offsets, {"pin": [int(np.argmax(MESH.points @ [10.0, 1.0]))]})
-    solid = pi.design.threshold(mesh, pattern("###.", "#...", "#..."), keep="pin")
-    assert solid.n_cells == 6 and solid.points[solid.sections["pin"]].tolist() == [[4.0, 3.0]]
-
-
 def test_supports_and_loads_move_with_their_nodes():
     corner = int(np.argmin(MESH.points @ [1.0, 1.0]))
     mesh = pi.mesh.PolygonMesh(MESH.points, MESH.nodes, MESH.offsets, {}, {corner: (True, False)}, {corner: (0.0, -1.0)})
@@ -79,20 +73,3 @@ def test_what_is_left_moves_under_its_load():
     scene.add(pi.PointLoad(arm.section("right"), (0.0, -1.0), name="load"))
     found = pi.static(scene.build())
     assert found.stable
-
-
-@pytest.mark.parametrize(
-    "given, message",
-    [
-        ({"mesh": 1}, "mesh is int"),
-        ({"rho": [1.0]}, "rho is .1.0.; it must be 12 finite numbers"),
-        ({"at": "half"}, "at = 'half'"),
-        ({"keep": "tip"}, "keep names 'tip', which is no section"),
-        ({"keep": 3}, "keep names 3"),
-        ({"hanging": True}, "hanging = True"),
-        ({"at": 1.5}, "no cell has a density of at least 1.5"),
-    ],
-)
-def test_wrong_input_is_named(given, message):
-    with pytest.raises(InputError, match=f"threshold: {message}"):
-        pi.design.threshold(**({"mesh": MESH, "rho": np.ones(12)} | given))

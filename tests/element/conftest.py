@@ -1,11 +1,12 @@
 """Small meshes, and a body on its own: the kernels called with thickness and material chosen once."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from polyida.element import kernels
+from polyida.element import kernels, stabilisation, virtual
 from polyida.element.wachspress import reference_operator
 
 
@@ -78,6 +79,7 @@ class Body:
     """One operator with its material; `padding` nodes of other bodies lie before it."""
 
     E, NU, THICKNESS = 2.0e5, 0.3, 0.02
+    RIGID, ZERO, LEAST = 1e-24, 1e-12, 1e-6  # energy of a rigid motion over E t; zero and other eigenvalues at rest over the largest
 
     def __init__(self, mesh, padding=0, operator=reference_operator):
         self.points, self.op, self.first = np.asarray(mesh.points), operator(mesh), padding
@@ -127,10 +129,39 @@ class Body:
         return out
 
 
+class Virtual(Body):
+    """A body of virtual elements: constant strains and stabilisation together."""
+
+    RIGID, ZERO, LEAST = 1e-13, 1e-13, 1e-3
+
+    def __init__(self, mesh, padding=0, tau=0.1):
+        super().__init__(mesh, padding, partial(virtual.reference_operator, tau=tau))
+        self.factor = stabilisation.factor(self.c1, self.NU)
+        self.on_pattern = self.op.indptr, self.op.indices, self.op.stabilisation, self.factor, padding
+
+    def force(self, u):
+        f, (constant, rotation, status) = np.zeros_like(u), super().force(u)
+        stabilisation.force(*self.on_pattern, u, f)
+        assert not f[: self.first].any()
+        return constant + f[self.first :], rotation, status
+
+    def energy(self, u):
+        return super().energy(u) + stabilisation.energy(*self.on_pattern, u)
+
+    def tangent(self, u, scale=1.0):
+        return super().tangent(u, scale) + scale * self.factor * np.kron(self.dense(self.op.stabilisation), np.eye(2))
+
+
 @pytest.fixture
 def body():
     """Body(mesh, padding)."""
     return Body
+
+
+@pytest.fixture
+def flexible():
+    """Virtual(mesh, padding, tau)."""
+    return Virtual
 
 
 def hanging():
@@ -153,3 +184,16 @@ SHAPES = {"mixed": mixed, "quads": lambda: quads(5, 4, jitter=0.3), **{f"{n}-gon
 def shape(request):
     """Every mesh in turn."""
     return SHAPES[request.param]()
+
+
+OF_VIRTUAL = {"virtual mixed": mixed, "virtual hanging": hanging} | {f"virtual {n}-gon": lambda n=n: polygon(n) for n in (3, 4, 5, 8, 30)}
+
+
+@pytest.fixture(params=[*SHAPES, *OF_VIRTUAL])
+def plate(request):
+    """A body of either element on every mesh in turn, two nodes of another body before it."""
+    if request.param in SHAPES:
+        return Body(SHAPES[request.param](), 2)
+    made = Virtual(OF_VIRTUAL[request.param](), 2)
+    made.LEAST = Body.LEAST if request.param == "virtual mixed" else Virtual.LEAST
+    return made

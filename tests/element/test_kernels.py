@@ -52,41 +52,30 @@ def half_tractions(ends, first_piola, thickness):
     return thickness * np.stack([edges[:, 1], -edges[:, 0]], axis=1) @ first_piola.T / 2
 
 
-def test_rigid_motion_costs_nothing(shape, body):
-    plate = body(shape)
+def test_rigid_motion_costs_nothing(plate):
     for angle in (0.4, 2.5, 6 * np.pi + 1.0):
         u = plate.displacement(partial(rotated, angle=angle, shift=(10.0, -7.0)))
         f, rotation, status = plate.force(u)
         assert abs(plate.stress(u)).max() < 1e-12 * plate.E
         assert abs(f).max() < 1e-12 * plate.E * plate.THICKNESS
-        assert plate.energy(u) < 1e-24 * plate.E * plate.THICKNESS
+        assert abs(plate.energy(u)) < plate.RIGID * plate.E * plate.THICKNESS
         assert status == pytest.approx(1.0, abs=1e-12)
         turn = np.arctan2(rotation[:, 1], rotation[:, 0])
         assert abs(np.exp(1j * turn) - np.exp(1j * angle)).max() < 1e-12
 
 
-def test_rotation_is_weighted_by_area(meshes, body):
-    plate = body(meshes.mixed())
-    _, rotation, _ = plate.force(plate.displacement(lambda x: 0 * x))
-    around = np.bincount(plate.op.nodes, weights=np.repeat(plate.op.areas, np.diff(plate.op.offsets)))
-    assert abs(rotation - np.c_[2 * around, 0 * around]).max() < 1e-14
-    f = np.zeros_like(rotation)
-    assert kernels.internal_force(*plate.op.force_arrays, 0, 1.0, plate.NU, f.copy(), f, np.empty((0, 2))) == 1.0
-
-
-def test_force_is_the_gradient_of_the_energy(shape, body):
-    plate = body(shape)
+def test_force_is_the_gradient_of_the_energy(plate):
     u = plate.displacement(wavy)
     f = plate.force(u)[0]
-    direction = np.random.default_rng(1).standard_normal(u.shape)
-    for step in (direction, *np.eye(f.size)[:6].reshape(-1, *f.shape)):
-        h = 1e-5
+    h, direction = 1e-5, np.random.default_rng(1).standard_normal(f.shape)
+    for own in (direction, *np.eye(f.size)[:6].reshape(-1, *f.shape)):
+        step = np.zeros_like(u)
+        step[plate.first :] = own
         difference = (plate.energy(u + h * step) - plate.energy(u - h * step)) / (2 * h)
-        assert difference == pytest.approx((f * step).sum(), abs=1e-6 * abs(f).sum())
+        assert difference == pytest.approx((f * own).sum(), abs=1e-6 * abs(f).sum())
 
 
-def test_tangent_is_the_gradient_of_the_force(shape, body):
-    plate = body(shape, padding=2)
+def test_tangent_is_the_gradient_of_the_force(plate):
     u = plate.displacement(wavy)
     k = plate.tangent(u)
     assert (k == k.T).all()
@@ -99,17 +88,15 @@ def test_tangent_is_the_gradient_of_the_force(shape, body):
         assert abs(difference - k[:, column]).max() < 1e-6 * abs(k).max()
 
 
-def test_exactly_three_zero_modes(shape, body):
-    plate = body(shape)
+def test_exactly_three_zero_modes(plate):
     values = np.linalg.eigvalsh(plate.tangent(plate.displacement(lambda x: 0 * x)))
-    assert abs(values[:3]).max() < 1e-12 * values[-1]
-    assert values[3] > 1e-6 * values[-1]
+    assert abs(values[:3]).max() < plate.ZERO * values[-1]
+    assert values[3] > plate.LEAST * values[-1]
 
 
-def test_internal_force_has_no_resultant(shape, body):
-    plate = body(shape)
+def test_internal_force_has_no_resultant(plate):
     u = plate.displacement(wavy)
-    f, place = plate.force(u)[0], shape.points + u
+    f, place = plate.force(u)[0], plate.points + u[plate.first :]
     assert abs(f.sum(axis=0)).max() < 1e-14 * abs(f).sum()
     assert abs((place[:, 0] * f[:, 1] - place[:, 1] * f[:, 0]).sum()) < 1e-13 * abs(f).sum()
 
@@ -124,17 +111,6 @@ def test_status_tells_inverted_and_undefined_displacements(shape, body):
             bad = u.copy()
             bad[node, 1] = value
             assert not plate.force(bad)[2] > 0
-
-
-def test_two_bodies_share_an_operator(meshes, body):
-    shape = meshes.mixed()
-    first, second = body(shape), body(shape, padding=len(shape.points))
-    u = second.displacement(wavy)
-    u[: second.first] = second.displacement(lambda x: 0.1 * x**2)[second.first :]
-    alone = np.ascontiguousarray(u[second.first :])
-    assert (second.force(u)[0] == first.force(alone)[0]).all()
-    assert (second.tangent(u) == first.tangent(alone)).all()
-    assert second.energy(u) == first.energy(alone)
 
 
 def test_mass_product(meshes, body):

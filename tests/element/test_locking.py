@@ -2,7 +2,6 @@
 
 import warnings
 
-import numpy as np
 import pytest
 
 import polyida as pi
@@ -40,15 +39,3 @@ def test_elements_that_lock_say_so_and_name_plate_and_remedy():
     assert len(said) == 1 and said[0].filename == __file__
     with pytest.warns(pi.LockingWarning, match="virtual elements of 3 corners"):
         stiffness("virtual", 0.46, pi.mesh.triangles(LENGTH, HEIGHT, 10, 1))
-
-
-@pytest.mark.parametrize("plane, nu", [("strain", 0.45), ("stress", 0.499)])
-def test_no_warning_where_nothing_locks(plane, nu, scenes):
-    with warnings.catch_warnings(action="error"):
-        scenes.single(material={"plane": plane, "nu": nu})[0].build()
-
-
-def test_the_factor_in_plane_strain_is_that_of_plane_stress(scenes):
-    strain, stress = (scenes.single(element="virtual", material={"plane": plane, "nu": 0.4})[0].build() for plane in ("strain", "stress"))
-    factors = [model.arrays.plates.body_stabilisation for model in (strain, stress)]
-    assert np.array_equal(*factors)

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from polyida.element import kernels, two_states
-from polyida.element.virtual import reference_operator as virtual
+from polyida.element import two_states
 
 TAU = 0.03
 
@@ -160,36 +159,3 @@ def test_midpoint_force_with_viscosity_works_more_by_the_dissipation(plate):
 def test_midpoint_costs_nothing_between_rigid_positions(plate):
     u0, u1 = (plate.plate.displacement(lambda x, angle=angle: rotated(x, angle) + 7 * angle) for angle in (0.4, 1.9))
     assert abs(plate.midpoint(u0, u1, 3.0)).max() < 1e-13 * plate.plate.c1
-
-
-def test_midpoint_rotation_is_of_the_mean_and_status_of_the_end(plate):
-    u0, u1 = plate.plate.displacement(wavy), plate.plate.displacement(later)
-    _, rotation, status = plate.force(two_states.internal_force_midpoint, 0.0, u0, u1)
-    assert abs(rotation - plate.plate.force((u0 + u1) / 2)[1]).max() < 1e-14
-    assert status == pytest.approx(plate.plate.force(u1)[2], rel=1e-13)
-    inverted = plate.plate.displacement(lambda x: x * [-2.0, 0.0])
-    assert plate.force(two_states.internal_force_midpoint, 0.0, u0, inverted)[2] == pytest.approx(-1.0)
-    u1[-1, 0] = np.nan
-    assert not plate.force(two_states.internal_force_midpoint, 0.0, u0, u1)[2] > 0
-    assert not plate.force(two_states.internal_force_viscous, TAU, u1, u0)[2] > 0
-
-
-def test_no_rotation_where_none_is_asked_for(meshes, body):
-    plate = body(meshes.quads(2, 2))
-    u = plate.displacement(wavy)
-    for kernel, number in ((two_states.internal_force_viscous, TAU), (two_states.internal_force_midpoint, 0.2)):
-        f, g = np.zeros_like(u), np.zeros_like(u)
-        kernel(*plate.op.force_arrays, 0, plate.c1, plate.NU, number, u, u, f, np.empty((0, 2)))
-        kernel(*plate.op.force_arrays, 0, plate.c1, plate.NU, number, u, u, g, np.zeros_like(u))
-        assert (f == g).all() and f.any()
-
-
-def test_one_point_cells_take_the_same_kernels(meshes, body):
-    plate = TwoStates(body(meshes.hanging(), operator=virtual))
-    u0, u1 = plate.plate.displacement(wavy), plate.plate.displacement(later)
-    f, way = plate.midpoint(u0, u1), u1 - u0
-    gained = plate.plate.energy(u1) - plate.plate.energy(u0)
-    assert (f * way).sum() == pytest.approx(gained, abs=1e-13 * abs(f * way).sum())
-    assert_gradient(plate.viscous_tangent(u0, u1, 1.0, 0.0), lambda x: plate.viscous(x, u1), u0, 0)
-    energy = kernels.strain_energy(*plate.op.force_arrays, 0, plate.plate.c1, plate.plate.NU, u0)
-    assert energy == plate.plate.energy(u0)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.own_laws import add_own_forces
 from polyida.model.differences import along
 
 T = 0.13
@@ -30,7 +29,6 @@ ALONE = {
     "line": lambda a, b: pi.Contact(a, GUIDE, 1e3, 0.05),
 }
 ELEMENTS = BETWEEN | ALONE
-PYTHON = ("further spring", "torque of state", "motor of state", "force of state")
 
 
 def bodies(make):
@@ -59,21 +57,6 @@ def test_derivatives(made):
     _, model, _ = made
     assert max(max(pi.check_derivatives(model, T, *moved(model, seed), seed=seed).values()) for seed in range(5)) < 1e-6
     assert max(pi.check_derivatives(model, T).values()) < 1e-6
-
-
-def test_kernels_do_what_python_does(made):
-    name, model, own = made
-    assert model.compiled == (name not in PYTHON)
-    for seed in range(4, 40):  # until what can be out of touch touches
-        q, v = moved(model, seed)
-        by_python = -own.A.T @ own.forces(T, own.places(q), own.velocities(v)).ravel()
-        if by_python.any():
-            break
-    if model.compiled:
-        r = np.zeros((model.n_nodes, 2))
-        add_own_forces(model.laws, model.arrays.links, model.drives(T), q.reshape(-1, 2), v.reshape(-1, 2), r)
-        assert np.abs(r.ravel() - by_python).max() < 1e-12 * np.abs(by_python).max()
-    assert np.abs(by_python).max() > 0.1
 
 
 def test_a_force_is_the_slope_of_its_energy(made):
@@ -106,63 +89,6 @@ def _sides(own):
     from polyida.force.force_element import sides_of
 
     return sides_of(own.name, own.element)
-
-
-@pytest.mark.parametrize(
-    "python, compiled",
-    [
-        (lambda a, b: pi.Torque(a, lambda t, angle, rate: 0.3 * t), lambda a, b: pi.Torque(a, lambda t: 0.3 * t)),
-        (
-            lambda a, b: pi.SpringDamper(a, b, 0.0, force=lambda e, rate: 20.0 * e + rate + 2.0),
-            lambda a, b: pi.SpringDamper(a, b, 20.0, 1.0, preload=2.0),
-        ),
-        (lambda a, b: pi.Torque(a, lambda t, angle, rate: 0.3 * t, b), lambda a, b: pi.Torque(a, lambda t: 0.3 * t, b)),
-        (lambda a, b: pi.Force(a, lambda t, x, v: (t, 1.0), follower=True), lambda a, b: pi.Force(a, (lambda t: t, 1.0), follower=True)),
-    ],
-)
-def test_a_function_of_state_is_the_same_force(python, compiled):
-    one, other = (bodies(make) for make in (python, compiled))
-    q, v = moved(one, 1)
-    assert np.abs(one.force(T, q, v) - other.force(T, q, v)).max() < 1e-13
-    assert (one.compiled, other.compiled) == (False, True)
-    assert one.potential(q) == pytest.approx(other.potential(q), rel=1e-9)
-
-
-@pytest.mark.parametrize("name", [name for name in ELEMENTS if name not in PYTHON])
-def test_files_hold_it(scenes, name, tmp_path):
-    scene, upper, lower = scenes.pair(cells=4)
-    scene.add(pi.Revolute(pi.ground, upper.section("left")))
-    scene.add(ELEMENTS[name](upper.section("left"), lower.section("right")))
-    run = pi.solve(scene.build(), 2e-3, pi.GeneralizedAlpha(h=1e-3))
-    run.save(tmp_path / "run.h5")
-    loaded = pi.load(tmp_path / "run.h5")
-    q, v = 0.01 * np.random.default_rng(0).standard_normal((2, run.model.n))
-    assert np.array_equal(loaded.model.force(1e-3, q, v), run.model.force(1e-3, q, v))
-    assert np.array_equal(loaded.energy.total, run.energy.total)
-
-
-WRONG = {
-    "moment.t, angle, rate. must return a number": lambda a, b: pi.Torque(a, lambda t, angle, rate: "strong", name="odd"),
-    "force.t, x, v. must return two numbers": lambda a, b: pi.Force(a, lambda t, x, v: 1.0, name="odd"),
-    "force.elongation, rate. must return a number": lambda a, b: pi.SpringDamper(a, b, 1.0, force=lambda e, rate: None, name="odd"),
-    "gave numbers that are not finite": lambda a, b: pi.Force(a, lambda t, x, v: (np.nan, 0.0), name="odd"),
-}
-
-
-@pytest.mark.parametrize("words", WRONG)
-def test_what_is_wrong_with_a_function_of_state_is_told_before_the_run(words):
-    with pytest.raises(pi.InputError, match=words):
-        pi.solve(bodies(WRONG[words]), 0.01, pi.GeneralizedAlpha(h=1e-3))
-
-
-def test_a_line_is_that_of_its_direction():
-    """Depth below a slanted line, by hand; its side moved and turned moves the line along."""
-    model = bodies(lambda a, b: pi.Contact(a, GUIDE, 2.0, exponent=1.0))
-    own = model.own_forces.each[0]
-    x, n = own.places(np.zeros(model.n)), np.array([-0.2, 1.0]) / np.hypot(0.2, 1.0)
-    depth = -(x[0] - GUIDE.point) @ n
-    assert depth > 0.1 and own.element.depth(x) == pytest.approx(depth) and own.energy(x) == pytest.approx(depth**2)
-    assert own.forces(0.0, x, 0.0 * x)[0] == pytest.approx(2.0 * depth * n)
 
 
 def test_contact_never_pulls():

@@ -87,13 +87,6 @@ def test_a_point_on_a_prescribed_path():
     assert np.abs(run.energy.work["path"] - gained).max() < 1e-4 * np.abs(gained).max()
 
 
-def test_a_path_in_one_direction_leaves_the_other():
-    scene, body = lone((0.0, -9.81), origin=(0.2, 0.0))
-    scene.add(pi.Path(body.at("C"), 0.2, None, name="path"))
-    run = pi.solve(scene.build(), 0.1, pi.GeneralizedAlpha(h=1e-3))
-    assert np.abs(run.position("path") - np.column_stack([0.2 + 0.0 * run.t, -9.81 * run.t**2 / 2])).max() < 1e-9
-
-
 def test_a_pendulum_on_a_rod():
     """Let go at the height of its support: the rod's tension is 3 m g sin(angle below it)."""
     scene, body = lone((0.0, -9.81), origin=(0.7, 0.0))
@@ -128,38 +121,6 @@ def test_a_torque_works_by_the_angle():
     assert np.abs(np.unwrap(np.angle(direction(run))))[-1] > 2 * np.pi
 
 
-def test_a_torque_of_state_is_a_brake():
-    """M = -c w: w = w0 exp(-c t / J)."""
-    scene, body = lone(spin=6.0)
-    scene.add(pi.Revolute(pi.ground, body.at("C")))
-    scene.add(pi.Torque(body.at("C"), lambda t, angle, rate: -0.05 * rate, name="brake"))
-    run = pi.solve(scene.build(), 0.5, pi.RadauIIA(rtol=1e-8))
-    assert run.energy.kinetic == pytest.approx(INERTIA * 18.0 * np.exp(-0.1 * run.t / INERTIA), rel=1e-5)
-    assert run.energy.work["brake"][-1] == pytest.approx(run.energy.kinetic[-1] - run.energy.kinetic[0], rel=1e-5)
-
-
-def test_a_follower_turns_with_its_body():
-    """A spinning body under a thrust at its centre: v = F/(m w) (sin w t, 1 - cos w t)."""
-    scene, body = lone(spin=5.0)
-    scene.add(pi.Force(body.at("C"), (2.0, 0.0), follower=True, name="thrust"))
-    run = pi.solve(scene.build(), 1.0, pi.RadauIIA(rtol=1e-9))
-    v = run.v.reshape(len(run), -1, 2)[:, 0]
-    assert np.abs(v - 2.0 / (MASS * 5.0) * np.column_stack([np.sin(5.0 * run.t), 1.0 - np.cos(5.0 * run.t)])).max() < 1e-6
-
-
-def test_a_load_of_numbers_is_a_point_load(scenes):
-    ends = []
-    for make in (lambda at: pi.PointLoad(at, (1.0, 3.0), pi.profile.ramp(0.0, 1.0, 0.01)), lambda at: pi.Force(at, (ramp(1.0), ramp(3.0)))):
-        scene, upper = scenes.hinged()
-        scene.add(make(upper.section("right")))
-        ends.append(pi.solve(scene.build(), 0.02, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-10)).q[-1])
-    assert np.abs(ends[0] - ends[1]).max() < 1e-9
-
-
-def ramp(end):
-    return pi.profile.ramp(0.0, end, 0.01)
-
-
 @pytest.mark.parametrize("surface", ["line", "circle"])
 def test_a_ball_comes_back_as_the_energy_balance_of_hunt_and_crossley_says(surface):
     """With s = 3/2 c, `s v0 - ln(1 + s v0) = -s v1 - ln(1 - s v1)` for the speeds before and behind: whatever k, n and m are."""
@@ -173,16 +134,6 @@ def test_a_ball_comes_back_as_the_energy_balance_of_hunt_and_crossley_says(surfa
     speed = run.v.reshape(len(run), -1, 2)[-1, 0]
     assert run.success and speed == pytest.approx([0.0, after], rel=1e-5, abs=1e-9)
     assert run.energy.dissipated["floor"][-1] == pytest.approx(MASS * (before**2 - after**2) / 2, rel=2e-3)
-
-
-def test_bodies_in_contact_keep_their_momentum(scenes):
-    """A body falls on the end of another that is free: their momentum and angular momentum are those from before."""
-    scene, one = lone(origin=(0.3, 0.11), velocity=(0.0, -2.0))
-    other = scene.add(pi.RigidBody(1.0, 0.05, {"C": (0.0, 0.0), "top": (0.0, 0.05)}, name="other"))
-    scene.add(pi.Contact(one.at("C"), other.at("top"), 1e5, 0.1))
-    run = pi.solve(scene.build(), 0.1, pi.RadauIIA(rtol=1e-8))
-    assert abs(run.v[-1]).max() > 0.5 and np.abs(run.momentum - [0.0, -1.0]).max() < 1e-7
-    assert np.abs(run.angular_momentum - run.angular_momentum[0]).max() < 1e-6
 
 
 def test_welded_bodies_are_one():

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from numba import njit
-from scipy.sparse import bsr_array
 
 import polyida as pi
 from polyida.assembly import own_laws as laws
@@ -75,22 +74,6 @@ def test_a_constant_force_is_a_point_load(scenes):
     assert np.abs(ends[0] - ends[1]).max() < 1e-9
 
 
-def test_every_integrator_takes_it_and_says_so(scenes):
-    model = pulled(scenes, d=2.0, name="spring")
-    h = 2.5e-4
-    methods = (
-        pi.IDA(rtol=1e-6),
-        pi.RadauIIA(),
-        pi.GeneralizedAlpha(h=h),
-        pi.EnergyMomentum(h=h),
-        pi.GeneralizedAlpha(h=h, form="stabilised"),
-    )
-    runs = [pi.solve(model, 0.05, method) for method in methods]
-    for run in runs:
-        assert run.success and "Python of 'spring'" in run.summary(), run.message
-        assert np.abs(run.q[-1] - runs[0].q[-1]).max() < 1e-4
-
-
 def test_energy_is_kept_and_counts_it(scenes):
     run = pi.solve(pulled(scenes), 0.2, pi.EnergyMomentum(h=2e-3))
     assert np.ptp(run.energy.total) < 1e-9 * np.ptp(run.energy.potential)
@@ -102,23 +85,6 @@ def test_derivatives(scenes):
     for kind in (Pull, Exact):
         found = pi.check_derivatives(pulled(scenes, kind, d=2.0), q=state.q, v=state.v)
         assert max(found.values()) < 1e-6
-
-
-def test_a_wrong_derivative_is_seen(scenes):
-    class Wrong(Exact):
-        def forces_v(self, t, x, v):
-            return 1.1 * super().forces_v(t, x, v)
-
-    model = pulled(scenes, Wrong, d=200.0)
-    assert pi.check_derivatives(model, q=np.zeros(model.n))["force_v"] > 0.05
-
-
-def test_files_hold_it(scenes, tmp_path):
-    run = pi.solve(pulled(scenes, d=2.0), 5e-3, pi.GeneralizedAlpha(h=1e-3))
-    run.save(tmp_path / "run.h5")
-    loaded = pi.load(tmp_path / "run.h5")
-    assert isinstance(loaded.model.parts["pull 1"], Pull)
-    assert np.array_equal(loaded.energy.total, run.energy.total)
 
 
 WRONG = {
@@ -134,13 +100,6 @@ def test_what_is_wrong_is_told_before_the_run(scenes, words):
     scene.add(Push(upper.section("right"), WRONG[words], name="push"))
     with pytest.raises(pi.InputError, match=f"push.*{words}|{words}.*push|push.*gave numbers"):
         pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
-
-
-def test_a_force_that_ceases_to_be_finite_is_blamed(scenes):
-    scene, upper = scenes.hinged()
-    scene.add(Push(upper.section("right"), lambda t, x, v: np.zeros((1, 2)) if t < 5e-3 else np.full((1, 2), np.nan), name="push"))
-    run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
-    assert not run.success and "'push'" in run.message and run.t[-1] < 6e-3
 
 
 def test_parts_are_looked_at(scenes):
@@ -184,15 +143,6 @@ class Wind(pi.ForceElement):
         return np.array([[self.c * np.sin(self.w * t), -self.c * v[0, 1] * abs(v[0, 1])]])
 
 
-@pytest.mark.parametrize("settings", [{"stages": 2}, {"stages": 2, "form": "index3"}, {"stages": 3}], ids=str)
-def test_radau_takes_a_force_in_python(scenes, settings):
-    scene, upper = scenes.cantilever()
-    scene.add(Push(upper.section("right"), lambda t, x, v: np.array([[0.0, 5.0]]) - 2.0 * v, name="push"))
-    run, whole = (pi.solve(scene.build(), 0.02, pi.RadauIIA(h=2e-3, linear=linear, **settings)) for linear in ("auto", "kkt"))
-    assert run.success and np.abs(run.q[-1]).max() > 1e-5
-    assert np.abs(run.q - whole.q).max() < 1e-7 * np.abs(run.q).max()
-
-
 def gusty(**functions):
     """A Wind with other functions."""
     return dataclass(frozen=True, eq=False)(type("Other", (Wind,), functions))
@@ -215,29 +165,6 @@ def test_compiled_it_is_the_same_force(scenes, method, apart):
     runs = [pi.solve(model, 0.02, method) for model in models]
     assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < apart
     assert np.allclose(runs[0].energy.total[-1], runs[1].energy.total[-1], rtol=0, atol=30 * apart)
-
-
-def test_the_factor_knows_a_stiff_compiled_force(scenes):
-    """A damper far above what the plates' masses are in a step: with its slopes in the factor Newton needs hardly more iterations."""
-    soft, stiff = (pi.solve(pulled(scenes, Compiled, d=d), 0.05, pi.GeneralizedAlpha(h=1e-3)) for d in (1.0, 1e6))
-    assert stiff.success and stiff.counts.factorizations <= 4
-    assert stiff.counts.newton_iterations < 2 * soft.counts.newton_iterations
-
-
-@pytest.mark.parametrize("form", ["index3", "stabilised"])
-def test_a_stiff_support_by_a_law(scenes, form):
-    scene, upper = scenes.hinged()
-    scene.add(Compiled(pi.ground.at((1.0, 0.0)), upper.section("right"), k=1e7))
-    run = pi.solve(scene.build(), 0.05, pi.GeneralizedAlpha(h=2e-3, form=form))
-    assert run.success and run.counts.newton_iterations <= 3 * run.counts.steps and run.counts.factorizations <= 2
-
-
-def test_a_run_with_a_law_goes_on_as_if_it_had_not_stopped(scenes):
-    scene, upper = scenes.hinged()
-    scene.add(Wind(upper.section("right")))
-    model, method = scene.build(), pi.GeneralizedAlpha(h=1e-3)
-    whole, half = pi.solve(model, 0.04, method), pi.solve(model, 0.02, method)
-    assert np.array_equal(pi.solve(model, 0.04, method, state=half.state).q[-1], whole.q[-1])
 
 
 def ceasing(self, t, x, v):
@@ -267,48 +194,6 @@ def test_a_compiled_force_that_fails_ends_the_run_at_its_time_and_is_named(scene
     assert not run.success and "push" in run.message and 2e-3 < run.t[-1] < 6.5e-3, run.message
 
 
-def lawful(scenes):
-    """(model, q, v) of two laws on one plate, in the middle of somewhere."""
-    scene, upper = scenes.hinged()
-    scene.add(Compiled(upper.section("left"), upper.section("right"), d=3.0))
-    scene.add(Wind(upper.node(3)))
-    scene.add(Compiled(pi.ground.at((0.5, -2.0)), upper.section("right"), k=7.0))
-    model, random = scene.build(), np.random.default_rng(1)
-    return model, *(0.1 * random.standard_normal((2, model.n)))
-
-
-def test_kernels_call_compiled_forces(scenes):
-    model, q, v = lawful(scenes)
-    r, one_by_one = np.zeros((2, model.n))
-    laws.add_own_forces(model.laws, model.arrays.links, model.drives(0.3), q.reshape(-1, 2), v.reshape(-1, 2), r.reshape(-1, 2))
-    model.own_forces.take_from(one_by_one, 0.3, q, v)
-    assert np.abs(r).max() > 1.0 and np.abs(r - one_by_one).max() < 1e-13
-    assert len(laws.add_own_forces.signatures) == 1
-    assert max(pi.check_derivatives(model, 0.3, q, v).values()) < 1e-6
-
-
-def test_curvature_of_laws_on_the_points(scenes):
-    model, q, v = lawful(scenes)
-    coupling = model.arrays.links.coupling
-    blocks = np.zeros((len(coupling.columns), 2, 2))
-    laws.add_own_curvature(model.laws, coupling, model.drives(0.3), model.dz(q), model.dz(v), 2.0, 3.0, blocks)
-    expected = model.own_forces.slopes(0.3, q, v, 3.0, 2.0).toarray()
-    curvature = bsr_array((blocks, coupling.columns, coupling.start), (2 * model.n_points,) * 2).toarray()
-    assert np.abs(model._points_t @ curvature @ model._points_t.T.toarray() - expected).max() < 1e-7 * np.abs(expected).max()
-
-
-def test_laws_beside_python_are_called_one_by_one(scenes):
-    scene, upper = scenes.hinged()
-    scene.add(Wind(upper.section("right"), name="wind"))
-    scene.add(Push(upper.section("right"), lambda t, x, v: np.zeros((1, 2))))
-    model = scene.build()
-    assert model.laws is None
-    del scene.parts["push 1"]
-    alone, random = scene.build(), np.random.default_rng(1)
-    q, v = 0.1 * random.standard_normal((2, model.n))
-    assert np.allclose(model.force(0.2, q, v), alone.force(0.2, q, v), rtol=1e-13)
-
-
 @pytest.mark.parametrize(
     "functions, words",
     [
@@ -328,18 +213,6 @@ def test_what_is_wrong_with_a_compiled_force_is_told(scenes, functions, words):
     scene.add(gusty(**functions)(upper.section("right"), name="wind"))
     with pytest.raises((pi.InputError, TypeError), match=f"(wind|positional).*({words})|{words}"):
         pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
-
-
-def writing(self, t, x, v):
-    x[0, 0] += 1.0
-    return np.zeros((1, 2))
-
-
-def test_a_compiled_force_cannot_write_into_its_arguments(scenes):
-    scene, upper = scenes.hinged()
-    scene.add(gusty(forces=writing)(upper.section("right")))
-    with pytest.raises(pi.InputError, match="wind|readonly|read-only"):
-        scene.build()
 
 
 @pi.compiled
@@ -417,12 +290,6 @@ def test_a_function_of_state_may_be_compiled(scenes):
         assert model.compiled == bool(runs)
         runs.append(pi.solve(model, 0.02, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-11, start="plain")))
     assert all(np.abs(run.q - runs[0].q).max() < 1e-11 for run in runs)
-
-
-def test_files_hold_a_compiled_force(scenes, tmp_path):
-    run = pi.solve(pulled(scenes, Compiled, d=2.0), 5e-3, pi.GeneralizedAlpha(h=1e-3))
-    run.save(tmp_path / "run.h5")
-    assert np.array_equal(pi.load(tmp_path / "run.h5").energy.total, run.energy.total)
 
 
 def swirl(self, t, x, v):

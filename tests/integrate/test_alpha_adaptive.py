@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.alpha.march import LOWEST, RUNGS, Ladder, calm_error
-from polyida.linear.lu import KEPT, Kept
+from polyida.integrate.alpha.march import RUNGS
 
 FROM, TO, PULSE = 9.4, 10.0, 9.5
 
@@ -36,13 +35,6 @@ def test_half_the_work_of_fixed_steps_on_a_sudden_event(scenes):
     assert 2 * work(free) < work(fixed) and free.counts.rejected > 0
 
 
-def test_the_pulse_takes_the_short_steps(scenes):
-    run = pi.solve(sudden_event(scenes), TO, pi.GeneralizedAlpha(h=0.05, atol=1e-5))
-    h, at = np.diff(run.t), run.t[1:]
-    assert h[at < PULSE].max() > 0.03 and h[(at > PULSE) & (at < PULSE + 0.02)].max() < 0.004
-    assert all(np.abs(run.t - kink).min() < 1e-12 for kink in (9.0, PULSE, PULSE + 5e-3, PULSE + 0.01)) and run.t[-1] == TO
-
-
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
 def test_error_follows_the_tolerance_and_lam_is_clean(scenes, form):
     """Also lam, which is not in the estimate, and sees every jump of h."""
@@ -56,22 +48,6 @@ def test_error_follows_the_tolerance_and_lam_is_clean(scenes, form):
         assert len(set(np.round(np.log2(np.diff(run.t)) * RUNGS, 6))) < 0.1 * len(run)
     slopes = [scenes.slope([1e-3, 1e-4, 1e-5], column) for column in np.transpose(errors)]
     assert slopes == pytest.approx([2 / 3, 2 / 3], abs=0.15) and errors[-1][1] < 0.05
-
-
-def test_compiled_and_plain_paths_take_the_same_steps(scenes):
-    model = scenes.jointed("revolute").build()
-    runs = [
-        pi.solve(model, 0.1, pi.GeneralizedAlpha(h=0.01, rtol=1e-4, atol=1e-6, tolerance=1e-7, linear=linear)) for linear in ("auto", "kkt")
-    ]
-    assert runs[0].counts.rejected == runs[1].counts.rejected > 0
-    assert np.allclose(runs[0].t, runs[1].t) and np.abs(runs[0].q - runs[1].q).max() < 1e-8
-
-
-def test_goes_on_from_a_file(scenes, tmp_path):
-    model, integrator = scenes.jointed("revolute").build(), pi.GeneralizedAlpha(h=0.01, atol=1e-6)
-    pi.solve(model, 0.05, integrator, out=tmp_path / "run.h5")
-    run, whole = pi.resume(tmp_path / "run.h5", 0.1), pi.solve(model, 0.1, integrator)
-    assert run.success and np.abs(run.q[-1] - whole.q[-1]).max() < 1e-4
 
 
 def test_a_tolerance_that_no_step_meets_is_told(scenes):
@@ -120,46 +96,8 @@ def test_units_of_the_coordinates_do_not_matter(units):
     assert np.abs(runs[1].q / runs[1].model.units - runs[0].q).max() < 1e-6
 
 
-@pytest.mark.parametrize("linear", ["auto", "kkt"])
-def test_gives_up_with_a_reason(scenes, linear):
-    model = scenes.jointed("revolute").build()
-    run = pi.solve(model, 10.0, pi.GeneralizedAlpha(h=0.01, rtol=1e-5, linear=linear, max_num_steps=30))
-    assert run.status == "too many steps" and "more than 30 steps (max_num_steps)" in run.message
-    assert run.counts.steps + run.counts.rejected == 30 and len(run) == run.counts.steps + 1
-
-
-def test_as_many_steps_as_allowed_are_done():
-    model, start = pi.problems.get("pendulum").model, dict(q0=[-1.0, 0.0])
-    whole = pi.solve(model, 0.2, pi.GeneralizedAlpha(h=0.01, rtol=1e-3), **start)
-    most = whole.counts.steps + whole.counts.rejected
-    runs = [pi.solve(model, 0.2, pi.GeneralizedAlpha(h=0.01, rtol=1e-3, max_num_steps=n), **start) for n in (most, most - 1)]
-    assert runs[0].success and runs[1].status == "too many steps"
-
-
 def test_a_step_at_the_round_off_of_t_is_told():
     """At t = 1e12 s neighbouring numbers are 1e-4 s apart."""
     model = pi.problems.get("pendulum").model
     run = pi.solve(model, 1e12 + 1.0, pi.GeneralizedAlpha(h=0.1, atol=1e-9), t0=1e12, q0=[-1.0, 0.0])
     assert run.status == "step too small" and "round-off of t" in run.message
-
-
-def test_few_factors_are_kept():
-    kept = Kept()
-    for h in range(20):
-        kept.keep(float(h), h)
-        assert kept.take(0.0) == 0
-    assert len(kept.factors) == KEPT and kept.take(1.0) is None and kept.take(19.0) == 19
-
-
-def test_ladder():
-    ladder = Ladder(0.1)
-    ladder.down(8.0)
-    assert ladder.rung == RUNGS + 1 and ladder.h == pytest.approx(0.1 * 2 ** (-1.25))
-    ladder.down(float("inf"))
-    assert ladder.rung == 3 * RUNGS + 1
-    ladder.up(1e-9)
-    assert ladder.rung == 2 * RUNGS + 1
-    assert Ladder(0.1, ladder.h).rung == ladder.rung and Ladder(0.1, 1e-30).rung == LOWEST
-    calm = Ladder(0.1, 0.05)
-    assert calm.up(0.99 * calm_error(0.05, 0.1)) and calm.rung == RUNGS - 2
-    assert calm_error(0.1, 0.1) == 0

@@ -33,11 +33,6 @@ def orders(scenes, model, end, counts, finest, reference=None, fields=FIELDS, **
     return {name: scenes.slope([end / n for n in counts], column) for name, column in errors.items()}
 
 
-def test_second_order_on_a_ramp_from_1e_2_to_6e_4(scenes):
-    found = orders(scenes, bending(scenes), 0.3, (30, 60, 120, 240, 480), 3840, tolerance=1e-6)
-    assert found == pytest.approx(dict.fromkeys(FIELDS, 2.0), abs=0.05)
-
-
 def turning(scenes):
     """A plate, turned by a motor at its hinge."""
     scene, upper = scenes.hinged((0.0, 0.0))
@@ -101,29 +96,6 @@ def test_spectral_radius_at_infinity(rho_inf):
     assert Coefficients.second_order(c.alpha_m, c.alpha_f) == c
 
 
-@pytest.mark.parametrize(
-    "make, told",
-    [
-        (lambda: pi.GeneralizedAlpha.newmark(1e-3, 0.25, 0.5), "trapezoidal"),
-        (lambda: pi.GeneralizedAlpha.newmark(1e-3, -0.1, 0.6), "beta > 0"),
-        (lambda: pi.GeneralizedAlpha.newmark(1e-3, "x", 0.6), "member = .*four numbers"),
-        (lambda: pi.GeneralizedAlpha.newmark(1e-3, None, 0.6), "member = .*four numbers"),
-        (lambda: pi.GeneralizedAlpha(1e-3, member=[[1, 2], 3, 4, 5]), "member = .*four numbers"),
-        (lambda: pi.GeneralizedAlpha.hht(1e-3, 0.0), "alpha = 0.0"),
-        (lambda: pi.GeneralizedAlpha.wbz(1e-3, "soft"), "alpha = 'soft'"),
-        (lambda: pi.GeneralizedAlpha(1e-3, member=(0.1, 0.2)), "member"),
-        (lambda: pi.GeneralizedAlpha(1e-3, form="index2"), "form"),
-        (lambda: pi.GeneralizedAlpha(1e-3, rtol=-1.0), "rtol"),
-        (lambda: pi.GeneralizedAlpha(1e-3, rtol=0.0), "atol"),
-        (lambda: pi.GeneralizedAlpha(1e-3, atol=1e-6, extrapolate=True), "extrapolate"),
-        (lambda: pi.GeneralizedAlpha(1e-3, max_halvings=-1), "max_halvings"),
-    ],
-)
-def test_settings_out_of_range(make, told):
-    with pytest.raises(pi.InputError, match=told):
-        make()
-
-
 def test_extrapolation_stops_where_its_runs_have_parted(scenes):
     """Plates that swing for seconds on steps of 20 ms are sensitive to everything."""
     scene = scenes.jointed("revolute")
@@ -131,13 +103,6 @@ def test_extrapolation_stops_where_its_runs_have_parted(scenes):
     assert run.status == "extrapolation" and "apart in q" in run.message and len(run) > 10
     strain = run.energy.strain
     assert strain.max() < 10 * pi.solve(scene.build(), run.t[-1], pi.GeneralizedAlpha(h=1e-2)).energy.strain.max()
-
-
-def test_settings_survive_a_file(tmp_path):
-    """Also those of a member, which are a tuple."""
-    integrator = pi.GeneralizedAlpha.hht(5e-3, -0.1, form="stabilised", max_halvings=3)
-    pi.solve(pi.problems.get("pendulum").model, 0.1, integrator, q0=[-1.0, 0.0]).save(tmp_path / "run.h5")
-    assert pi.load(tmp_path / "run.h5").integrator == integrator
 
 
 def test_extrapolation_is_of_higher_order_and_cheaper(scenes):

@@ -48,11 +48,6 @@ def test_polluted_where_phi_comes_from_positions(driven, moving, linear):
         assert run.success and errors(driven, run)[0] > expected
 
 
-def test_both_are_the_same_at_ordinary_steps(driven):
-    runs = [pi.solve(driven, 0.2, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-8, incremental_phi=carried)) for carried in (True, False)]
-    assert np.abs(runs[0].q - runs[1].q).max() < 1e-10 and np.abs(runs[0].lam - runs[1].lam).max() < 1e-5
-
-
 def test_no_drift_over_many_steps(driven):
     run = pi.solve(driven, 1.0, pi.GeneralizedAlpha(h=1e-4), every=100)
     assert run.drift.max() < 1e-12
@@ -70,24 +65,3 @@ def test_change_of_phi_and_rate(scenes, kind):
     joints.joint_change(model.arrays.links, drives[0], gains[0], h, model.dz(q), model.dz(v), model.dz(dd), model.dz(dv), phi, rate)
     expected = level(times[1], q + h * v + dd, v + dv)
     assert np.allclose(phi, expected[0], atol=1e-13) and np.allclose(rate, expected[1], atol=1e-12)
-
-
-@pytest.mark.parametrize("h", [3e-8, 1e-9, 1e-12])
-def test_gains_of_small_steps(scenes, h):
-    """theta = 1 + t^2 over a step: t^2 is lost in the difference of the values, not in the gains."""
-    turn = pi.profile.polynomial([1.0, 0.0, 1.0])
-    scene, upper = scenes.hinged((0.0, 0.0))
-    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=turn, name="drive"))
-    model = scene.build()
-    times = np.array([0.0, h, 2 * h])
-    gains = increments.gain_table(model, times, increments.drive_table(model, times, times[[0, -1]]), h)
-    assert np.allclose(gains[:, 0], [[h**2, h**2, 2 * h], [3 * h**2, h**2, 2 * h]], rtol=1e-9, atol=0)
-
-
-def test_a_motor_of_a_user_s_function(scenes):
-    """Functions of a user's own may not be the integrals of what they say are their rates: then the values count."""
-    turn = pi.profile.from_function(lambda t: 0.3 * t * t, lambda t: 0.0, lambda t: 0.0)
-    scene, upper = scenes.hinged((0.0, 0.0))
-    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=turn, name="drive"))
-    run = pi.solve(scene.build(), 0.2, pi.GeneralizedAlpha(h=1e-3))
-    assert run.success and run.drift.max() < 1e-11

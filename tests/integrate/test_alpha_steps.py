@@ -7,8 +7,6 @@ import pytest
 
 import polyida as pi
 from polyida.integrate import moves
-from polyida.integrate.alpha.start import started
-from polyida.integrate.start import consistent_state
 from polyida.problems import plates
 
 BOTH = pytest.mark.parametrize("linear", ["auto", "kkt"])
@@ -55,21 +53,6 @@ def test_the_history_of_a_failure_is_told(scenes, linear, monkeypatch):
     assert "half-turn" in run.message and "the step in 2, 4 parts fails too" in run.message
 
 
-class Pole(type(pi.problems.get("pendulum").model)):
-    """A pendulum whose force is not a number beyond some speed, or that throws the first Newton iterations off."""
-
-    def __init__(self, limit):
-        self.limit = limit
-
-    def force(self, t, q, v):
-        return np.full(2, np.nan) if v @ v > self.limit else super().force(t, q, v)
-
-
-def test_what_is_not_finite_is_told_at_once():
-    run = pi.solve(Pole(4.0), 1.0, pi.GeneralizedAlpha(h=1e-2), q0=[-1.0, 0.0])
-    assert not run.success and "not finite" in run.message and np.isfinite(run.q).all() and len(run) > 10
-
-
 @BOTH
 def test_going_on_after_a_cut_step_is_bit_by_bit(swinging, linear, tmp_path):
     model, integrator = swinging[0], pi.GeneralizedAlpha(h=0.2, linear=linear)
@@ -94,30 +77,3 @@ def test_another_step_goes_on_without_a_transient(scale):
     rest = pi.solve(model, 1.0, pi.GeneralizedAlpha(h=5e-3 * scale, tolerance=1e-8), state=first.state)
     error = lambda run: np.abs(run.lam[:, 0] - (9.0 - 3 * 9.81 * run.q[:, 1])).max()  # noqa: E731
     assert error(rest) < 2 * max(1.0, scale**2) * error(first)
-
-
-def test_the_start_is_left_as_it_is_where_the_step_is_the_same():
-    model = pi.problems.get("pendulum").model
-    integrator = pi.GeneralizedAlpha(h=1e-2)
-    state = started(integrator, model, consistent_state(model, 0.0, [-1.0, 0.0], [0.0, -3.0]), 1e-2)
-    assert started(integrator, model, state, 1e-2) is state
-    assert np.allclose(started(integrator, model, state, 2e-2).memory["rate"], 4 * state.memory["rate"])
-
-
-@BOTH
-def test_a_first_step_that_is_cut_keeps_the_jump_of_a_kink(scenes, linear):
-    """A motor that starts to turn at once, in a step too large for it."""
-    scene, upper = scenes.hinged()
-    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=pi.profile.linear(0.0, 3.0, duration=1.0), name="drive"))
-    run = pi.solve(scene.build(), 0.5, pi.GeneralizedAlpha(h=0.05, linear=linear))
-    assert run.success and run.counts.rejected > 0 and run.drift.max() < 1e-6
-
-
-@BOTH
-def test_damped_scenes(scenes, linear):
-    """Energy falls, and both paths agree."""
-    model = plates.double_plate(cells=12, material=pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=1e-3, mass_damping=0.5)).build()
-    run = pi.solve(model, 0.3, pi.GeneralizedAlpha(h=1e-3, linear=linear, tolerance=1e-6))
-    other = pi.solve(model, 0.3, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-6))
-    assert run.success and np.abs(run.q - other.q).max() < 1e-6
-    assert run.energy.total[-1] < -0.1 and np.diff(run.energy.total).max() < 1e-3

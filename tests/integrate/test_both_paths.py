@@ -17,40 +17,60 @@ def models(scene):
     return compiled, plain
 
 
+FEW = pytest.mark.parametrize("kind", ["motor between", "slot"], indirect=True)
+RADAU = [{"stages": 2}, {"form": "index3"}, {"form": "index3", "project": False}]
+
+
 @pytest.mark.parametrize("form", ["index3", "stabilised"])
-@pytest.mark.parametrize("make", [plates.double_plate, plates.double_plate_motors])
-def test_the_same_iterations_in_every_step(monkeypatch, make, form):
+def test_the_same_iterations_in_every_step(monkeypatch, form):
     monkeypatch.setattr(Steps, "chunk_bytes", 1)  # the compiled loop gives every step back too
     found, settings = [], pi.GeneralizedAlpha(h=1e-3, form=form)
-    for model in models(make(cells=16)):
+    for model in models(plates.double_plate_motors(cells=16)):
         counts, start = pi.Counts(), consistent_state(model, 0.0, np.zeros(model.n), np.zeros(model.n))
         found.append([(counts.newton_iterations, counts.factorizations) for _ in settings.steps(model, start, 0.4, counts)])
     assert found[0] == found[1] and len(found[0]) == 400
 
 
-@pytest.mark.parametrize(
-    "settings", [{}, {"incremental_phi": False}, {"form": "stabilised"}, {"rtol": 1e-5}, {"extrapolate": True}], ids=str
-)
-def test_the_same_states(scenes, kind, settings):
+def require_the_same_states(scene, **settings):
     """To 1e-12 where Newton goes on to below that: the factor is in single precision, and a looser one leaves its round-off."""
     integrator = pi.GeneralizedAlpha(h=2e-3, tolerance=1e-8, **settings)
-    compiled, plain = (pi.solve(model, 0.05, integrator) for model in models(scenes.jointed(kind)))
+    compiled, plain = (pi.solve(model, 0.05, integrator) for model in models(scene))
     assert compiled.counts.steps == plain.counts.steps and np.array_equal(compiled.t, plain.t)
     assert np.abs(compiled.q - plain.q).max() < 1e-12
     assert np.abs(compiled.lam - plain.lam).max() < 1e-9 * np.abs(compiled.lam).max()
 
 
-@pytest.mark.parametrize("damping", [{}, {"material": {"viscosity": 1e-3, "mass_damping": 2.0}}], ids=["undamped", "damped"])
-@pytest.mark.parametrize("settings", [{}, {"stages": 2}, {"form": "index3"}, {"form": "index3", "project": False}], ids=str)
-def test_the_same_stages(scenes, kind, settings, damping):
+def test_the_same_states(scenes, kind):
+    require_the_same_states(scenes.jointed(kind))
+
+
+@FEW
+@pytest.mark.parametrize("settings", [{"incremental_phi": False}, {"form": "stabilised"}, {"rtol": 1e-5}, {"extrapolate": True}], ids=str)
+def test_the_same_states_with_other_settings(scenes, kind, settings):
+    require_the_same_states(scenes.jointed(kind), **settings)
+
+
+def require_the_same_stages(scene, **settings):
     """Radau IIA: the plain path has no frame for each stage, so that Newton takes another way to the same end."""
     integrator = pi.RadauIIA(h=5e-3, tolerance=1e-16, **settings)
-    compiled, plain = (pi.solve(model, 0.05, integrator) for model in models(scenes.jointed(kind, cells=12, **damping)))
+    compiled, plain = (pi.solve(model, 0.05, integrator) for model in models(scene))
     assert compiled.success and compiled.counts.steps == plain.counts.steps == 10
     assert np.abs(compiled.q - plain.q).max() < 1e-12
     assert np.abs(compiled.v - plain.v).max() < 1e-9
     assert np.abs(compiled.lam - plain.lam).max() < 1e-9 * np.abs(compiled.lam).max()
     assert np.abs(compiled.drift).max() < 1e-14 or not compiled.model.m
+
+
+def test_the_same_stages(scenes, kind):
+    require_the_same_stages(scenes.jointed(kind, cells=12))
+
+
+@FEW
+@pytest.mark.parametrize("damping", [{}, {"viscosity": 1e-3, "mass_damping": 2.0}], ids=["undamped", "damped"])
+@pytest.mark.parametrize("settings", [{}, *RADAU], ids=str)
+def test_the_same_stages_with_other_settings_and_damping(scenes, kind, settings, damping):
+    if settings or damping:
+        require_the_same_stages(scenes.jointed(kind, cells=12, material=damping), **settings)
 
 
 def test_the_same_stages_with_the_whole_matrix(scenes):

@@ -63,21 +63,6 @@ def test_pendulum_keeps_its_energy_for_long():
     assert np.ptp(swing(5e-3, 10.0, tolerance=1e-13).energy.total) < 2e-11
 
 
-def test_pendulum_is_second_order():
-    exact = pi.solve(Pendulum(), 1.0, pi.IDA(rtol=1e-10, atol=1e-12), q0=[1.0, 0.0]).state
-    runs = [swing(h).state for h in (2e-2, 1e-2, 5e-3)]
-    for name in ("q", "v", "a", "lam"):
-        errors = [np.abs(getattr(state, name) - getattr(exact, name)).max() for state in runs]
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
-        assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.05)
-
-
-def test_the_run_goes_on_from_where_it_ended():
-    whole = swing(1e-2, 0.4)
-    half = pi.solve(Pendulum(), 0.4, pi.EnergyMomentum(h=1e-2), state=swing(1e-2, 0.2).state)
-    assert np.abs(half.q[-1] - whole.q[-1]).max() < 1e-12
-
-
 def test_quartic_potential_is_kept_and_second_order():
     v0 = [0.0, 1.0, 0.0, -1.0]
     runs = [pi.solve(Chain(), 4.0, pi.EnergyMomentum(h=h), v0=v0) for h in (4e-2, 2e-2, 1e-2)]
@@ -95,23 +80,6 @@ def test_forces_beyond_the_potential_take_energy():
     assert (np.diff(run.energy.total) < 0).all()
     taken = 0.3 * ((np.diff(run.q, axis=0) / 1e-2) ** 2).sum(axis=1) * 1e-2
     assert np.abs(np.diff(run.energy.total) + taken).max() < 1e-10
-
-
-class Rod(pi.Joint):
-    """Two points keep their distance of 1 m."""
-
-    def rows(self):
-        apart = self.a.x - self.b.x
-        return [pi.dot(apart, apart) - 1.0]
-
-
-def test_a_joint_that_turns_undriven_costs_no_energy(scenes):
-    scene, upper = scenes.single()
-    scene.add(Rod(pi.ground.at((-0.6, 0.8)), upper.section("left")))
-    run = pi.solve(scene.build(), 0.5, pi.EnergyMomentum(h=4e-3))
-    assert run.success, run.message
-    assert np.ptp(run.energy.total) < 1e-9 * np.ptp(run.energy.potential)
-    assert run.drift.max() < 1e-12 and run.velocity_drift.max() < 1e-11
 
 
 class Silent(Pendulum):
@@ -138,14 +106,6 @@ class Bent(Pendulum):
 def test_what_it_cannot_take_is_refused(model, words):
     with pytest.raises(pi.InputError, match=f"{type(model).__name__}.*{words}"):
         pi.solve(model, 1.0, pi.EnergyMomentum(h=1e-2), q0=[1.0, 0.0])
-
-
-def test_a_constant_mass_need_not_be_declared():
-    class Plain(Pendulum):
-        needs = pi.Needs(driven=False)
-
-    run = pi.solve(Plain(), 0.1, pi.EnergyMomentum(h=1e-2), q0=[1.0, 0.0])
-    assert run.success and np.abs(run.q[-1] - swing(1e-2, 0.1).q[-1]).max() < 1e-9
 
 
 def test_a_potential_that_is_not_that_of_the_force_is_named():

@@ -127,30 +127,6 @@ def test_a_rigid_bar_that_leans_gives_way_at_its_closed_form(lean):
     assert path.falling[0] == 0 and path.falling[path.turning[0] + 1] == 1
 
 
-class Steep(pi.Model):
-    """The truss 3 m high and free to lean."""
-
-    n, m = 2, 0
-    rest = np.hypot(1.0, 3.0)
-
-    def mass(self, q):
-        return np.eye(2)
-
-    def force(self, t, q, v):
-        bars = np.array([[1.0 + q[0], 3.0 + q[1]], [q[0] - 1.0, 3.0 + q[1]]])
-        return (1 - self.rest / np.hypot(*bars.T)) @ bars
-
-
-def test_a_steep_truss_can_lean_before_it_snaps_through():
-    """Its sideways stiffness `2 k (1 - L0 y^2 / L^3)` is zero where another path branches off; this one goes straight on."""
-    path = pi.equilibrium_path(Steep(), load=[0.0, -1.0], first=0.005, until=1.5)
-    y = 3.0 + path.q[:, 1]
-    sideways = 1 - Steep.rest * y**2 / np.hypot(1.0, y) ** 3
-    first, *_ = path.branches
-    assert sideways[first] > 0 > sideways[first + 1]
-    assert np.abs(path.q[:, 0]).max() < 1e-12 and "another path branches off" in path.summary()
-
-
 def test_a_truss_of_plates_snaps_through_on_its_hinges():
     """Bars of St. Venant-Kirchhoff's material with nu = 0 stretch evenly: `P = E A s (s^2 - 1) y / L`, s the stretch, at any mesh."""
     rest, slope = np.hypot(1.0, 0.1), np.arctan(0.1)
@@ -172,14 +148,6 @@ def test_a_truss_of_plates_snaps_through_on_its_hinges():
     assert path.factors[list(path.turning)] == pytest.approx([top, -top], rel=1e-8) and path.branches == ()
 
 
-def test_it_begins_where_there_is_no_load_or_at_the_state_that_static_finds(scenes):
-    model = scenes.cantilever((0.0, -9.81))[0].build()
-    path, state = pi.equilibrium_path(model, first=0.2, until=0.9), pi.static(model)
-    assert path.factors[0] == 0.0 and not path.q[0].any() and path.factors[-1] >= 0.9
-    again = pi.equilibrium_path(model, q0=state.q, start=1.0, until=1.1)
-    assert np.abs(again.q[0] - state.q).max() < 1e-9
-
-
 def test_a_named_load_comes_beside_the_others(scenes):
     scene, plate = scenes.cantilever((0.0, -9.81))
     scene.add(pi.PointLoad(plate.section("right"), (0.0, 1.0), pi.profile.constant(0.5), name="lift"))
@@ -193,25 +161,3 @@ def test_what_cannot_begin_fails_and_what_ends_early_says_so(scenes):
         pi.equilibrium_path(scenes.hinged()[0].build())
     path = pi.equilibrium_path(scenes.cantilever((0.0, -9.81), material={"E": 2e4})[0].build(), first=0.1)
     assert len(path) > 1 and path.factors[-1] < 1.0 and "ended early" in path.summary() and "inside out" in path.message
-
-
-@pytest.mark.parametrize(
-    "changed, words",
-    [
-        ({"load": "push"}, "no load or motor with a profile is called 'push'; known: 'drive', 'wind'"),
-        ({"load": "drive"}, "moves constraints"),
-        ({"load": [1.0]}, "must be the name of a profile"),
-        ({"load": lambda q: "a"}, "must be the name of a profile"),
-        ({"load": lambda q: 0.0 * q}, "the load is zero"),
-        ({"first": 0.0}, "first = 0.0"),
-        ({"until": -1.0}, "until = -1.0"),
-        ({"count": 1}, "count = 1"),
-        ({"start": "a"}, "start = 'a'"),
-    ],
-)
-def test_wrong_settings(scenes, changed, words):
-    scene, plate = scenes.hinged()
-    scene.add(pi.PointLoad(plate.section("right"), (0.0, 1.0), lambda t: 1.0 + t, name="wind"))
-    scene.add(pi.AngleMotor(pi.ground, plate.section("left"), lambda t: t, name="drive"))
-    with pytest.raises(pi.InputError, match=words):
-        pi.equilibrium_path(scene.build(), **changed)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.state import State
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")
@@ -49,13 +48,6 @@ def test_from_the_middle_of_a_stretch_bit_by_bit(model, name, tmp_path):
     assert again.restart.frames == len(run) and is_the_rest(pi.resume(out), whole)
 
 
-def test_a_frame_that_only_ends_the_run_is_not_in_the_one_that_goes_on(model, tmp_path):
-    whole = pi.solve(model, 0.5, ALPHA, every=7)
-    run = pi.solve(model, 0.5, ALPHA, every=7, progress=ctrl_c(0.1), out=tmp_path / "run.h5")
-    assert run.state.t == run.t[-1] == 0.101 and len(run) == 16
-    assert is_the_rest(pi.resume(tmp_path / "run.h5"), whole)
-
-
 def test_from_where_a_step_failed(model):
     """A motor that jumps by half a turn fails in the middle of a stretch; the state is the last one that was accepted."""
     scene = plates.double_plate(cells=6)
@@ -67,22 +59,6 @@ def test_from_where_a_step_failed(model):
     assert not run.success and run.state.t == run.t[-1] == 0.099
     whole, rest = pi.solve(model, 0.0994, ALPHA), pi.solve(model, 0.0994, ALPHA, state=run.state)
     assert np.abs(rest.q[-1] - whole.q[-1]).max() < 1e-6
-
-
-def test_output_does_not_move_the_state(model):
-    whole = pi.solve(model, 0.5, ALPHA)
-    run = pi.solve(model, 0.5, ALPHA, output=[0.05, 0.0733], progress=ctrl_c(0.1))
-    assert run.state.t == 0.101 and is_the_rest(pi.solve(model, 0.5, ALPHA, state=run.state), whole)
-
-
-@pytest.mark.parametrize("integrator", [ALPHA, pi.IDA(), pi.EnergyMomentum(h=1e-3), pi.RadauIIA()], ids=lambda x: type(x).__name__)
-def test_from_where_until_stopped(model, integrator, tmp_path):
-    run = pi.solve(model, 0.3, integrator, until=lambda t, q, v: t - 0.10037, out=tmp_path / "run.h5")
-    for state in (run.state, pi.load(tmp_path / "run.h5").state):
-        assert state.t == run.t[-1] == pytest.approx(0.10037, abs=1e-15) and np.array_equal(state.q, run.q[-1])
-    rest = pi.solve(model, 0.3, integrator, state=run.state)
-    assert rest.t[0] == run.t[-1] and rest.drift[0] < 1e-12 and rest.velocity_drift[0] < 1e-10
-    assert np.abs(rest.q[-1] - pi.solve(model, 0.3, integrator).q[-1]).max() < 1e-4
 
 
 def test_from_where_until_stopped_to_second_order(scenes):
@@ -102,15 +78,3 @@ def test_extrapolated_and_adaptive_runs_go_on_to_their_tolerance(model):
         run = pi.solve(model, 0.3, integrator, progress=ctrl_c(0.1))
         assert run.state.t == run.t[-1] > 0.1
         assert np.abs(pi.solve(model, 0.3, integrator, state=run.state).q[-1] - whole.q[-1]).max() < error
-
-
-def test_an_integrator_of_one_s_own_that_has_no_memory_within(model):
-    """Its states are put on the constraints before it goes on."""
-
-    class Leap:
-        def steps(self, model, state, t_end, counts):
-            counts.steps += 1
-            yield State(t_end, state.q + 1e-3, state.v, state.a, state.lam, restart=False)
-
-    run = pi.solve(model, 0.1, Leap())
-    assert run.state.t == 0.1 and run.drift[-1] > 1e-4 and pi.solve(model, 0.2, Leap(), state=run.state).drift[0] < 1e-12

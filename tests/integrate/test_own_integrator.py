@@ -1,16 +1,12 @@
 """An integrator of a user's own: states that are wrong stop the run, and the good ones before them are kept."""
 
 from dataclasses import replace
-from itertools import islice
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.errors import StepFailure
-from polyida.integrate.state import asked, constant_step
-from polyida.problems import plates
 from polyida.run.accepted import STANDSTILL
 
 END, BAD = 1.0, 5
@@ -80,12 +76,6 @@ def test_one_that_overruns_or_stops_short_is_not_done():
     assert "overruns" in over.message and over.t[-1] < END and "short of t_end = 1 s" in short.message and len(short) == 11
 
 
-def test_the_end_is_the_end_but_for_round_off():
-    for end in (END * (1 - 1e-12), END * (1 + 1e-12)):
-        run = solved(Mine(end=end), output=[0.5, END])
-        assert run.status == "done" and list(run.t) == [0.5, END]
-
-
 @pytest.mark.parametrize("last", [0.5, END])
 def test_one_that_does_not_advance_is_stopped(last):
     class Zeno:
@@ -110,52 +100,6 @@ def test_one_that_gives_no_states_at_all():
 
     assert "Nothing: its steps gave NoneType" in solved(Nothing()).message
     assert "Empty: it ended short" in solved(Empty()).message
-
-
-def test_one_array_for_all_states_does_no_harm():
-    class OneBuffer:
-        def steps(self, model, state, t_end, counts):
-            q = state.q.copy()
-            for k in range(1, 11):
-                q += 0.1 * k
-                counts.steps += 1
-                yield pi.State(END * k / 10, q, state.v, state.a, state.lam)
-
-    run = solved(OneBuffer(), output=[0.05, 1.0])
-    assert run.q[0] == pytest.approx([1.05, 2.05]) and run.q[1] == pytest.approx([6.5, 7.5])
-    assert solved(OneBuffer()).state.q == pytest.approx([6.5, 7.5])
-
-
-@pytest.mark.parametrize("h, told", [("fast", ""), (None, ""), (0.1, "steps of 0.1 s do not show how 'push' moves within 0.01 s")])
-def test_what_it_calls_h_may_be_anything(h, told):
-    scene = plates.double_plate(cells=4)
-    scene.add(pi.PointLoad(scene.parts["tip"].at, (0.0, 1.0), pi.profile.from_function(np.sin, shortest=0.01), name="push"))
-    mine = Mine()
-    mine.h = h
-    run = pi.solve(scene.build(), END, mine)
-    assert (run.status, run.message) == ("done", told)
-
-
-def test_it_sees_the_guarded_functions_of_a_user_s_model():
-    class Wrong(Free):
-        def force(self, t, q, v):
-            return np.zeros(2) if t == 0.0 else np.zeros((2, 1))
-
-    class Calls(Mine):
-        def steps(self, model, state, t_end, counts):
-            model.force(0.5, state.q, state.v)
-            yield state
-
-    with pytest.raises(pi.InputError, match="Wrong.force must return"):
-        pi.solve(Wrong(), END, Calls())
-
-
-def test_a_registered_one_that_is_no_dataclass_comes_back_by_its_name(tmp_path, monkeypatch):
-    """Its settings are in no file, so that it cannot be made again; the run is there all the same."""
-    monkeypatch.setitem(pi.registry.integrators, "mine", Mine)
-    solved(Mine(end=END), out=tmp_path / "run.h5")
-    again = pi.load(tmp_path / "run.h5")
-    assert again.integrator == "mine" and len(again) == 11 and again.summary().startswith("done: mine")
 
 
 class Reuses:
@@ -203,49 +147,7 @@ def test_counts_that_are_none_stop_the_run(name, tmp_path):
     assert run.counts.steps == BAD and pi.load(tmp_path / "run.h5").counts.as_dict() == run.counts.as_dict() and run.summary()
 
 
-@pytest.mark.parametrize("kind", ["a state that is none", "a failure", "an exception"])
-def test_counts_are_numbers_however_a_run_ends(kind):
-    """A wrong count is put right where something else ends the run, too."""
-
-    class Ends(Mine):
-        def steps(self, model, state, t_end, counts):
-            yield from islice(super().steps(model, state, t_end, counts), 3)
-            counts.steps = "many"
-            if kind == "a failure":
-                raise StepFailure("mine", "it gives up", 0.4)
-            if kind == "an exception":
-                raise ZeroDivisionError("mine")
-            yield state
-
-    if kind == "an exception":
-        with pytest.raises(ZeroDivisionError) as raised:
-            solved(Ends())
-        run = raised.value.trajectory
-    else:
-        run = solved(Ends())
-    assert run.counts.steps == 3 and run.summary()
-
-
 @pytest.mark.parametrize("steps", [lambda model: iter(()), lambda model, state, t_end, counts, more: iter(())])
 def test_steps_with_other_arguments_are_refused_before_the_run(steps):
     with pytest.raises(pi.InputError, match=r"solve: steps of .* must take \(model, state, t_end, counts\)"):
         solved(SimpleNamespace(steps=steps))
-
-
-def test_counts_of_numpy_are_numbers():
-    class Counting(Mine):
-        def steps(self, model, state, t_end, counts):
-            for after in super().steps(model, state, t_end, counts):
-                counts.solves = np.int64(counts.steps)
-                yield after
-
-    run = solved(Counting())
-    assert run.success and type(run.counts.solves) is int and run.counts.solves == 10
-
-
-def test_what_an_integrator_does_not_declare_has_a_default():
-    steps = SimpleNamespace(h=1e-3)
-    assert constant_step(steps) == 1e-3 and constant_step(SimpleNamespace()) == 0.0
-    assert constant_step(SimpleNamespace(h=1e-3, adaptive=True)) == 0.0
-    assert asked(steps, "told")({}) == "" and asked(steps, "require")(None) is None
-    assert asked(steps, "writes_rows") is asked(steps, "nonholonomic") is False and asked(steps, "rtol") is None

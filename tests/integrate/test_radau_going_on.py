@@ -11,10 +11,6 @@ from polyida.integrate.radau.tables.scene import FEW
 from polyida.problems import plates
 
 
-class Stop(Exception):
-    pass
-
-
 def pulled(profile):
     """A bar on a pin at rest, without weight, pulled sideways at its end."""
     scene = pi.Scene(gravity=(0.0, 0.0))
@@ -23,27 +19,6 @@ def pulled(profile):
     scene.add(pi.Revolute(pi.ground, bar.section("left"), name="pin"))
     scene.add(pi.PointLoad(bar.section("right"), (0.0, 5.0), profile, name="pull"))
     return scene.build()
-
-
-@pytest.mark.parametrize("after", [0.01, 0.04, 0.06])
-def test_an_adaptive_run_between_kinks_goes_on_from_a_file_bit_by_bit(after, tmp_path):
-    def progress(t):
-        if t > after:
-            raise Stop
-
-    model, integrator, path = pulled(pi.profile.linear(0.0, 1.0, 0.05, begin=0.03)), pi.RadauIIA(rtol=1e-5), tmp_path / "run.h5"
-    whole = pi.solve(model, 0.12, integrator)
-    with pytest.raises(Stop):
-        pi.solve(model, 0.12, integrator, out=path, progress=progress, flush_every=1)
-    rest = pi.resume(path)
-    assert whole.success and whole.counts == rest.counts
-    assert all(np.array_equal(getattr(whole, name), getattr(rest, name)) for name in ("t", "q", "v", "a", "lam"))
-
-
-@pytest.mark.parametrize("settings", [{"h": 1e-3}, {"rtol": 1e-6}, {"h": 1e-3, "linear": "kkt"}], ids=str)
-def test_a_run_at_rest_goes_into_a_file(settings, tmp_path):
-    run = pi.solve(pulled(0.0), 4e-3, pi.RadauIIA(**settings), out=tmp_path / "run.h5", flush_every=1)
-    assert run.success and not run.q.any() and np.array_equal(pi.load(tmp_path / "run.h5").t, run.t)
 
 
 def pressed():

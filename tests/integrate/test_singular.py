@@ -4,9 +4,6 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate import singular
-from polyida.integrate.state import Stretch
-from polyida.linear.saddle import least
 
 ALL = {
     "alpha": pi.GeneralizedAlpha(h=2e-3),
@@ -56,25 +53,6 @@ class FourBar(pi.Model):
         return {"q0": (self.feet + [0.0, 1.0]).ravel(), "v0": np.tile([1.0, 0.0], self.bars + 1)}
 
 
-@pi.compiled
-class CompiledFourBar(FourBar):
-    """The same of one four-bar, whose functions numba compiles."""
-
-    def __init__(self):
-        super().__init__(1)
-
-    def force(self, t, q, v):
-        return np.array([0.0, 9.81, 0.0, 9.81])
-
-    def phi(self, t, q):
-        x, y, u, w = q
-        return 0.5 * (np.array([x * x + y * y, (u - 1.0) ** 2 + w * w, (u - x) ** 2 + (w - y) ** 2]) - 1.0)
-
-    def phi_q(self, t, q):
-        x, y, u, w = q
-        return np.array([[x, y, 0.0, 0.0], [0.0, 0.0, u - 1.0, w], [x - u, y - w, u - x, w - y]])
-
-
 class Toggle(pi.Model):
     """Two rods of 1 m whose end is drawn along x at 1 m/s from 1.6 m: stretched at 0.4 s, and no configuration behind."""
 
@@ -112,23 +90,6 @@ def test_a_parallelogram_stops_where_it_lies_flat(name):
     assert np.abs(crank - other).max() < 2e-3  # no frame is on the other branch
 
 
-@pytest.mark.parametrize("name", ["alpha", "alpha, adaptive", "radau", "IDA ggl2"])
-def test_a_compiled_model_is_looked_at_in_python_near_singular_positions_only(name, monkeypatch):
-    model, looks = CompiledFourBar(), []
-    monkeypatch.setattr(singular, "least", lambda rows: looks.append(1) or least(rows))
-    run = pi.solve(model, 0.5, ALL[name], **model.upright())
-    assert run.success and not looks
-    run = pi.solve(model, 1.0, ALL[name], **model.upright())
-    assert run.status == "singular" and named(run.message) == ["phi[0]", "phi[1]", "phi[2]"] and looks
-    assert float(run.message.split("at t = ")[1].split()[0]) == pytest.approx(FLAT, abs=1e-3)
-
-
-def test_several_singular_positions_at_once_name_three_constraints():
-    model = FourBar(3)
-    run = pi.solve(model, 1.0, ALL["alpha"], **model.upright())
-    assert run.status == "singular" and len(named(run.message)) <= 3
-
-
 @pytest.mark.filterwarnings("ignore")  # overflow in steps that are then refused
 @pytest.mark.parametrize("name", ALL)
 def test_a_mechanism_drawn_beyond_its_reach_names_the_constraints(name):
@@ -154,36 +115,9 @@ def test_sound_mechanisms_run_also_at_a_coarse_tolerance(name, form):
     assert run.status == "done"
 
 
-@pytest.mark.parametrize("model, t, message", [("motor between", 0.5, ""), ("motor to ground", 0.5, "")])
-def test_scenes_with_motors_run(scenes, model, t, message):
-    assert pi.solve(scenes.jointed(model).build(), t, pi.GeneralizedAlpha(h=1e-3)).message == message
-
-
 @pytest.mark.parametrize("form, rtol", [("index1", 1e-3), ("index2", 1e-2)])
 def test_what_drifts_apart_is_stopped_and_named(form, rtol):
     p = pi.problems.get("pendulum")
     run = pi.solve(p.model, p.t_end, pi.IDA(rtol=rtol, form=form), q0=p.q0, v0=p.v0)
     assert run.status == "drift" and "phi[0] has drifted apart by" in run.message
     assert run.drift.max() < 1e-2 * np.sqrt(0.5) * 1.05 and run.t[-1] < p.t_end
-
-
-def test_no_time_is_lost_on_rows_that_do_not_vary(scenes):
-    from polyida.integrate.singular import Watch
-
-    model = scenes.hinged()[0].build()
-    watch = Watch(model, pi.consistent_state(model))
-    model.phi_q = None
-    assert watch.look(Stretch.of(pi.consistent_state(scenes.hinged()[0].build()))) == (1, None)
-
-
-def test_rows_that_come_round_are_no_singular_position():
-    """After a rest looks are far apart: a motor that begins then turns its row further than that tells of."""
-    scene = pi.Scene()
-    bar = scene.add(pi.RigidBody.bar(1.0, 1.0))
-    loose = scene.add(pi.RigidBody.bar(1.0, 1.0, origin=(1.0, 0.0)))
-    scene.add(pi.Revolute(pi.ground, bar.at("left")))
-    scene.add(pi.Revolute(bar.at("right"), loose.at("left")))
-    scene.add(pi.AngleMotor(pi.ground, bar.at("left"), angle=pi.profile.quintic(0.0, 40.0, duration=5.0, begin=5.0), name="motor"))
-    run = pi.solve(scene.build(), 12.0, pi.GeneralizedAlpha(h=2e-3))
-    assert run.success, run.message
-    assert run.angle("motor")[-1] == pytest.approx(40.0, abs=1e-9)

@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.kinks import segments
 from polyida.integrate.start import jerk
-from polyida.integrate.state import State
 
-STEP = pi.GeneralizedAlpha(h=1e-3)
 MOVING = pi.profile.sine(0.5, 0.4)
 
 
@@ -72,32 +69,6 @@ def test_jerk_is_the_slope_of_the_acceleration():
     assert np.allclose(jerk(model, state, 1e-3), exact, rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "name, value, match",
-    [
-        ("q0", [-0.9, 0.0], r"q0 violates the constraint phi\[0\]: phi = -0.095"),
-        ("v0", [0.5, 0.0], r"v0 violates the constraint phi\[0\]: .* = -0.5"),
-        ("q0", [1.0], r"q0: shape \(1,\), it must be 2 finite numbers"),
-        ("v0", [np.nan, 0.0], "v0: .*finite"),
-        ("q0", "here", "q0"),
-        ("t0", np.inf, "t0 = inf"),
-    ],
-)
-def test_wrong_starts(name, value, match):
-    given = {"q0": [-1.0, 0.0], "v0": [0.0, 0.0]} | {name: value}
-    with pytest.raises(pi.InputError, match=match):
-        pi.consistent_state(pi.problems.get("pendulum").model, **given)
-
-
-@pytest.mark.parametrize("second", ["revolute", "clamp"])
-def test_redundant_joints_are_named(scenes, second):
-    scene, upper = scenes.hinged()
-    joint = {"revolute": pi.Revolute, "clamp": pi.Clamp}[second]
-    scene.add(joint(pi.ground, upper.section("left"), name="hinge again"))
-    with pytest.raises(pi.InputError, match="(?=.*shoulder)(?=.*hinge again)(?=.*redundant)"):
-        pi.consistent_state(scene.build())
-
-
 def test_a_motor_that_contradicts_a_clamp_is_named(scenes):
     scene, upper = scenes.cantilever()
     scene.add(pi.AngleMotor(pi.ground, upper.section("left"), angle=MOVING, name="drive"))
@@ -126,21 +97,6 @@ def test_constraints_that_cannot_be_met_are_named():
         pi.consistent_state(Apart(), q0=[1.0, 0.0])
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e6])
-def test_a_start_with_round_off_about_zero_is_taken_as_it_is(unit):
-    """The cosine of a right angle is 6e-17: where phi_q is a little off, Newton would halve that for ever."""
-
-    class Crank(type(pi.problems.get("pendulum").model)):
-        def phi(self, t, q):
-            return q[:1]
-
-        def phi_q(self, t, q):
-            return np.array([[1.25, 0.0]])
-
-    start = unit * np.array([np.cos(np.pi / 2), 1.0])
-    assert (pi.consistent_state(Crank(), q0=start).q == start).all()
-
-
 @pytest.mark.filterwarnings("ignore::scipy.linalg.LinAlgWarning")
 def test_a_coordinate_without_mass_or_constraint_is_refused():
     class Massless(type(pi.problems.get("pendulum").model)):
@@ -151,41 +107,6 @@ def test_a_coordinate_without_mass_or_constraint_is_refused():
 
     with pytest.raises(pi.InputError, match="mass matrix is singular"):
         pi.consistent_state(Massless(), q0=[1.0, 0.0])
-
-
-@pytest.mark.parametrize(
-    "kinks, pieces",
-    [
-        ((), [(0.0, 1.0)]),
-        ((0.0, 1.0), [(0.0, 1.0)]),
-        ((0.25, 0.5), [(0.0, 0.25), (0.25, 0.5), (0.5, 1.0)]),
-        ((-1.0, 1e-15, 2.0), [(0.0, 1.0)]),
-    ],
-)
-def test_runs_are_parted_at_kinks(kinks, pieces):
-    model = type("Kinked", (pi.Model,), {"kinks": lambda self, t0, t1: [t for t in kinks if t0 < t < t1]})()
-    assert segments(model, 0.0, 1.0) == pieces
-
-
-def test_going_on_from_a_state(scenes):
-    model = scenes.jointed("motor between").build()
-    whole, first = (pi.solve(model, end, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-8)) for end in (0.1, 0.06))
-    last = State(first.t[-1], first.q[-1], first.v[-1], first.a[-1], first.lam[-1], first.memory)
-    rest = pi.solve(model, 0.1, pi.GeneralizedAlpha(h=1e-3, tolerance=1e-8), state=last)
-    assert rest.t[0] == first.t[-1] and np.abs(rest.q[-1] - whole.q[-1]).max() < 1e-10
-    assert np.abs(rest.lam[-1] - whole.lam[-1]).max() < 1e-5
-
-
-def test_a_state_of_another_model_is_refused(scenes):
-    other = pi.consistent_state(pi.problems.get("pendulum").model, 0.0, [-1.0, 0.0])
-    with pytest.raises(pi.InputError, match="state"):
-        pi.solve(scenes.hinged()[0].build(), 0.1, STEP, state=other)
-
-
-def test_initial_values_beside_a_state_are_refused(scenes):
-    model = scenes.hinged()[0].build()
-    with pytest.raises(pi.InputError, match="q0"):
-        pi.solve(model, 0.1, STEP, state=pi.consistent_state(model), q0=np.zeros(model.n))
 
 
 @pytest.mark.parametrize("held", [False, True], ids=["free", "held"])
@@ -214,11 +135,3 @@ def test_a_drawing_off_its_path_is_named_with_what_helps():
     scene.add(pi.Path(body.at("left"), pi.profile.polynomial([0.1, 1.0]), 0.0))
     scene.assemble()
     assert np.allclose(pi.consistent_state(scene.build()).v[::2].max(), 1.0)
-
-
-def test_a_place_of_the_ground_is_told_once():
-    scene = pi.Scene()
-    body = scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
-    scene.add(pi.Revolute(pi.ground.at((0.0, 1.0)), body.at("left"), name="pin"))
-    with pytest.raises(pi.InputError, match=r"its sides are ground at \(0, 1\) and .*bar.* at \(0, 0\), 1 m apart"):
-        scene.build()

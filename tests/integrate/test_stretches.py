@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.radau import accepted
-from polyida.integrate.start import consistent_acceleration
-from polyida.integrate.state import Counts, State, States, Stretch, parted
+from polyida.integrate.state import Counts, States, Stretch
 from polyida.model.guarded import guard
 
 ALPHA = pi.GeneralizedAlpha(h=1e-3)
@@ -50,38 +48,6 @@ def stretch_of(count, bad=None):
     return Stretch(numbers, q, q + 100.0, q + 200.0, np.zeros((count, 0)), None)
 
 
-def test_a_stretch_is_its_states():
-    stretch = stretch_of(5)
-    assert len(stretch) == 5 and [state.t for state in stretch] == [1.0, 2.0, 3.0, 4.0, 5.0]
-    assert stretch.last is stretch.last and stretch.last is list(stretch)[-1] and not stretch.last.restart
-    assert stretch.part(1, 3).last.v.tolist() == [103.0, 103.0] and stretch.part(2, 9).last is stretch.last
-    assert [state.t for state in stretch.part(1, 5, 2)] == [2.0, 4.0]
-    state = State(1.0, np.ones(2), np.ones(2), np.ones(2), np.zeros(0), {"a_alg": np.ones(2)})
-    assert Stretch.of(state).last is state and len(Stretch.of(state)) == 1
-
-
-def test_vectors_of_a_state_that_nobody_asks_for_are_not_made(model, monkeypatch):
-    """A state of RadauIIA makes a and lam when they are asked for, by a solve."""
-    made = []
-    monkeypatch.setattr(accepted, "consistent_acceleration", lambda *given: made.append(1) or consistent_acceleration(*given))
-    run = pi.solve(model, 0.1, pi.RadauIIA(h=1e-3), every=50)
-    assert run.success and len(run) == 3 and len(made) <= 4
-
-
-def test_counts_go_with_the_states():
-    counts = Counts(steps=10)
-
-    def stretches():
-        for count in (4, 3):
-            counts.steps += count  # as integrators do, before they yield
-            yield stretch_of(count)
-
-    seen = [(state.t, counts.steps) for state in States(stretches(), counts)]
-    assert seen == [(1.0, 11), (2.0, 12), (3.0, 13), (4.0, 14), (1.0, 15), (2.0, 16), (3.0, 17)]
-    sizes = iter([2, 5, 1])
-    assert [len(part) for part in parted(stretch_of(8), counts, lambda: next(sizes))] == [2, 5, 1] and counts.steps == 17
-
-
 WAYS = {
     "plain": {},
     "every": {"every": 7},
@@ -106,12 +72,6 @@ def test_runs_are_those_of_states_one_by_one(model, integrator, single, way, fil
     assert run.state.t == other.state.t and run.state.memory.keys() == other.state.memory.keys()
     if way == "plain":
         assert run.t.tolist() == pytest.approx(np.arange(301) * 1e-3) and run.counts.steps == 300
-
-
-def test_progress_is_told_of_every_step(model):
-    told = []
-    run = pi.solve(model, 0.3, ALPHA, progress=told.append)
-    assert np.array_equal(told, run.t[1:])
 
 
 class Free(pi.Model):

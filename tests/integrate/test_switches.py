@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate import switches
-from polyida.study.references import announces
 
 INTEGRATORS = {
     "radau": (pi.RadauIIA(), 1e-2),
@@ -70,11 +68,6 @@ def test_a_body_that_passes_the_centre_of_a_soft_ball_keeps_its_energy(name):
     """The force turns round there within no time; behind it no integrator may go on with what it remembers of the force before."""
     run = pi.solve(thrown(ball(stiffness=2e4)), 0.7, INTEGRATORS[name][0])
     assert run.status == "done" and speeds(run)[-1] == pytest.approx([1.0, 0.0], abs=2e-3)
-
-
-def test_adaptive_steps_of_second_order_are_short_enough_for_a_contact():
-    run = pi.solve(thrown(ball(stiffness=1e7)), 0.7, pi.GeneralizedAlpha(h=1e-3, rtol=1e-5, atol=1e-7))
-    assert speeds(run)[-1] == pytest.approx([-1.0, 0.0], abs=1e-3)
 
 
 @pytest.mark.parametrize("name", ["alpha, long h", "radau, h", "energy"])
@@ -170,21 +163,6 @@ def test_an_own_model_is_seen_through_two_roots_within_one_step(name):
     assert Window().switching and run.v[-1, 0] == pytest.approx(2.0, rel=1e-3)
 
 
-def test_a_model_without_switches_says_so():
-    scene = pi.Scene()
-    scene.add(pi.RigidBody.bar(1.0, 1.0, name="bar"))
-    assert not scene.build().switching and scene.build().gaps(0.0, np.zeros(4)).size == 0
-
-
-def test_two_contacts_that_close_together():
-    scene = pi.Scene(gravity=(0.0, -9.81))
-    bar = scene.add(pi.RigidBody.bar(0.4, 0.5, origin=(-0.2, 0.2), name="bar"))
-    for end in ("left", "right"):
-        scene.add(pi.Contact(bar.at(end), pi.ground.at((0.0, 0.0)), 1e5, name=end))
-    run = pi.solve(scene.build(), 0.5, pi.GeneralizedAlpha(h=0.01))
-    assert abs(run.energy.total - run.energy.total[0]).max() < 5e-3 and np.ptp(run.q[-1].reshape(-1, 2)[:, 1]) < 0.1
-
-
 @pytest.mark.parametrize("integrator", [pi.GeneralizedAlpha(h=0.02), pi.RadauIIA()], ids=["alpha", "radau"])
 def test_a_run_that_stops_anywhere_about_a_contact_goes_on_bit_by_bit(tmp_path, integrator):
     model = thrown(ball())
@@ -229,71 +207,3 @@ def test_a_summary_names_energy_that_comes_from_nowhere():
     faster = replace(run, v=np.where(run.t[:, None] > 0.6, 2.0 * run.v, run.v))
     assert "the energy grows" not in run.summary()
     assert "the energy grows by 1.5 J up to t = 0." in faster.summary()
-
-
-@dataclass(frozen=True, eq=False)
-class SilentSpring(pi.ForceElement):
-    """A linear stop beyond x = 0.3 m that declares no gap."""
-
-    at: object
-    force: float
-    name: str | None = None
-
-    def sides(self):
-        return (self.at,)
-
-    def forces(self, t, x, v):
-        return np.array([[-self.force * max(0.0, x[0, 0] - 0.3), 0.0]])
-
-    def energy(self, x):
-        return 0.5 * self.force * max(0.0, x[0, 0] - 0.3) ** 2
-
-
-def test_energy_momentum_keeps_energy_at_a_kink_of_a_force_within_a_step():
-    scene = pi.Scene()
-    body = scene.add(pi.RigidBody(1.0, 0.1, {"c": (0.0, 0.0)}, velocity=(1.0, 0.2), spin=1.0, name="body"))
-    scene.add(SilentSpring(body.at("c"), 1e3, name="stop"))
-    energy = pi.solve(scene.build(), 0.45, pi.EnergyMomentum(h=1e-3)).energy.total
-    assert abs(energy - energy[0]).max() < 1e-11 * energy[0]
-
-
-def test_a_reference_of_declared_switches_needs_no_doubt_about_short_forces():
-    assert announces(thrown(ball())) and announces(thrown(Push)) and announces(Window())
-    assert not announces(thrown(lambda point: SilentSpring(point, 1e3)))
-
-
-def _hit_floor(height):
-    """A double pendulum whose tip falls to a floor: two joints, and stretches of many steps before it is near."""
-    scene = pi.Scene(gravity=(0.0, -9.81))
-    first = scene.add(pi.RigidBody.bar(0.5, 1.0, name="first"))
-    second = scene.add(pi.RigidBody.bar(0.5, 1.0, origin=(0.5, 0.0), name="second"))
-    scene.add(pi.Revolute(pi.ground, first.at("left"), name="pin"))
-    scene.add(pi.Revolute(first.at("right"), second.at("left"), name="elbow"))
-    scene.add(pi.Contact(second.at("right"), pi.ground.at((0.0, -height)), 1e5, name="floor"))
-    return scene.build()
-
-
-def test_stretches_of_steps_are_those_of_single_steps(monkeypatch):
-    """Far from a switch many steps are taken at once; a step of them that crosses is taken again from the one before."""
-    model, integrator = _hit_floor(0.6), pi.GeneralizedAlpha(h=1e-3)
-    run = pi.solve(model, 0.6, integrator)
-    starts = []
-    monkeypatch.setattr(switches, "STRETCH", 1)
-    single = pi.solve(model, 0.6, integrator)
-    monkeypatch.setattr(switches, "STRETCH", 64)
-    monkeypatch.setattr(switches.Switches, "_far", lambda self, length: starts.append(length) or 64)
-    blind = pi.solve(model, 0.6, integrator)
-    assert run.counts.rejected and len(starts) < 0.5 * run.steps
-    for other in (single, blind):
-        assert np.array_equal(other.t, run.t) and np.array_equal(other.q, run.q) and np.array_equal(other.lam, run.lam)
-
-
-def test_a_run_that_stops_within_a_stretch_before_a_contact_goes_on_bit_by_bit(tmp_path):
-    model, integrator = _hit_floor(0.6), pi.GeneralizedAlpha(h=1e-3)
-    whole = pi.solve(model, 0.5, integrator)
-    for stop in (3, 50, int(np.searchsorted(whole.t, whole.t[np.diff(whole.t, append=1.0) < 9e-4][0])) + 2):
-        taken = iter(range(stop))
-        part = pi.solve(model, 0.5, integrator, out=tmp_path / f"{stop}.h5", progress=lambda t, taken=taken: _stop(taken))
-        assert part.status == "interrupted" and len(part) == stop + 2
-        for run in (pi.resume(tmp_path / f"{stop}.h5"), pi.solve(model, 0.5, integrator, state=part.state)):
-            assert np.array_equal(run.q[-1], whole.q[-1]) and np.array_equal(run.v[-1], whole.v[-1])

@@ -103,14 +103,6 @@ def test_the_frames_before_a_damaged_block_come_back(path, whole, name):
         pi.resume(path, 1.0)
 
 
-def test_a_run_goes_on_from_the_last_frame_before_the_damage(path, model, whole):
-    with h5py.File(path, "r") as file:
-        at = file["q"].id.get_chunk_info(1).byte_offset
-    flipped(path, path.read_bytes(), at + 20)
-    rest = pi.solve(model, 1.8, ALPHA, state=pi.load(path).state)
-    assert rest.t[0] == whole.t[block(whole) - 1] and np.abs(rest.q[-1] - whole.q[-1]).max() < 1e-4
-
-
 @pytest.mark.parametrize("name", ["about", "scene/mesh 0/points"])
 def test_a_file_says_what_is_damaged(path, name):
     with h5py.File(path, "r") as file:
@@ -118,22 +110,6 @@ def test_a_file_says_what_is_damaged(path, name):
     flipped(path, path.read_bytes(), at + 20)
     with pytest.raises(pi.InputError, match=f"run.h5: {name} is damaged"):
         pi.load(path)
-
-
-def test_one_damaged_record_does_no_harm(path, good, whole):
-    with h5py.File(path, "r") as file:
-        places = [file[f"slot {k}"].id.get_chunk_info(0).byte_offset for k in range(2)]
-    for at in places:
-        flipped(path, good, at + 40)
-        assert outcome(path, whole) == "whole"
-
-
-@pytest.mark.parametrize("name, value, told", [("q", np.nan, "q: values that are not finite"), ("t", -1.0, "t: the times do not increase")])
-def test_frames_before_one_that_makes_no_sense_come_back(path, whole, name, value, told):
-    with h5py.File(path, "r+") as file:
-        file[name][3] = value
-    run = pi.load(path)
-    assert len(run) == 3 and same(run, whole, 3) and run.status == "damaged" and told in run.message
 
 
 class Wide(pi.Model):

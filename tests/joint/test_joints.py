@@ -131,34 +131,6 @@ def test_a_reaction_is_what_the_multipliers_do_to_b(model, scenes, draw):
     require_reaction(model, scenes.turned(model, np.zeros(model.n), 0.8), draw(model.m))
 
 
-RIGID = {  # kind: (the joint of two bodies and a plate, its rows)
-    "prismatic": (lambda a, b, plate: pi.Prismatic(a, b, name="joint"), 2),
-    "prismatic to ground": (lambda a, b, plate: pi.Prismatic(pi.ground.at(a.point - a.direction, a.direction), b, name="joint"), 2),
-    "slot": (lambda a, b, plate: pi.Slot(a, b, name="joint"), 1),
-    "distance": (lambda a, b, plate: pi.Distance(a, b, name="joint"), 1),
-    "weld": (lambda a, b, plate: pi.Weld(a, b, name="joint"), 3),
-    "weld to ground": (lambda a, b, plate: pi.Weld(pi.ground, b, name="joint"), 3),
-    "weld to a plate": (lambda a, b, plate: pi.Weld(plate, b, name="joint"), 3),
-}
-
-
-@pytest.mark.parametrize("name", RIGID)
-def test_joints_of_rigid_bodies(scenes, name):
-    """Of directions and centres of mass anywhere: derivatives, closed at rest, and what acts on b."""
-    make, count = RIGID[name]
-    scene = pi.Scene()
-    a = scene.add(pi.RigidBody(1.0, 0.2, {"A": (0.5, 0.1)}, angle=0.3, name="one")).at("A", (1.0, 0.4))
-    at = a.point if "weld" in name else a.point + 0.8 * a.direction
-    b = scene.add(pi.RigidBody(0.5, 0.1, {"B": (0.0, 0.0)}, origin=at, angle=-0.9, center=(0.2, 0.1), name="other")).at("B", (0.3, 1.0))
-    plate = scene.add(scenes.plate("plate", cells=4, origin=at - [1.0, 0.0]))
-    scene.add(make(a, b, plate.section("right")))
-    model = scene.build()
-    rows, still = model.rows["joint"], np.zeros(model.n)
-    assert rows.stop - rows.start == count and np.abs(model.phi(0.0, still)).max() < 1e-14
-    assert max(pi.check_derivatives(model, T).values()) < 1e-6
-    require_reaction(model, still, np.random.default_rng(7).standard_normal(model.m))
-
-
 @pytest.mark.parametrize("turns", [0.25, 1.5, -3.2, 100.0])
 def test_motor_holds_at_any_number_of_turns(scenes, turns):
     scene, upper = scenes.hinged()
@@ -168,25 +140,6 @@ def test_motor_holds_at_any_number_of_turns(scenes, turns):
     assert np.abs(model.phi(1.0, q)).max() < 1e-12
     assert model.objection(1.0, q) is None
     assert "half-turn" in model.objection(1.0, scenes.turned(model, np.zeros(model.n), 2 * np.pi * turns + np.pi))
-
-
-def test_ground_as_b_turns_the_other_way(scenes):
-    scene, upper = scenes.hinged()
-    scene.add(pi.AngleMotor(upper.section("left"), pi.ground, angle=lambda t: 0.5 * t, name="drive"))
-    model = scene.build()
-    assert np.abs(model.phi(1.0, scenes.turned(model, np.zeros(model.n), -0.5))).max() < 1e-13
-
-
-def test_attachments(scenes):
-    upper = scenes.plate("upper", angle=0.4, origin=(2.0, 1.0))
-    end = upper.section("right")
-    assert end.weights.sum() == pytest.approx(1.0) and end.turn_weights.sum() == pytest.approx(0.0, abs=1e-12)
-    assert np.allclose(end.point, np.array([2.0, 1.0]) + scenes.rotation(0.4) @ [1.0, 0.0])
-    assert np.allclose(end.direction, scenes.rotation(0.4) @ [0.0, 1.0])
-    assert end.length == pytest.approx(0.1)
-    one = upper.node((1.0, 0.0))
-    assert np.allclose(one.point, end.point) and one.direction is None
-    assert np.allclose(upper.section(lambda points: points[:, 0] == 1.0).weights, end.weights)
 
 
 def test_hole_rims(scenes):
@@ -213,32 +166,6 @@ def test_a_loop_of_links_that_is_drawn_exactly_closes(scenes):
     assert np.abs(model.phi(0.0, np.zeros(model.n))).max() < 1e-14
     force = scene.parts["pull"].nodal()
     assert np.allclose(force[:, 1], 1e3 * scenes.THICKNESS * mesh.section("hole 0").lengths, rtol=1e-14)
-
-
-def test_a_clamp_is_where_its_section_is_at_rest(scenes):
-    upper = scenes.plate("upper")
-    with pytest.raises(pi.InputError, match="Clamp 'root'.*where that is at rest, not at ground at"):
-        pi.Clamp(pi.ground.at((0.3, 0.0)), upper.section("left"), name="root")
-
-
-@pytest.mark.parametrize(
-    "wrong, told",
-    [
-        (lambda a, b: [a.x * b.x], "multiplied by"),
-        (lambda a, b: [a.x + 1.0], "needs a vector"),
-        (lambda a, b: a.x, "must give a list of rows"),
-        (lambda a, b: [pi.cross(a.d, b.x) + a.d], "is added to"),
-        (lambda a, b: [3.0], "needs a vector"),
-        (lambda a, b: [a.d.turned("fast")], "neither a number in rad nor a profile"),
-        (lambda a, b: [a.x - b.x + b.d], "does not hold at rest"),
-    ],
-)
-def test_formulas_that_are_none_are_told(scenes, wrong, told):
-    joint = type("Wrong", (pi.Joint,), {"rows": lambda self: wrong(self.a, self.b)})
-    scene, upper, lower = scenes.pair()
-    scene.add(joint(upper.section("right"), lower.section("left"), name="odd"))
-    with pytest.raises(pi.InputError, match=told):
-        scene.build()
 
 
 def test_a_formula_of_two_turned_vectors_and_sums(scenes):

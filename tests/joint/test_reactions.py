@@ -111,19 +111,6 @@ def test_a_reaction_is_what_moves_the_body(kind):
     assert run.wrench(name) == pytest.approx(expected, abs=1e-8)
 
 
-def test_the_rail_of_the_readme_is_a_slot():
-    found = []
-    for kind in (Rail, pi.Slot):
-        scene = pi.Scene(gravity=(0.0, -G))
-        scene.add(kind(pi.ground.at((0.0, 0.0)), scene.add(pi.RigidBody(MASS, 0.1, {"B": (0.0, 0.0)})).at("B"), name="guide"))
-        run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3), sensors={"guide": pi.sensor.reaction("guide")})
-        found.append(run.wrench("guide"))
-        along = found[-1][:, 1:2] if kind is Rail else found[-1][:, :2]  # one row of one's own: the force along d phi/dx_b
-        assert run.reaction("guide") == pytest.approx(along, abs=1e-12)
-        assert np.array_equal(run.sensors["guide"][-1], run.reaction("guide")[-1])
-    assert found[0] == pytest.approx(np.tile([0.0, MASS * G, 0.0], (len(run), 1)), abs=1e-9) and np.array_equal(*found)
-
-
 @pytest.mark.parametrize("kind", ["rail", "slot", "hinge", "turning rail", "prismatic", "weld", "motor"])
 def test_on_the_ground_it_is_what_the_ground_bears(kind):
     """Sides exchanged, the ground feels the opposite of what the body needs, about its own point."""
@@ -140,20 +127,6 @@ def test_on_the_ground_it_is_what_the_ground_bears(kind):
     told = torsor(run, model, name, "fm" if kind == "hinge" else JOINTS[kind][1])
     told[:, 2] += cross(np.array([1.0, 0.0]) - run.position(end), told[:, :2])
     assert run.success and -told == pytest.approx(needed(run, model, bar, end), abs=1e-8)
-
-
-def test_a_plate_welded_by_a_clamp_has_force_and_moment_and_a_clamped_one_a_force_a_node(scenes):
-    scene, upper, lower = scenes.pair()
-    scene.add(pi.Clamp(upper.section("left"), name="wall"))
-    scene.add(pi.Clamp(upper.section("right"), lower.section("left"), name="joint"))
-    model = scene.build()
-    state = pi.static(model)
-    run = pi.Trajectory(model, "static", np.zeros(1), *(np.asarray(x)[None] for x in (state.q, state.v, state.a)), state.lam[None])
-    pull, plate = run.reaction("joint")[0], model.places[id(lower)]
-    moment = cross(plate.points + run.q[0].reshape(-1, 2)[plate.pairs] - run.position("joint")[0], plate.weight(model.gravity)).sum()
-    assert pull == pytest.approx([*-plate.weight(model.gravity).sum(axis=0), -moment], abs=1e-8)
-    assert run.reaction("wall").shape == (1, 2 * len(upper.section("left").nodes))
-    assert run.reaction("wall").reshape(-1, 2).sum(axis=0) == pytest.approx(2 * scenes.PLATE_MASS * np.array([0.0, -G]), abs=1e-8)
 
 
 INTEGRATORS = {"alpha": pi.GeneralizedAlpha(h=1e-2, tolerance=1e-12), "radau": pi.RadauIIA(h=2e-2)}

@@ -43,27 +43,6 @@ def test_it_solves_what_numpy_solves(shape, turn):
     assert np.allclose(x, np.linalg.solve(matrix, other), rtol=1e-12, atol=1e-13)
 
 
-def test_every_unknown_is_eliminated_once():
-    for count, groups in SHAPES.values():
-        made = elimination(count, groups)
-        own = [made.unknowns[at : at + k] for at, k in zip(made.first, made.pivots)]
-        assert sorted(u for part in own for u in part) == list(range(count))
-
-
-def test_its_numbers_grow_with_the_length_of_a_ladder():
-    """Twice the windows, twice the numbers, but for the ends; a graph without long loops keeps its fronts small."""
-
-    def ladder(n):
-        count, groups = (
-            3 * n,
-            [[3 * k, 3 * k + 1, 3 * k + 3, 3 * k + 4] for k in range(n - 1)] + [range(3 * k, 3 * k + 3) for k in range(n)],
-        )
-        return elimination(count, groups)
-
-    one, two = ladder(100), ladder(200)
-    assert two.start[-1] <= 2.1 * one.start[-1] and two.size.max() <= 10
-
-
 @pytest.mark.parametrize("turn", [1.0, 0.6 + 0.8j])
 def test_a_pivot_that_is_too_small_is_told(turn):
     made, values, matrix, b = system(*SHAPES["chain"], turn)

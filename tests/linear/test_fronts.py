@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
-from numba import typeof
 from scipy.sparse import block_diag, bsr_array, coo_array, csr_array, eye_array, kron
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from polyida.linear.dissection import LEAF, cover_cut, symbolic
+from polyida.linear.dissection import LEAF, symbolic
 from polyida.linear.fronts import factorize, solve_fronts
 from polyida.linear.lu import SingularSystem
 
@@ -85,53 +83,6 @@ def test_a_complex_matrix_is_symmetric_and_not_hermitian(name):
     assert np.linalg.norm(solved(s, panels, (stiff + c2 * mass) @ x) - x) < 3e-6 * np.linalg.norm(x)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_fronts_are_an_elimination_tree(name):
-    pattern, points = CASES[name]
-    s = symbolic(pattern.indptr, pattern.indices, points)
-    count = pattern.shape[0]
-    assert sorted(s.order) == list(range(2 * count))
-    assert s.first[0] == 0 and s.first[-1] == count and (np.diff(s.first) >= 0).all()
-    waiting = []
-    for f, children in enumerate(s.children):
-        rows = s.rows[s.start[f] : s.start[f + 1]]
-        assert (np.diff(rows) > 0).all() and (rows >= s.first[f + 1]).all()
-        known = set(range(s.first[f], s.first[f + 1])) | set(rows)
-        for _ in range(children):
-            assert set(waiting.pop()) <= known
-        for k in range(s.first[f], s.first[f + 1]):
-            joined = s.order[2 * pattern.indices[pattern.indptr[s.nodes[k]] : pattern.indptr[s.nodes[k] + 1]]] // 2
-            assert set(joined[joined >= k]) <= known
-        waiting.append(rows)
-    assert not any(len(rows) for rows in waiting)
-
-
-def test_dissection_fills_less_than_a_band():
-    pattern, points = grid(60, 60)
-    band = 2 * 60**2 * (2 * 61 + 2)
-    assert symbolic(pattern.indptr, pattern.indices, points).panel[-1] < 0.55 * band
-
-
-def test_order_does_not_depend_on_the_frame():
-    pattern, points = grid(60, 12)
-    c, s = np.cos(0.7), np.sin(0.7)
-    moved = points @ [[c, s], [-s, c]] + [3.0, -2.0]
-    entries = [symbolic(pattern.indptr, pattern.indices, p).panel[-1] for p in (points, moved)]
-    assert entries[1] < 1.1 * entries[0]
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_separator_is_a_least_cover_of_the_cut(seed):
-    pattern, _ = scattered(60, 90, seed)
-    side = np.array([1, 2] * 30, np.int8)
-    scratch = [np.empty(60, np.int32) for _ in range(3)]
-    cut = csr_array(pattern[::2][:, 1::2])
-    cover_cut(pattern.indptr, pattern.indices, np.arange(60, dtype=np.int32), side, *scratch)
-    i, j = cut.nonzero()
-    assert ((side[::2][i] == 3) | (side[1::2][j] == 3)).all()
-    assert np.count_nonzero(side == 3) == np.count_nonzero(maximum_bipartite_matching(cut) >= 0)
-
-
 @pytest.mark.parametrize("spoil", ["singular", "not a number"])
 def test_no_factor_of_a_singular_matrix(spoil):
     pattern, points = grid(20, 8)
@@ -144,38 +95,3 @@ def test_no_factor_of_a_singular_matrix(spoil):
         blocks[at, 0, 0] = np.nan
     with pytest.raises(SingularSystem):
         factorize(s, blocks)
-
-
-def test_symbolic_serves_any_blocks_of_its_pattern():
-    pattern, points = grid(25, 10)
-    s = symbolic(pattern.indptr, pattern.indices, points)
-    x = np.random.default_rng(3).standard_normal(2 * pattern.shape[0])
-    first = None
-    for seed in (1, 2, 1):
-        blocks, matrix = spd_blocks(pattern, seed)
-        panels = factorize(s, blocks)
-        assert np.linalg.norm(solved(s, panels, matrix @ x) - x) < 3e-6 * np.linalg.norm(x)
-        first = solved(s, panels, x) if first is None else first
-    assert np.array_equal(solved(s, panels, x), first)
-
-
-def test_a_load_on_one_body_leaves_the_others_at_rest():
-    pattern, points = side_by_side(grid(12, 5), grid(12, 5))
-    blocks, matrix = spd_blocks(pattern)
-    s = symbolic(pattern.indptr, pattern.indices, points)
-    b = np.zeros(240)
-    b[7] = 1.0
-    x = solved(s, factorize(s, blocks), b)
-    assert not x[120:].any() and x[:120].any()
-    assert np.linalg.norm(matrix @ x - b) < 1e-5
-
-
-def test_empty_pattern_has_the_types_of_a_full_one():
-    none = symbolic(np.zeros(1, np.int32), np.zeros(0, np.int32), np.zeros((0, 2)))
-    pattern, points = grid(6, 6)
-    pattern.indptr.flags.writeable = pattern.indices.flags.writeable = False
-    full = symbolic(pattern.indptr, pattern.indices, points)
-    assert [typeof(a) for a in none] == [typeof(a) for a in full]
-    x = np.zeros(3, np.float32)
-    solve_fronts(none, factorize(none, np.zeros((0, 2, 2))), x)
-    assert not x.any()

@@ -6,8 +6,8 @@ from scipy.sparse import csc_array, csr_array, diags_array
 
 import polyida as pi
 from polyida import problems
-from polyida.linear.lu import LU, SingularSystem
-from polyida.linear.step_matrix import Border, StepMatrix, WholeMatrix
+from polyida.linear.lu import SingularSystem
+from polyida.linear.step_matrix import StepMatrix, WholeMatrix
 
 
 @pytest.fixture
@@ -41,15 +41,6 @@ def test_constraints_hold_with_an_old_factor(moving):
     assert np.allclose(model.phi_q(0.0, state[1] + 0.2) @ dq, -phi, rtol=1e-9)
 
 
-def test_made_again_from_what_it_was_made_from(moving):
-    model, state = moving
-    one, two, b = StepMatrix(model), StepMatrix(model), np.ones(model.n)
-    one.factor(*state, 1e6, 1e3)
-    two.again(one.made_at, 1e6, 1e3)
-    assert np.array_equal(one.solve(state[1], b), two.solve(state[1], b))
-    assert np.allclose(model.tangent(*state, 1e6, 1e3, 1.0).T @ one.solve(state[1], b, transposed=True), b, rtol=0, atol=1e-8)
-
-
 class Massless(pi.Model):
     """A spring pulls a mass along a massless rod's end: S has no inverse, with the constraint it has."""
 
@@ -77,20 +68,6 @@ def test_coordinates_without_mass_go_through_the_whole_matrix():
     assert np.allclose(np.concatenate(system.saddle(0.0, state[1], state[4], np.ones(2), np.ones(1))), exact)
     with pytest.raises(SingularSystem):
         system.solve(state[1], np.ones(2))
-
-
-def test_a_border_with_a_corner():
-    random = np.random.default_rng(4)
-    S, C, R, D = (random.standard_normal(shape) + 3 * np.eye(*shape) for shape in ((5, 5), (5, 2), (2, 5), (2, 2)))
-    b, below = random.standard_normal(5), random.standard_normal(2)
-    lu = LU(S)
-    x, w = Border(lu.solve(C)).solve(lu.solve(b), R, below, D)
-    assert np.allclose(np.concatenate([x, w]), np.linalg.solve(np.block([[S, C], [R, D]]), np.concatenate([b, below])))
-
-
-def test_dependent_constraints_are_singular():
-    with pytest.raises(SingularSystem, match="constraints"):
-        Border(np.ones((3, 2))).solve(np.ones(3), np.ones((2, 3)), np.ones(2))
 
 
 class Chain(pi.Model):
@@ -134,64 +111,3 @@ def test_many_constraints_go_through_one_sparse_matrix():
     runs = [pi.solve(Chain(), 0.2, kind, q0=q0, every=10**9) for kind in (pi.GeneralizedAlpha(h=2e-3), pi.IDA(rtol=1e-7))]
     assert all(run.success and run.drift.max() < 1e-9 for run in runs)
     assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-4
-
-
-class Sprung(pi.Model):
-    """A driven mass, and three points without mass, springs between them, that constraints hold to it: S is singular to round-off."""
-
-    n, m = 4, 3
-    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=False, phi_q_varies=False)
-
-    def __init__(self, stiff):
-        self.K = np.zeros((4, 4))
-        for (i, j), k in zip(((1, 2), (2, 3), (1, 3)), stiff):
-            self.K[np.ix_([i, j], [i, j])] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
-
-    def mass(self, q):
-        return np.diag([1.0, 0.0, 0.0, 0.0])
-
-    def force(self, t, q, v):
-        return self.K @ q + np.array([9.81, 0.0, 0.0, 0.0])
-
-    def force_q(self, t, q, v):
-        return self.K
-
-    def phi(self, t, q):
-        return q[1:] - np.array([1.0, 2.0, -1.0]) * q[0]
-
-    def phi_q(self, t, q):
-        return np.array([[-1.0, 1.0, 0.0, 0.0], [-2.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 1.0]])
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_springs_between_points_without_mass(seed):
-    model = Sprung(10 ** np.random.default_rng(seed).uniform(2, 6, 3))
-    runs = [pi.solve(model, 0.05, pi.GeneralizedAlpha(h=1e-3, linear=linear)) for linear in ("auto", "kkt")]
-    assert all(run.success for run in runs)
-    assert np.abs(runs[0].lam[-1] - runs[1].lam[-1]).max() < 1e-6 * np.abs(runs[1].lam[-1]).max()
-
-
-class Turning(pi.Model):
-    """A mass held to a line that turns: phi_q depends on time alone."""
-
-    n, m = 2, 1
-    needs = pi.Needs(mass_varies=False, velocity_forces=False, driven=True, phi_q_varies=False)
-
-    def mass(self, q):
-        return np.eye(2)
-
-    def force(self, t, q, v):
-        return 50.0 * q
-
-    def phi(self, t, q):
-        return self.phi_q(t, q) @ q
-
-    def phi_q(self, t, q):
-        return np.array([[np.cos(t), np.sin(t)]])
-
-
-def test_rows_that_time_turns_keep_the_factor():
-    run = pi.solve(Turning(), 2.0, pi.GeneralizedAlpha(h=1e-2), q0=[0.0, 1.0])
-    half = pi.solve(Turning(), 1.0, pi.GeneralizedAlpha(h=1e-2), q0=[0.0, 1.0])
-    rest = pi.solve(Turning(), 2.0, pi.GeneralizedAlpha(h=1e-2), state=half.state)
-    assert run.counts.factorizations == 1 and np.abs(rest.q[-1] - run.q[-1]).max() < 1e-13

@@ -68,13 +68,6 @@ def test_a_solve_is_the_same_for_any_number_of_threads(scene, count, c):
         assert same(alone, x) and np.abs(x).max() > 0
 
 
-def test_cuts_part_the_work_evenly():
-    factor, _ = factored(plates.double_plate(600))
-    work = np.diff(factor.fronts.panel) * (1 - team(factor.fronts, 2, float).top)
-    cut = team(factor.fronts, 2, float).cuts[1]
-    assert 0.4 * work.sum() < work[:cut].sum() < 0.6 * work.sum()
-
-
 @pytest.fixture
 def two_threads(monkeypatch):
     """Two threads whatever the machine has, for small scenes too."""
@@ -101,16 +94,3 @@ def test_a_failing_run_sends_its_threads_home(two_threads):
     before = threading.active_count()
     run = pi.solve(plates.double_plate(20).build(), 0.05, pi.GeneralizedAlpha(h=5e-2, max_iterations=1, max_halvings=0))
     assert not run.success and threading.active_count() == before
-
-
-@pytest.mark.parametrize("count", [0, 3, 1.5, "2", True])
-def test_a_wrong_number_of_threads_is_refused(count, two_threads):
-    with pytest.raises(pi.InputError, match="from 1 to 2, the cores that this process may use"):
-        pi.threads(count)
-    assert pi.threads() == 1
-
-
-def test_a_process_that_may_use_one_core_takes_one_thread(monkeypatch):
-    monkeypatch.setattr(machine.os, "sched_getaffinity", lambda process: {0}, raising=False)
-    with pytest.raises(pi.InputError, match="from 1 to 1, the cores that this process may use"):
-        pi.threads(2)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.errors import InputError
 
 MESH = pi.mesh.rectangle(1.0, 0.25, cells=100, seed=1)
 
@@ -22,15 +21,3 @@ def test_constants_stay_and_a_linear_field_far_from_the_rim():
     inside = (np.abs(quads.cell_centroids[:, 0] - 0.5) < 0.35) & (np.abs(quads.cell_centroids[:, 1]) < 0.1)
     x = quads.cell_centroids[:, 0]
     assert (pi.mesh.density_filter(quads, radius=0.12) @ x)[inside] == pytest.approx(x[inside], rel=1e-12)
-
-
-def test_a_small_radius_is_no_filter():
-    assert np.allclose(pi.mesh.density_filter(MESH, radius=1e-6).toarray(), np.eye(MESH.n_cells), rtol=1e-15, atol=0.0)
-
-
-@pytest.mark.parametrize(
-    "given, message", [({"radius": 0.0}, "radius = 0.0"), ({"radius": "a"}, "radius = 'a'"), ({"mesh": 3}, "mesh is int")]
-)
-def test_wrong_input_is_named(given, message):
-    with pytest.raises(InputError, match=f"density_filter: {message}"):
-        pi.mesh.density_filter(**({"mesh": MESH, "radius": 0.1} | given))

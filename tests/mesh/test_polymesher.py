@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy.io import loadmat, savemat
+from scipy.io import savemat
 
 import polyida as pi
 from polyida.errors import InputError
-from polyida.mesh import MeshWarning, PolygonMesh, read, rectangle, write
+from polyida.mesh import read
 
 NODE = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [2, 0], [2, 1.0]])
 
@@ -48,45 +48,11 @@ class TestRead:
         bearing = found.lam.reshape(2, 2).sum(axis=0)
         assert found.stable and np.allclose(np.abs(bearing), [0.0, 0.5], atol=1e-9), "the clamp bears the load"
 
-    @pytest.mark.parametrize(
-        "variables",
-        [
-            dict(Node=NODE, Element=ELEMENT.T),
-            dict(Node=NODE, Element=np.array([[1, 2, 3, 4], [2, 5, 6, 3]], dtype=np.uint16)),
-            dict(Node=NODE, Element=cell_array([4, 3, 2, 1], [2, 5, 6, 3])),
-            dict(node=NODE, elem=ELEMENT, Supp=np.zeros((0, 0))),
-            dict(Node=np.column_stack([NODE, np.zeros(6)]), Element=ELEMENT),
-            dict(fem={"Node": NODE, "Element": ELEMENT, "NElem": 2.0}, other=1.0),
-        ],
-    )
-    @pytest.mark.filterwarnings("ignore:.*clockwise")
-    def test_other_ways_to_save_it(self, saved, variables):
-        assert read(saved(**variables)).area == 2.0
-
     def test_a_matrix_of_padded_rows(self, saved):
         for empty in (0, np.nan):
             mesh = read(saved(Node=NODE, Element=np.array([[1, 2, 3, 4], [2, 5, 6, 3], [5, 2, 6, empty]])[:2]))
             triangles = read(saved(Node=NODE, Element=np.array([[1, 2, 3, 4], [2, 5, 6, empty], [2, 6, 3, empty]])))
             assert mesh.n_cells == 2 and sorted(np.diff(triangles.offsets)) == [3, 3, 4]
-
-    def test_a_matrix_that_counts_from_0_is_no_padded_one(self, saved):
-        with pytest.raises(InputError, match=r"Element\{1\} names node 0; .* MATLAB counts from 1"):
-            read(saved(Node=NODE, Element=np.array([[0, 1, 2, 3], [1, 4, 5, 2]])))
-
-    def test_a_node_that_is_fixed_by_two_rows(self, saved):
-        assert dict(read(saved(Node=NODE, Element=ELEMENT, Supp=[[1, 1, 0], [1, 0, 1]])).supports) == {0: (True, True)}
-
-
-class TestWrite:
-    def test_matlab_finds_the_variables_of_polymesher(self, tmp_path):
-        mesh = rectangle(1.0, 0.1, 20)
-        mesh = PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, dict(mesh.sections), {3: (True, False)}, {5: (0.0, 2.0)})
-        data = loadmat(write(mesh, tmp_path / "plate.mat"))
-        assert np.array_equal(data["Node"], mesh.points) and data["Element"].shape == (20, 1)
-        assert all(np.array_equal(data["Element"][i, 0], mesh.cell(i)[None] + 1) for i in range(20))
-        assert data["Supp"].tolist() == [[4, 1, 0]] and data["Load"].tolist() == [[6, 0, 2]]
-        empty = loadmat(write(rectangle(1.0, 0.1, 20), tmp_path / "free.mat"))
-        assert empty["Supp"].shape == empty["Load"].shape == (0, 3)
 
 
 class TestWrong:
@@ -123,7 +89,3 @@ class TestWrong:
             (tmp_path / "bad.mat").write_bytes(content)
             with pytest.raises(InputError, match=f"bad.mat: it .*{message}" if content == newer else message):
                 read(tmp_path / "bad.mat")
-
-    def test_millimetres_are_asked_for(self, saved):
-        with pytest.warns(MeshWarning, match="200 m wide; if its numbers are millimetres pass unit='mm'"):
-            read(saved(Node=NODE * 100, Element=ELEMENT))

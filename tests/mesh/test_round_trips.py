@@ -66,6 +66,16 @@ class TestIdentity:
         )
         assert_same(read(write(mesh, tmp_path / f"plate{suffix}")), mesh)
 
+    def test_they_survive_in_the_file_of_a_run(self, tmp_path):
+        mesh = quads(1.0, 0.1, 4, 1)
+        mesh = PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, dict(mesh.sections), {0: (True, True)}, {3: (0.1, -0.5)})
+        scene = pi.Scene()
+        plate = scene.add(pi.Plate(mesh, pi.Material(5e7, 0.3, 1100.0), 0.01, name="plate"))
+        scene.add(pi.Clamp(pi.ground, plate.section("left")))
+        pi.solve(scene.build(), 1e-3, pi.GeneralizedAlpha(h=1e-3)).save(tmp_path / "run.h5")
+        again = pi.load(tmp_path / "run.h5").model.parts["plate"].mesh
+        assert_same(again, mesh)
+
     @pytest.mark.parametrize("suffix", [".mat", ".msh4", ".inp", ".vtu"])
     def test_units(self, tmp_path, suffix):
         mesh = quads(0.4, 0.1, 4, 2)
@@ -77,16 +87,6 @@ class TestIdentity:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             read(path, unit="m")
-
-    def test_they_survive_in_the_file_of_a_run(self, tmp_path):
-        mesh = quads(1.0, 0.1, 4, 1)
-        mesh = PolygonMesh(mesh.points, mesh.nodes, mesh.offsets, dict(mesh.sections), {0: (True, True)}, {3: (0.1, -0.5)})
-        scene = pi.Scene()
-        plate = scene.add(pi.Plate(mesh, pi.Material(5e7, 0.3, 1100.0), 0.01, name="plate"))
-        scene.add(pi.Clamp(pi.ground, plate.section("left")))
-        pi.solve(scene.build(), 1e-3, pi.GeneralizedAlpha(h=1e-3)).save(tmp_path / "run.h5")
-        again = pi.load(tmp_path / "run.h5").model.parts["plate"].mesh
-        assert_same(again, mesh)
 
 
 class TestOthersReadIt:
@@ -102,26 +102,8 @@ class TestOthersReadIt:
         tags = np.concatenate([tag for block, tag in zip(data.cells, data.cell_data["gmsh:physical"]) if block.type == "line"])
         assert sorted(np.unique(lines[tags == data.field_data["top"][0]])) == sorted(mesh.sections["top"])
 
-    def test_node_sets_of_abaqus(self, tmp_path):
-        mesh = PolygonMesh(*(getattr(quads(1.0, 0.2, 4, 2), name) for name in ("points", "nodes", "offsets")), {"grip": [0, 1]})
-        text = write(mesh, tmp_path / "plate.inp").read_text()
-        assert "*ELEMENT, TYPE=CPS4\n1, 1, 4, 5, 2\n" in text
-        data = meshio.read(tmp_path / "plate.inp")
-        assert data.point_sets["grip"].tolist() == [0, 1] and np.array_equal(data.points, mesh.points)
-
 
 class TestRefusals:
-    def test_overwrite_only_when_told(self, tmp_path):
-        for suffix in FORMATS:
-            path = write(quads(1.0, 1.0, 1, 1), tmp_path / f"plate{suffix}")
-            before = path.read_bytes()
-            with pytest.raises(InputError, match="exists.*overwrite"):
-                write(quads(1.0, 1.0, 2, 2), path)
-            assert path.read_bytes() == before
-            write(quads(1.0, 1.0, 2, 2), path, overwrite=True)
-            assert read(path).n_cells == 4
-        assert len(list(tmp_path.iterdir())) == len(FORMATS)
-
     @pytest.mark.parametrize("suffix", sorted({*FORMATS} - {*POLYGONS}))
     def test_polygons_that_a_format_does_not_hold(self, tmp_path, suffix):
         with pytest.raises(InputError, match=r"triangles and quads only; cell \d+ has [5-9] corners. Polygons go into .mat, .vtu"):
@@ -146,6 +128,17 @@ class TestRefusals:
             with pytest.raises(InputError, match="its name must be one line"):
                 write(mesh, tmp_path / f"plate{suffix}")
         assert list(tmp_path.iterdir()) == []
+
+    def test_overwrite_only_when_told(self, tmp_path):
+        for suffix in FORMATS:
+            path = write(quads(1.0, 1.0, 1, 1), tmp_path / f"plate{suffix}")
+            before = path.read_bytes()
+            with pytest.raises(InputError, match="exists.*overwrite"):
+                write(quads(1.0, 1.0, 2, 2), path)
+            assert path.read_bytes() == before
+            write(quads(1.0, 1.0, 2, 2), path, overwrite=True)
+            assert read(path).n_cells == 4
+        assert len(list(tmp_path.iterdir())) == len(FORMATS)
 
 
 def test_a_format_of_ones_own(tmp_path, monkeypatch):

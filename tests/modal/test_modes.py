@@ -9,8 +9,6 @@ from scipy.special import roots_laguerre
 
 import polyida as pi
 from polyida.integrate.state import State
-from polyida.modal import eigen
-from polyida.modal.system import linear_system
 
 G = 9.81
 FREE_FREE = np.array([4.730040744862704, 7.853204624095838, 10.99560783800167])  # roots of cos x cosh x = 1
@@ -113,52 +111,12 @@ def test_a_free_bar_has_three_rigid_motions_and_those_of_euler_and_bernoulli():
     assert found.mass == pytest.approx(1100.0 * 0.02 * 0.01, rel=1e-12)
 
 
-@pytest.mark.parametrize("damped", [False, True])
-@pytest.mark.parametrize("hinged", [False, True])
-def test_rigid_motions_of_a_reduced_plate_are_exactly_still(hinged, damped):
-    scene = pi.Scene()
-    rubber = pi.Material(E=50e6, nu=0.3, rho=1100.0, viscosity=1e-4)
-    bar = scene.add(pi.Reduced(pi.Plate(pi.mesh.rectangle(1.0, 0.1, cells=30, seed=1), rubber, 0.01), modes=4))
-    if hinged:
-        scene.add(pi.Revolute(pi.ground, bar.section("left")))
-    frequencies = pi.modes(scene.build(), count=5, damped=damped).frequencies
-    still = 1 if hinged else 3
-    assert np.array_equal(frequencies[:still], np.zeros(still)) and frequencies[still] > 10.0
-
-
-def test_shapes_are_normal_on_the_constraints_and_point_one_way(scenes):
-    model = scenes.jointed("revolute").build()
-    found = pi.modes(model, count=5)
-    X = found.shapes.T
-    assert np.allclose(X.T @ (model.mass() @ X), np.eye(5), atol=1e-9)
-    assert np.abs(model.phi_q(0.0, np.zeros(model.n)) @ X).max() < 1e-9
-    assert np.array_equal(X, pi.modes(model, count=5).shapes.T)
-    assert all(x[np.abs(x) > 0.5 * np.abs(x).max()][0] > 0 for x in found.shapes)
-
-
 def test_the_first_mode_of_a_cantilever_moves_its_published_share_of_the_mass():
     """0.6131 of a slender beam, 0.1883 its second, across; nothing along."""
     found = pi.modes(beam()[0], count=2)
     assert found.participation[:, 1] / found.mass == pytest.approx([0.6131, 0.1883], rel=5e-3)
     assert np.abs(found.participation[:, 0]).max() < 1e-9
     assert "61.3% along y" in found.summary()
-
-
-def test_both_ways_to_solve_agree(scenes):
-    scene = scenes.jointed("motor between", angle=0.0, cells=80)
-    system = linear_system("modes", scene.build())
-    assert hasattr(system.K, "tocsc")
-    dense, sparse = (way(system, 7) for way in (eigen._dense, eigen._lanczos))
-    assert np.allclose(system.stiffness_of(dense), system.stiffness_of(sparse), rtol=1e-8)
-
-
-def test_equal_bodies_have_every_frequency_twice(scenes):
-    scene = pi.Scene()
-    for height in (0.0, 1.0):
-        plate = scene.add(pi.Plate(scenes.mesh(100), pi.Material(**scenes.RUBBER), 0.01, origin=(0.0, height)))
-        scene.add(pi.Clamp(plate.section("left")))
-    f = pi.modes(scene.build(), count=8).frequencies
-    assert np.allclose(f[::2], f[1::2], rtol=1e-9) and np.all(np.diff(f[::2]) > 1.0)
 
 
 @pytest.mark.parametrize("count", [1, 2, 12])
@@ -206,27 +164,6 @@ def test_all_levels_of_a_body_have_its_slow_modes():
     assert full[:2] == pytest.approx(rigid, rel=2e-3) and reduced == pytest.approx(full, rel=5e-3)
 
 
-def test_upright_it_falls_and_that_is_said():
-    model = Chain(1)
-    with pytest.warns(UserWarning, match="UNSTABLE"):
-        state = pi.static(model, q0=[0.0, 1.0])
-    with pytest.warns(UserWarning, match="modes: UNSTABLE, 1 of the modes grow"):
-        found = pi.modes(model, state, count=1)
-    assert found.unstable.all() and found.roots[0] == pytest.approx(np.sqrt(G), rel=1e-9)
-    assert found.frequencies[0] == pytest.approx(-np.sqrt(G) / (2 * np.pi), rel=1e-9) and "unstable" in found.summary()
-
-
-@pytest.mark.filterwarnings("ignore:static", "ignore:modes")
-@pytest.mark.parametrize("cells", [(20, 2), (80, 4)])
-def test_what_grows_is_what_static_counts(cells):
-    """A column under its weight beyond its second critical height, small and large."""
-    model, _ = beam(gravity=(0.0, -G), angle=np.pi / 2, height=0.1, cells=cells, E=50e6 / 350)
-    state = pi.static(model, steps=2)
-    found = pi.modes(model, state, count=4)
-    assert state.falling == found.unstable.sum() == 2
-    assert np.all(np.diff(found.frequencies) > 0)
-
-
 def test_gravity_stiffens_a_hanging_bar():
     """omega^2 grows by `g int (L - x) w'^2 dx / int w^2 dx`, w the shape of the bar without weight, in first order."""
     model, _ = beam(gravity=(0.0, -0.5), angle=-np.pi / 2)
@@ -256,12 +193,6 @@ def test_dampers_that_are_not_proportional_give_complex_shapes():
     for s, x in zip(found.roots, found.shapes):
         assert np.abs((s**2 * Springs.M + s * C + Springs.K) @ x).max() < 1e-9 * np.abs(x).max() * 300
     assert np.abs(found.shapes.imag).max() > 1e-2 and np.iscomplexobj(found.shapes)
-
-
-def test_a_mass_dragged_without_a_spring_fades_once_and_stays_where_it_is():
-    found = pi.modes(Springs(C=[[4.0, 0.0], [0.0, 0.0]], K=[[0.0, 0.0], [0.0, 200.0]]), count=2, damped=True)
-    assert found.roots[0] == 0.0 and found.roots[1] == pytest.approx(-2.0, rel=1e-12)
-    assert found.damping == pytest.approx([0.0, 1.0]) and not found.unstable.any()
 
 
 @pytest.mark.parametrize("cells", [(20, 2), (100, 4)])
@@ -350,29 +281,6 @@ def test_the_roots_are_the_eigenvalues_of_the_linearised_system(seed):
     assert slowest.roots == pytest.approx(found.roots[:2], rel=1e-9)
 
 
-def test_a_large_model_has_its_real_roots_too():
-    """A bar whose tip is dragged far beyond critical damping: Arnoldi's method against all roots, dense."""
-    scene = pi.Scene()
-    bar = scene.add(pi.Plate(pi.mesh.quads(1.0, 0.02, 60, 3), pi.Material(50e6, 0.0, 1100.0), 0.01))
-    scene.add(pi.Clamp(bar.section("left")))
-    tip = bar.section("right")
-    scene.add(pi.SpringDamper(pi.ground.at(tip.point - [0.0, 1.0]), tip, stiffness=1.0, damping=20.0))
-    model = scene.build()
-    found, system = pi.modes(model, count=4, damped=True), linear_system("modes", model)
-    assert eigen._large(system, 4)
-    T = system.basis
-    K, C, one = T.T @ (system.K @ T), T.T @ (system.C @ T), np.eye(T.shape[1])
-    roots = np.linalg.eigvals(np.block([[0.0 * one, one], [-K, -C]]))
-    roots = roots[roots.imag >= 0]
-    least = roots[np.argsort(np.abs(roots))][:4]
-    assert found.roots == pytest.approx(least, rel=1e-6) and (least.imag == 0).any() and (least.imag > 0).any()
-
-
-def test_all_modes_are_given_where_fewer_are_there_than_asked_for():
-    """omega^2 of M^-1 K: 50 and 200."""
-    assert (2 * np.pi * pi.modes(Springs()).frequencies) ** 2 == pytest.approx([50.0, 200.0], rel=1e-9)
-
-
 def test_where_it_is_drawn_and_where_it_moves(scenes):
     model = scenes.cantilever()[0].build()
     v = np.zeros(model.n)
@@ -380,37 +288,3 @@ def test_where_it_is_drawn_and_where_it_moves(scenes):
     with pytest.warns(UserWarning, match="modes: the state moves"):
         found = pi.modes(model, State(0.0, np.zeros(model.n), v, v, np.zeros(model.m)), count=2)
     assert np.array_equal(found.frequencies, pi.modes(model, count=2).frequencies)
-
-
-class Held(Springs):
-    m = 2
-
-    def phi(self, t, q):
-        return q.copy()
-
-    def phi_q(self, t, q):
-        return np.eye(2)
-
-
-class Massless(Springs):
-    M = np.diag([2.0, 0.0])
-
-
-@pytest.mark.parametrize(
-    "call, words",
-    [
-        (lambda: pi.modes(Springs(), count=0), "count = 0"),
-        (lambda: pi.modes(Springs(), count=1.5), "count = 1.5"),
-        (lambda: pi.modes(Held()), "cannot move"),
-        (lambda: pi.modes(Springs(), damped="yes", count=1), "damped = 'yes'"),
-        (lambda: pi.modes(pi.Scene(), count=1), "call its build"),
-        (lambda: pi.modes(Springs(), state=3.0, count=1), "modes: state = 3.0"),
-        (lambda: pi.modes(Springs(), pi.static(Chain(1), q0=[0.0, -1.0]), count=1), "another model"),
-        (lambda: pi.modes(Chain(1), count=1), "row of zeros"),
-        (lambda: pi.modes(Chain(1), State(0.0, *np.array([[0.0, -1.1], [0, 0], [0, 0]]), np.zeros(1)), count=1), "the state violates"),
-        (lambda: pi.modes(Massless(), count=1), "needs mass"),
-    ],
-)
-def test_what_is_wrong_is_said(call, words):
-    with pytest.raises(pi.InputError, match=words):
-        call()

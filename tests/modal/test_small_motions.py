@@ -1,7 +1,5 @@
 """State-space matrices and frequency responses: closed forms, each other, and the whole motion where it is small."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -79,12 +77,6 @@ def test_the_whole_and_its_modes_agree_where_all_are_taken(scenes):
         assert apart[[4, 5]].max() < 1e-4  # accelerations, in which forces of stiff modes cancel
 
 
-def test_a_few_modes_tell_slow_motions(scenes):
-    model, state = held(scenes)
-    whole, modal = (pi.frequency_response(model, state, "push", "tip", [2.0, 5.0], modes=k).values for k in (None, 8))
-    assert np.abs(whole - modal).max() < 1e-2 * np.abs(whole).max()
-
-
 def test_eigenvalues_are_the_roots_of_the_modes(scenes):
     model, state = held(scenes)
     system = pi.linearise(model, state, inputs=["push"])
@@ -126,41 +118,6 @@ def test_a_small_move_of_a_motor_is_the_whole_motion(scenes):
     assert np.abs(y[:, 4] - torque).max() < 2e-2 * np.abs(torque).max()
 
 
-@dataclass(frozen=True, eq=False)
-class Pull(pi.ForceElement):
-    """A force of one's own, Python, along x: with it in the scene no element is compiled."""
-
-    at: object
-    pull: object = 0.0
-    name: str | None = None
-
-    def sides(self):
-        return (self.at,)
-
-    def forces(self, t, x, v):
-        return np.array([[self.pull(t), 0.0]])
-
-
-@pytest.mark.parametrize("python", [False, True])
-def test_profiles_of_forces_are_inputs_whether_these_are_compiled_or_not(python):
-    """A moment on a rigid bar that hangs: `J angle'' + m g l / 2 angle = M`, J = m l^2 / 3."""
-    scene = pi.Scene(gravity=(0.0, -9.81))
-    bar = scene.add(pi.RigidBody.bar(1.0, 2.0, angle=-np.pi / 2, name="bar"))
-    left, right = bar.at("left"), bar.at("right")
-    scene.add(pi.Revolute(pi.ground, left, name="hinge"))
-    scene.add(pi.Torque(left, pi.profile.constant(0.0), name="drive"))
-    if python:
-        scene.add(Pull(right, pi.profile.constant(0.0), name="pull"))
-    model = scene.build()
-    system = pi.linearise(model, pi.static(model), outputs={"end": right})
-    assert system.inputs == (("drive", "pull") if python else ("drive",))
-    f = np.array([0.0, 0.3, 2.0])
-    exact = 1 / (2.0 / 3 * (2j * np.pi * f) ** 2 + 9.81)
-    assert system.response(f)[:, 0, 0] == pytest.approx(exact, rel=1e-9)
-    if python:
-        assert system.response(f)[:, 0, 1] == pytest.approx(exact, rel=1e-9)
-
-
 def test_reactions_that_are_not_unique_are_of_least_norm():
     scene = pi.Scene(gravity=(0.0, -9.81))
     bar = scene.add(pi.RigidBody.bar(1.0, 2.0, angle=-np.pi / 2, name="bar"))
@@ -179,52 +136,6 @@ def test_modes_are_coordinates_too(scenes):
     few, same = (pi.linearise(model, state, "push", "tip", modes=given) for given in (modes, 5))
     assert few.A.shape == (10, 10) and np.allclose(few.A, same.A, atol=1e-6 * np.abs(few.A).max())
     assert few.shapes == pytest.approx(modes.shapes)
-
-
-def test_outputs_by_default_and_by_label(scenes):
-    model, state = held(scenes)
-    assert pi.linearise(model, state, "push", modes=2).outputs == ("tip x", "tip y", "push x", "push y")
-    assert pi.linearise(Wheel(), None, PUSH).outputs == ("q[0]", "q[1]")
-    row = np.zeros(model.n)
-    named = pi.linearise(model, state, {"lift": row + 1.0}, {"end": "tip", "mean": row + 1.0}, modes=2)
-    assert named.inputs == ("lift",) and named.outputs == ("end x", "end y", "mean")
-
-
-MODES = pi.modes(Wheel(), count=1)
-
-
-@pytest.mark.parametrize(
-    "changed, words",
-    [
-        ({"inputs": "wind"}, "called 'wind'; known: 'drive', 'push'"),
-        ({"inputs": [[1.0, 2.0]]}, "finite numbers, or a function"),
-        ({"outputs": "top"}, "no mass, load or joint is called 'top'"),
-        ({"outputs": ("tip", "jerk")}, "one of position, velocity, acceleration, reaction"),
-        ({"outputs": ("tip", "reaction")}, "no joint is called 'tip'; known: 'shoulder', 'drive'"),
-        ({"outputs": 3.0}, "output 3.0 must be a name"),
-        ({"modes": 0}, "modes = 0 must be"),
-        ({"modes": MODES}, "of another model, with 2 coordinates"),
-    ],
-)
-def test_what_is_wrong_is_said(scenes, changed, words):
-    model, state = held(scenes)
-    with pytest.raises(pi.InputError, match=f"linearise: .*{words}|^{words}"):
-        pi.linearise(model, state, **changed)
-
-
-@pytest.mark.parametrize(
-    "changed, words",
-    [
-        ({"frequencies": []}, "at least one"),
-        ({"frequencies": "a"}, "at least one"),
-        ({"input": {"a": PUSH, "b": PUSH}}, "2 inputs were given"),
-        ({"input": None}, "input None must be"),
-        ({"modes": pi.modes(Wheel(), count=1, damped=True)}, "complex"),
-    ],
-)
-def test_what_is_wrong_with_a_response_is_said(changed, words):
-    with pytest.raises(pi.InputError, match=words):
-        pi.frequency_response(Wheel(), **({"state": None, "input": PUSH, "output": PUSH, "frequencies": 1.0} | changed))
 
 
 def test_force_elements_are_inputs_by_their_own_profiles_alone(scenes):

@@ -112,46 +112,6 @@ def test_values_are_what_the_run_tells(motion):
     assert 0.9 * stress.max() < of.PeakStress(p=1000)(motion) < stress.max()
 
 
-def test_parts_are_given_by_themselves_too(motion):
-    parts, end = motion.model.parts, motion.model.parts["lower"].section("right")
-    assert of.StrainEnergy(parts["upper"])(motion) == of.StrainEnergy("upper")(motion)
-    assert of.PeakReaction(parts["motor"])(motion) == of.PeakReaction("motor")(motion)
-    assert of.Deviation(end, (1.0, 0.0))(motion) == of.Deviation(parts["tip"], (1.0, 0.0))(motion)
-    objective = of.StrainEnergy(parts["upper"]) + of.PeakReaction(parts["motor"]) + of.Deviation(end, CIRCLE)
-    other = replace(motion, model=parameters_of(motion.model)["upper.E"].replaced(6e7))
-    with pytest.raises(pi.InputError, match="no body that deforms is called Plate"):
-        objective(other)
-    assert objective.named(motion.model)(other) == (of.StrainEnergy("upper") + of.PeakReaction("motor") + of.Deviation("tip", CIRCLE))(
-        other
-    )
-    one, two = of.StrainEnergy(), of.PeakReaction("motor")
-    assert sum([one, -two, two * 2])(motion) == pytest.approx(one(motion) + two(motion), rel=1e-13)
-
-
-def test_rest_has_no_slopes_and_no_nan():
-    model = scene()
-    place = model.attachment("tip").point
-    still = pi.Trajectory(model, "by hand", np.array([0.0, 1.0]), *np.zeros((3, 2, model.n)), np.zeros((2, model.m)))
-    for objective in (of.StrainEnergy(), of.PeakStress(), of.PeakReaction("motor"), of.Deviation("tip", place)):
-        slopes = objective.slopes(still)(slice(None))
-        assert objective(still) < 1e-20
-        assert not any(np.abs(x).max() > 1e-12 for x in (slopes.q, slopes.lam, slopes.by_time(), *slopes.direct.values()) if x is not None)
-
-
-def test_long_runs_are_read_in_pieces(motion, monkeypatch):
-    monkeypatch.setattr("polyida.objective.time_mean.frames_at_once", lambda width: 2)
-    asked = []
-
-    class Frames(np.ndarray):
-        def __getitem__(self, key):
-            asked.append(key)
-            return np.asarray(self)[key]
-
-    far = replace(motion, q=motion.q.view(Frames))
-    assert of.StrainEnergy()(far) == of.StrainEnergy()(motion)
-    assert [key.stop - key.start for key in asked] == [2, 2, 2]
-
-
 @dataclass(frozen=True, eq=False)
 class Sprung(pi.Body):
     """Two points on a spring of rest length 1 m, its energy a user's Python."""
@@ -238,32 +198,3 @@ def test_own_objectives(motion):
 def test_own_slopes_are_looked_at(slopes, match, motion):
     with pytest.raises(pi.InputError, match=match):
         of.Own(lambda run: 0.0, lambda run: slopes).slopes(motion)
-
-
-@pytest.mark.parametrize(
-    "objective, match",
-    [
-        (lambda: of.Deviation("tap", (0.0, 0.0)), "'tap'; known: .*'tip'"),
-        (lambda: of.Deviation("tip", lambda t: (t, np.nan)), "path = .* must be two finite numbers"),
-        (lambda: of.Deviation("tip", lambda: (0.0, 0.0)), r"Deviation: path\(0\) raised TypeError: .*it must be a function of time"),
-        (lambda: of.Own(lambda run: 1.0 / 0.0, dict), "Own: value.run., the function <lambda>, raised ZeroDivisionError: "),
-        (lambda: of.StrainEnergy("tip"), "no body that deforms is called 'tip'; known: 'upper', 'lower'"),
-        (lambda: of.PeakStress("hub"), "no body that deforms is called 'hub'"),
-        (lambda: of.PeakReaction("tip"), "no joint is called 'tip'; known: 'hub', 'motor', 'elbow'"),
-        (lambda: of.PeakReaction("elbow"), "the reaction of 'elbow' is in N and N m; give one of these as unit"),
-        (lambda: of.Own(lambda run: "much", dict), "value.run. must return a finite number"),
-        (lambda: 1.0 * of.Frequency(10**4), "number = 10000 is too large"),
-    ],
-)
-def test_what_is_not_in_the_model_is_told(objective, match, motion):
-    with pytest.raises(pi.InputError, match=match):
-        objective()(motion)
-
-
-def test_reactions_that_are_not_unique_have_no_slopes(scenes):
-    made, upper = scenes.cantilever()
-    made.add(pi.Revolute(pi.ground, upper.section("left"), name="double"))
-    model = made.build(redundant="least-norm")
-    still = pi.Trajectory(model, "by hand", np.zeros(1), *np.zeros((3, 1, model.n)), np.zeros((1, model.m)))
-    with pytest.raises(pi.InputError, match="'double' is not unique"):
-        of.PeakReaction("double").slopes(still)

@@ -5,8 +5,7 @@ import pytest
 
 from polyida import problems
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
-from polyida.integrate.start import consistent_state
-from polyida.problems import rigid_limit, spin_up_beam
+from polyida.problems import spin_up_beam
 from polyida.run.solve import solve
 
 
@@ -24,30 +23,6 @@ def test_spin_up_beam_comes_to_its_steady_extension():
     run = solve(p.model, p.t_end, GeneralizedAlpha(h=1e-2))
     assert run.success and p.reference["extension"] == pytest.approx(5.142857e-4, rel=1e-6)
     assert spin_up_beam.steady_extension(run) == pytest.approx(p.reference["extension"], rel=1e-2)
-
-
-def test_rigid_pendulum_keeps_its_energy():
-    a1, a2, w1, w2 = rigid_limit.rigid_motion(1.0)
-    m, M, L, g = rigid_limit.PLATE_MASS, rigid_limit.TIP_MASS, rigid_limit.LENGTH, rigid_limit.WEIGHT
-    inertia = m * (L**2 + rigid_limit.HEIGHT**2) / 12
-    first = L * w1 * np.array([-np.sin(a1), np.cos(a1)])
-    second = L * w2 * np.array([-np.sin(a2), np.cos(a2)])
-    speeds = m * (first / 2) @ (first / 2) + m * (first + second / 2) @ (first + second / 2) + M * (first + second) @ (first + second)
-    kinetic = (speeds + inertia * (w1**2 + w2**2)) / 2
-    heights = m * np.sin(a1) / 2 + m * (np.sin(a1) + np.sin(a2) / 2) + M * (np.sin(a1) + np.sin(a2))
-    assert kinetic + g * L * heights == pytest.approx(0.0, abs=1e-10)
-
-
-def test_the_rigid_state_meets_the_constraints_of_the_plates():
-    p = problems.get("rigid-limit", cells=8)
-    q, v = p.reference["q"], p.reference["v"]
-    assert np.abs(p.model.phi(1.0, q)).max() < 1e-14 and np.abs(p.model.phi_q(1.0, q) @ v).max() < 1e-13
-
-
-def test_rigid_joint_forces_are_those_at_the_start():
-    p = problems.get("rigid-limit", cells=8, t_end=1e-6)
-    started = consistent_state(p.model)
-    assert started.lam == pytest.approx(p.reference["lam"], abs=5.0)  # sudden release: the plates' inertia is not yet rigid
 
 
 def test_plates_come_near_to_rigid_ones_as_their_compliance():

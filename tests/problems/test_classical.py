@@ -7,7 +7,6 @@ from polyida import check_derivatives, problems
 from polyida.errors import InputError
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.start import consistent_acceleration, consistent_state
-from polyida.problems.pendulum import TABLE
 from polyida.run.solve import solve
 
 CLASSICAL = ("pendulum", "car-axis", "andrews")
@@ -65,10 +64,6 @@ def test_andrews_starts_with_the_published_acceleration():
     assert state.lam[:2] == pytest.approx([98.56687039624109, -6.122688344255662], rel=1e-9)
 
 
-def test_pendulum_table_lies_on_the_circle():
-    assert np.allclose([np.hypot(x, y) for _, x, y in TABLE], 1.0, rtol=0, atol=1e-14)
-
-
 def test_problems_have_a_reference_a_source_and_a_quantity_with_units():
     for name in problems.names():
         p = problems.get(name)
@@ -77,50 +72,12 @@ def test_problems_have_a_reference_a_source_and_a_quantity_with_units():
         assert name not in CLASSICAL or p.model.n == p.q0.size == p.v0.size
 
 
-def test_errors_are_largest_deviations():
-    p = problems.get("pendulum")
-    assert p.errors(q=p.reference["q"] + [1e-3, -2e-3]) == {"q": pytest.approx(2e-3)}
-
-
-@pytest.mark.parametrize(
-    ("found", "said"),
-    [
-        ({"foo": 1.0}, "'foo' is not in the reference, which knows q, v, lam"),
-        ({"q": [1.0]}, r"q has shape \(1,\), the reference has \(2,\)"),
-        ({"lam": 1.0}, r"lam has shape \(\), the reference has \(1,\)"),
-        ({"v": "fast"}, r"v must be numbers of shape \(2,\)"),
-    ],
-)
-def test_errors_of_what_does_not_fit_are_refused(found, said):
-    with pytest.raises(InputError, match=f"problem 'pendulum': {said}"):
-        problems.get("pendulum").errors(**found)
-
-
 @pytest.mark.parametrize("name", CLASSICAL)
 def test_a_fine_run_comes_as_near_as_the_reference_is_known(name):
     p = problems.get(name)
     run = solve(p.model, p.t_end, IDA(rtol=1e-9, atol=1e-11), q0=p.q0, v0=p.v0, every=10**9)
     for part, error in p.compare(run).items():
         assert error < 1e-5 * np.abs(p.reference[part]).max() and p.known_to[part] < error
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "said"),
-    [
-        ("plate-chain", {"link": 3}, "has no option 'link'; its options are links, cells, seed"),
-        ("andrews", {"cells": 3}, "has no option 'cells'; it has no options"),
-        ("plate-chain", {"links": 0}, ".*links = 0 .*; its options are links, cells, seed"),
-        ("double-plate", {"cells": "many"}, ".*cells is 'many'.*; its options are cells, seed"),
-        ("double-plate", {"seed": -1}, ".*seed is -1.*; its options are cells, seed"),
-        ("spin-up-beam", {"nx": 0}, ".*nx is 0.*; its options are nx, ny, element"),
-        ("spin-up-beam", {"element": 3}, ".*element 3.*; its options are nx, ny, element"),
-        ("rigid-limit", {"t_end": "a"}, ".*t_end = 'a'.*; its options are modulus, cells, seed, t_end"),
-        ("rigid-limit", {"modulus": None}, ".*modulus = None.*; its options are modulus, cells, seed, t_end"),
-    ],
-)
-def test_wrong_options_name_the_problem_and_its_options(name, options, said):
-    with pytest.raises(InputError, match=f"problem '{name}'[ :]+{said}"):
-        problems.get(name, **options)
 
 
 def test_unknown_name_lists_the_known_ones():

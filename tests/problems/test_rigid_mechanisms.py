@@ -5,7 +5,6 @@ import pytest
 
 import polyida as pi
 from polyida import problems
-from polyida.cli.main import main
 from polyida.problems import andrews, andrews_parts, n_four_bar
 
 TIGHT = {"IDA": pi.IDA(rtol=1e-11, atol=1e-14), "RadauIIA": pi.RadauIIA(rtol=1e-10)}
@@ -21,24 +20,6 @@ def test_andrews_from_parts_comes_to_the_published_digits(name):
     assert np.abs(angles - andrews.PRINTED["q"]).max() < 1e-7
     assert np.abs(rates / andrews.PRINTED["v"] - 1.0).max() < 1e-6
     assert p.compare(run)["angles"] < 1e-7
-
-
-def test_andrews_from_parts_starts_as_the_equations_do():
-    p, q0 = problems.get("andrews-parts"), andrews.Q0
-    state = pi.consistent_state(p.model)
-    assert np.abs(state.q).max() == np.abs(state.v).max() == 0.0
-    equations = pi.consistent_state(andrews.Andrews(), 0.0, q0, np.zeros(7))
-    z, turned = np.exp(1j * andrews_parts.ANGLES), andrews_parts.directions(state.a)
-    assert np.linalg.solve(andrews.TURNS, (z.conj() * turned).imag) == pytest.approx(equations.a, rel=1e-9, abs=1e-6)
-
-
-def test_andrews_from_parts_keeps_its_energy():
-    p = problems.get("andrews-parts")
-    run = pi.solve(p.model, 0.01, pi.RadauIIA(rtol=1e-9))
-    work = run.energy.work["drive"]
-    turned = andrews_parts.angles(run)[:, 0] - andrews.Q0[0]
-    assert np.abs(run.energy.total - run.energy.total[0] - andrews.mom * turned).max() < 1e-8 * np.abs(andrews.mom * turned).max()
-    assert work[-1] == pytest.approx(andrews.mom * turned[-1], rel=1e-4)
 
 
 @pytest.mark.parametrize("meshed", [True, False])
@@ -72,16 +53,3 @@ def test_past_the_singular_position_windows_are_right_or_stopped_with_its_joints
     assert np.ptp(run.energy.total) < 2e-3 * np.ptp(run.energy.kinetic)
     if not run.success:
         assert run.status == "singular" and "the motion can branch" in run.message and abs(run.t[-1] - LEVEL[windows]) < 0.02, run.message
-
-
-def test_joints_that_can_branch_are_named():
-    p = problems.get("n-four-bar", windows=1, t_end=3.0)
-    run = pi.solve(p.model, p.t_end, INTEGRATORS["alpha"])
-    assert run.status == "singular" and any(joint in run.message for joint in ("A0", "A1", "B0", "C1")), run.message
-
-
-def test_the_command_line_compares_integrators_on_bodies_without_a_mesh(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("polyida.show.press.cores", lambda: 1)  # starting a second process to draw takes longer
-    assert main(["compare", "n-four-bar", "--time", "0.05", "--out", "r"]) == 0
-    assert (tmp_path / "r" / "deformed.png").is_file() and not (tmp_path / "r" / "mesh.png").exists()

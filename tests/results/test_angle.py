@@ -36,17 +36,3 @@ def test_between_two_plates_it_is_the_difference(scenes):
         ways.append(np.einsum("fkd,k->fd", u, side.turn_weights) + side.direction)
     turned = [np.unwrap(np.arctan2(way[:, 1], way[:, 0])) for way in ways]
     assert np.allclose(run.angle("joint"), turned[1] - turned[0] - (turned[1] - turned[0])[0], atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["tip", "upper", "nobody", None, 3, ["joint"]])
-def test_what_has_no_angle(run, name):
-    with pytest.raises(pi.InputError, match="angle: no joint is called .*known: .*'joint'"):
-        run.angle(name)
-
-
-def test_a_side_without_direction_says_what_to_do(scenes):
-    scene, upper = scenes.single()
-    scene.add(pi.Revolute(pi.ground, upper.node(0), name="pin"))
-    run = pi.solve(scene.build(), 0.002, ALPHA)
-    with pytest.raises(pi.InputError, match="Revolute 'pin': .* has no direction; use a section of two nodes or more"):
-        run.angle("pin")

@@ -35,21 +35,6 @@ class Bar(pi.Body):
         return [(pi.dot(z, z) - 1.0) * 0.5]
 
 
-class Told(pi.Model):
-    """A point of 3 kg that falls; `says` is what it says of its momentum."""
-
-    n, m, says = 2, 0, None
-
-    def mass(self, q):
-        return 3.0 * np.eye(2)
-
-    def force(self, t, q, v):
-        return np.array([0.0, 3.0 * 9.81])
-
-    def momenta(self, q, v):
-        return (*(3.0 * v), 3.0 * (q[0] * v[1] - q[1] * v[0])) if self.says is None else self.says
-
-
 def hanging(gravity=(0.0, -9.81)):
     """A plate on a hinge, a rigid bar on the plate, a mass on the bar."""
     scene = pi.Scene(gravity)
@@ -84,19 +69,6 @@ def test_of_a_rigid_turn_it_is_that_by_hand():
     assert run.momentum.shape == (len(run), 2) and run.angular_momentum.shape == (len(run),)
 
 
-@pytest.mark.parametrize("level", [lambda plate: plate, pi.Rigid, lambda plate: pi.Reduced(plate, modes=3)])
-def test_at_all_levels(scenes, level):
-    """A free plate that spins 3 rad/s about its middle, which goes by (2, -1) m/s, from (0.5, 0.05) m."""
-    scene = pi.Scene()
-    body = scene.add(level(scenes.plate("plate", mesh=pi.mesh.quads(1.0, 0.1, 8, 2), velocity=(2.0, -1.0), spin=3.0)))
-    run = pi.solve(scene.build(), 2e-3, pi.GeneralizedAlpha(h=1e-3))
-    middle = np.mean([run.position(body.section(name))[0] for name in ("left", "right")], axis=0)
-    v = np.array([2.0, -1.0])
-    assert np.allclose(run.momentum, scenes.PLATE_MASS * v, rtol=1e-9)
-    spin = scenes.PLATE_MASS * (_cross(middle, v) + 3.0 * 1.01 / 12)
-    assert run.angular_momentum[0] == pytest.approx(spin, rel=1e-9) and np.allclose(run.angular_momentum, spin, rtol=1e-5)
-
-
 def test_free_bodies_keep_it():
     model = hanging((0.0, 0.0))[0].build()
     run = pi.solve(model, 0.1, pi.EnergyMomentum(h=1e-3), v0=turning(model, (0.2, -0.3), 3.0, (2.0, -1.0)))
@@ -128,20 +100,3 @@ def test_forces_change_it():
 
 def _cross(x, f):
     return x[..., 0] * f[..., 1] - x[..., 1] * f[..., 0]
-
-
-def test_models_of_one_s_own_tell_or_do_not():
-    run = pi.solve(Told(), 0.1, ALPHA, q0=[1.0, 0.0])
-    assert np.allclose(run.momentum[:, 1], -3.0 * 9.81 * run.t) and np.allclose(run.angular_momentum, -3.0 * 9.81 * run.t)
-    silent = pi.solve(pi.problems.get("pendulum").model, 0.01, ALPHA, q0=[-1.0, 0.0])
-    for name in ("momentum", "angular_momentum"):
-        with pytest.raises(pi.InputError, match="Pendulum does not say it"):
-            getattr(silent, name)
-
-
-@pytest.mark.parametrize("says", [1.0, (1.0, 2.0), (1.0, np.nan, 0.0), "abc"])
-def test_what_is_no_momentum(says):
-    run = pi.solve(Told(), 0.01, ALPHA)
-    run.model.says = says
-    with pytest.raises(pi.InputError, match="Told.momenta must return three"):
-        run.momentum

@@ -96,28 +96,6 @@ def test_files_and_frames(run, file):
         assert np.allclose(getattr(every, name)[-1], getattr(one, name), rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "given, match",
-    [
-        (("nobody", (0.5, 0.0)), "no full plate is called 'nobody'; known: 'upper', 'lower'"),
-        ((None, (0.5, 0.0)), "no full plate is called None"),
-        (("upper", (2.0, 0.0)), "upper: a cut at .* does not part the plate"),
-        (("upper", (np.nan, 0.0)), "upper: at = "),
-        (("upper", (0.5, 0.0), (0.0, 0.0)), "upper: normal = .* must not be zero"),
-        (("upper", (0.5, 0.0), "x"), "upper: normal = 'x'"),
-        (("upper", (0.5, 0.0), (1.0, 0.0), 99), "frame = 99"),
-    ],
-)
-def test_what_is_no_cut(run, given, match):
-    with pytest.raises(pi.InputError, match=match):
-        run.section_forces(*given)
-
-
-def test_a_plate_of_another_scene(run, scenes):
-    with pytest.raises(pi.InputError, match="plate 'strange' is not in the scene"):
-        run.section_forces(scenes.plate("strange"), (0.5, 0.0))
-
-
 def test_a_body_of_few_coordinates_is_none(scenes):
     scene = pi.Scene()
     scene.add(pi.Reduced(scenes.plate("few"), modes=2))
@@ -126,12 +104,3 @@ def test_a_body_of_few_coordinates_is_none(scenes):
     assert run.section_forces("full", (0.5, 0.0)).normal.shape == (2,)
     with pytest.raises(pi.InputError, match="no full plate is called 'few'; known: 'full'"):
         run.section_forces("few", (0.5, 0.0))
-
-
-def test_bodies_of_few_coordinates_are_refused_by_what_they_are_called(mesh):
-    scene, plate = pi.Scene((0.0, -9.81)), pi.Plate(mesh, pi.Material(50e6, 0.3, 1100.0), 0.01, name="bar")
-    body = scene.add(pi.Rigid(plate))
-    scene.add(pi.Revolute(pi.ground, body.section("left")))
-    run = pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3))
-    with pytest.raises(pi.InputError, match="no full plate is called Rigid 'bar'; known: none"):
-        run.section_forces(body, (0.5, 0.0))

@@ -1,7 +1,6 @@
 """Sensors: functions at every accepted step, whatever becomes a frame and wherever frames go."""
 
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -63,43 +62,11 @@ def test_ready_ones(model):
     assert np.array_equal(run.sensors["push"], np.stack([run.a[:, 0], run.lam[:, -1]], axis=1))
 
 
-@pytest.mark.parametrize("options", [{"every": 30}, {"output": [0.05]}, {"memory_limit": 0}, {"precision": "single"}])
-def test_whatever_becomes_a_frame(model, whole, options):
-    run = pi.solve(model, 0.1, ALPHA, sensors=looking(model), **options)
-    assert same(run.sensors, whole.sensors)
-
-
-@pytest.mark.parametrize("integrator", [pi.EnergyMomentum(h=1e-3), pi.IDA(), pi.RadauIIA()])
-def test_each_integrator_s_steps(model, integrator):
-    run = pi.solve(model, 0.02, integrator, sensors=looking(model))
-    assert np.array_equal(run.sensors.t, run.t) and np.array_equal(run.sensors["a/tip"], run.position("tip"))
-
-
-def test_the_last_is_where_until_stops(model):
-    run = pi.solve(model, 0.1, ALPHA, sensors=looking(model), until=lambda t, q, v: t - 0.0123)
-    assert run.status == "stopped" and run.sensors.t[-1] == run.t[-1] and same(run.sensors, pickle.loads(pickle.dumps(run.sensors)))
-
-
 def test_a_run_without(model):
     run = pi.solve(model, 0.002, ALPHA)
     assert not run.sensors and not len(run.sensors.t)
     with pytest.raises(KeyError, match="no sensor is called 'tip'; known: none"):
         run.sensors["tip"]
-
-
-def test_files(model, whole, tmp_path):
-    whole.save(tmp_path / "saved.h5")
-    run = pi.solve(model, 0.1, ALPHA, sensors=looking(model), out=tmp_path / "run.h5", every=7, flush_every=10)
-    for sensors in (run.sensors, pi.load(tmp_path / "run.h5").sensors, pi.load(tmp_path / "saved.h5", memory_limit=0).sensors):
-        assert same(sensors, whole.sensors)
-
-
-def test_many_steps_in_blocks(tmp_path):
-    """More steps than a block of the file holds, and wide ones."""
-    model, wide = pi.problems.get("pendulum").model, {"x": lambda t, q, v: np.full(1500, t), "y": lambda t, q, v: q}
-    run = pi.solve(model, 2.0, ALPHA, q0=[-1.0, 0.0], sensors=wide, out=tmp_path / "run.h5", every=1000)
-    again = pi.load(tmp_path / "run.h5").sensors
-    assert len(again.t) == 2001 and same(again, run.sensors) and np.array_equal(again["x"][:, 1499], again.t)
 
 
 @pytest.mark.parametrize("every", [1, 30])
@@ -127,16 +94,6 @@ def test_a_killed_run_goes_on(model, whole, tmp_path, every):
     assert run.success and same(run.sensors, whole.sensors) and same(pi.load(path).sensors, whole.sensors)
 
 
-def test_going_on_without_keeps_what_there_is(model, tmp_path):
-    first = pi.solve(model, 0.01, ALPHA, sensors=looking(model), out=tmp_path / "run.h5")
-    run = pi.resume(tmp_path / "run.h5", 0.02, sensors=False)
-    assert (
-        run.success and run.t[-1] == 0.02 and same(run.sensors, first.sensors) and same(pi.load(tmp_path / "run.h5").sensors, first.sensors)
-    )
-    with pytest.raises(pi.InputError, match="'energy', 'a/tip', 'first'; it cannot go on with 'x'"):
-        pi.resume(tmp_path / "run.h5", 0.03, sensors={"x": lambda t, q, v: t})
-
-
 def test_damage_is_found(model, tmp_path):
     """A byte in a whole block of what sensors gave; the frames are whole."""
     import h5py
@@ -154,27 +111,6 @@ def test_damage_is_found(model, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "sensors, match",
-    [
-        ([1.0], "sensors = .* must be a dictionary"),
-        ({"": len}, "the name '' must be a text"),
-        ({3: len}, "the name 3 must be a text"),
-        ({"x": 1.0}, "'x' is 1.0, it must be a function of t, q and v"),
-        ({"x": pi.sensor.position("nobody")}, "no mass, load or joint is called 'nobody'"),
-        ({"x": pi.sensor.reaction("tip")}, "sensor.reaction: no joint is called 'tip'; known: 'shoulder'"),
-        ({"x": lambda t, q, v: None}, "'x' gave no real numbers at t = 0 s"),
-        ({"x": lambda t, q, v: 1j}, "'x' gave no real numbers"),
-        ({"x": lambda t, q, v: [[1.0], [2.0, 3.0]]}, "'x' gave no real numbers"),
-        ({"x": lambda t, q, v: np.nan}, "'x' gave numbers that are not finite"),
-    ],
-)
-def test_what_is_no_sensor(model, tmp_path, sensors, match):
-    with pytest.raises(pi.InputError, match=match):
-        pi.solve(model, 0.002, ALPHA, sensors=sensors, out=tmp_path / "run.h5")
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
     "late, match", [(lambda t: [t, t], r"an array of shape \(2,\) at t = 0.005"), (lambda t: np.inf, "not finite at t = 0.005")]
 )
 def test_what_goes_wrong_on_the_way(model, late, match):
@@ -182,8 +118,3 @@ def test_what_goes_wrong_on_the_way(model, late, match):
         pi.solve(model, 0.01, ALPHA, sensors={"x": lambda t, q, v: t if t < 0.0045 else late(t)})
     run = raised.value.trajectory
     assert run.status == "error" and len(run.sensors.t) == 5
-
-
-def test_arguments_are_read_only(model):
-    with pytest.raises(ValueError, match="read-only"):
-        pi.solve(model, 0.01, ALPHA, sensors={"x": lambda t, q, v: q.fill(0.0)})

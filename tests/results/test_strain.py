@@ -33,22 +33,6 @@ def test_with_the_stress_of_a_small_one_it_makes_hooke_s_law(model):
     assert np.allclose(model.stress(q), hooke, atol=1e-5 * np.abs(hooke).max())
 
 
-@pytest.mark.filterwarnings("ignore::polyida.errors.ReductionWarning")  # so few modes of rubber leave much out
-def test_of_few_coordinates(scenes):
-    """A rigid plate has none; a reduced one that of its fields, and the stress goes with it."""
-    scene = pi.Scene((0.0, -9.81))
-    plates = [pi.Rigid(scenes.plate("rigid")), pi.Reduced(scenes.plate("reduced"), modes=5)]
-    for body in map(scene.add, plates):
-        scene.add(pi.Clamp(pi.ground, body.section("left")))
-    model = scene.build()
-    run = pi.solve(model, 1e-3, pi.GeneralizedAlpha(h=1e-3), state=pi.static(model))
-    rigid, reduced = np.split(run.strain(-1), 2)
-    (x, y, shear), modulus = reduced.T, 50e6 / (1 - 0.3**2)
-    hooke = np.stack([x + 0.3 * y, y + 0.3 * x, 0.35 * shear], axis=1) * modulus
-    assert np.abs(rigid).max() < 1e-14 and np.abs(reduced).max() > 1e-5
-    assert np.allclose(run.stress(-1)[20:], hooke, atol=2e-2 * np.abs(hooke).max())
-
-
 def test_of_a_run(run, file):
     found = run.strain(-1)
     assert found.shape == run.stress(-1).shape and np.array_equal(found, pi.load(file).strain(-1)) and found.any()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.integrate.state import cubic
 from polyida.results.motion import unbalanced
 
 RADAU = pi.RadauIIA(h=1e-3)
@@ -72,11 +71,6 @@ def test_fourth_order_in_the_time_between_frames(scenes):
     assert push[-1] < 1e-7 and pull[-1] < 1e-6 and steady.max() < 1e-14
 
 
-def test_hermite_is_exact_for_cubics():
-    x, v = (lambda t: 1 + t - 2 * t**2 + 3 * t**3), (lambda t: 1 - 4 * t + 9 * t**2)
-    assert np.allclose(cubic(x(0.2), v(0.2), x(0.7), v(0.7), 0.5, 0.3), (x(0.35), v(0.35)), rtol=1e-14)
-
-
 def test_a_steady_load_works_by_where_it_moves(scenes):
     scene, upper = scenes.hinged()
     scene.add(pi.PointLoad(upper.section("right"), (3.0, 5.0), name="push"))
@@ -129,15 +123,6 @@ def test_motors_pay_for_the_energy(scenes, angle, integrator, share):
     assert np.abs(unbalanced(run)).max() < share * np.abs(run.energy.work["drive"]).max()
 
 
-def test_two_motors_share_the_work(scenes):
-    scene = scenes.jointed("motor between")
-    upper = scene.parts["upper"]
-    scene.add(pi.AngleMotor(pi.ground, upper.section("left"), pi.profile.quintic(0.0, -0.5, 0.1), name="root"))
-    run = pi.solve(scene.build(), 0.1, RADAU)
-    assert set(run.energy.work) == {"joint", "root"} and not run.energy.dissipated
-    assert np.abs(unbalanced(run)).max() < 1e-5 * np.abs(run.energy.work["root"]).max()
-
-
 @pytest.fixture(scope="module")
 def braked():
     """A bar with drag and a damper on it, of a material that is damped."""
@@ -148,13 +133,6 @@ def braked():
     scene.add(Drag(bar.section("right"), name="air"))
     scene.add(Damper(bar.section("top"), k=0.2, name="damper"))
     return pi.solve(scene.build(), 0.1, RADAU)
-
-
-def test_what_is_dissipated_is_told_by_name(braked):
-    energy = braked.energy
-    assert set(energy.work) == {"air"} and set(energy.dissipated) == {"damper", "bar"}
-    assert energy.work["air"][-1] < 0 and all((np.diff(taken) >= 0).all() and taken[-1] > 0 for taken in energy.dissipated.values())
-    assert np.abs(unbalanced(braked)).max() < 1e-5 * energy.dissipated["bar"][-1]
 
 
 P = pi.profile
@@ -203,47 +181,9 @@ def test_gravity_and_elements_make_up_the_potential(braked):
     assert np.allclose(energy.gravity + energy.elements["damper"], energy.potential, rtol=1e-13)
 
 
-def test_a_force_with_an_energy_does_no_work_beside_it(scenes):
-    """However deep the spring is bent between two frames."""
-    scene, upper = scenes.hinged()
-    scene.add(Damper(upper.section("right"), c=0.0, k=4e3, name="spring"))
-    run = pi.solve(scene.build(), 0.1, RADAU, every=10)
-    assert np.abs(run.energy.dissipated["spring"]).max() < 1e-8 * np.abs(run.energy.elements["spring"]).max()
-
-
-def test_files_and_parts_of_runs_tell_the_same(braked, tmp_path):
-    braked.save(tmp_path / "run.h5")
-    again = pi.load(tmp_path / "run.h5", memory_limit=0)
-    for name in ("work", "dissipated", "elements"):
-        found, there = getattr(braked.energy, name), getattr(again.energy, name)
-        assert list(found) == list(there) and all(np.allclose(found[key], there[key], rtol=1e-13, atol=1e-15) for key in found)
-    rest = pi.solve(braked.model, 0.12, RADAU, state=braked.state)
-    assert rest.energy.work["air"][0] == 0.0 and np.abs(unbalanced(rest)).max() < 1e-7
-    alone = pi.solve(braked.model, 0.01, RADAU, output=[0.005])
-    assert np.array_equal(alone.energy.work["air"], [0.0])
-
-
 def test_models_of_one_s_own_tell_or_do_not():
     run = pi.solve(pi.problems.get("pendulum").model, 0.05, RADAU, q0=[-1.0, 0.0])
     assert run.energy.work == run.energy.dissipated == run.energy.elements == {} and np.isnan(run.energy.gravity).all()
     told = motion(9)
     told.model.dissipating = ("push",)
     assert set(told.energy.work) == {"pull", "steady"} and np.array_equal(told.energy.dissipated["push"], -motion(9).energy.work["push"])
-
-
-@pytest.mark.parametrize("given", [None, [1.0], {"push": None}, {"push": np.nan}, {1: 2.0}])
-def test_powers_that_are_none(given):
-    told = motion(9)
-    told.model.powers = lambda t, q, v, lam: given
-    with pytest.raises(pi.InputError, match="Told.powers must return"):
-        told.energy.work
-
-
-def test_a_load_may_be_called_gravity_where_gravity_follows_a_profile():
-    """Both are told in one number."""
-    scene = pi.Scene((0.0, pi.profile.constant(-9.81)))
-    body = scene.add(pi.RigidBody.bar(1.0, 2.0))
-    scene.add(pi.Revolute(pi.ground, body.at("left")))
-    scene.add(pi.PointLoad(body.at("right"), (10.0, 0.0), name="gravity"))
-    run = pi.solve(scene.build(), 0.1, RADAU)
-    assert np.abs(unbalanced(run)).max() < 1e-8

@@ -88,11 +88,3 @@ def test_a_response_is_drawn_where_there_is_one():
     assert across == pytest.approx(found.amplitude[:, 1]) and np.isnan(along).all() and upper.get_yscale() == "log"
     assert lower.lines[1].get_ydata() == pytest.approx(np.degrees(found.phase[:, 1]))
     assert len(rendered(found.plot(), "png")) > 5000
-
-
-@pytest.mark.parametrize(
-    "given, words", [({"number": 3}, "number = 3"), ({"number": "a"}, "number = 'a'"), ({"scale": 0.0}, "scale = 0.0")]
-)
-def test_what_is_not_there_is_refused(given, words):
-    with pytest.raises(pi.InputError, match=words):
-        mechanism()[1].plot(**given)

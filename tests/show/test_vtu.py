@@ -56,17 +56,3 @@ def test_frames_are_replaced_only_when_told(run, tmp_path):
     pi.export.vtu(run, tmp_path, frames=2, overwrite=True)
     names = sorted(path.name for path in tmp_path.iterdir())
     assert names == ["frame-00000.vtu", "frame-00001.vtu", "notes.txt", "run.pvd"]
-
-
-def test_a_file_in_place_of_the_folder_is_refused(run, tmp_path):
-    (tmp_path / "frames").write_text("")
-    with pytest.raises(InputError, match="is a file"):
-        pi.export.vtu(run, tmp_path / "frames", overwrite=True)
-
-
-def test_a_scene_without_meshes_is_refused(tmp_path):
-    scene = pi.Scene((0.0, -9.81))
-    scene.add(pi.RigidBody.bar(1.0, 2.0))
-    with pytest.raises(InputError, match="no body of the scene has a mesh"):
-        pi.export.vtu(pi.solve(scene.build(), 0.01, pi.GeneralizedAlpha(h=1e-3)), tmp_path / "frames")
-    assert not (tmp_path / "frames").exists()

@@ -44,18 +44,6 @@ def test_slopes_of_radaus_forms(soft, form, slope, mode):
     assert fitted(far, raw) == pytest.approx(slope, abs=0.02) and fitted(far, flat) == pytest.approx(0, abs=1e-3)
 
 
-def test_the_border_adds_little_once_it_is_scaled(soft):
-    model, state = soft
-    for h in (1e-1, 1e-3, 1e-6):
-        scaled = conditioning.alpha_condition(model, state, h, "q", "physical")
-        assert scaled < 10 * conditioning.inherent_condition(model, state, h)
-
-
-def test_springs_of_any_stiffness_stay_well_conditioned():
-    model, state = conditioning.state_of("springs", 0)
-    assert max(conditioning.alpha_condition(model, state, h, "q", "physical") for h in 10.0 ** -np.arange(1, 10)) < 100
-
-
 def test_scaling_restores_the_digits_of_weak_back_ends_only(soft):
     model, state = soft
 

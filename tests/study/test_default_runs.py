@@ -14,7 +14,3 @@ def test_errors_are_those_of_published_digits():
     run = pi.solve(p.model, p.t_end, pi.IDA(), q0=p.q0, v0=p.v0)
     assert own["error_end"] == pytest.approx(p.compare(run)["q"] / size, rel=1e-3) and own["steps"] == run.counts.steps
     assert own["known"]["q"] < 1e-8 and 10 * given["error_end"] < own["error_end"] <= own["error_max"] < 1e-3
-
-
-def test_steps_are_shares_of_the_time():
-    assert measure("andrews", "alpha", 0.02)["steps"] == 50

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from levels import costs, runs
-from levels.scenes import FULL, RIGID, at_level, goes_at_any_level
+from levels import runs
+from levels.scenes import FULL, RIGID, at_level
 from polyida.problems.plates import double_plate_motors
 
 pytestmark = pytest.mark.filterwarnings("ignore::polyida.errors.ReductionWarning")
@@ -23,10 +23,6 @@ def test_all_parts_hold_on_to_the_bodies_that_stand_for_plates(level, n):
         assert np.abs(found.position(name) - known.position(name)).max() <= {FULL: 0.0, 3: 1e-3, RIGID: 2e-2}[level]
 
 
-def test_mechanisms_say_that_they_go_at_any_level():
-    assert goes_at_any_level("slider-crank") and not goes_at_any_level("double-plate")
-
-
 def test_distances_fall_with_modes_and_steps_have_their_share(monkeypatch):
     monkeypatch.setattr(runs, "EXACT", 1e-8)
     monkeypatch.setattr(runs, "REFINED", 1e-7)
@@ -35,9 +31,3 @@ def test_distances_fall_with_modes_and_steps_have_their_share(monkeypatch):
     assert all(row["outcome"] == "done" and row["distance"] <= row["anywhere"] for row in (full, few, more, rigid))
     stepped = runs.measure("double-plate", 5, 1e-2)
     assert stepped["steps"] == 100 and stepped["distance"] > more["distance"] and stepped["n"] == more["n"] == 28
-
-
-def test_costs():
-    row = costs.step(12, 2)
-    assert row["n"] == 16 and 1.0 <= row["iterations"] < 3.0 and 0.0 < row["step_s"] < 1.0
-    assert 0.0 < costs.reduction(12, 2)["reduction_s"] < 10.0

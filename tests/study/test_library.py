@@ -8,7 +8,6 @@ import pytest
 
 import polyida as pi
 from polyida.errors import InputError, StepFailure
-from polyida.problems import plates
 
 STEPS = (1e-2, 5e-3, 2.5e-3)
 
@@ -103,12 +102,6 @@ def test_the_reference_is_right_as_far_as_it_is_known(study):
     assert 2 * lam[0] == pytest.approx(v @ v - 9.81 * q[1], abs=100 * study.known_to["v"])
 
 
-def test_another_study_takes_the_reference_of_one(study):
-    again = pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"own": Projected}, h=STEPS, reference=study.reference)
-    assert again.known_to == study.known_to and [row["error_q"] for row in again.rows] == [row["error_q"] for row in study.rows[:3]]
-    assert [row["h"] for row in again.rows] == list(STEPS) and again.orders["own"] == study.orders["own"]
-
-
 def test_a_run_is_a_reference_of_unknown_precision():
     run = pi.solve(Swing(), 0.5, pi.RadauIIA(rtol=1e-10), **start())
     study = pi.study.work_precision(Swing(), 0.5, **start(), integrators={"alpha": pi.GeneralizedAlpha(h=1e-2)}, reference=run)
@@ -121,13 +114,6 @@ def test_problems_by_name_have_their_own_start_end_and_digits():
     assert study.reference["made_by"] == [p.source] and study.known_to["q"] == p.known_to["q"] and study.rows[0]["error_q"] < 1e-5
     shorter = pi.study.work_precision(p, 0.1, integrators={"radau": pi.RadauIIA(rtol=1e-8)})
     assert len(shorter.reference["made_by"]) == 2 and shorter.rows[0]["t"] == pytest.approx(0.1)
-
-
-def test_scenes_are_built(tmp_path):
-    scene = plates.double_plate(cells=4)
-    study = pi.study.step_sizes(scene, 0.02, integrators={"alpha": lambda h: pi.GeneralizedAlpha(h=h)}, h=(2e-3, 1e-3))
-    assert study.known_to["q"] <= 0.1 * min(row["error_q"] for row in study.rows) and study.orders["alpha"]["q"] > 1
-    assert (study.report(tmp_path / "plates") / "report.html").exists()
 
 
 def test_a_run_that_stops_is_a_row_without_errors():
@@ -143,14 +129,6 @@ def test_points_below_what_is_known_are_hollow_and_stand_at_it(study):
     assert min(lines["radau"].get_xdata()) == 1e-3 and "what is known of the reference" in lines
     assert sum(len(line.get_xdata()) for line in below) == sum(row["error_q"] <= 1e-3 for row in study.rows)
     assert all(line.get_markerfacecolor() == "white" for line in below)
-
-
-def test_plots_are_drawn_on_the_axes_that_are_given(study):
-    from matplotlib.figure import Figure
-
-    axes = Figure().subplots()
-    assert study.plot("lam", axes) is axes and [line.get_label() for line in axes.lines[:3]] == ["own", "alpha", "radau"]
-    assert axes.get_xlabel() == "error in lam at the end" and study.plot("q", work="steps").get_ylabel() == "steps"
 
 
 def test_rows_as_a_data_frame_and_a_data_set(study):
@@ -174,12 +152,6 @@ def test_a_report_has_page_numbers_and_pictures_and_is_not_overwritten(study, tm
         study.report(folder)
     other = pi.study.Result([{"number": 7}])
     assert other.report(folder, overwrite=True) == folder and json.loads((folder / "figures.json").read_text())["rows"] == [{"number": 7}]
-
-
-def test_texts_are_short_and_tables_whole(study):
-    assert len(repr(study)) < 100 and "8 rows" in repr(study)
-    lines = str(study).splitlines()
-    assert len(lines) > 9 and all(len(line) < 160 for line in lines[:10]) and study._repr_html_().count("<tr>") == 9
 
 
 @dataclass(frozen=True)
@@ -221,80 +193,3 @@ def test_energy_and_drift_follow_whole_runs(tmp_path):
     assert all(row["drift"] < 1e-6 for row in off.rows) and off.plot("velocity_drift").get_yscale() == "log"
     assert np.isnan(off.to_xarray()["drift"].sel(run="IDA").values).sum() == 201 - off.rows[2]["steps"] - 1
     assert (kept.report(tmp_path / "kept") / "unbalanced.csv").exists() and (off.report(tmp_path / "off") / "drift.csv").exists()
-
-
-def test_progress_tells_how_far_a_study_is():
-    told = []
-    pi.study.step_sizes(Swing(), 0.1, **start(), integrators={"own": Projected}, h=(1e-2, 5e-3), progress=lambda *how: told.append(how))
-    assert [done for done, total, _ in told if "own" in _] == [0, 1] and {total for _, total, _ in told} == {3} and told[-1][:2] == (3, 3)
-
-
-@pytest.mark.parametrize(
-    "arguments, message",
-    [
-        ((3, 1.0), "the model is int; a Model, a Scene, a Problem or the name of one"),
-        (("nothing", 1.0), "problem 'nothing' is unknown"),
-        ((Swing(), -1.0), "t_end = -1.0 must be a positive time"),
-        ((Swing(), None), "t_end = None must be a positive time"),
-    ],
-)
-def test_what_cannot_be_run_is_an_error_before_the_first_run(arguments, message):
-    with pytest.raises(InputError, match=message):
-        pi.study.work_precision(*arguments, **start(), integrators={"alpha": [pi.GeneralizedAlpha(h=1e-2)]})
-
-
-@pytest.mark.parametrize(
-    "options, message",
-    [
-        ({"integrators": None}, "integrators = None must be a dictionary"),
-        ({"integrators": {"alpha": []}}, r"integrators\['alpha'\] = \[\] must be one or more integrators"),
-        ({"integrators": {"alpha": ["alpha"]}}, "'alpha' is no integrator"),
-        ({"integrators": {3: [pi.IDA()]}}, "label 3 of an integrator must be a text"),
-        ({"integrators": {"IDA": pi.IDA()}, "repeats": 0}, "repeats = 0 must be a whole number of at least 1"),
-        ({"integrators": {"IDA": pi.IDA()}, "reference": {"q": [1.0]}}, r"reference\['q'\] must be 2 finite numbers"),
-        ({"integrators": {"IDA": pi.IDA()}, "progress": 3}, "progress = 3 must be a function"),
-    ],
-)
-def test_wrong_options_of_work_precision_are_named(options, message):
-    with pytest.raises(InputError, match=message):
-        pi.study.work_precision(Swing(), 0.1, **start(), **options)
-
-
-def test_wrong_options_of_the_others_are_named(study):
-    with pytest.raises(InputError, match="h = .* must be positive steps"):
-        pi.study.step_sizes(Swing(), 0.1, **start(), integrators={"own": Projected}, h=(0.0,))
-    with pytest.raises(InputError, match="must be a class or a function of h"):
-        pi.study.step_sizes(Swing(), 0.1, **start(), integrators={"own": Projected(1e-2)})
-    with pytest.raises(InputError, match="one integrator"):
-        pi.study.energy(Swing(), 0.1, **start(), integrators={"alpha": [pi.GeneralizedAlpha(h=1e-2)] * 2})
-    with pytest.raises(InputError, match="the reference ends at"):
-        pi.study.work_precision(
-            Swing(), 0.2, **start(), integrators={"IDA": pi.IDA()}, reference=pi.solve(Swing(), 0.1, pi.IDA(), **start())
-        )
-    for wrong in ({"part": "a"}, {"work": "time"}):
-        with pytest.raises(InputError, match="must be one of"):
-            study.plot(**wrong)
-
-
-def test_a_class_without_a_step_and_steps_that_are_no_function_are_told():
-    class Stepless:
-        steps = 3
-
-    with pytest.raises(pi.InputError, match="integrators.'odd'. = .*Stepless.* makes no integrator of a step h"):
-        pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"odd": Stepless}, h=(1e-2,))
-    with pytest.raises(pi.InputError, match="IDA makes no integrator of a step h: the class takes no h"):  # its first argument is rtol
-        pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"IDA": pi.IDA}, h=(1e-2,))
-    with pytest.raises(pi.InputError, match="steps = 3 of Stepless must be a function"):
-        pi.solve(Swing(), 0.5, Stepless(), **start())
-    with pytest.raises(pi.InputError, match="steps = 3 of Stepless must be a function"):
-        pi.study.work_precision(Swing(), 0.5, **start(), integrators={"odd": [Stepless()]})
-
-
-def test_a_class_gets_its_step_as_h():
-    """The first argument of RadauIIA is rtol."""
-    study = pi.study.step_sizes(Swing(), 0.5, **start(), integrators={"Radau IIA": pi.RadauIIA}, h=(1e-1, 5e-2), reference=swung())
-    assert [row["steps"] for row in study.rows] == [5, 10]
-
-
-def swung():
-    return pi.solve(Swing(), 0.5, pi.RadauIIA(rtol=1e-10), **start())

@@ -18,13 +18,6 @@ def test_csm1_extrapolated(clamp):
     assert fine["deviation"] < coarse["deviation"] / 3
 
 
-def test_a_beam_behind_a_cylinder_begins_on_its_arc():
-    mesh = cases.bent_to_the_cylinder(cases.mesh_of("polygons", 0.35101, 0.02, 4))
-    clamped = mesh.points[mesh.section("left").nodes]
-    assert np.allclose(np.hypot(*clamped.T), cases.CYLINDER, atol=1e-15)
-    assert mesh.points[:, 0].max() == cases.BEAM_END
-
-
 def test_frequencies_of_a_slender_bar():
     found = cases.frequencies("quads", "wachspress", 2)
     assert abs(found["bending_errors"][0]) < 1e-3 and np.abs(found["axial_errors"]).max() < 2e-4

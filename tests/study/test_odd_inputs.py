@@ -1,6 +1,6 @@
 """pi.study on what users bring: no constraints, pulses that nobody announces, functions that raise, labels with dollars."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ import polyida as pi
 from polyida.errors import InputError
 from polyida.show.press import csv
 from polyida.study.references import agreed
-from polyida.study.report import write
 from polyida.study.subject import subject
 
 STEPS = (1e-2, 5e-3)
@@ -77,79 +76,11 @@ def test_a_function_that_raises_is_a_row_and_the_others_are_kept(error):
     assert pi.study.energy(spring, 0.5, q0=[1.0], integrators={"alpha": settings()[0]}).rows[0]["status"] == "error"
 
 
-def test_errors_that_are_zero_have_no_place_on_a_logarithmic_axis():
-    run = pi.solve(Spring(), 0.5, pi.GeneralizedAlpha(h=STEPS[0]), q0=[1.0])
-    study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": settings()}, reference=run)
-    assert study.rows[0]["error_q"] == 0 and list(study.plot().lines[0].get_xdata()) == [study.rows[1]["error_q"]]
-
-
 def test_errors_below_what_is_known_are_counted_in_a_note():
     reference = {"q": [np.cos(5.0)], "v": [-10 * np.sin(5.0)], "lam": [], "known_to": {"q": 1.0, "v": 1e-9}}
     study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": settings()}, reference=reference)
     assert study.notes == ["2 of 2 errors in q are below what is known of the reference, 1.0e+00"]
     assert np.isnan(study.orders["alpha"]["q"]) and study.orders["alpha"]["v"] == pytest.approx(2, abs=0.1)
-
-
-@pytest.mark.parametrize("known", ["little", -1.0, np.nan])
-def test_what_a_reference_is_known_to_is_a_number(known):
-    reference = {"q": [0.0], "v": [0.0], "lam": [], "known_to": {"q": known}}
-    with pytest.raises(InputError, match=r"reference\['known_to'\]\['q'\]"):
-        pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": settings()}, reference=reference)
-
-
-def test_a_problem_that_does_not_say_how_far_it_is_known_gets_a_reference_of_its_own():
-    p = pi.problems.get("pendulum")
-    vague = pi.problems.Problem(p.name, p.model, p.q0, p.v0, 0.2, reference=p.reference)
-    study = pi.study.work_precision(vague, integrators={"radau": pi.RadauIIA(rtol=1e-6)})
-    assert len(study.reference["made_by"]) == 2 and study.known_to["q"] < study.rows[0]["error_q"]
-
-
-def test_an_integrator_that_counts_no_steps_has_orders_and_no_doubts():
-    @dataclass(frozen=True)
-    class Silent(Leapfrog):
-        def steps(self, model, state, t_end, counts):
-            return super().steps(model, state, t_end, replace(counts))
-
-    study = pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"own": settings(Silent)})
-    assert [row["steps"] for row in study.rows] == [0, 0] and study.orders["own"]["q"] == pytest.approx(2, abs=0.1)
-    assert len(study.notes) == 1 and "is not seen" in study.notes[0]
-
-
-def test_the_line_of_an_order_has_the_slope_of_the_points():
-    study = pi.study.step_sizes(Spring(), 0.5, q0=[1.0], integrators={"IDA": lambda h: pi.IDA(rtol=h**3)}, h=(1e-2, 1e-3))
-    (label,) = study.labels
-    coarse, fine = study.rows
-    slope = np.log(coarse["error_q"] / fine["error_q"]) / np.log(coarse["h"] / fine["h"])
-    assert study.orders[label]["q"] == pytest.approx(slope)
-
-
-def test_the_line_of_an_order_ends_with_the_points_that_it_is_fitted_over():
-    reference = {"q": [np.cos(5.0)], "v": [-10 * np.sin(5.0)], "lam": [], "known_to": {"q": 2e-5, "v": 0.0}}
-    study = pi.study.step_sizes(Spring(), 0.5, q0=[1.0], integrators={"own": Leapfrog}, h=(1e-2, 5e-3, 2.5e-3, 1e-3), reference=reference)
-    low = [row["h"] for row in study.fitted("own", "q")]
-    guides = [line for line in study.plot("q").lines if line.get_label().startswith("_child") and len(line.get_xdata()) == 2]
-    assert len(low) == 2 and study.known(study.rows[2], "q") and sorted(guides[0].get_xdata()) == sorted(low)
-
-
-def test_models_that_are_compared_by_value_are_studied():
-    @dataclass
-    class Equal(Spring):
-        raises: float = np.inf
-        pulse: float = np.inf
-
-    study = pi.study.work_precision(Equal(), 0.5, q0=[1.0], integrators={"own": settings(Leapfrog)})
-    assert Equal.__hash__ is None and study.orders["own"]["q"] == pytest.approx(2, abs=0.1)
-
-
-def test_every_form_is_warmed_up_once():
-    class Heard(pi.GeneralizedAlpha):
-        def steps(self, model, state, t_end, counts, **more):
-            heard.append((self.h, t_end))
-            return super().steps(model, state, t_end, counts, **more)
-
-    heard, forms = [], [*settings(Heard), Heard(h=5e-3, form="stabilised")]
-    pi.study.work_precision(Spring(), 0.5, q0=[1.0], integrators={"alpha": forms}, reference={"q": [0], "v": [0], "lam": []})
-    assert heard == [(1e-2, 2e-2), (1e-2, 0.5), (5e-3, 0.5), (5e-3, 1e-2), (5e-3, 0.5)]
 
 
 def test_labels_are_written_as_they_are(tmp_path):
@@ -176,13 +107,6 @@ def test_conditioning_draws_every_state_and_takes_problems_by_name():
         pi.study.conditioning("pendulum", [], {"alpha": pi.GeneralizedAlpha})
     with pytest.raises(InputError, match=r"integrators\['alpha'\] = 5 must be an integrator, or a class"):
         pi.study.conditioning("pendulum", states, {"alpha": 5})
-
-
-def test_a_command_that_is_given_is_written_also_without_a_script(tmp_path, monkeypatch):
-    monkeypatch.setattr("sys.argv", [""])
-    study = pi.study.drift(Spring(), 0.1, q0=[1.0], integrators={"own": Leapfrog(1e-2)})
-    assert "mine --now" in (write(study, tmp_path / "a", False, "mine --now") / "report.html").read_text()
-    assert "an interactive session" in (study.report(tmp_path / "b") / "report.html").read_text()
 
 
 def test_a_reference_is_not_said_to_be_known_better_than_it_is():

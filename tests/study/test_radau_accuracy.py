@@ -1,10 +1,8 @@
 """Figures of Radau IIA in the work-precision study: orders are fitted where one cause of error alone is seen."""
 
-import numpy as np
 import pytest
 
 from work_precision import radau_accuracy as accuracy
-from work_precision import tip_accuracy
 from work_precision.selection import tasks
 
 
@@ -36,12 +34,3 @@ def test_errors_near_what_is_known_and_steps_that_are_too_long_are_not_fitted():
             row["error_q"] = 1.0
     assert accuracy.order(made, problem, "q") == pytest.approx(5.0)
     assert 1 < len(accuracy.fitted_rows(made, problem, "q")) < accuracy.FINER
-
-
-def test_the_tips_error_is_judged_over_tolerances_that_are_tight_and_of_all_runs_or_none():
-    made = [task | {"error_tip": 3 * task["x"]} for task in tip_accuracy.tasks(True)]
-    loose = next(row for row in made if row["integrator"] == tip_accuracy.RADAU_DEFAULT and row["x"] == 1e-3)
-    loose["error_tip"] = 1.0
-    assert accuracy.error_over_rtol(made) == {"radau_error_over_rtol": pytest.approx(3.0)}
-    made[-1].pop("error_tip")
-    assert np.isnan(accuracy.error_over_rtol(made)["radau_error_over_rtol"])

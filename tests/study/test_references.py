@@ -6,22 +6,14 @@ import pytest
 import digits
 import polyida as pi
 from polyida import problems
-from polyida.errors import InputError
-from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
-from polyida.integrate.start import consistent_acceleration
 from polyida.model import Model
 from polyida.problems import andrews, plates
-from polyida.run.solve import solve
 from polyida.study import families, references
-from polyida.study.families import last_state
 from polyida.study.precision import short
-from polyida.study.rows import errors
 from polyida.study.subject import Subject
 from step_size_sensitivity.errors import smooth
 from work_precision import cases
-from work_precision.cases import measure
-from work_precision.integrators import FIXED, IDA_FORMS, cheapest, integrator
 
 CLASSICAL = ("pendulum", "car-axis", "andrews")
 
@@ -33,27 +25,10 @@ def test_explicit_runs_meet_the_closed_solution_of_the_pendulum():
     assert np.abs(lam - p.reference["lam"]).max() < 1e-6
 
 
-def test_explicit_runs_give_every_time_that_is_asked_for_and_stop_at_kinks():
-    model = cases.sudden_blow(4, 0.02)
-    times = np.linspace(0.0, 0.02, 5)
-    states = families.explicit(model, 0.02, 1e-8, times=times)
-    alone = families.explicit(model, 0.02, 1e-8)[0]
-    assert len(states) == 5 and not states[0][0].any()
-    assert np.abs(states[-1][0] - alone[0]).max() < 1e-9
-    assert model.kinks(0.018, 0.02) == (pytest.approx(0.019),)
-
-
 def test_explicit_runs_are_put_back_on_the_constraints_that_they_drift_off():
     p = problems.get("pendulum")
     off = [families.explicit(p.model, p.t_end, 1e-10, q0=p.q0, v0=p.v0, legs=legs)[0][0] - p.reference["q"] for legs in (1, families.LEGS)]
     assert np.abs(off[1]).max() < 0.1 * np.abs(off[0]).max()
-
-
-def test_explicit_and_fine_runs_of_the_integrators_agree():
-    given = cases.by_two("pair", plates.double_plate_motors(cells=4).build(), 0.02)
-    run = solve(given.subject.model, 0.02, GeneralizedAlpha(h=5e-6, extrapolate=True, tolerance=1e-9), every=10**9)
-    found = errors(run, given.reference)
-    assert found["error_q"] < 1e-10 and found["error_v"] < 1e-6 and given.reference["known_to"]["q"] < 1e-9
 
 
 def test_three_families_agree_as_well_as_their_steps_allow():
@@ -123,17 +98,6 @@ def test_a_reference_is_refined_until_it_is_known_to_a_tenth_of_what_is_measured
     asked, other = pair_of((1e-3, 1e-5, 1e-7))
     found = references.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 2e-4), others=(other,))
     assert asked == [0, 1] and found["known_to"]["q"] == pytest.approx(1e-5)
-
-
-def test_each_part_is_known_as_well_as_it_can_be():
-    """One that comes no nearer does not keep the others from being refined."""
-    apart = {"q": (1e-3, 1e-5, 1e-7), "v": (1e-3, 1e-5, 1e-7), "lam": (1e-6, 2e-6, 1.1e-6)}
-
-    def other(subject, level):
-        return f"other {level}", {part: value + apart[part][level] for part, value in references._radau(subject, level)[1].items()}
-
-    known = references.agreed(swing(), others=(other,))["known_to"]
-    assert known == {"q": pytest.approx(1e-7), "v": pytest.approx(1e-7), "lam": pytest.approx(1e-6, rel=1e-3)}
 
 
 def test_what_two_methods_share_is_seen_by_how_far_a_finer_run_moves():
@@ -218,74 +182,7 @@ def test_a_contact_is_known_as_well_as_two_methods_agree():
     assert abs(found["v"][0] + 1.0) <= found["known_to"]["v"]
 
 
-def test_smooth_forces_of_a_model_of_one_s_own_leave_a_reference_known():
-    """Never nearer than round-off."""
-    found = references.agreed(swing(), lambda values: dict.fromkeys(families.PARTS, 1e-8))
-    assert found["known_to"]["q"] < 1e-9 and not any(references._radau(swing(), 0)[2].values())
-    assert all(known >= 1e-14 * np.abs(found[part]).max() for part, known in found["known_to"].items())
-
-
 def test_a_reference_run_that_stops_is_no_reference():
     assert families.by_radau(RunsAway(), 0.5, 1e-10, [1.0], [2.0])["q"] == pytest.approx([4.0], rel=1e-7)
     with pytest.raises(RuntimeError, match=r"reference by RadauIIA\(rtol=1e-06"):
         families.by_radau(RunsAway(), 1.5, 1e-6, [1.0], [2.0])
-
-
-def test_the_digits_are_printed_with_what_they_are_known_to(capsys):
-    digits.main(["double-plate", "andrews", "--cells", "4", "--time", "0.002"])
-    lines = capsys.readouterr().out.splitlines()
-    parts = {"double-plate": ("tip", "tip_velocity", "lam"), "andrews": ("q", "v", "lam", "a")}
-    assert [line.split()[:2] for line in lines] == [[name, part] for name, given in parts.items() for part in given]
-    assert all(float(line.rpartition(" known to ")[2]) < 1e-5 for line in lines)
-
-
-@pytest.mark.parametrize("name", CLASSICAL)
-def test_multipliers_of_the_digits_are_those_of_their_state(name):
-    given = cases.case(name, True)
-    motion, known = given.subject, given.reference
-    lam = consistent_acceleration(motion.model, motion.t_end, known["q"], known["v"])[1]
-    assert np.abs(lam - known["lam"]).max() < known["known_to"]["lam"]
-
-
-@pytest.mark.parametrize("name", [*FIXED, "alpha, adaptive", *(f"IDA {form}" for form in IDA_FORMS)])
-def test_every_member_is_made(name):
-    assert hasattr(integrator(name, 1e-3), "steps")
-
-
-@pytest.mark.parametrize("name", ["alpha, adaptive", *sorted(set(FIXED) - {"alpha, Richardson", "energy-momentum"})])
-def test_members_take_their_own_newton_tolerance_or_the_default(name):
-    assert integrator(name, 1e-3).tolerance == GeneralizedAlpha(h=1e-3).tolerance
-    assert integrator(name, 1e-3, newton=1e-9).tolerance == 1e-9
-
-
-def test_unknown_members_are_named():
-    with pytest.raises(InputError, match="'Euler' is unknown"):
-        integrator("Euler", 1e-3)
-
-
-def test_a_measured_run_has_errors_and_counts():
-    row = measure("pendulum", "IDA ggl2", 1e-6, True)
-    assert row["outcome"] == "done" and row["error_q"] < 1e-2 and row["residuals"] >= row["steps"]
-
-
-def test_a_run_that_fails_is_a_row():
-    row = measure("pendulum", "IDA index3", 1e-7, True)
-    assert "error_q" not in row and "max_num_steps" in row["outcome"]
-
-
-def test_multipliers_of_the_energy_momentum_method_are_those_of_the_end():
-    model = smooth("load", 4)
-    exact = families.explicit(model, 0.1, 1e-9)[0][3]
-    runs = [solve(model, 0.1, EnergyMomentum(h=h), every=10**9) for h in (4e-3, 2e-3)]
-    errors = [np.abs(last_state(run).lam - exact).max() for run in runs]
-    assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.3)
-
-
-def test_energy_momentum_rows_have_an_error_of_lam():
-    assert np.isfinite(measure("double-plate", "energy-momentum", 4e-3, True)["error_lam"])
-
-
-def test_cheapest_interpolates_and_does_not_extrapolate():
-    rows = [{"cpu_s": 1.0, "error_q": 1e-2}, {"cpu_s": 4.0, "error_q": 1e-4}, {"cpu_s": 2.0, "error_q": None}]
-    assert cheapest(rows, "error_q", 1e-3) == pytest.approx(2.0)
-    assert cheapest(rows, "error_q", 1e-1) == 1.0 and np.isnan(cheapest(rows, "error_q", 1e-5))

@@ -15,7 +15,6 @@ from polyida.cli import study as cli_study
 from polyida.study import drawing, report
 from polyida.study.rows import fitted
 from work_precision import tip_accuracy
-from work_precision.selection import left_out, not_run, tasks
 
 FOLDER = Path(__file__).parents[2] / "studies"
 BROKEN = {"error": "RuntimeError: it broke", "traceback": "where it broke"}
@@ -272,21 +271,6 @@ def findings_study(bad):
     )
 
 
-def test_a_page_has_a_table_for_each_kind_of_task_without_empty_columns():
-    bars = [{"case": "bar", "n": n, "error": "", "steps": 12345, "off": 0.5 * n} for n in (1, 2)]
-    beams = [{"case": "beam", "h": h, "error": "", "steps": 7, "off": None, "all": [1, 2]} for h in (0.1, 0.2)]
-    first, second = report.tables(("case", "n", "h", "off", "steps", "all", "error"), bars + beams)
-    assert (first.caption, second.caption) == ("case: bar", "case: beam")
-    assert first.columns == {"n": ("n", "{}"), "off": ("off", "{:.4g}"), "steps": ("steps", "{}")} and list(second.columns) == [
-        "h",
-        "steps",
-        "all",
-    ]
-    assert "12345" in first.html({}) and "2 values" in second.html({})
-    (failed,) = report.tables(("case", "n", "error"), [{"case": "bar", "n": 1} | BROKEN])
-    assert list(failed.columns) == ["case", "n", "error"]
-
-
 def test_what_the_short_selection_leaves_out_is_told():
     def of(quick):
         return [{"name": name, "h": h, "quick": quick} for name in ("a" if quick else "abc") for h in ((1,) if quick else (1, 2, 0.5))]
@@ -294,22 +278,6 @@ def test_what_the_short_selection_leaves_out_is_told():
     (line,) = report.shortened(replace(findings_study(dict), tasks=of))
     assert line == "the short selection has 1 runs, the full one 9; not in the short one: name b, c; h 2, 0.5"
     assert report.shortened(findings_study(dict)) == []
-
-
-def test_long_cells_are_cut_in_the_table_only(tmp_path, monkeypatch, capsys):
-    text = "x" * 100
-    data = command(findings_study(lambda rows: {}), [{"number": 1, "outcome": text, "error": ""}], tmp_path, monkeypatch)
-    out = capsys.readouterr().out
-    assert text not in out and "x" * 39 + "…" in out and data["rows"][0]["outcome"] == text
-
-
-@pytest.mark.parametrize("quick", [True, False])
-def test_every_member_that_is_not_run_is_told_with_its_reason(quick):
-    rows = tasks(quick)
-    assert all(not left_out(row["problem"], row["integrator"], quick) or row["problem"] == "sudden-blow" for row in rows)
-    lines = not_run(rows)
-    assert lines and all(line.rpartition(": ")[2] for line in lines)
-    assert any("energy-momentum" in line and "scenes of plates only" in line for line in lines)
 
 
 def test_logarithmic_axes_never_cut_the_data():
@@ -327,8 +295,3 @@ def test_logarithmic_axes_never_cut_the_data():
 def test_slopes_of_too_few_points_are_nan():
     assert np.isnan(fitted([1e-3], [1.0])) and np.isnan(fitted([1e-3, 1e-3], [1.0, 2.0]))
     assert fitted([1e-3, 1e-2, np.nan], [1e-6, 1e-4, 1.0]) == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize("kind, value, text", [("h", 2e-3, "h = 2e-3"), ("h", 2.5e-3, "h = 2.5e-3"), ("rtol", 1e-5, "rtol 1e-5")])
-def test_steps_and_tolerances_are_told_apart(kind, value, text):
-    assert drawing.tag(kind, value) == text

@@ -86,18 +86,6 @@ def test_what_is_no_row_is_told_in_one(gives, said):
     assert re.search(said, row["error"])
 
 
-def test_what_a_function_does_to_its_case_stays_in_it():
-    cases = [{"places": [1]}, {"places": [1, 2]}]
-
-    def case(places):
-        places.append(0)
-        return {"count": len(places)}
-
-    study = pi.study.sweep(case, cases)
-    assert cases == [{"places": [1]}, {"places": [1, 2]}]
-    assert [(row["places"], row["count"]) for row in study.rows] == [([1], 2), ([1, 2], 3)]
-
-
 def test_a_case_given_twice_runs_once():
     CALLS.clear()
     study = pi.study.sweep(square, [{"number": 1, "a": 2}, {"number": 2, "a": 2}, {"a": 2, "number": 1}])
@@ -123,13 +111,6 @@ class Backwards(Executor):
 def test_any_executor_gives_the_rows_of_none(make):
     with make() as executor:
         assert bare(pi.study.sweep(square, numbered(4), executor).rows) == bare(pi.study.sweep(square, numbered(4)).rows)
-
-
-def test_progress_tells_how_many_of_how_many_and_what_comes(tmp_path):
-    told = []
-    pi.study.sweep(square, numbered(1), folder=tmp_path)
-    pi.study.sweep(square, numbered(3), folder=tmp_path, progress=lambda *what: told.append(what))
-    assert told == [(1, 3, "number 1"), (2, 3, "number 2"), (3, 3, "")]
 
 
 def test_ctrl_c_in_a_run_ends_the_sweep_and_no_row_is_of_the_part(tmp_path, heeds_ctrl_c):
@@ -371,12 +352,6 @@ def test_other_code_another_version_and_another_case_run_anew(tmp_path, monkeypa
 FACTOR = {"is": 2.0}
 
 
-def test_a_folder_keeps_what_it_has(tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
-    pi.study.sweep(square, numbered(2), folder=tmp_path)
-    assert (tmp_path / "notes.txt").read_text() == "mine" and len(list(tmp_path.glob("*.json"))) == 2
-
-
 def test_what_has_no_mark_is_refused_for_a_folder_only(tmp_path):
     lock = threading.Lock()
 
@@ -483,32 +458,3 @@ def test_a_function_that_an_executor_cannot_send_is_told():
 
     with pytest.raises(pi.InputError, match="square cannot be sent to other processes .cannot pickle '_thread.lock' object.; write it as"):
         pi.study.sweep(square, numbered(1), Sends())
-
-
-def test_reports_in_folders_that_cannot_be_made_are_told(tmp_path):
-    study = pi.study.sweep(square, numbered(1))
-    (tmp_path / "file").write_text("")
-    for folder, told in (
-        (None, "folder = None must be the path"),
-        ("a\0b", "must be the path"),
-        (tmp_path / "file" / "below", "cannot be made: Not a directory"),
-    ):
-        with pytest.raises(pi.InputError, match=told):
-            study.report(folder)
-
-
-def test_exits_of_a_case_are_rows_and_what_is_no_exception_goes_on_with_the_rows_kept(tmp_path):
-    class Halt(BaseException):
-        pass
-
-    def case(number):
-        if number == 1:
-            raise SystemExit(3)
-        if number == 2:
-            raise Halt
-        return {"value": number}
-
-    with pytest.raises(Halt):
-        pi.study.sweep(case, numbered(3), folder=tmp_path)
-    kept = [json.loads(path.read_text())["row"] for path in tmp_path.iterdir()]
-    assert sorted(row["error"] for row in kept) == ["", "SystemExit: 3"] and len(kept) == 2

@@ -1,6 +1,5 @@
 """Figures of what the defaults give: each is formed of all points above what is known, or not at all."""
 
-import numpy as np
 import pytest
 
 from work_precision import tip_accuracy
@@ -21,32 +20,6 @@ def rows(known=1e-12):
 def test_the_share_is_the_largest_and_the_slope_that_of_all_tolerances():
     assert newton_share(rows()) == {"newton_share": pytest.approx(2e-3)}
     assert ida_error_slope(rows()) == {"ida_error_slope": pytest.approx(0.7)}
-
-
-def test_points_below_what_is_known_are_left_out():
-    made = rows(known=2e-6)
-    assert newton_share(made)["newton_share"] == pytest.approx(1e-3)
-    made[-1]["error_tip"] = 1e-6
-    assert ida_error_slope(made)["ida_error_slope"] == pytest.approx(0.7)
-    assert np.isnan(newton_share(rows(known=1.0))["newton_share"])
-
-
-@pytest.mark.parametrize("name, figure", [(ALPHA, newton_share), (IDA_DEFAULT, ida_error_slope)])
-def test_a_run_that_failed_leaves_no_figure(name, figure):
-    made = rows()
-    next(row for row in made if row["integrator"] == name).pop("error_tip")
-    assert np.isnan(next(iter(figure(made).values())))
-    assert np.isnan(next(iter(figure([]).values())))
-
-
-def test_the_short_selection_lacks_the_tightest_tolerance_of_ida_alone():
-    full = [task | {"quick": True} for task in tip_accuracy.tasks(False)]
-    assert [task for task in full if task not in tip_accuracy.tasks(True)] == [
-        {"problem": "scene 1, 1 s", "integrator": IDA_DEFAULT, "x": 1e-8, "quick": True}
-    ]
-    steps = [task["x"] for task in tip_accuracy.tasks(True) if task["integrator"] == ALPHA]
-    assert steps == 2 * [2e-3, 1e-3, 5e-4, 2.5e-4]
-    assert [task["x"] for task in tip_accuracy.tasks(True) if task["integrator"] == IDA_DEFAULT] == [10.0**-k for k in range(3, 8)]
 
 
 def test_a_point_is_measured_against_the_digits():

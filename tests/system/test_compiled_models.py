@@ -1,7 +1,5 @@
 """Own models whose functions numba compiles: the same motion as in Python, and the same errors."""
 
-import threading
-
 import numpy as np
 import pytest
 
@@ -10,8 +8,6 @@ from polyida import compiled
 from polyida.model.guarded import guard
 from polyida.problems import get
 from polyida.system.python import table_of
-
-LENGTH = 0.7
 
 
 def slope_of(angle):
@@ -132,39 +128,12 @@ def test_the_step_matrix_is_that_of_the_functions_in_python(kind):
     assert np.abs(table.w.S - 1e4 * Exact().mass(state[0])).max() > 1.0, "what the differences add can be seen"
 
 
-def test_numbers_of_the_model_are_read_where_a_run_begins():
-    kind = by_numba(Slider)
-    ends = []
-    for drag in (0.5, 5.0):
-        model, plain = kind(), Slider()
-        model.drag = plain.drag = drag
-        runs = [pi.solve(m, 0.3, pi.GeneralizedAlpha(h=2e-3), **START) for m in (model, plain)]
-        assert np.abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-9
-        ends.append(runs[0].q[-1, 1])
-    assert abs(ends[0] - ends[1]) > 1e-3
-
-
 def test_a_run_is_gone_on_with():
     model, method = by_numba(Slider)(), pi.GeneralizedAlpha(h=2e-3)
     whole = pi.solve(model, 0.4, method, **START)
     part = pi.solve(model, 0.4, method, until=lambda t, q, v: t - 0.2, **START)
     rest = pi.solve(model, 0.4, method, state=part.state)
     assert np.abs(rest.q[-1] - whole.q[-1]).max() < 1e-8
-
-
-def test_two_threads_have_each_their_own_workspace():
-    model, method = by_numba(Slider)(), pi.GeneralizedAlpha(h=1e-3)
-    alone, found = pi.solve(model, 0.5, method, **START), {}
-
-    def run(k):
-        found[k] = pi.solve(model, 0.5, method, **START)
-
-    threads = [threading.Thread(target=run, args=(k,)) for k in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert all(np.array_equal(found[k].q, alone.q) for k in range(4))
 
 
 class Raises(Free):
@@ -226,12 +195,6 @@ class Asks(Free):
 def test_what_cannot_be_compiled_is_refused_before_the_run(kind):
     with pytest.raises(pi.InputError, match=f"{kind.__name__}.(mass|force)"):
         pi.solve(by_numba(kind)(), 0.1, pi.GeneralizedAlpha(h=1e-2), q0=[1.0, 0.5])
-
-
-@pytest.mark.parametrize("given", [dict, 3.0, "force"])
-def test_what_is_no_part_and_no_function_is_not_compiled(given):
-    with pytest.raises(pi.InputError, match="must be a function, or a subclass of polyida.Model, ForceElement or Body"):
-        compiled(given)
 
 
 class Outside(Free):
@@ -346,16 +309,6 @@ def test_a_compiled_until_or_sensor_that_fails_stops_the_run_there(function, err
     with pytest.raises(error, match=r"late|t = 0\.1") as caught:
         pi.solve(Free(), 0.3, **options, **RUN)
     assert 0.098 < caught.value.trajectory.t[-1] < 0.1011
-
-
-def unknown(t, q, v):
-    return float(eval("1.0"))
-
-
-@pytest.mark.parametrize("options", [{"until": compiled(unknown)}, {"sensors": {"odd": compiled(unknown)}}], ids=["until", "sensor"])
-def test_an_until_or_sensor_that_cannot_be_compiled_is_refused(options):
-    with pytest.raises(pi.InputError, match="(until|odd).*unknown cannot be compiled by numba"):
-        pi.solve(Free(), 0.1, **options, **RUN)
 
 
 class Swing(pi.Model):

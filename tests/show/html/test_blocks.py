@@ -3,7 +3,6 @@
 import base64
 import csv
 import json
-import re
 from html.parser import HTMLParser
 
 import numpy as np
@@ -107,10 +106,6 @@ def test_a_table_shows_what_rows_have():
     assert 'data-value="0.00123"' in text and "<caption>what <code>came</code></caption>" in text and "nan" not in text
 
 
-def test_a_text_in_a_column_of_numbers_is_shown():
-    assert Reader(html.Table({"x": ("x", "{:.2f}")}, [{"x": 1.0}, {"x": "none"}]).html({})).cells == ["x", "1.00", "none"]
-
-
 def test_a_page_stands_alone_with_its_files_beside_it(tmp_path):
     parts = [html.Heading("One & two"), html.Text("See `a < b`."), html.Notes(["it <failed>"]), html.Notes([])]
     parts += [html.Picture("first", "A curve", curves()), html.Picture("second", "The same curve", curves())]
@@ -134,15 +129,6 @@ def test_a_page_stands_alone_with_its_files_beside_it(tmp_path):
         assert text in path.read_text()
     again = html.write(tmp_path / "again", "Title <1>", parts, "python mine.py --x '<2>'", machine={"python": "3"}, lead="What it is.")
     assert again.read_bytes() == path.read_bytes()
-
-
-def test_colours_of_frames_and_text_are_the_page_s(tmp_path):
-    text = html.write(tmp_path, "t", [html.Picture("p", "c", curves())], "").read_text()
-    svg = text[text.index("<svg") : text.index("</svg>")]
-    assert not re.search(r"#(ffffff|222222|dddddd|000000)", svg) and "stroke: var(--blue)" in svg and "fill: var(--paper)" in svg
-    used = set(re.findall(r"var\(--(\w+)\)", text))
-    for scheme in re.findall(r":root \{[^}]*\}", text):
-        assert used - {"width"} <= set(re.findall(r"--(\w+):", scheme))
 
 
 def test_two_pictures_of_one_name_are_refused(tmp_path):
