@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from polyida import jit
 from polyida.jit import cache as kernel_cache
 from polyida.jit import entry
 
+faster = pytest.mark.skipif(jit.compilers is None, reason="numba's own compilers keep code in files of their own, or do not keep it")
 PACKAGE = Path(kernel_cache.__file__).parents[1]
 CALLED = "from polyida.jit import part\n\n\n@part\ndef called(x):\n    return x + {}\n"
 CALLER = "from polyida.called import called\nfrom polyida.jit import entry\n\n\n@entry\ndef call(x):\n    return called(x)\n"
@@ -64,6 +66,7 @@ def test_what_kept_code_calls_is_there_or_compiled_anew(chain):
     assert kept and say()[0][:2] == (2, 1)
 
 
+@faster
 def test_two_processes_that_compile_at_once_do_not_mix_up_signatures(tmp_path, monkeypatch):
     """Two entries of one function stand for two processes; the second writes its code while the first is between its files."""
 
@@ -93,6 +96,7 @@ def test_two_processes_that_compile_at_once_do_not_mix_up_signatures(tmp_path, m
     assert sum(fresh.stats.cache_hits.values()) == 2
 
 
+@faster
 @pytest.mark.parametrize("damage", [b"", b"no pickle", None])
 def test_a_damaged_file_is_compiled_anew(tmp_path, monkeypatch, damage):
     monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)

@@ -17,10 +17,12 @@ import pytest
 
 import polyida
 import polyida as pi
+from polyida import jit
 from polyida.jit import cache as kernel_cache
 from polyida.jit.own_functions import over
 from polyida.mark import machine_mark_of
 
+faster = pytest.mark.skipif(jit.compilers is None, reason="numba's own compilers keep code in files of their own, or do not keep it")
 HELPERS = "SCALE = 2.0\n\n\ndef scaled(x):\n    return SCALE * x\n"
 FUNCTIONS = """
 import numpy as np
@@ -100,6 +102,7 @@ def test_the_mark_of_a_function_is_that_of_its_machine_code(edit, tmp_path, monk
     assert None not in marks and (marks[0] != marks[1]) is (edit in CHANGES.values())
 
 
+@faster
 def test_kept_code_serves_other_processes_and_is_compiled_anew_where_it_does_not_fit(tmp_path):
     """Each process compares the forces with those in Python, and says what it compiled; polyida's own kernels are there."""
     kernels = kernel_cache.folder()

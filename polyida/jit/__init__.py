@@ -90,13 +90,15 @@ def own_part(function, boundscheck):
 
 
 def own_address(function, kinds, kept):
-    """The address of a function that calls own parts as a C function; kept: whether its name tells it from all others, for the files."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Cannot cache compiled function")  # it holds addresses of this process
-        if compilers:
+    """The address of a function that calls own parts as a C function; kept: whether its name tells it from all others, for the files.
+
+    Without the faster compilers it is compiled in each process: code that numba keeps prints arrays as nothing.
+    """
+    if compilers:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Cannot cache compiled function")  # it holds addresses of this process
             return compilers.c_address(function, None, kinds, _COMMON, compilers.OwnCompiler, kept)
-        with kernel_cache.kept() as cached:
-            made = numba.cfunc(kinds, cache=kept and cached, nopython=True, **_COMMON)(function)
+    made = numba.cfunc(kinds, nopython=True, **_COMMON)(function)
     _c_functions.append(made)
     return made.address
 
