@@ -133,7 +133,7 @@ INTEGRATORS = {"alpha": pi.GeneralizedAlpha(h=1e-2, tolerance=1e-12), "radau": p
 SLOPES = ("rail", "slot", "turning rail", "prismatic", "path", "distance", "weld", "clamp", "motor")
 
 
-@pytest.mark.parametrize("kind, method", [(kind, "alpha") for kind in SLOPES] + [(kind, "radau") for kind in SLOPES[:6]])
+@pytest.mark.parametrize("kind, method", [(kind, "alpha") for kind in SLOPES] + [(kind, "radau") for kind in SLOPES[:2]])
 def test_slopes_of_reactions(kind, method):
     make, components = JOINTS[kind]
     scene = pi.Scene(gravity=(0.0, -G))

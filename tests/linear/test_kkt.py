@@ -39,26 +39,9 @@ def test_solves_the_adjoint_of_the_same_factor(scaling, sparse):
     assert np.allclose(S.T @ w + B.T @ mu, -r, atol=1e-9) and np.allclose(B @ w, -phi, atol=1e-9)
 
 
-@pytest.mark.parametrize("sparse", [False, True])
-def test_without_constraints(sparse):
-    S = system()[0]
-    border = csc_array((0, 8)) if sparse else np.zeros((0, 8))
-    dq, dlam = KKT(csc_array(S) if sparse else S, border).solve(np.ones(8), np.zeros(0))
-    assert np.allclose(S @ dq, -1.0) and dlam.shape == (0,)
-
-
 def condition(scaling, h, stiffness):
     S, B, step = system(h, stiffness)
     return np.linalg.cond(assemble(S, B, scaling_size(scaling, step, S)))
-
-
-def test_condition_number_against_the_step(scenes):
-    steps = np.array([1e-1, 1e-2, 1e-3])
-    by_scaling = {scaling: [condition(scaling, h, 1e-6) for h in steps] for scaling in SCALINGS}
-    assert scenes.slope(steps, by_scaling["none"]) == pytest.approx(-4.0, abs=0.2)
-    for scaling in ("bottasso", "physical"):
-        assert scenes.slope(steps, by_scaling[scaling]) == pytest.approx(0.0, abs=0.05)
-        assert max(by_scaling[scaling]) < 1e3
 
 
 @pytest.mark.parametrize("matrix", [np.zeros((2, 2)), np.diag([1.0, 0.0]), np.diag([1.0, np.nan])])

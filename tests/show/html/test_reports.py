@@ -44,8 +44,7 @@ def pictures(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [360, 1280])
+@pytest.mark.parametrize("width, scheme", [(360, "dark"), (1280, "light")])
 @pytest.mark.parametrize("name", REPORTS)
 def test_a_report_fits_its_window_without_an_error(browser, reports, pictures, name, width, scheme):
     browser.open(reports[name], width, scheme)
