@@ -13,7 +13,7 @@ from polyida.linear import dense as compiled_lu
 from polyida.linear.lu import LU, dense
 from polyida.linear.step_matrix import ENOUGH, ExactSaddle
 from polyida.system import dense as small
-from polyida.system.dense import BENT, END, FORCE, FORCE_V, INNER, MASS, MASS_VARIES, PHI_Q, TANGENT, VELOCITY, Dense
+from polyida.system.dense import BENT, END, FORCE, FORCE_V, INNER, MASS, MASS_VARIES, PHI_Q, TANGENT, VELOCITY, Dense, vector
 from polyida.system.python import PythonTable
 from polyida.system.table import ADJOINT, ENTRIES, c_address
 
@@ -171,19 +171,14 @@ def solve(w, k, right, below, bar, now, multipliers, found):
     small.bordered(d.lu, d, d.S, size)
     if not compiled_lu.factor(d.lu, d.pivots):
         return SINGULAR
-    right, below, lost = carray(pointer(right), (n,)), carray(pointer(below), (m,)), carray(pointer(found), (2, n))
-    x, mu = carray(pointer(now), (n,)), carray(pointer(multipliers), (m,))
-    for i in range(n):
-        d.x[i] = right[i]
-    for i in range(m):
-        d.x[n + i] = size * below[i]
-    compiled_lu.solve(d.lu, d.pivots, d.x)
+    compiled_lu.put(1.0, vector(right, n), d.x)
+    compiled_lu.put(1.0, vector(below, m), d.x[n:])
+    small.solve_bordered(d, d.lu, d.pivots, size)
     if not small.finite(d.x):
         return NOT_FINITE
-    for i in range(n):
-        x[i] = d.x[i]
-    for i in range(m):
-        mu[i] = size * d.x[n + i]
+    x, mu, lost = vector(now, n), vector(multipliers, m), carray(pointer(found), (2, n))
+    compiled_lu.put(1.0, d.x[:n], x)
+    compiled_lu.put(1.0, d.x[n:], mu)
     for j in range(n):
         stiff = damped = 0.0
         for i in range(n):
