@@ -1,5 +1,6 @@
 """Frames on the disk: as in memory, whole up to the last flush whatever ends the run, a bounded part held."""
 
+import gc
 import os
 import pickle
 import signal
@@ -396,3 +397,31 @@ def test_a_full_disk_ends_the_run_and_keeps_the_frames(model, whole, tmp_path):
     assert len(again) > 300 and equal(again, pi.solve(model, 2.0, ALPHA), len(again))
     longer = pi.resume(path)  # there is room now
     assert longer.success and len(longer) == 2001
+
+
+@pytest.mark.parametrize(
+    "integrator", [pi.EnergyMomentum(h=1e-3), pi.RadauIIA(h=1e-3), pi.RadauIIA(rtol=1e-10), pi.GeneralizedAlpha(h=1e-3)], ids=str
+)
+def test_states_that_nobody_holds_are_freed_at_once(integrator):
+    """States that referred to each other would wait for Python's search for cycles, and memory would grow with the steps."""
+    count, model = 0, plates.double_plate(cells=2).build()
+
+    def look(t):
+        nonlocal count
+        count += 1
+        if count == 20:
+            gc.collect()
+            gc.disable()
+        if count == 900:
+            gc.set_debug(gc.DEBUG_SAVEALL)
+            gc.collect()
+            gc.set_debug(0)
+
+    try:
+        pi.solve(model, 1.0, integrator, progress=look)
+        waiting = {type(item).__name__ for item in gc.garbage} & {"State", "Accepted", "End", "Ends", "Common", "Stretch"}
+    finally:
+        gc.set_debug(0)
+        gc.garbage.clear()
+        gc.enable()
+    assert count >= 900 and not waiting

@@ -201,12 +201,12 @@ class Ends(Stretch):
     """
 
     def __init__(self, steps, t, q, free, memory=None, part=None):
-        self.steps, self.t, self.q, self.free, self.memory, self._known = steps, t, q, free, memory, {}
-        self._whole, self._at = part or (self, np.arange(len(t)))
+        self.steps, self.t, self.q, self.free, self.memory = steps, t, q, free, memory
+        self._known, self._at, self._size = part or ({}, np.arange(len(t)), len(t))
 
     def _made(self, name, make, v):
         """Arrays of these ends, made of t, q and v of those for which nobody asked the whole stretch before."""
-        known, at, size = self._whole._known, self._at, len(self._whole)
+        known, at, size = self._known, self._at, self._size
         has, arrays = known.get(name) or (np.zeros(size, bool), None)
         if not has[at].all():
             new = ~has[at]
@@ -228,19 +228,22 @@ class Ends(Stretch):
     @cached_property
     def last(self):
         """The last State."""
-        return End(self.part(len(self) - 1, len(self)))
+        return self.state(len(self) - 1)
 
     def state(self, k):
-        """The State number k, counted from 0."""
-        return End(self.part(k, k + 1))
+        """The State number k, counted from 0; it holds an Ends of its own, not this one, which may hold it."""
+        return End(self._at_steps(slice(k, k + 1)))
 
     def part(self, first, end, every=1):
         """The ends from number `first` to before `end`, or each `every`-th of them."""
         if first == 0 and end >= len(self) and every == 1:
             return self
-        at = slice(first, end, every)
+        return self._at_steps(slice(first, end, every))
+
+    def _at_steps(self, at):
         whole = range(len(self))[at][-1:] == range(len(self))[-1:]
-        return Ends(self.steps, self.t[at], self.q[at], self.free[at], self.memory if whole else None, (self._whole, self._at[at]))
+        shared = self._known, self._at[at], self._size
+        return Ends(self.steps, self.t[at], self.q[at], self.free[at], self.memory if whole else None, shared)
 
     def finite(self):
         """Whether q and v are finite; what follows from them is looked at by those who ask for it."""

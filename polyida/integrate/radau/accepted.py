@@ -2,6 +2,7 @@
 
 from functools import cached_property
 from typing import Any, NamedTuple
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Collocation(NamedTuple):
 
 class Common(NamedTuple):
     """What the States of a stretch have in common: its Record, the state (t, q, v) that it began from, c, where its factors were made, and the rest
-    of their memory. work: the counts as a dictionary, of the number of a step; states: those that were asked for, by number.
+    of their memory. work: the counts as a dictionary, of the number of a step; states: those that are in use, by number.
     """
 
     record: Record
@@ -48,7 +49,7 @@ class Common(NamedTuple):
     place: Any
     motion: Any
     work: Any
-    states: dict
+    states: WeakValueDictionary
 
 
 class Ends(Stretch):
@@ -82,7 +83,7 @@ class Ends(Stretch):
     def state(self, k):
         """The State number k, counted from 0."""
         states, k = self._stretch.states, self._which[k]
-        return states.get(k) or states.setdefault(k, Accepted(self._stretch, k))
+        return states.get(k) or states.setdefault(k, Accepted(self._stretch, k))  # each holds the stretch, which so must not hold it
 
     def part(self, first, end, every=1):
         """The ends from number `first` to before `end`, or each `every`-th of them."""

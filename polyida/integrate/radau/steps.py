@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 from functools import partial
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -221,7 +222,10 @@ class Steps:
                 self.made = self.kept.made.copy() if self.made is None else self.made
                 memory = self._shared(), partial(place, taken), self._motion()
                 work = partial(self._work, before, o.counts)
-                made = Ends(Common(o, begin, self.tableau.c, self.made, bool(self.model.carries), *memory, work, {}), range(found))
+                made = Ends(
+                    Common(o, begin, self.tableau.c, self.made, bool(self.model.carries), *memory, work, WeakValueDictionary()),
+                    range(found),
+                )
                 self.at = state = made.last
                 yield made
             vars(self.counts).update(self._work(before, self.done[None], 0))
