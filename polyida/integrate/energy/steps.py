@@ -241,6 +241,7 @@ class Ends(Stretch):
         return self._at_steps(slice(first, end, every))
 
     def _at_steps(self, at):
+        """The ends in a slice; what is made for one part of a stretch is shared by all parts of it, none of which holds another."""
         whole = range(len(self))[at][-1:] == range(len(self))[-1:]
         shared = self._known, self._at[at], self._size
         return Ends(self.steps, self.t[at], self.q[at], self.free[at], self.memory if whole else None, shared)
