@@ -40,7 +40,7 @@ _PLACES = {
     "dot": "joint.formula",
     "Scene": "scene",
     "solve": "run.solve",
-    "threads": "machine",
+    "threads": "environment",
     "resume": "run.resume",
     "Trajectory": "trajectory",
     "von_mises": "results.motion",

@@ -8,11 +8,10 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.brief import cut
 from polyida.errors import InputError
-from polyida.given import floats, is_number, takes
-from polyida.keywords import named_keywords
 from polyida.model.differences import around, within
+from polyida.reprs import cut
+from polyida.validation import floats, is_number, named_keywords, takes
 
 SHAPES = {  # coefficients of moves from 0 to 1
     "linear": (0, 1),

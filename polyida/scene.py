@@ -11,14 +11,13 @@ from polyida.assembly.scene_model import SceneModel
 from polyida.body.body import Body, OwnPart
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
-from polyida.brief import counted, cut, settings, short, table
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, require_element
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.given import is_number, is_one_of, number, vector2
 from polyida.joint.joint import Joint
-from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
+from polyida.reprs import counted, cut, settings, short, table
+from polyida.validation import is_number, is_one_of, named_keywords, number, vector2
 
 Part = TypeVar("Part", bound=Plate | PointMass | PointLoad | EdgeTraction | Joint | OwnPart)
 REDUNDANT = ("refuse", "least-norm")

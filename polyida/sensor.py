@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.given import is_one_of, read_only
 from polyida.integrate.state import State
-from polyida.keywords import named_keywords
 from polyida.results.motion import reaction_of
+from polyida.validation import is_one_of, named_keywords, read_only
 
 __all__ = ["position", "reaction", "state"]
 

@@ -6,7 +6,7 @@ import pickle
 import pytest
 
 import polyida as pi
-from polyida.keywords import KeywordError, named_keywords
+from polyida.validation import KeywordError, named_keywords
 
 NOT_CALLED = {
     "Model",

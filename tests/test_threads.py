@@ -10,7 +10,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import polyida as pi
-from polyida.machine import one_blas_thread
+from polyida.environment import one_blas_thread
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")

@@ -15,7 +15,6 @@ from polyida.adjoint.radau import begun, exact_steps, within
 from polyida.adjoint.radau import step_history as radau_history
 from polyida.adjoint.run import given_velocity
 from polyida.errors import InputError
-from polyida.given import is_whole
 from polyida.integrate.alpha.start import started
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import Grid, edges
@@ -23,11 +22,11 @@ from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import VIOLATION, restarted
 from polyida.integrate.state import Counts
 from polyida.integrate.statics.static import Equilibrium, static
-from polyida.keywords import named_keywords
 from polyida.modal.modes import Modes, modes
 from polyida.model.differences import EVERYWHERE, along, central
 from polyida.model.guarded import guard
 from polyida.trajectory import Trajectory
+from polyida.validation import is_whole, named_keywords
 
 LITTLE = 1e-3  # of J: what J changes by with a whole parameter, below which that is no measure of errors
 STEP = 1e-3 / 7e-4  # of a parameter: about a thousandth between the runs, in units of what `along` takes

@@ -19,22 +19,22 @@ from polyida.adjoint.alpha import AlphaAdjoint
 from polyida.adjoint.parameter import AdjointMultipliers
 from polyida.adjoint.radau import RadauAdjoint
 from polyida.adjoint.totals import Gradient, Totals
-from polyida.bar import over_time, require_progress
+from polyida.environment import one_blas_thread
 from polyida.errors import InputError, StepFailure
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts
 from polyida.integrate.statics.static import FREE, Equilibrium
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
-from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
-from polyida.machine import one_blas_thread
 from polyida.modal.modes import Modes
 from polyida.model.guarded import guard
 from polyida.objective.objective import Objective
 from polyida.objective.slopes import along_way
+from polyida.progress import over_time, require_progress
 from polyida.trajectory import Trajectory
+from polyida.validation import named_keywords
 
 ADJOINTS = {GeneralizedAlpha: AlphaAdjoint, RadauIIA: RadauAdjoint}
 WHY = {"IDA": "has no adjoint here: that of its steps is SUNDIALS' IDAS, which scikit-sundae does not have"}

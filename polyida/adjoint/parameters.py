@@ -21,12 +21,12 @@ from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.given import complex_of_pairs, floats
 from polyida.joint.formula import rows_of
 from polyida.joint.joint import Joint
 from polyida.model import NEARBY
 from polyida.model.differences import EVERYWHERE, along
 from polyida.model.guarded import guard, unguarded, writes
+from polyida.validation import complex_of_pairs, floats
 
 FIELDS = {PointLoad: "force", EdgeTraction: "traction"}
 

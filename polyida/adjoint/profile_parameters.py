@@ -20,10 +20,10 @@ from polyida.assembly.rows.increments import drive_table
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, profiles_of
 from polyida.force.loads import EdgeTraction, PointLoad
-from polyida.given import complex_of_pairs, floats, is_number
 from polyida.integrate.kinks import beside
 from polyida.model.differences import FIRST_ORDER_STEP, along, around, within
 from polyida.profile import MAKERS, REACH, Profile, polynomial, scaled
+from polyida.validation import complex_of_pairs, floats, is_number
 
 ORDERS = ("value", "d1", "d2")
 

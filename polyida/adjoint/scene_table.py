@@ -13,12 +13,12 @@ from polyida.assembly import corotated
 from polyida.assembly.own_laws import Laws
 from polyida.assembly.rows import joints
 from polyida.assembly.rows.increments import drive_table
+from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.integrate.alpha.step import SLOW
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear.team import Helpers
-from polyida.machine import threads
 from polyida.system import scene as forward
 from polyida.system.table import ADJOINT, ENTRIES, c_address
 

@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 from polyida.adjoint.parameter import AdjointMultipliers
 from polyida.adjoint.parameters import parameters_of
-from polyida.brief import counted, short, table
 from polyida.errors import InputError
-from polyida.given import is_one_of
 from polyida.integrate.state import Counts
-from polyida.keywords import named_keywords
 from polyida.objective.slopes import Slopes
+from polyida.reprs import counted, short, table
+from polyida.validation import is_one_of, named_keywords
 
 
 @named_keywords

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.arrays import starts
-from polyida.given import on_pairs
 from polyida.jit import pack, part
 from polyida.linear.dense import magnitude, put, solve_small
 from polyida.linear.elimination import Elimination, eliminate, elimination, expand, positions, solve
+from polyida.validation import on_pairs
 
 ACCURATE = (
     1e-10  # of the sum of an equation's terms: 1e-13 is what elimination leaves of 200 windows of a ladder, more where pivots are too small

@@ -16,9 +16,9 @@ from polyida.body.rigid_body import PointMass
 from polyida.element.choose import operator_of, stabilisation_factor
 from polyida.errors import LockingWarning
 from polyida.force.force_element import ForceElement, sides_of
-from polyida.given import pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.joint.joint import Joint
+from polyida.validation import pairs_of
 
 ROUND = 1e-14  # of places, by which those of points that are in one place may differ
 LOCKING = 0.45  # Poisson's ratio in plane strain above which cells of full integration lock

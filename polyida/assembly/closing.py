@@ -10,8 +10,8 @@ from polyida.assembly.rows.row_table import given_rows
 from polyida.body.body import Body, BodyPoint, points_of
 from polyida.body.plate import Plate
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, pairs_of, settle
 from polyida.joint.joint import Joint
+from polyida.validation import complex_of_pairs, pairs_of, settle
 
 STILL = 1e-13  # of the scene's size: moves and steps that are round-off
 ROUNDS = 200  # steps at most; from a nearby drawing about five, where links are stretched out some thirty

@@ -14,9 +14,9 @@ from polyida.assembly.equilibrium import cells
 from polyida.assembly.loads import dead_loads, steady
 from polyida.element import cell_products as kernels
 from polyida.errors import InputError
-from polyida.given import read_only, reals
 from polyida.jit import entry
 from polyida.jit.intrinsics import LANES
+from polyida.validation import read_only, reals
 
 OF_FACTORS = ("_mass", "_even_mass", "_mass_factor", "drawn")  # what a model keeps that follows from them, its arrays and bodies apart
 WHAT = ("stiffness", "mass")

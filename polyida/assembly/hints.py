@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.assembly import compact
 from polyida.assembly.loads import gravity_at
-from polyida.given import complex_of_pairs
+from polyida.validation import complex_of_pairs
 
 COMPARED = 16  # frames of a run whose strain energies are compared; the full plate is looked at where a body's is largest
 ENOUGH = 2e-4  # of a plate's size: it is off by about as much as its modes leave out, where it bends far by more

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, is_number, pairs_of, vector2
+from polyida.validation import complex_of_pairs, is_number, pairs_of, vector2
 
 NOTHING = 1e-12  # of the largest: masses and inertias of a motion that are none
 CHANGED = 0.1  # of the root of the kinetic energy, by which joints may change a motion before it is told

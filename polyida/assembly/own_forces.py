@@ -9,9 +9,9 @@ import numpy as np
 from polyida.body.body import writes
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, sides_of
-from polyida.given import complexes, floats, is_number, on_pairs, pairs_of, read_only, reals
 from polyida.model import differences
 from polyida.profile import constant, difference
+from polyida.validation import complexes, floats, is_number, on_pairs, pairs_of, read_only, reals
 
 SORT = {reals: "real", complexes: "complex"}
 NEAR = 1e-3  # of the size of what is varied: forces of contact change within that

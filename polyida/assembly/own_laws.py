@@ -9,11 +9,11 @@ from polyida.assembly.rows.joints import point_values, spread
 from polyida.body.body import writes
 from polyida.errors import DONE, InputError
 from polyida.force.force_element import ForceElement, Side, profiles_of, sides_of
-from polyida.given import pairs_of
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.jit.own_data import OwnData
 from polyida.profile import polynomial
+from polyida.validation import pairs_of
 
 # constants of compiled code
 NO_ENERGY = -1

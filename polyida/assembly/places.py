@@ -8,7 +8,7 @@ import numpy as np
 from polyida.body.body import Body, form_of, mass_of, rest_of, translation_of, writes
 from polyida.body.plate import Plate
 from polyida.element.operator import ReferenceOperator
-from polyida.given import complex_of_pairs, pairs_of, read_only, settle
+from polyida.validation import complex_of_pairs, pairs_of, read_only, settle
 
 NOTHING = 1e-12  # of the largest mass of a body: that is none
 

@@ -10,12 +10,12 @@ from polyida.assembly.rows import joints as rows
 from polyida.body.body import points_of
 from polyida.element import kernels
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, on_pairs, pairs_of
 from polyida.joint.attachment import Attachment
 from polyida.joint.formula import rest_of
 from polyida.joint.joint import Joint, Reaction
 from polyida.linear.lu import LU
 from polyida.model import Model
+from polyida.validation import complex_of_pairs, on_pairs, pairs_of
 
 
 class Constraints(Model):

@@ -21,11 +21,11 @@ from polyida.assembly.rows.redundant import Redundant
 from polyida.assembly.rows.tie import MassSystem
 from polyida.assembly.scene_bodies import SceneBodies, deepest
 from polyida.force.force_element import ForceElement
-from polyida.given import pairs_of
 from polyida.linear.lu import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
 from polyida.profile import Profile
+from polyida.validation import pairs_of
 
 SMALL = 100  # coordinates and multipliers up to which dense matrices are cheaper than what sparse ones cost in Python
 

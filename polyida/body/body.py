@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida import registry
 from polyida.errors import InputError
-from polyida.given import complexes, floats, is_one_of, on_pairs, pairs_of, vector2
 from polyida.joint.attachment import Attachment, labelled
 from polyida.joint.formula import Row, Vector
+from polyida.validation import complexes, floats, is_one_of, on_pairs, pairs_of, vector2
 
 
 class OwnPart:

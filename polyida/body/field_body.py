@@ -12,10 +12,10 @@ from polyida.body.plate import Plate
 from polyida.element.choose import operator_of
 from polyida.element.operator import ReferenceOperator
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, pairs_of, settle
 from polyida.joint.attachment import Attachment
 from polyida.mesh import PolygonMesh
 from polyida.mesh.topology import area_moments
+from polyida.validation import complex_of_pairs, pairs_of, settle
 
 
 class FieldBody(Body, part=False):

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.given import is_number, is_one_of, number, positive, settle, vector2
 from polyida.joint.attachment import Attachment, labelled, of_node, of_section
-from polyida.keywords import named_keywords
 from polyida.mesh import PolygonMesh
+from polyida.validation import is_number, is_one_of, named_keywords, number, positive, settle, vector2
 
 NUMBERS = ("E", "nu", "rho", "viscosity", "mass_damping")
 

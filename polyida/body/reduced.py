@@ -11,9 +11,8 @@ from polyida.body.field_body import FieldBody
 from polyida.body.plate import Plate
 from polyida.body.reduction import PlateMatrices, basis_of, form_of_fields
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, is_one_of, is_whole, pairs_of, reals, settle
 from polyida.joint.attachment import Attachment
-from polyida.keywords import named_keywords
+from polyida.validation import complex_of_pairs, is_one_of, is_whole, named_keywords, pairs_of, reals, settle
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

@@ -10,9 +10,9 @@ from polyida.body.body import BodyPoint
 from polyida.element import kernels
 from polyida.element import stabilisation as virtual
 from polyida.element.choose import operator_of, stabilisation_factor
-from polyida.given import complex_of_pairs
 from polyida.jit.intrinsics import LANES
 from polyida.linear.saddle import KKT
+from polyida.validation import complex_of_pairs
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,11 @@ from polyida.body.body import Body
 from polyida.body.field_body import FieldBody, moments_of, rigid_fields
 from polyida.body.plate import Material, Plate
 from polyida.errors import InputError
-from polyida.given import number, positive, settle, vector2
 from polyida.joint.attachment import Attachment, labelled, require_attachment
 from polyida.joint.formula import Row, Vector, dot
-from polyida.keywords import named_keywords
 from polyida.mesh import PolygonMesh
 from polyida.mesh.topology import area_moments
+from polyida.validation import named_keywords, number, positive, settle, vector2
 
 
 @named_keywords

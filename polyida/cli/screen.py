@@ -319,5 +319,5 @@ def _broken(heading, width):
 
 
 def shortened(text: str, longest: int) -> str:
-    """A text of so many characters at most: `polyida.brief` needs numpy, for which a shell that completes a word does not wait."""
+    """A text of so many characters at most: `polyida.reprs` needs numpy, for which a shell that completes a word does not wait."""
     return text if len(text) <= longest else f"{text[: longest - 1]}…"

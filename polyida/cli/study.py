@@ -11,8 +11,8 @@ from pathlib import Path
 from polyida.cli import screen
 from polyida.cli.running import free
 from polyida.cli.screen import Parts, bars, document, lines, prepare, writable
+from polyida.environment import machine_info
 from polyida.errors import InputError
-from polyida.machine import machine_info
 from polyida.show.report import finite
 from polyida.study.chosen import users_code
 from polyida.study.harness import of_other_code, plain, results, write_whole

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_one_of
-from polyida.keywords import named_keywords
 from polyida.mesh import MeshWarning, PolygonMesh, sections, topology
 from polyida.mesh.topology import renumber
+from polyida.validation import floats, is_number, is_one_of, named_keywords
 
 
 @named_keywords

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.given import number, positive, settle
 from polyida.jit.compiled import compiled
 from polyida.joint.attachment import require_places, require_sides
-from polyida.keywords import named_keywords
+from polyida.validation import named_keywords, number, positive, settle
 
 
 def hunt_crossley(self, depth, rate):

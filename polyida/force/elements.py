@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.given import is_flag, number, reals, settle
 from polyida.jit.compiled import compiled, is_compiled
 from polyida.joint.attachment import Attachment, Ground, ground, require_attachment, require_directions, require_places, require_sides
-from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
+from polyida.validation import is_flag, named_keywords, number, reals, settle
 
 PLAIN = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
 FURTHEST = 0.95 * np.pi  # rad: where the angle is taken to be lost soon

@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.given import settle, vector2
 from polyida.joint.attachment import Attachment, labelled, require_attachment
-from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile, constant
+from polyida.validation import named_keywords, settle, vector2
 
 
 @named_keywords

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import floats, read_only
 from polyida.model import Model, differences
+from polyida.validation import floats, read_only
 
 
 @dataclass(frozen=True, eq=False)

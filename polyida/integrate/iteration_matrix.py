@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number, is_one_of
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida import whole as of_ida
 from polyida.integrate.ida.forms import System
@@ -17,11 +16,11 @@ from polyida.integrate.radau.tableau import radau
 from polyida.integrate.sizes import weights
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
-from polyida.keywords import named_keywords
 from polyida.linear.saddle import assemble, scaling_size
 from polyida.linear.whole import condition, scaled
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
+from polyida.validation import is_number, is_one_of, named_keywords
 
 UNKNOWNS = ("q", "v", "a")
 MODES = ("real", "complex")

@@ -7,13 +7,12 @@ from numpy.typing import ArrayLike
 
 from polyida.assembly.rows.unit_rows import UnitRows
 from polyida.errors import InputError
-from polyida.given import floats, is_number
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.state import State
-from polyida.keywords import named_keywords
 from polyida.linear.saddle import require_independent
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
+from polyida.validation import floats, is_number, named_keywords
 
 EPS, STALLED = 2.0**-52, 1e-10  # of the scene's size: round-off, and what may be left where phi has more of it
 VIOLATION = 1e-6  # of the coordinates' size: more than that is a mistake, less is round-off to project away

@@ -7,9 +7,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from polyida.brief import brief
-from polyida.given import is_number
 from polyida.model import Model
+from polyida.reprs import brief
+from polyida.validation import is_number
 
 
 @dataclass(frozen=True)

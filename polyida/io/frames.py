@@ -3,8 +3,8 @@
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number
 from polyida.io.layout import frames_at_once
+from polyida.validation import is_number
 
 MEMORY_LIMIT = 512 * 2**20  # bytes of frames that are held in memory
 

@@ -7,13 +7,12 @@ import numpy as np
 
 from polyida import registry
 from polyida.errors import InputError
-from polyida.given import is_flag
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, factors_from, from_data
-from polyida.keywords import named_keywords
 from polyida.sensor import Sensors
 from polyida.trajectory import Trajectory
+from polyida.validation import is_flag, named_keywords
 
 STILL = "another process is still writing it; these are the frames up to its last flush"
 KILLED = "the process that ran it ended without closing the file; it holds the frames up to the last flush"

@@ -8,12 +8,12 @@ import numpy as np
 
 from polyida import registry
 from polyida.errors import InputError
-from polyida.given import is_flag
 from polyida.io.layout import FRAMES, SENSORS, require_unwritten, sensed_width
 from polyida.io.scene_data import to_data
 from polyida.io.store import FrameStore
 from polyida.io.writer import Writer
 from polyida.model import NONE
+from polyida.validation import is_flag
 
 
 def save(run, path, overwrite=False):

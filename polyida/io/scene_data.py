@@ -16,9 +16,9 @@ from polyida.assembly.factors import WHAT, told
 from polyida.body.body import BodyPoint, rest_of
 from polyida.body.plate import Material, Plate
 from polyida.errors import InputError
-from polyida.given import is_number, is_whole
 from polyida.joint.attachment import Attachment, Ground
 from polyida.mesh import PolygonMesh
+from polyida.validation import is_number, is_whole
 
 
 class UnknownPart(Exception):

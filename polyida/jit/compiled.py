@@ -8,8 +8,8 @@ import numba
 
 from polyida.errors import InputError
 from polyida.jit import own_part
-from polyida.keywords import named_keywords
 from polyida.mark import is_dispatcher, machine_mark_of, of_polyida
+from polyida.validation import named_keywords
 
 
 @named_keywords

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.given import vector2
 from polyida.joint.formula import Piece, Vector
+from polyida.validation import vector2
 
 ROUND = 1e-6  # second moments that differ by less are equal: which is the larger would be up to round-off
 

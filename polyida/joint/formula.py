@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number
-from polyida.keywords import named_keywords
 from polyida.profile import Profile, difference
+from polyida.validation import is_number, named_keywords
 
 
 @dataclass(frozen=True, eq=False)

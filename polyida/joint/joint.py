@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida import registry
-from polyida.given import pairs_of
 from polyida.joint.attachment import Ground, labelled, require_directions, require_sides
 from polyida.joint.formula import Row, Vector, rest_of, rows_of
+from polyida.validation import pairs_of
 
 FORCE = (("x", "N"), ("y", "N"))  # axis and unit of the components of a reaction
 

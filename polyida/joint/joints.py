@@ -7,12 +7,11 @@ from typing import Any, Self
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number, positive, settle
 from polyida.joint.attachment import Attachment, Ground, ground, labelled, require_attachment, require_places
 from polyida.joint.formula import Row, Vector, along, cross, dot
 from polyida.joint.joint import FORCE, Joint
-from polyida.keywords import named_keywords
 from polyida.profile import Profile, as_profile
+from polyida.validation import is_number, named_keywords, positive, settle
 
 
 def across(a, b):

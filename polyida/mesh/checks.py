@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import floats, is_flag, is_whole, reals
 from polyida.mesh import topology
+from polyida.validation import floats, is_flag, is_whole, reals
 
 
 def _frozen(array, dtype):

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number
-from polyida.keywords import named_keywords
 from polyida.mesh.polygon_mesh import PolygonMesh
+from polyida.validation import is_number, named_keywords
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.given import floats, reals
-from polyida.keywords import named_keywords
+from polyida.validation import floats, named_keywords, reals
 
 
 class Wall:

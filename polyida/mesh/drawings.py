@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.keywords import named_keywords
 from polyida.mesh.outline import Outline
 from polyida.mesh.raw import MeshWarning, guarded, hint, scale_of
 from polyida.mesh.read_write import existing
 from polyida.mesh.repair import several
 from polyida.mesh.sections import signed_area
+from polyida.validation import named_keywords
 
 CHORDS = 24  # of each curved piece, a quarter or half of a circle at most
 

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_whole
-from polyida.keywords import named_keywords
 from polyida.mesh import cleanup, topology
 from polyida.mesh.domains import Domain, Moved, meet, project
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.sections import ON_CIRCLE, automatic
 from polyida.mesh.topology import renumber
+from polyida.validation import is_whole, named_keywords
 
 ATTEMPTS = 8  # with other seeds, where cells leave a part of the boundary without any
 SAMPLES = 20_000  # points, by which the area of a domain is estimated

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number
-from polyida.keywords import named_keywords
 from polyida.mesh import topology
 from polyida.mesh.domains import Capsule, Chain, Domain, nearest
 from polyida.mesh.sections import ROUND, centre, signed_area
+from polyida.validation import floats, is_number, named_keywords
 
 AT_ONCE = 2_000_000  # pairs of points and edges
 FOLD = np.pi - 1e-6  # rad

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.keywords import named_keywords
 from polyida.mesh import checks, topology
 from polyida.mesh.sections import Section, select
+from polyida.validation import named_keywords
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number, is_one_of
-from polyida.keywords import named_keywords
+from polyida.validation import is_number, is_one_of, named_keywords
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 WIDE = 20.0  # metres: a plate of a mechanism is hardly wider, one drawn in millimetres mostly is

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.given import is_flag, is_number, is_whole, reals
-from polyida.keywords import named_keywords
 from polyida.mesh import abaqus, meshio_files, polymesher, sections
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.raw import MeshWarning, RawMesh, hint, metres, scale_of
 from polyida.mesh.repair import repaired
+from polyida.validation import is_flag, is_number, is_whole, named_keywords, reals
 
 
 @named_keywords

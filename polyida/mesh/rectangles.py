@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.keywords import named_keywords
 from polyida.mesh import mesher
 from polyida.mesh.domains import Rectangle, place, positive
 from polyida.mesh.polygon_mesh import PolygonMesh
 from polyida.mesh.topology import renumber, sorted_cells
+from polyida.validation import named_keywords
 
 
 @named_keywords

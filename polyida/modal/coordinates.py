@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.given import floats, is_one_of, is_whole
 from polyida.integrate.directions import direction, known_inputs
 from polyida.joint.attachment import Attachment
 from polyida.linear.lu import SingularSystem
@@ -22,6 +21,7 @@ from polyida.modal.modes import Modes, normalised
 from polyida.modal.system import NO_MASS
 from polyida.model import differences
 from polyida.results.motion import reaction_of
+from polyida.validation import floats, is_one_of, is_whole
 
 OFF = 1e-6  # of |B| |x|: modes that leave the constraints by more are none of this state
 MOST = 2000  # coordinates that are taken without modes

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.brief import brief
 from polyida.errors import InputError
-from polyida.given import is_flag, is_number, is_whole
 from polyida.integrate.state import State
 from polyida.integrate.statics.static import Equilibrium
-from polyida.keywords import named_keywords
 from polyida.modal import eigen
 from polyida.modal.system import linear_system
 from polyida.model import Model
+from polyida.reprs import brief
+from polyida.validation import is_flag, is_number, is_whole, named_keywords
 
 LEADING = 0.5  # of a shape's largest entry: the first entry above it is real and positive
 FLUTTER = 1e-9  # of |s|: a root to the right of the imaginary axis by no more is on it

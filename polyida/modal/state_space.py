@@ -6,16 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.brief import brief
 from polyida.errors import InputError
-from polyida.given import floats
 from polyida.integrate.state import State
-from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem
 from polyida.modal.coordinates import Coordinates, along, inputs_of, labels_of, outputs_of
 from polyida.modal.modes import Modes
 from polyida.modal.system import linear_system
 from polyida.model import Model
+from polyida.reprs import brief
+from polyida.validation import floats, named_keywords
 
 
 @named_keywords

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.brief import table
 from polyida.errors import InputError
-from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import differences
+from polyida.reprs import table
+from polyida.validation import named_keywords
 
 Matrix = Any  # an array, or one of scipy.sparse
 NONE: MappingProxyType[str, Any] = MappingProxyType({})

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number, is_whole
-from polyida.keywords import named_keywords
 from polyida.linear.lu import dense
 from polyida.model import Model, differences
 from polyida.model.guarded import SAME, guard, require_constraints, require_functions, writes
+from polyida.validation import floats, is_number, is_whole, named_keywords
 
 REACHES = (0.1, 1e-3, 1e-6, 0.0)  # of the coordinates' size: how far from the start a state is drawn, the first where phi is finite
 SCALES = (1.0, 1e-2, 1e-4)  # of a difference's step: where two of them agree, the difference is known

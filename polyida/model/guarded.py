@@ -11,11 +11,11 @@ from traceback import extract_tb
 import numpy as np
 
 from polyida.errors import DONE, REASONS, InputError, StepFailure
-from polyida.given import floats, is_number, is_whole, read_only
 from polyida.jit.own_data import OwnData
 from polyida.jit.own_functions import CALLBACK
 from polyida.model import Model, Needs, require_model
 from polyida.model.differences import FIRST_ORDER_STEP
+from polyida.validation import floats, is_number, is_whole, read_only
 
 FLOAT = np.dtype(float)
 SAME = 1e-8  # largest entry of M - M^T, or of what M changes by, over that of M, above which M is not symmetric, or varies

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number
 from polyida.integrate.statics.static import Equilibrium
-from polyida.keywords import named_keywords
 from polyida.objective.slopes import FRAMES, Slopes
+from polyida.validation import floats, is_number, named_keywords
 
 
 class Objective:

@@ -9,13 +9,12 @@ import numpy as np
 from polyida.assembly.build import compact_of
 from polyida.assembly.factors import Shares
 from polyida.element import kernels as element
-from polyida.given import settle
 from polyida.jit.intrinsics import LANES
-from polyida.keywords import named_keywords
 from polyida.objective import kernels
 from polyida.objective.slopes import Slopes
 from polyida.objective.time_mean import TimeMean, chosen, deforming, named, power, power_mean, relative
 from polyida.results.motion import von_mises
+from polyida.validation import named_keywords, settle
 
 
 @named_keywords

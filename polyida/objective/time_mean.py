@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, floats, is_number, is_one_of
 from polyida.integrate.kinks import inner_side
 from polyida.io.layout import frames_at_once
 from polyida.joint.attachment import Attachment
-from polyida.keywords import named_keywords
 from polyida.model.differences import along, around
 from polyida.model.guarded import guard, unguarded
 from polyida.objective.objective import Objective, asked, run_of
 from polyida.objective.slopes import Slopes
+from polyida.validation import complex_of_pairs, floats, is_number, is_one_of, named_keywords
 
 NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision
 FRAMES_WIDE = 10.0  # times between frames in which something varies in time, about: its rate is taken over a hundredth of that

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida import registry
-from polyida.brief import brief
 from polyida.errors import InputError
-from polyida.given import is_one_of, reals
-from polyida.keywords import named_keywords
+from polyida.reprs import brief
+from polyida.validation import is_one_of, named_keywords, reals
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

@@ -12,9 +12,9 @@ import numpy as np
 from polyida.body.reduced import Reduced
 from polyida.body.rigid_body import Rigid
 from polyida.errors import InputError
-from polyida.given import is_one_of
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
+from polyida.validation import is_one_of
 
 DIGITS = {  # name: level: part: (digits, how well they are known)
     "slider-crank": {

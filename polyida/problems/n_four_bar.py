@@ -15,13 +15,13 @@ import numpy as np
 
 from polyida.body.rigid_body import RigidBody
 from polyida.errors import InputError
-from polyida.given import is_whole, positive
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
 from polyida.problems.levels import measures
 from polyida.scene import Scene
+from polyida.validation import is_whole, positive
 
 WEIGHT, SPEED = 9.81, 1.0
 

@@ -23,12 +23,12 @@ from polyida import profile
 from polyida.body.plate import Material, Plate
 from polyida.body.rigid_body import PointMass
 from polyida.errors import InputError
-from polyida.given import is_whole
 from polyida.joint.attachment import ground
 from polyida.joint.joints import AngleMotor, Revolute
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
 from polyida.scene import Scene
+from polyida.validation import is_whole
 
 REACH = {"double-plate": 548.2559718086329, "double-plate-motors": 548.2559718086329, "plate-chain": 586.7452475191253}
 """Sum of |X| + |Y| of the nodes, m: tells the default mesh from any other."""

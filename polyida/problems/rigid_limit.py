@@ -11,10 +11,10 @@ with b = m H^2 / (12 L^2).
 
 import numpy as np
 
-from polyida.given import positive
 from polyida.problems import Problem
 from polyida.problems.about import ABOUT
 from polyida.problems.plates import GRAVITY, HEIGHT, LENGTH, RUBBER, THICKNESS, TIP_MASS, Material, double_plate
+from polyida.validation import positive
 
 PLATE_MASS = RUBBER.rho * LENGTH * HEIGHT * THICKNESS
 WEIGHT = -GRAVITY[1]

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from polyida.assembly.loads import dead_loads
 from polyida.body.body import writes
-from polyida.brief import brief
 from polyida.force.force_element import ForceElement
 from polyida.integrate.kinks import beside
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import cubic
 from polyida.io.frames import each
+from polyida.reprs import brief
 from polyida.results.motion import Motion
 
 GAUSS = 0.5 - 0.5 / np.sqrt(3.0), 0.5 + 0.5 / np.sqrt(3.0)

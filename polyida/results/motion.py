@@ -7,10 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from polyida.element import kernels
 from polyida.errors import InputError
-from polyida.given import floats
 from polyida.io.frames import blocks, each
 from polyida.joint.joint import Joint
-from polyida.keywords import named_keywords
+from polyida.validation import floats, named_keywords
 
 
 class Motion(NamedTuple):

@@ -10,11 +10,11 @@ from scipy.sparse import csr_array
 from polyida.assembly.loads import gravity_at
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.plate import Plate
-from polyida.brief import brief
 from polyida.errors import InputError
-from polyida.given import complex_of_pairs, pairs_of, vector2
 from polyida.io.frames import each
 from polyida.mesh import PolygonMesh
+from polyida.reprs import brief
+from polyida.validation import complex_of_pairs, pairs_of, vector2
 
 ROUND = 1e-9  # of a plate's size: cells that reach over a line by less end there
 

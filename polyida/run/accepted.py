@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from polyida.errors import StepFailure
-from polyida.given import is_number, is_whole
 from polyida.integrate.state import Counts, State, States, Stretch, asked, parted
 from polyida.integrate.switches import Switches
 from polyida.model.guarded import blame
+from polyida.validation import is_number, is_whole
 
 SLACK = 1e-9  # of a run's length: as near to its end as that is at its end
 STANDSTILL = 20  # so many states in a row that hardly move t end the run

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.bar import require_progress
+from polyida.environment import one_blas_thread
 from polyida.errors import InputError
-from polyida.given import is_number
 from polyida.integrate.state import Counts, asked
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.layout import FRAMES
@@ -18,14 +17,14 @@ from polyida.io.reader import naming, read
 from polyida.io.save import behind_blocks, commit, create, free
 from polyida.io.scene_data import UnknownPart
 from polyida.io.store import FrameStore
-from polyida.keywords import named_keywords
-from polyida.machine import one_blas_thread
 from polyida.model import Model
 from polyida.model.guarded import guard
+from polyida.progress import require_progress
 from polyida.run.run import Run
 from polyida.run.sampling import Recorder, require_sensors
 from polyida.run.solve import require_run
 from polyida.sensor import Sensor, Sensors
+from polyida.validation import is_number, named_keywords
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

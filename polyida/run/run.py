@@ -6,7 +6,7 @@ from itertools import islice
 
 import numpy as np
 
-from polyida.bar import over_time
+from polyida.environment import machine_info
 from polyida.errors import StepFailure
 from polyida.integrate.moves import unseen
 from polyida.integrate.singular import SingularPosition, Watch
@@ -14,8 +14,8 @@ from polyida.integrate.state import Counts, Restart, State, States, Stretch, con
 from polyida.integrate.switches import unresolved
 from polyida.io.save import behind_blocks, commit
 from polyida.io.writer import NotWritten
-from polyida.machine import machine_info
 from polyida.model.guarded import guard
+from polyida.progress import over_time
 from polyida.run import ctrl_c
 from polyida.run.accepted import accepted
 from polyida.run.sampling import Sampler, Until

@@ -3,10 +3,10 @@
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number, read_only, reals
 from polyida.integrate.state import Stretch, between
 from polyida.jit.own_functions import over
 from polyida.sensor import Sensor
+from polyida.validation import is_number, read_only, reals
 
 FEW = 64  # rows of sensors to begin with
 

@@ -11,23 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida.assembly.hints import hint_of_left_out
-from polyida.bar import require_progress
+from polyida.environment import machine_info, one_blas_thread
 from polyida.errors import InputError, ReductionWarning
-from polyida.given import floats, is_number, is_one_of, is_whole, takes
 from polyida.integrate.start import consistent_state, given, require_state, restarted
 from polyida.integrate.state import Counts, Integrator, State, asked, constant_step
 from polyida.io.frames import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
-from polyida.keywords import named_keywords
-from polyida.machine import machine_info, one_blas_thread
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import Compiled, guard, unguarded
+from polyida.progress import require_progress
 from polyida.run.run import Run
 from polyida.run.sampling import Recorder, require_sensors
 from polyida.sensor import Sensor
 from polyida.system.python import small_own
+from polyida.validation import floats, is_number, is_one_of, is_whole, named_keywords, takes
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

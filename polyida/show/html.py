@@ -16,8 +16,8 @@ from urllib.parse import quote
 
 import numpy as np
 
+from polyida.environment import footer, machine_info
 from polyida.errors import InputError
-from polyida.machine import footer, machine_info
 from polyida.show import plates
 from polyida.show.press import drawn
 from polyida.show.style import STICK, box, colour_top

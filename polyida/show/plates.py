@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_flag, is_whole
+from polyida.validation import is_flag, is_whole
 
 
 def require_run(part, run, overwrite):

@@ -12,7 +12,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from polyida.machine import cores
+from polyida.environment import cores
 from polyida.show.style import figure, rendered
 
 KINDS = ("png", "pdf", "svg")

@@ -5,7 +5,7 @@ import math
 from contextlib import suppress
 from pathlib import Path
 
-from polyida.machine import machine_info
+from polyida.environment import machine_info
 from polyida.show import html, plates, plots
 from polyida.show.html import shown
 

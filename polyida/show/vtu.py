@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.given import is_whole
-from polyida.keywords import named_keywords
 from polyida.show import plates
+from polyida.validation import is_whole, named_keywords
 
 if TYPE_CHECKING:
     from polyida.trajectory import Trajectory

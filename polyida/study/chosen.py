@@ -13,7 +13,7 @@ from typing import Any
 
 from polyida import registry
 from polyida.errors import InputError
-from polyida.given import is_number
+from polyida.validation import is_number
 
 
 class SceneFileError(InputError):

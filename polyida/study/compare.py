@@ -6,14 +6,14 @@ from itertools import combinations
 
 import numpy as np
 
+from polyida.environment import one_blas_thread
 from polyida.errors import InputError, StepFailure
-from polyida.given import is_number
 from polyida.integrate.state import Counts, States, between
-from polyida.machine import one_blas_thread
 from polyida.model.guarded import guard
 from polyida.results.motion import motor_work, unbalanced
 from polyida.run.accepted import accepted
 from polyida.study import chosen
+from polyida.validation import is_number
 
 FINE, FINER = 1e-9, 1000  # rtol of the refined run: the one, or that of the runs over the other where that is less
 FINEST = 1e-13  # but no less: round-off is as large

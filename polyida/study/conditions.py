@@ -7,19 +7,19 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.bar import teller
 from polyida.errors import InputError
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
-from polyida.keywords import named_keywords
 from polyida.linear.whole import condition
 from polyida.model.guarded import guard
+from polyida.progress import teller
 from polyida.show.style import on_axes, plain
 from polyida.study.drawing import look
 from polyida.study.result import Result
 from polyida.study.rows import fitted
 from polyida.study.subject import require_labels, steps_of, studied
+from polyida.validation import named_keywords
 
 DECADES = tuple(10.0**-k for k in range(1, 10))
 

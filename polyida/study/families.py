@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from polyida.environment import one_blas_thread
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_acceleration, consistent_state, restarted
-from polyida.machine import one_blas_thread
 from polyida.run.solve import solve
 
 PARTS = ("q", "v", "lam")

@@ -5,15 +5,14 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.bar import teller
 from polyida.errors import InputError
-from polyida.given import is_one_of, is_whole
-from polyida.keywords import named_keywords
+from polyida.progress import teller
 from polyida.results.motion import unbalanced
 from polyida.show.style import on_axes, plain
 from polyida.study.drawing import look
 from polyida.study.result import Result
 from polyida.study.subject import members, setting, subject
+from polyida.validation import is_one_of, is_whole, named_keywords
 
 FLOOR = 1e-17  # what is zero on a logarithmic axis
 

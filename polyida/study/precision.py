@@ -9,17 +9,16 @@ from inspect import signature
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.bar import teller
 from polyida.errors import InputError
-from polyida.given import is_one_of, is_whole
 from polyida.integrate.state import asked
-from polyida.keywords import named_keywords
+from polyida.progress import teller
 from polyida.show.style import INK, on_axes, plain
 from polyida.study.drawing import look, slope_line
 from polyida.study.references import agreed, given
 from polyida.study.result import Result
 from polyida.study.rows import NAN, errors, fitted, measured, smallest_errors
 from polyida.study.subject import PARTS, kind_of, members, setting, steps_of, subject
+from polyida.validation import is_one_of, is_whole, named_keywords
 
 FINER = 1.5  # times the steps: of two runs that tell how far one moves
 STANDS = 10.0  # times nearer to each other than to the reference, and beyond what is known of it: two runs that do not come to it

@@ -17,7 +17,6 @@ from functools import partial
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.energy.energy_momentum import EnergyMomentum
 from polyida.integrate.radau.radau_iia import RadauIIA
@@ -25,6 +24,7 @@ from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
 from polyida.model.guarded import guard
 from polyida.study.families import PARTS, by_bdf, by_explicit, by_radau, distance, extrapolated, last_state, whole
+from polyida.validation import is_number
 
 TIMES = 4000  # of a run at which forces are looked at, or more
 LEAST = 2  # of a step

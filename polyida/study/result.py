@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from polyida.brief import cut, table
+from polyida.environment import machine_info
 from polyida.errors import InputError
-from polyida.machine import machine_info
+from polyida.reprs import cut, table
 from polyida.show.html import shown
 from polyida.show.report import finite
 from polyida.study.isolation import plain

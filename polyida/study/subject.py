@@ -5,11 +5,11 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import floats, is_number
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import asked
 from polyida.model import Model
 from polyida.run.solve import require_run, solve
+from polyida.validation import floats, is_number
 
 PARTS = ("q", "v", "lam")
 SHORT = 2e-4  # of the time, for which an integrator that has no step of its own runs beforehand

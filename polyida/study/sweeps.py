@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import polyida
-from polyida.bar import teller
 from polyida.errors import InputError
-from polyida.given import is_number
-from polyida.keywords import named_keywords
 from polyida.mark import NoMark, mark_of
+from polyida.progress import teller
 from polyida.show.style import on_axes
 from polyida.show.style import plain as plain_text
 from polyida.study.drawing import look
 from polyida.study.harness import Shelf, collected, package_mark
 from polyida.study.isolation import COSTS, RESERVED, Isolated, Serial, measured, plain_value
 from polyida.study.result import Result
+from polyida.validation import is_number, named_keywords
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,12 +17,12 @@ from polyida.assembly.rows.increments import drive_table, gain_table
 from polyida.assembly.rows.tie import Tie, velocity_rate
 from polyida.assembly.rows.tie import project as project_rows
 from polyida.assembly.rows.tie import tie as tie_of
+from polyida.environment import threads
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import clear
 from polyida.linear.team import Helpers
-from polyida.machine import threads
 from polyida.system.table import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address
 
 SHARED = 20_000  # coordinates from which on the threads that are asked for share the solves

@@ -8,9 +8,9 @@ import polyida as pi
 from polyida.adjoint import products
 from polyida.adjoint import scene_table as scene
 from polyida.adjoint.alpha import AdjointState, Sweep
+from polyida.environment import one_blas_thread
 from polyida.integrate.state import Counts
 from polyida.jit import entry
-from polyida.machine import one_blas_thread
 from polyida.problems import plates
 from step_cost.side import cells_for, cpu
 

@@ -13,6 +13,7 @@ import numpy as np
 import polyida
 from against_peers import peers
 from polyida.assembly import corotated, equilibrium
+from polyida.environment import one_blas_thread
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.radau.radau_iia import RadauIIA
@@ -21,7 +22,6 @@ from polyida.integrate.state import Counts
 from polyida.jit import entry
 from polyida.linear.dissection import symbolic_of
 from polyida.linear.fronts import factorize, solve_fronts
-from polyida.machine import one_blas_thread
 from polyida.problems import plates
 from polyida.run.solve import solve
 from polyida.study.isolation import run_isolated

@@ -4,10 +4,10 @@ import numpy as np
 
 from against_peers import peers
 from polyida.assembly import equilibrium
+from polyida.environment import one_blas_thread
 from polyida.integrate.radau.tableau import radau
 from polyida.linear.dissection import symbolic_of
 from polyida.linear.fronts import factorize, single, solve_fronts
-from polyida.machine import one_blas_thread
 from step_cost.measure import RADAU_H, median_cpu, model_of, moved
 
 SOLVES = 3  # with each factor, one an iteration

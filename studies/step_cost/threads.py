@@ -10,12 +10,12 @@ from functools import partial
 
 import numpy as np
 
+from polyida.environment import threads
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.start import consistent_state
 from polyida.integrate.state import Counts
 from polyida.jit import entry
 from polyida.linear.dissection import symbolic_of
-from polyida.machine import threads
 from polyida.problems import plates
 from step_cost.measure import H, cells_for
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida import machine
+from polyida import environment
 from polyida.adjoint import alpha as loop
 from polyida.adjoint.alpha import AdjointState, Sweep
 from polyida.adjoint.products import products_at
@@ -112,7 +112,7 @@ def test_a_step_that_no_factor_contracts_is_solved_directly(scenes, monkeypatch)
 
 
 def test_two_threads_give_the_same(scenes, monkeypatch):
-    monkeypatch.setattr(machine, "cores", lambda: 2)
+    monkeypatch.setattr(environment, "cores", lambda: 2)
     monkeypatch.setattr(compiled_loop, "SHARED", 1)
     model = scenes.jointed("revolute").build()
     settings, steps = steps_of(model)

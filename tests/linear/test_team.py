@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida import machine
+from polyida import environment
 from polyida.assembly import equilibrium
 from polyida.jit import compilers, entry
 from polyida.linear.dissection import symbolic_of
@@ -70,10 +70,10 @@ def test_a_solve_is_the_same_for_any_number_of_threads(scene, count, c):
 @pytest.fixture
 def two_threads(monkeypatch):
     """Two threads whatever the machine has, for small scenes too."""
-    monkeypatch.setattr(machine, "cores", lambda: 2)
+    monkeypatch.setattr(environment, "cores", lambda: 2)
     monkeypatch.setattr(compiled_loop, "SHARED", 1)
     yield lambda count: pi.threads(count)
-    machine._threads[0] = 1
+    environment._threads[0] = 1
 
 
 @pytest.mark.parametrize("scene", [plates.double_plate, plates.double_plate_motors])

@@ -7,16 +7,15 @@ from typing import Any, Self
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.alpha.march import Control, adapt, extrapolated, march, over_run, tolerances
 from polyida.integrate.alpha.steps import Steps
 from polyida.integrate.kinks import enough_steps, run_of, stretches
 from polyida.integrate.moves import PARTS, cells_of
 from polyida.integrate.state import Counts, State, States, Stretch
-from polyida.keywords import named_keywords
 from polyida.linear.saddle import SCALINGS
 from polyida.linear.step_matrix import WholeMatrix
 from polyida.model import Model
+from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt")
 ABSOLUTE = 1e-3  # m: atol over rtol where only rtol is given, for a start at q = 0

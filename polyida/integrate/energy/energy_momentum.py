@@ -6,17 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_number, is_whole
 from polyida.integrate.energy.dense import OF_ENERGY
 from polyida.integrate.energy.steps import HALVINGS, Steps
 from polyida.integrate.kinks import Grid, at_kink, beside, enough_steps, stretches
 from polyida.integrate.rest import held
 from polyida.integrate.start import on_velocity
 from polyida.integrate.state import Counts, State, States, Stretch
-from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.model.check import require_energies
 from polyida.model.guarded import Compiled, guard, require_constraints, unguarded
+from polyida.validation import is_number, is_whole, named_keywords
 
 SAME = 1e-9  # of its size, by which what ought to be equal may differ
 

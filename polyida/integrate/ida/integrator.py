@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from polyida.errors import InputError, StepFailure
-from polyida.given import floats, is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.ida.error_lines import error_lines_kept
 from polyida.integrate.ida.forms import FORMS, Accepted, System
 from polyida.integrate.ida.linear import Correction
@@ -19,9 +18,9 @@ from polyida.integrate.moves import cells_of
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run, typical_sizes
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State, States
-from polyida.keywords import named_keywords
 from polyida.model import Model
 from polyida.system.table import INSTANTS
+from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt", "whole")
 AIM, WAYS, FLEXIBLE_WAYS = (

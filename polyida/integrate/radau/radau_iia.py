@@ -6,16 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from polyida.errors import InputError
-from polyida.given import is_flag, is_number, is_one_of, is_whole
 from polyida.integrate.kinks import at_kink, beside, run_of, stretches
 from polyida.integrate.moves import PARTS, cells_of
 from polyida.integrate.radau.steps import Steps, adapt, ladder_of, march
 from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State, States
-from polyida.keywords import named_keywords
 from polyida.linear.saddle import SCALINGS
 from polyida.model import Model
+from polyida.validation import is_flag, is_number, is_one_of, is_whole, named_keywords
 
 FORMS = ("ggl", "index3")
 LINEAR = ("auto", "kkt")

@@ -16,19 +16,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.brief import brief
 from polyida.errors import InputError, StepFailure
-from polyida.given import is_number, is_whole
 from polyida.integrate.directions import direction
 from polyida.integrate.start import given
 from polyida.integrate.state import State
 from polyida.integrate.statics.static import FREE, Equilibrium, Loading, whole_load
-from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT, coordinate_sizes
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard
+from polyida.reprs import brief
+from polyida.validation import is_number, is_whole, named_keywords
 
 WANTED = 4  # iterations of a step of the right length
 LONGEST = 64.0  # times the first step

@@ -7,18 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.brief import brief
 from polyida.errors import InputError, StepFailure
-from polyida.given import is_flag, is_number, is_whole
 from polyida.integrate.rest import equilibrium
 from polyida.integrate.start import given
 from polyida.integrate.state import State
-from polyida.keywords import named_keywords
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.saddle import KKT, falling, require_independent, typical
 from polyida.model import Model
 from polyida.model.check import require_declared
 from polyida.model.guarded import guard, unguarded
+from polyida.reprs import brief
+from polyida.validation import is_flag, is_number, is_whole, named_keywords
 
 FREE = "the structure can move freely, or nearly so: hold it by joints or a clamp, and draw what hangs near to where it rests"
 FAR = 5.0  # a Newton step of so many times the structure's extent is that of a mechanism

@@ -10,8 +10,7 @@ from importlib import metadata
 
 from polyida import __version__
 from polyida.errors import InputError
-from polyida.given import is_whole
-from polyida.keywords import named_keywords
+from polyida.validation import is_whole, named_keywords
 
 _lock = threading.Lock()
 _threads = [1]  # that a run takes

@@ -1,14 +1,18 @@
-"""What a user gives, looked at before it is used: numbers that are numbers, texts that are texts, lists that are lists of numbers."""
+"""Validation of arguments: numbers, texts, arrays and keywords of public functions."""
 
 import math
 import operator
-from functools import lru_cache
-from inspect import signature
+from collections.abc import Callable
+from functools import lru_cache, wraps
+from inspect import Parameter, isclass, signature
 from numbers import Real
+from typing import Any, TypeVar
 
 import numpy as np
 
 from polyida.errors import InputError
+
+Public = TypeVar("Public", bound=Callable[..., Any])
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # by a right angle: what the imaginary unit does to (x, y)
 
@@ -139,3 +143,37 @@ def vector2(part, name, value):
     if pair is None or pair.shape != (2,):
         raise InputError(f"{part}: {name} = {value!r} must be two finite numbers")
     return pair
+
+
+class KeywordError(InputError, TypeError):
+    """Unknown keyword argument. It is an InputError, and the TypeError that Python itself would raise."""
+
+
+def named_keywords(public: Public) -> Public:
+    """Decorate a public function or class: an unknown keyword raises KeywordError, which lists the known ones.
+
+    A class stays the same class: only its `__init__` is wrapped. Signatures do not change.
+    """
+    function = public.__init__ if isclass(public) else public  # type: ignore[misc]
+    parameters = list(signature(public).parameters.values())
+    known = {p.name for p in parameters if p.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)}
+
+    @wraps(function)
+    def checked(*arguments, **given):
+        if given.keys() <= known:
+            return function(*arguments, **given)
+        raise KeywordError(_complaint(public.__name__, [p.name for p in parameters], min(given.keys() - known)))
+
+    if not isclass(public):
+        return checked  # type: ignore[return-value]
+    public.__init__ = checked  # type: ignore[misc, method-assign]
+    return public
+
+
+def _complaint(name, known, wrong):
+    from difflib import get_close_matches
+
+    lower = {word.lower(): word for word in known}
+    near = [lower[word] for word in get_close_matches(wrong.lower(), lower, 1)]
+    meant = f"did you mean {near[0]!r}? " if near else ""
+    return f"{name}: there is no argument {wrong!r}; {meant}it takes {', '.join(known) or 'none'}"
