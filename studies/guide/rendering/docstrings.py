@@ -1,21 +1,15 @@
-"""The package's docstrings are plain text with code in backticks; Sphinx reads reStructuredText."""
+"""Docstrings of the package follow numpydoc, with code in single backticks. This makes them reStructuredText that napoleon can read."""
 
 import inspect
 import re
 
-SPECIAL = re.compile(r"([\\*|_<>])")
+SPECIAL = re.compile(r"[*|<>]|(?<=\w)_(?!\w)")
 
 
 def rest_of(text):
-    """reStructuredText of a docstring: code in backticks as literals, paragraphs as they are, indented ones as blocks of code."""
-    return "\n\n".join(map(_paragraph, re.split(r"\n\s*\n", inspect.cleandoc(text)))).splitlines()
-
-
-def _paragraph(given):
-    if given.startswith(" "):
-        return "::\n\n" + "\n".join("   " + line for line in given.splitlines())
-    pieces = " ".join(line.strip() for line in given.splitlines()).split("`")
-    return "".join(f"``{' '.join(piece.split())}``\\ " if k % 2 else SPECIAL.sub(r"\\\1", piece) for k, piece in enumerate(pieces))
+    """Lines of a docstring: code in backticks becomes literals, characters with a meaning in reStructuredText are escaped."""
+    pieces = inspect.cleandoc(text).split("`")
+    return "".join(f"``{piece}``" if k % 2 else SPECIAL.sub(r"\\\g<0>", piece) for k, piece in enumerate(pieces)).splitlines()
 
 
 def _process(app, what, name, thing, options, lines):
@@ -24,5 +18,5 @@ def _process(app, what, name, thing, options, lines):
 
 def setup(app):
     """Called by Sphinx."""
-    app.connect("autodoc-process-docstring", _process)
+    app.connect("autodoc-process-docstring", _process, priority=400)  # before napoleon
     return {"parallel_read_safe": True, "parallel_write_safe": True}
