@@ -23,7 +23,7 @@ parts: dict[str, Any] = {
     "Slot": "polyida.joint.joints:Slot",
     "Distance": "polyida.joint.joints:Distance",
     "Weld": "polyida.joint.joints:Weld",
-    "Path": "polyida.joint.joints:Path",
+    "PrescribedPosition": "polyida.joint.joints:PrescribedPosition",
     "SpringDamper": "polyida.force.elements:SpringDamper",
     "TorsionSpring": "polyida.force.elements:TorsionSpring",
     "Torque": "polyida.force.elements:Torque",

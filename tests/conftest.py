@@ -110,7 +110,7 @@ JOINTS = {  # kind: what holds the upper plate, what holds the lower one to it; 
     ],
     "weld": lambda a, b, angle: [pi.Revolute(pi.ground, a[0]), pi.Weld(a[1], b, name="joint")],
     "weld to ground": lambda a, b, angle: [pi.Weld(a[0], pi.ground, name="joint"), pi.Revolute(a[1], b)],
-    "path": lambda a, b, angle: [pi.Path(a[0], *way(a[0], angle), name="joint"), pi.Revolute(a[1], b)],
+    "path": lambda a, b, angle: [pi.PrescribedPosition(a[0], *way(a[0], angle), name="joint"), pi.Revolute(a[1], b)],
 }
 
 

@@ -161,13 +161,16 @@ GIVEN = {  # name: (function of keywords, {keywords: values that are wrong for e
     "Clamp": (made(pi.Clamp, a=LEFT), {"a": BODY_SIDE, "b": SIDE + [RIGHT, LEFT], "name": TEXT}),
     "AngleMotor": (
         made(pi.AngleMotor, a=pi.ground, b=LEFT, angle=0.0),
-        {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "zero": without(NUMBER, type(None)) + [True], "name": TEXT},
+        {"a": SIDE, "b": SIDE + [BOARD.node(0)], "angle": PROFILE, "offset": without(NUMBER, type(None)) + [True], "name": TEXT},
     ),
     "Prismatic": (made(pi.Prismatic, a=PLACE, b=LEFT), {"a": SIDE, "b": SIDE + [BOARD.node(0)], "name": TEXT}),
     "Slot": (made(pi.Slot, a=PLACE, b=LEFT), {"a": SIDE + [BOARD.node(0)], "b": BODY_SIDE, "name": TEXT}),
     "Distance": (made(pi.Distance, a=PLACE, b=RIGHT), {"a b": BODY_SIDE, "length": without(POSITIVE, type(None)), "name": TEXT}),
     "Weld": (made(pi.Weld, a=RIGHT, b=NEXT), {"a": SIDE + [OTHER.node(0)], "b": SIDE + [LEFT, OTHER.node(0)], "name": TEXT}),
-    "Path": (made(pi.Path, at=LEFT, x=0.0, y=None), {"at": BODY_SIDE, "x": PROFILE, "y": without(PROFILE, type(None)), "name": TEXT}),
+    "PrescribedPosition": (
+        made(pi.PrescribedPosition, at=LEFT, x=0.0, y=None),
+        {"at": BODY_SIDE, "x": PROFILE, "y": without(PROFILE, type(None)), "name": TEXT},
+    ),
     "SpringDamper": (
         made(pi.SpringDamper, a=PLACE, b=RIGHT, stiffness=1.0),
         {

@@ -20,7 +20,7 @@ def hint_of_left_out(model, t, frames, accelerations):
     found = {name: left for name, left in left_out(model, t, frames, accelerations).items() if left[2] > ENOUGH}
     worst = sorted(found, key=lambda name: found[name][2], reverse=True)[:NAMED]
     told = ", ".join(f"{name!r} ({1e3 * found[name][1]:.2g} mm, {100 * found[name][0]:.2g} % of its strain energy)" for name in worst)
-    return f"the modes of {told} leave much out: take more, or fields of a run of the full plate (pi.fields_of)" if found else ""
+    return f"the modes of {told} leave much out: take more, or fields of a run of the full plate (pi.pod_modes)" if found else ""
 
 
 def left_out(model, t, frames, accelerations):

@@ -29,7 +29,7 @@ class Reduced(FieldBody):
 
     modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
     normal modes of the plate with these held together, by their frequencies; all, where its mesh has no more. fields: of one's own beside
-    them, displacements of the nodes in the plate's axes as it is placed, (count, N, 2), m; `pi.fields_of(run, name, count)` takes them
+    them, displacements of the nodes in the plate's axes as it is placed, (count, N, 2), m; `pi.pod_modes(run, name, count)` takes them
     from a run. made: all of its fields as they were in the run of a file, (count, N, 2), m, in place of those that would be made anew:
     loading gives it.
 
@@ -154,7 +154,7 @@ NOTHING = 1e-12  # of the largest singular value: a field of as little is round-
 
 
 @named_keywords
-def fields_of(run: "Trajectory", name: str, count: int = 5) -> NDArray:
+def pod_modes(run: "Trajectory", name: str, count: int = 5) -> NDArray:
     """The `count` fields (count, N, 2), m, that hold most of a plate's deformation in a run, for `pi.Reduced(plate, fields=...)`.
 
     Of each frame x, complex, the rigid motion nearest in M is taken off, `w = exp(-i theta) (x - x_S) - (X - X_S)`; the fields are the left
@@ -163,12 +163,12 @@ def fields_of(run: "Trajectory", name: str, count: int = 5) -> NDArray:
     model is not known, count is no whole number, or the motion has fewer fields.
     """
     if hasattr(run, "known_model"):
-        run.known_model("fields_of")
+        run.known_model("pod_modes")
     drawn = {} if getattr(run, "model", None) is None else {body.name: body for body in run.model.drawn}
     if not is_one_of(name, drawn):
-        raise InputError(f"fields_of: the run has no plate {name!r}; known: {', '.join(map(repr, drawn)) or 'none'}")
+        raise InputError(f"pod_modes: the run has no plate {name!r}; known: {', '.join(map(repr, drawn)) or 'none'}")
     if not is_whole(count):
-        raise InputError(f"fields_of: count = {count!r} must be a whole number of at least 1")
+        raise InputError(f"pod_modes: count = {count!r} must be a whole number of at least 1")
     body, moved = drawn[name], []
     weights = np.add.reduceat(body.operator.mass, body.operator.indptr[:-1])
     weights = weights / weights.sum()
@@ -182,5 +182,5 @@ def fields_of(run: "Trajectory", name: str, count: int = 5) -> NDArray:
     shares = np.sqrt(weights)
     fields, sizes, _ = np.linalg.svd(shares[:, None] * np.array(moved).T, full_matrices=False)
     if (found := int((sizes > NOTHING * np.abs(rest).max()).sum())) < count:
-        raise InputError(f"fields_of: {name!r} has {found} fields in this run, not {count}; keep more frames, or take fewer")
+        raise InputError(f"pod_modes: {name!r} has {found} fields in this run, not {count}; keep more frames, or take fewer")
     return pairs_of((fields[:, :count] / shares[:, None]).T)

@@ -19,9 +19,9 @@ def across(a, b):
     return cross(a.d, b.x - a.x).named("across", "N")
 
 
-def held(a, b, angle=0.0, zero=None):
-    """`R(angle + zero) d_A x d_B`: b stands at an angle against a, a number or a profile, beyond zero, rad; None: that at rest."""
-    ahead = a.d.onto(b.d) if zero is None else a.d.turned(zero)
+def held(a, b, angle=0.0, offset=None):
+    """`R(angle + offset) d_A x d_B`: b stands at an angle against a, a number or a profile, beyond offset, rad; None: that at rest."""
+    ahead = a.d.onto(b.d) if offset is None else a.d.turned(offset)
     return cross(ahead.turned(angle), b.d).one_way().named("angle", "N m")
 
 
@@ -179,35 +179,35 @@ class AngleMotor(Joint):
 
     `phi = R(theta + theta0) d_A x d_B = |d_A| |d_B| sin(angle error)` (1 row): bilinear in q, so it turns any number of times.
     It vanishes half a turn away as well: a step that lands there is rejected.
-    a, b: sections, or one of them ground. zero: theta0, rad; where it is None that of the reference configuration, or of the drawing where
+    a, b: sections, or one of them ground. offset: theta0, rad; None: that of the reference configuration, or of the drawing where
     `scene.assemble()` moves the bodies from there to theta(0). The torque on b is `-lam |d_A| |d_B|`, N m.
     """
 
     angle: Profile | Callable[[float], float] | float
-    zero: float | None = None
+    offset: float | None = None
     kind = "motor"
     directed = ("a", "b")
 
     def __post_init__(self):
         super().__post_init__()
         object.__setattr__(self, "angle", as_profile(self.angle, labelled("AngleMotor", self.name)))
-        if not (self.zero is None or is_number(self.zero)):
-            raise InputError(f"{labelled('AngleMotor', self.name)}: zero = {self.zero!r} must be a finite number of rad, or None")
+        if not (self.offset is None or is_number(self.offset)):
+            raise InputError(f"{labelled('AngleMotor', self.name)}: offset = {self.offset!r} must be a finite number of rad, or None")
 
     def rows(self) -> list[Row | Vector]:
         """`R(theta + theta0) d_A x d_B`."""
-        return [held(self.a, self.b, self.angle, self.zero)]
+        return [held(self.a, self.b, self.angle, self.offset)]
 
     def keep_drawing(self) -> None:
         """Where theta(0) is not zero, keep the angle of the drawing as theta0."""
-        if self.zero is None and as_profile(self.angle, "AngleMotor")(0.0):
+        if self.offset is None and as_profile(self.angle, "AngleMotor")(0.0):
             drawn = self.facing()
-            settle(self, a=drawn.a, b=drawn.b, zero=float(np.angle(drawn.b.d.rest / drawn.a.d.rest)))
+            settle(self, a=drawn.a, b=drawn.b, offset=float(np.angle(drawn.b.d.rest / drawn.a.d.rest)))
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
-class Path(Joint):
+class PrescribedPosition(Joint):
     """The point of an attachment is where profiles of time say, in both directions or in one: `phi = (x - X(t), y - Y(t))`, m.
 
     x, y: coordinates of the point, m, not its displacements: a profile, a function of time or a number each, or None where the
@@ -223,7 +223,7 @@ class Path(Joint):
     y: Profile | Callable[[float], float] | float | None
 
     def __post_init__(self):
-        label = labelled("Path", self.name)
+        label = labelled("PrescribedPosition", self.name)
         require_attachment(label, self.at)
         if self.x is None and self.y is None:
             raise InputError(f"{label}: x and y are both None; give a profile of one at least")
@@ -233,7 +233,9 @@ class Path(Joint):
     def rows(self) -> list[Row | Vector]:
         """`x - X(t)` and `y - Y(t)`, or one of them."""
         axes = ("x", 1.0, self.x), ("y", 1j, self.y)
-        return [(dot(along(e), self.at.x) - as_profile(way, "Path")).named(axis, "N") for axis, e, way in axes if way is not None]
+        return [
+            (dot(along(e), self.at.x) - as_profile(way, "PrescribedPosition")).named(axis, "N") for axis, e, way in axes if way is not None
+        ]
 
     @property
     def components(self) -> tuple[tuple[str, str], ...]:

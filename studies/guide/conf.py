@@ -29,7 +29,14 @@ import_all()
 project = "polyida"
 author = copyright = "polyida developers"
 release = version = polyida.__version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_gallery.gen_gallery", "rendering.mathml", "rendering.docstrings"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_gallery.gen_gallery",
+    "rendering.mathml",
+    "rendering.docstrings",
+]
 exclude_patterns = ["examples", "rendering"]
 smartquotes = False  # texts are code more often than speech
 html_theme = "furo"

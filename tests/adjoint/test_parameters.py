@@ -47,7 +47,7 @@ def machine():
     scene.add(pi.Distance(four.section("left"), bar.at("right"), name="rod"))
     scene.add(pi.AngleMotor(pi.ground, one.section("left"), pi.profile.ramp(0.0, 1.2, 0.5, 0.1), name="motor"))
     scene.add(pi.AngleMotor(three.section("right"), four.section("left"), lambda t: 0.3 * np.sin(4 * t), 0.1, name="own"))
-    scene.add(pi.Path(bar.at("center"), pi.profile.sine(0.1, 2.0, 0.3), pi.profile.polynomial([0.1, 0.3, -0.2]), name="path"))
+    scene.add(pi.PrescribedPosition(bar.at("center"), pi.profile.sine(0.1, 2.0, 0.3), pi.profile.polynomial([0.1, 0.3, -0.2]), name="path"))
     for body in (one, four):
         scene.add(pi.PointMass(body.section("right"), 0.3, name=f"mass {body.name}"))
     scene.add(pi.PointLoad(three.section("top"), (1.0, -2.0), pi.profile.linear(0.2, 1.0, 0.4), name="load"))
@@ -121,7 +121,7 @@ def thrown():
     scene.add(pi.Revolute(one.section("right"), two.section("left"), name="elbow"))
     scene.add(pi.Revolute(two.section("right"), three.section("left"), name="wrist"))
     scene.add(pi.Revolute(three.section("right"), bar.at("left"), name="finger"))
-    scene.add(pi.Path(one.node(0), None, pi.profile.sine(0.1, 1.0), name="path"))
+    scene.add(pi.PrescribedPosition(one.node(0), None, pi.profile.sine(0.1, 1.0), name="path"))
     scene.add(pi.AngleMotor(one.section("right"), two.section("left"), pi.profile.linear(0.2, 1.0, 0.4), name="motor"))
     scene.add(pi.PointMass(two.section("right"), 0.3, name="mass"))
     scene.add(pi.PointLoad(two.section("right"), (1.0, 3.0), scene.parts["motor"].angle, name="load"))

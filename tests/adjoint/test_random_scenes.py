@@ -43,7 +43,7 @@ def scene_of(number):
     if number == 0:
         scene.add(pi.Distance(pi.ground.at((1.5, 1.0)), end, name="rod"))
     elif number == 5:
-        scene.add(pi.Path(end, None, pi.profile.ramp(float(end.point[1]), u(0.01, 0.02), 0.01, 0.0041), name="path"))
+        scene.add(pi.PrescribedPosition(end, None, pi.profile.ramp(float(end.point[1]), u(0.01, 0.02), 0.01, 0.0041), name="path"))
     else:
         scene.add(pi.AngleMotor(pi.ground, left, take(*turns), name="motor"))
     scene.add(pi.PointMass(take(end, right), u(0.05, 1.0), name="mass"))

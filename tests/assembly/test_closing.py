@@ -188,7 +188,7 @@ def built():
         (half_a_turn, "'drive' would close on the wrong half-turn"),
         (built, "'crank' would have to move, but there is a model"),
         (lambda: pi.Scene().assemble(), "Scene.assemble: the scene has no plate"),
-        (lambda: pi.AngleMotor(pi.ground, bar("crank", (0, 0), 0).at("left"), 1.0, zero="x"), "zero = 'x' must be a finite number"),
+        (lambda: pi.AngleMotor(pi.ground, bar("crank", (0, 0), 0).at("left"), 1.0, offset="x"), "offset = 'x' must be a finite number"),
     ],
 )
 def test_what_cannot_be(call, told):

@@ -182,7 +182,9 @@ def test_the_start_is_continuous_in_the_motion_that_is_given(scenes, kind, drive
             scene.add(pi.Revolute(pi.ground, side, name="hinge"))
             scene.add(pi.AngleMotor(pi.ground, side, pi.profile.polynomial([0.0, 2.0]), name="drive"))
         else:
-            scene.add(pi.Path(side, pi.profile.polynomial([side.point[0], 0.5]), pi.profile.polynomial([side.point[1], -0.3])))
+            scene.add(
+                pi.PrescribedPosition(side, pi.profile.polynomial([side.point[0], 0.5]), pi.profile.polynomial([side.point[1], -0.3]))
+            )
         model = scene.build()
         with warnings.catch_warnings():
             warnings.simplefilter("error")

@@ -110,7 +110,7 @@ def test_static_equilibrium_is_exact_where_the_span_holds_it():
     assert np.allclose(found.lam, state.lam, rtol=1e-6, atol=1e-6)
 
 
-def test_fields_of_a_run_bend_farther_than_modes():
+def test_pod_modes_of_a_run_bend_farther_than_modes():
     """A soft plate that is let go level: as many fields of its run are off by less than a twentieth of what modes are, which is told."""
     soft, mesh = pi.Material(E=5e6, nu=0.3, rho=1100.0), pi.mesh.rectangle(1.0, 0.1, cells=16, seed=1)
 
@@ -123,7 +123,7 @@ def test_fields_of_a_run_bend_farther_than_modes():
         return pi.solve(scene.build(), 0.6, pi.GeneralizedAlpha(h=1e-3))
 
     full = swing(FULL)
-    fields = pi.fields_of(full, "plate", 8)
+    fields = pi.pod_modes(full, "plate", 8)
     with pytest.warns(pi.ReductionWarning, match="the modes of 'plate'"):
         modal = swing(lambda plate: pi.Reduced(plate, modes=8))
     own = swing(lambda plate: pi.Reduced(plate, modes=0, fields=fields))

@@ -78,7 +78,7 @@ def test_a_point_on_a_prescribed_path():
     """It is where the profiles say; the force that leads it is m (a - g), the work what the body has gained."""
     scene, body = lone((0.0, -9.81))
     x, y = pi.profile.quintic(0.0, 0.4, 0.3), pi.profile.sine(0.2, 2.0)
-    scene.add(pi.Path(body.at("C"), x, y, name="path"))
+    scene.add(pi.PrescribedPosition(body.at("C"), x, y, name="path"))
     run = pi.solve(scene.build(), 0.3, pi.GeneralizedAlpha(h=5e-4))
     assert np.abs(run.position("path") - np.column_stack([x.value(run.t), y.value(run.t)])).max() < 1e-12
     force = MASS * np.column_stack([x.d2(run.t), y.d2(run.t) + 9.81])

@@ -127,11 +127,11 @@ def test_a_start_with_a_cell_turned_inside_out_is_refused_by_name(held, scenes):
 def test_a_drawing_off_its_path_is_named_with_what_helps():
     scene = pi.Scene()
     body = scene.add(pi.RigidBody.bar(1.0, 1.0))
-    scene.add(pi.Path(body.at("left"), pi.profile.polynomial([0.1, 1.0]), 0.0, name="rail"))
+    scene.add(pi.PrescribedPosition(body.at("left"), pi.profile.polynomial([0.1, 1.0]), 0.0, name="rail"))
     with pytest.raises(pi.InputError, match=r"the drawing violates .*rail.*phi = -0.1 .*scene.assemble\(\)"):
         pi.consistent_state(scene.build())
     scene = pi.Scene()
     body = scene.add(pi.RigidBody.bar(1.0, 1.0))
-    scene.add(pi.Path(body.at("left"), pi.profile.polynomial([0.1, 1.0]), 0.0))
+    scene.add(pi.PrescribedPosition(body.at("left"), pi.profile.polynomial([0.1, 1.0]), 0.0))
     scene.assemble()
     assert np.allclose(pi.consistent_state(scene.build()).v[::2].max(), 1.0)

@@ -64,7 +64,7 @@ def expected(model, name, t, q, rotation):
         result = np.concatenate([across if isinstance(joint, pi.Prismatic) else result, alike])
     if isinstance(joint, pi.Distance):
         return (result @ result - joint.length**2) / (2 * joint.length)
-    return points[1] - [joint.x(t), joint.y(t)] if isinstance(joint, pi.Path) else result
+    return points[1] - [joint.x(t), joint.y(t)] if isinstance(joint, pi.PrescribedPosition) else result
 
 
 def test_formula(model, scenes, draw):

@@ -71,8 +71,8 @@ JOINTS = {  # (the joint of an end of a body and of another point of it, compone
     "weld": (lambda end, other: pi.Weld(pi.ground, end), "fm"),
     "clamp": (lambda end, other: pi.Clamp(pi.ground, end), "fm"),
     "distance": (lambda end, other: pi.Distance(pi.ground.at((0.2, 0.5)), end), "f"),
-    "path": (lambda end, other: pi.Path(end, x=lambda t: 1.0 + 0.1 * np.sin(3.0 * t), y=lambda t: 0.0 * t), "f"),
-    "path in y": (lambda end, other: pi.Path(end, x=None, y=lambda t: 0.1 * np.sin(3.0 * t)), "y"),
+    "path": (lambda end, other: pi.PrescribedPosition(end, x=lambda t: 1.0 + 0.1 * np.sin(3.0 * t), y=lambda t: 0.0 * t), "f"),
+    "path in y": (lambda end, other: pi.PrescribedPosition(end, x=None, y=lambda t: 0.1 * np.sin(3.0 * t)), "y"),
     "motor": (lambda end, other: pi.AngleMotor(AT, end, angle=WAVE), "m"),
 }
 
@@ -141,7 +141,7 @@ def test_slopes_of_reactions(kind, method):
     moves = {"turning rail": pi.profile.quintic(0.0, 0.5, 0.3), "motor": pi.profile.quintic(0.0, 0.5, 0.3)}
     end = bar.at("end")
     if kind == "path":
-        joint = pi.Path(end, x=pi.profile.quintic(1.0, 1.4, 0.3), y=0.0)
+        joint = pi.PrescribedPosition(end, x=pi.profile.quintic(1.0, 1.4, 0.3), y=0.0)
     elif kind in moves:
         joint = (TurningRail if kind == "turning rail" else pi.AngleMotor)(AT, end, moves[kind])
     else:
