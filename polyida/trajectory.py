@@ -12,14 +12,13 @@ from polyida import registry
 from polyida.assembly.hints import hint_of_left_out, hint_of_rigid
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State, asked
-from polyida.io.frames import blocks, each
+from polyida.io.layout import blocks, each
 from polyida.io.save import save
 from polyida.model.guarded import guard
 from polyida.reprs import CELL, LONGEST, cut, short, table
 from polyida.results.energy import Energy, energy_of, grown
-from polyida.results.motion import Motion, angle_of, momenta_of, reaction_of, strains, von_mises
+from polyida.results.motion import Motion, angle_of, dataframe, dataset, momenta_of, reaction_of, strains, von_mises
 from polyida.results.section_forces import SectionForces, section_forces
-from polyida.results.tables import dataframe, dataset
 from polyida.sensor import Sensors
 from polyida.validation import is_one_of, is_whole
 

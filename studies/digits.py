@@ -1,9 +1,8 @@
-"""The digits of the problems that are computed, made anew and printed: `python studies/digits.py [problem ...]`.
+"""Compute and print the digits of the problems again: `python studies/digits.py [problem ...]`.
 
-Two families a problem, DOP853 and Radau IIA; the digits are the former's, `known_to` their distance. They stand in
-problems/plate_digits.py, problems/andrews_digits.py and, of all levels, problems/mechanisms/digits.py; of the pendulum and the car axis
-the published digits stand, and it is printed how far the former is from them. Seconds each, the plates and mechanisms some minutes;
-`--cells 8 --time 0.1` takes seconds.
+DOP853 gives the digits of each problem, its distance from Radau IIA is `known_to`. The tables DIGITS of problems/plates.py,
+problems/andrews.py and problems/mechanisms.py hold them; of the pendulum and the car axis the published digits are the reference, and the
+distance from them is printed. Seconds each, the plates and mechanisms some minutes; `--cells 8 --time 0.1` takes seconds.
 """
 
 import argparse
@@ -12,7 +11,7 @@ from typing import NamedTuple
 
 from polyida import problems
 from polyida.integrate.start import consistent_acceleration
-from polyida.problems.levels import LEVELS
+from polyida.problems.mechanisms import LEVELS
 from polyida.problems.plates import DIGITS
 from polyida.study.families import by_explicit, by_radau, distance
 

@@ -37,7 +37,7 @@ from polyida.integrate.kinks import inner_side
 from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
 from polyida.jit.intrinsics import address, call
-from polyida.linear.lu import Kept
+from polyida.linear.lu import FactorCache
 from polyida.system.python import small_own, small_table
 from polyida.system.table import ADJOINT
 
@@ -303,7 +303,7 @@ class AlphaAdjoint(RunAdjoint):
 
     def __init__(self, run, objective, names, memory_limit):
         super().__init__(run, objective, names, memory_limit)
-        self.sweeps, self.ready = Kept(), {}
+        self.sweeps, self.ready = FactorCache(), {}
         self.stabilised = self.settings.form == "stabilised" and self.model.m > 0
         if self.stabilised or self.events.speeds:
             ahead = None

@@ -25,13 +25,12 @@ from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.state import Counts
 from polyida.integrate.statics.static import FREE, Equilibrium
-from polyida.io.frames import MEMORY_LIMIT, require_bytes
+from polyida.io.layout import MEMORY_LIMIT, require_bytes
 from polyida.linear.lu import SingularSystem
 from polyida.linear.saddle import KKT
 from polyida.modal.modes import Modes
 from polyida.model.guarded import guard
-from polyida.objective.objective import Objective
-from polyida.objective.slopes import along_way
+from polyida.objective.objective import Objective, along_way
 from polyida.progress import over_time, require_progress
 from polyida.trajectory import Trajectory
 from polyida.validation import named_keywords

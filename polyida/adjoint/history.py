@@ -11,7 +11,7 @@ from polyida.errors import InputError
 from polyida.integrate.kinks import enough_steps, stretches
 from polyida.integrate.state import Counts, State, States
 from polyida.integrate.switches import steps_of
-from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.layout import MEMORY_LIMIT
 
 SAME = 1e-9  # steps that differ by less of their size are equal
 NUMBERS = 10  # of a State's vectors of n numbers, its memory with them

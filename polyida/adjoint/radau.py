@@ -21,7 +21,7 @@ from polyida.integrate.sizes import extent, typical_sizes
 from polyida.integrate.start import consistent_acceleration, far_side, on_velocity
 from polyida.integrate.state import Counts, State
 from polyida.integrate.switches import steps_of
-from polyida.io.frames import MEMORY_LIMIT
+from polyida.io.layout import MEMORY_LIMIT
 from polyida.linear.lu import dense
 from polyida.model.differences import jacobian
 

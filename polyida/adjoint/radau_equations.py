@@ -28,9 +28,8 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.integrate.start import rows_at
-from polyida.linear.lu import Kept, SingularSystem, block_matrix, dense
+from polyida.linear.lu import FactorCache, ScaledLU, SingularSystem, block_matrix, dense, scaled
 from polyida.linear.step_matrix import ENOUGH, LEFT, SLOW, Border
-from polyida.linear.whole import ScaledLU, scaled
 
 ROUNDS = 2  # solves with a step's own factor: the second takes what round-off left
 MOST = 25  # corrections with one set of factors of the modes
@@ -187,7 +186,7 @@ class SceneStageEquations(StageEquations):
 
     def __init__(self, model, tableau, lift, tied, counts):
         super().__init__(model, tableau, lift, tied, counts)
-        self.kept = Kept()
+        self.kept = FactorCache()
 
     def at(self, stages):
         """Take a step's stages, their constraints' rows and nodal rotations."""

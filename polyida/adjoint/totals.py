@@ -10,7 +10,7 @@ from polyida.adjoint.parameter import AdjointMultipliers
 from polyida.adjoint.parameters import parameters_of
 from polyida.errors import InputError
 from polyida.integrate.state import Counts
-from polyida.objective.slopes import Slopes
+from polyida.objective.objective import Slopes
 from polyida.reprs import counted, short, table
 from polyida.validation import is_one_of, named_keywords
 

@@ -52,7 +52,7 @@ LISTED = {"compared": "quantity", "source": "source"}
 
 def problems() -> list[dict]:
     """{name, what, compared, source} of each; the last two are empty for a user's."""
-    from polyida.problems.about import ABOUT
+    from polyida.problems import ABOUT
 
     return [
         {"name": name, "what": _description(registry.find(registry.problems, name))}

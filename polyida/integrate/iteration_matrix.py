@@ -16,8 +16,8 @@ from polyida.integrate.radau.tableau import radau
 from polyida.integrate.sizes import weights
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
+from polyida.linear.lu import condition, scaled
 from polyida.linear.saddle import assemble, scaling_size
-from polyida.linear.whole import condition, scaled
 from polyida.model import Model
 from polyida.model.guarded import guard, require_functions
 from polyida.validation import is_number, is_one_of, named_keywords

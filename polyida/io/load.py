@@ -7,7 +7,7 @@ import numpy as np
 
 from polyida import registry
 from polyida.errors import InputError
-from polyida.io.frames import MEMORY_LIMIT, require_bytes
+from polyida.io.layout import MEMORY_LIMIT, require_bytes
 from polyida.io.reader import naming, read
 from polyida.io.scene_data import UnknownPart, factors_from, from_data
 from polyida.sensor import Sensors

@@ -20,13 +20,13 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State
-from polyida.io.frames import StoredFrames
 from polyida.io.layout import (
     BLOCK_BYTES,
     FORMAT,
     FRAMES,
     HEAD,
     SENSORS,
+    StoredFrames,
     being_written,
     dtypes_of,
     frames_at_once,

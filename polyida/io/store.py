@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polyida.io.frames import MEMORY_LIMIT
-from polyida.io.layout import FRAMES, dtypes_of, shapes_of
+from polyida.io.layout import FRAMES, MEMORY_LIMIT, dtypes_of, shapes_of
 from polyida.io.reader import read_open
 from polyida.io.writer import NotWritten, taken
 from polyida.memory import LAZY, room

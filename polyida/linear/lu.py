@@ -1,11 +1,11 @@
-"""LU factors of any square matrix, dense or sparse, real or complex; matrices made of blocks; and how many factors of any kind are kept."""
+"""LU factors of square matrices, dense or sparse, real or complex; matrices made of blocks; scaling and condition numbers."""
 
 import numpy as np
 
 LEAST = 4 * np.finfo(float).eps  # pivot over n times the largest entry that may be round-off of zero
 SYMMETRIC_MODE = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 # constants of compiled code, some of them
-KEPT = 6  # factors that are kept, of the steps h used last
+KEPT = 6  # factors in a FactorCache
 
 
 class SingularSystem(Exception):
@@ -80,22 +80,120 @@ def _sparse(matrix, options):
     return (lambda b, transposed: lu.solve(b, trans="T" if transposed else "N")), lambda: lu.U.diagonal()
 
 
-class Kept:
-    """The factors of the few steps h that were used last: adaptive steps come back to them."""
+class FactorCache:
+    """The factors of the step sizes h that were used last: adaptive steps return to them."""
 
     def __init__(self):
         self.factors = {}
 
     def take(self, h):
-        """What is kept of this h, or None."""
+        """The factor of a step h, or None."""
         found = self.factors.pop(h, None)
         if found is not None:
             self.factors[h] = found
         return found
 
     def keep(self, h, factor):
-        """Keep a factor, in place of that of the h that has not been used for the longest time."""
+        """Store a factor and drop that of the h that has not been used for the longest time."""
         self.factors.pop(h, None)
         self.factors[h] = factor
         while len(self.factors) > KEPT:
             self.factors.pop(next(iter(self.factors)))
+
+
+def first_order_matrix(c, K, slope, lam, mu, on_q, on_v):
+    """The matrix, (N, N), of a Newton iteration on q' - v and r together, N = 2 n and the multipliers; CSC if K is sparse.
+
+        |  c I    -I                mu  |  |dq  |     q'
+        |  K    c M + C    lam          |  |dv  |     r
+        |  on q    on v                 |  |dlam|     derivatives of phi, in their order
+                                           |dmu |
+
+    c, 1/s, real or complex: the rate of q and v of a method divided by q and v. slope: c M + C. lam, mu: columns (n, m); mu is None in some
+    forms. on_q, on_v: rows of the constraints.
+    """
+    if hasattr(K, "tocsc"):
+        from scipy.sparse import eye_array as eye
+    else:
+        eye = np.eye
+    unit = eye(K.shape[0])
+    rows = [[c * unit, -unit, None, mu], [K, slope, lam, None], [on_q, on_v, None, None]]
+    return block_matrix(rows if mu is not None else [row[:3] for row in rows])
+
+
+def first_order_sizes(c, s, n, m, orders, mu, unit=1.0):
+    """Factors (of rows, of columns), (N,) each, of `first_order_matrix`.
+
+    Rows: q' is divided by c, r by s, the k-th derivative of phi, k in `orders`, by c^k. Columns: dv and mu are measured in c, lam in s, both
+    multipliers in `unit` besides. mu: True if there are columns mu.
+    """
+    rows = [np.full(n, 1 / c), np.full(n, 1 / s)] + [np.full(m, c**-k) for k in orders]
+    columns = [np.ones(n), np.full(n, c), np.full(m, s * unit)] + [np.full(m, c * unit)] * mu
+    return np.concatenate(rows), np.concatenate(columns)
+
+
+def first_order_units(n, m, mu):
+    """Factors 1 of the rows and columns of `first_order_matrix`."""
+    return tuple(np.ones((2, 2 * n + m * (2 if mu else 1))))
+
+
+class ScaledLU:
+    """A factor of diag(rows) A diag(columns) with partial pivoting: LAPACK's or, sparse, SuperLU's. Raises SingularSystem."""
+
+    def __init__(self, matrix, rows, columns):
+        self.rows, self.columns = rows, columns
+        self.lu = LU(scaled(matrix, rows, columns), pivoting=True)
+
+    def solve(self, b, transposed=False):
+        """A^-1 b, or A^-T b, (N,)."""
+        before, behind = (self.columns, self.rows) if transposed else (self.rows, self.columns)
+        return behind * self.lu.solve(before * b, transposed)
+
+
+EXACT = 2000  # unknowns up to which the dense inverse is computed
+
+
+def condition(matrix, exact=None):
+    """Condition number `|A| |A^-1|` of A (N, N), real or complex, dense or sparse; inf if A is singular.
+
+    exact: in the 2-norm (default up to 2000 unknowns), otherwise an estimate in the 1-norm (Higham, Tisseur 2000).
+    """
+    if exact is None:
+        exact = matrix.shape[0] <= EXACT
+    if exact:
+        return _exact(matrix)
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import LinearOperator, onenormest, splu
+
+    matrix = csc_array(matrix)
+    try:
+        lu = splu(matrix)
+    except RuntimeError:
+        return np.inf
+    back = lambda b: lu.solve(b, trans="H")  # noqa: E731
+    inverse = LinearOperator(matrix.shape, lu.solve, back, lu.solve, matrix.dtype, back)
+    return float(abs(matrix).sum(axis=0).max() * onenormest(inverse))
+
+
+def scaled(matrix, rows, columns):
+    """diag(rows) A diag(columns) for rows and columns (N,): CSC where A is sparse."""
+    if isinstance(matrix, np.ndarray):
+        return rows[:, None] * matrix * columns
+    from scipy.sparse import diags_array
+
+    return (diags_array(rows) @ matrix @ diags_array(columns)).tocsc()
+
+
+def _exact(matrix):
+    """|A| |A^-1| in the 2-norm. The inverse is that of the equilibrated matrix, scaled back: right also beyond 1e16."""
+    matrix = matrix.toarray() if hasattr(matrix, "toarray") else matrix
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rows = 1 / np.abs(matrix).max(axis=1)
+        columns = 1 / np.abs(rows[:, None] * matrix).max(axis=0)
+    if not (np.isfinite(rows).all() and np.isfinite(columns).all()):
+        return np.inf
+    try:
+        inverse = np.linalg.inv(rows[:, None] * matrix * columns)
+    except np.linalg.LinAlgError:
+        return np.inf
+    return float(np.linalg.norm(matrix, 2) * np.linalg.norm(columns[:, None] * inverse * rows, 2))

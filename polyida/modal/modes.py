@@ -11,7 +11,7 @@ from polyida.errors import InputError
 from polyida.integrate.state import State
 from polyida.integrate.statics.static import Equilibrium
 from polyida.modal import eigen
-from polyida.modal.system import linear_system
+from polyida.modal.eigen import linear_system
 from polyida.model import Model
 from polyida.reprs import brief
 from polyida.validation import is_flag, is_number, is_whole, named_keywords

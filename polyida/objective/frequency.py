@@ -9,8 +9,7 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.model.differences import along
 from polyida.model.guarded import guard
-from polyida.objective.objective import Objective, run_of
-from polyida.objective.slopes import Slopes, along_way, reach
+from polyida.objective.objective import Objective, Slopes, along_way, reach, run_of
 from polyida.validation import is_whole, named_keywords
 
 APART = 1e-6  # of omega^2: nearer frequencies are one, whose shapes nothing tells apart

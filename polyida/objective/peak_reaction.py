@@ -8,9 +8,9 @@ import numpy as np
 from polyida.errors import InputError
 from polyida.joint.joint import Joint
 from polyida.model.differences import along
-from polyida.objective.slopes import Slopes
+from polyida.objective.objective import Slopes
 from polyida.objective.time_mean import TimeMean, named, power
-from polyida.results.tables import components
+from polyida.results.motion import components
 from polyida.validation import complex_of_pairs, is_one_of, named_keywords, pairs_of, settle
 
 UNITS = ("N", "N m")

@@ -22,8 +22,7 @@ from polyida.io.layout import frames_at_once
 from polyida.joint.attachment import Attachment
 from polyida.model.differences import along, around
 from polyida.model.guarded import guard, unguarded
-from polyida.objective.objective import Objective, asked, run_of
-from polyida.objective.slopes import Slopes
+from polyida.objective.objective import Objective, Slopes, asked, run_of
 from polyida.validation import complex_of_pairs, floats, is_number, is_one_of, named_keywords
 
 NOTHING = 1e-30  # of the steepest: the slope of J in what is seen of a frame that is none, and too small for single precision

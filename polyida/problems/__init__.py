@@ -1,4 +1,4 @@
-"""Ready problems with references: `get(name)` gives a Problem, `names()` what there is. A user's own enters `polyida.registry.problems`."""
+"""Ready problems with references: `get(name)` returns a Problem, `names()` lists them; users add theirs to `polyida.registry.problems`."""
 
 import inspect
 from dataclasses import dataclass, field
@@ -16,16 +16,78 @@ if TYPE_CHECKING:
     from polyida.trajectory import Trajectory
 
 
+__all__ = ["Problem", "get", "names"]
+
+# What each problem compares, with units, and the source of its reference: one line, details after a semicolon.
+COMPUTED = (
+    "computed by DOP853 on the index-1 equations, rtol 1e-11; Radau IIA, rtol 1e-13, agrees to 3e-12 .. 5e-12 m, 5e-10 m/s, 6e-4 N "
+    "(python studies/digits.py)"
+)
+TIP = '"tip" in m, its velocity in m/s, lam in N and N m, at t = 1 s; largest absolute error'
+AT_POINT = '"{}" in m, its velocity in m/s, at t = {} s; largest absolute error'
+MECHANISM = "computed by DOP853 on the index-1 equations, rtol 1e-8 to 1e-12; Radau IIA, rtol 1e-12, agrees to 4e-12 m, 3e-9 m/s (python studies/digits.py)"
+
+ABOUT = {
+    "pendulum": {
+        "quantity": "q in m, v in m/s, lam in N, at t = 10 s; largest absolute error",
+        "source": "IFToMM library of benchmark problems, A01; elliptic closed form, v and lam from the energy",
+    },
+    "car-axis": {
+        "quantity": "q in m, v in m/s, lam in N/m, at t = 3 s; largest absolute error",
+        "source": "IVP test set, car axis problem (PSIDE)",
+    },
+    "andrews": {
+        "quantity": "q in rad, v in rad/s, a in rad/s2, lam in N, at t = 0.03 s; largest absolute error",
+        "source": "computed by DOP853 on the index-1 equations, rtol 2.3e-14; Radau IIA, rtol 1e-13, agrees to 2.5e-12 rad, the printed "
+        "digits of the IVP test set, Andrews' squeezing mechanism (PSIDE), to 1.4e-9 rad (python studies/digits.py andrews)",
+    },
+    "andrews-parts": {
+        "quantity": "angles in rad, their rates in rad/s, at t = 0.03 s; largest absolute error",
+        "source": "the digits of andrews, computed from its equations in minimal angles; those that are printed are 1.4e-9 rad away",
+    },
+    "double-plate": {"quantity": TIP.replace(" and N m", ""), "source": COMPUTED},
+    "double-plate-motors": {"quantity": TIP, "source": COMPUTED},
+    "plate-chain": {"quantity": TIP.replace(" and N m", ""), "source": COMPUTED},
+    "spin-up-beam": {
+        "quantity": "steady extension of the tip in m; mean over t >= 16 s",
+        "source": "Simo, Vu-Quoc, J. Appl. Mech. 53 (1986) 849; rho A w^2 L^3 / (3 EA) of the steadily turning bar",
+    },
+    "rigid-limit": {
+        "quantity": "nodal q in m, v in m/s, joint forces lam in N, at t_end; largest absolute error",
+        "source": "equation of two rigid bodies by DOP853; the flexible plates come near as 1 / E",
+    },
+    "rigid-pendulum": {"quantity": AT_POINT.format("tip", "1"), "source": "equation of two rigid bodies by DOP853, rtol 1e-13"},
+    "n-four-bar": {
+        "quantity": AT_POINT.format("B0", "0.7").replace("at t = 0.7 s", "at t_end"),
+        "source": "IFToMM library of benchmark problems, A02; equation of its one angle by DOP853, rtol 1e-13",
+    },
+    "slider-crank": {"quantity": AT_POINT.format("slider", "0.4"), "source": MECHANISM},
+    "four-bar": {"quantity": AT_POINT.format("pin", "0.5"), "source": MECHANISM},
+    "two-link-arm": {"quantity": AT_POINT.format("tip", "0.5"), "source": MECHANISM},
+    "peaucellier": {"quantity": AT_POINT.format("pen", "0.5"), "source": MECHANISM},
+}
+
+
+def __dir__():
+    return __all__
+
+
 @named_keywords
 @dataclass(frozen=True)
 class Problem:
-    """A model with its initial state and what is known of its solution.
+    """A model with its initial state and a reference solution.
 
-    model: a Model. q0, v0 (n,): initial state at t = 0, or None where the model's own is meant. t_end: s.
-    reference: {"q": (n,), "v": (n,), "lam": (m,), ...} at t_end, as far as known, in the model's signs and units.
-    source: where the reference comes from. quantity: what is compared, in which measure and units.
-    known_to: {part: how far the reference may be off}, in the reference's units; of computed ones, how far two
-    independent methods are apart. measures: {part: function(run)} for parts that are no array of a run's frames.
+    Parameters
+    ----------
+    name : str
+    model : Model
+    q0, v0 : (n,) float or None, initial state at t = 0; None for the default of `pi.solve`
+    t_end : float, s
+    reference : dict, {"q": (n,), "v": (n,), "lam": (m,), ...} at t_end, in the model's signs and units; empty if unknown
+    source : str, of the reference
+    quantity : str, the compared values with norm and units
+    known_to : dict, {part: accuracy of the reference} in its units; of a computed one the distance of two independent methods
+    measures : dict, {part: function(run)} for parts that are not an array of the run's frames
     """
 
     name: str
@@ -42,14 +104,26 @@ class Problem:
     __repr__ = brief
 
     def errors(self, **found: ArrayLike) -> dict[str, float]:
-        """{name: largest absolute deviation from the reference} of every given value, of the reference's shape.
+        """Compare values with the reference.
 
-        Raises InputError for a name that the reference does not know, and for another shape.
+        Parameters
+        ----------
+        **found : array_like, of the shape of the reference of the same name
+
+        Returns
+        -------
+        dict
+            {name: largest absolute deviation}, in the reference's units.
+
+        Raises
+        ------
+        InputError
+            For a name that is not in the reference, and for another shape.
         """
         return {name: self._error(name, value) for name, value in found.items()}
 
     def compare(self, run: "Trajectory") -> dict[str, float]:
-        """`errors` of a run at its end, for all that the reference knows. Raises InputError where it ends elsewhere."""
+        """`errors` of the last frame of a run, for all parts of the reference. Raises InputError if the run does not end at t_end."""
         if not len(getattr(run, "t", ())):
             raise InputError(f"problem {self.name!r}: {type(run).__name__} is no run with frames; give what solve returns")
         if abs(run.t[-1] - self.t_end) > 1e-9 * self.t_end:
@@ -77,10 +151,22 @@ def names() -> tuple[str, ...]:
 
 
 def get(name: str, **options: object) -> Problem:
-    """The Problem of this name, made with `options`.
+    """The problem of a name.
 
-    Raises InputError where there is none of that name, and for an option it does not take or cannot be made with,
-    naming the options there are.
+    Parameters
+    ----------
+    name : str, one of `names()`
+    **options
+        Options of the problem, such as `cells`.
+
+    Returns
+    -------
+    Problem
+
+    Raises
+    ------
+    InputError
+        For an unknown name or option, and for a wrong value of an option; the message lists the options.
     """
     if not is_one_of(name, registry.problems):
         raise InputError(f"problem {name!r} is unknown; there are {', '.join(registry.problems)}")
@@ -94,3 +180,8 @@ def get(name: str, **options: object) -> Problem:
         return make(**options)
     except InputError as error:
         raise InputError(f"problem {name!r}: {error}; {takes}") from None
+
+
+def point_measures(name):
+    """The `measures` of a problem that compares the place, m, and the velocity, m/s, of a named point at the end of a run."""
+    return {"point": lambda run: run.position(name)[-1], "velocity": lambda run: run.model.displacement(name, run.v[-1])}

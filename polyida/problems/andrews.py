@@ -1,83 +1,52 @@
-"""Andrews' squeezing mechanism of the IVP test set: seven bodies, three closed loops; M depends on q, forces on v.
+"""Andrews' squeezing mechanism: seven bodies, three closed loops; as a model in angles, and as a scene of rigid bodies.
 
-Digits of Andrews' mechanism at 0.03 s, by two methods of different form and time stepping, and those that are printed.
+`python studies/digits.py andrews` computes DIGITS, the solution at 0.03 s, by DOP853 on the index-1 equations, rtol 2.3e-14, projected
+onto the constraints 31 times. KNOWN_TO is the distance of Radau IIA on the stabilised form, rtol 1e-13. Extrapolated midpoint steps in
+long double lie between the two, 1.2e-12 rad from the one and 1.3e-12 rad from the other. PRINTED, the digits of the IVP test set (PSIDE),
+are 1.4e-9 rad, 5.4e-7 rad/s, 0.06 rad/s2 and 1.5e-5 N away.
 
-`python studies/digits.py andrews` makes and prints DIGITS: DOP853 on the index-1 equations, rtol 2.3e-14, put back on the
-constraints 31 times. KNOWN_TO is how far Radau IIA on the stabilised form, rtol 1e-13, is from them. Between the two, 1.2e-12
-rad from the one and 1.3e-12 rad from the other, lies what extrapolated midpoint steps in long double give.
-PRINTED, the digits of the IVP test set (PSIDE), are 1.4e-9 rad, 5.4e-7 rad/s, 0.06 rad/s2 and 1.5e-5 N away.
+Source: Schiehlen (ed.), Multibody Systems Handbook (1990); Hairer and Wanner, Solving Ordinary Differential Equations II, VII.7; IVP test
+set.
 """
 
 import numpy as np
 
+from polyida.body.rigid_body import RigidBody
+from polyida.force.elements import SpringDamper, Torque
+from polyida.joint.attachment import ground
+from polyida.joint.joints import Revolute
 from polyida.model import Model, Needs
-from polyida.problems import Problem
-from polyida.problems.about import ABOUT
+from polyida.problems import ABOUT, Problem
+from polyida.scene import Scene
 
-DIGITS = {
-    "q": [
-        15.81077119515467,
-        -15.75637105841306,
-        0.040822240119655,
-        -0.5347301163420637,
-        0.524409965879954,
-        0.5347301163420641,
-        1.048080741041938,
-    ],
-    "v": [
-        1139.920302259103,
-        -1424.379295177519,
-        11.03291191089448,
-        19.29337410551457,
-        0.5735699148437965,
-        -19.29337410551443,
-        0.3231791492575663,
-    ],
-    "a": [
-        -24631.76312383822,
-        51850.31963794932,
-        324102.600707537,
-        566749.4220009217,
-        16743.63541833566,
-        -566749.4220009217,
-        9826.507801567597,
-    ],
-    "lam": [199.1753481045239, -29.7553099750517, 23.06654361161853, 31.45272527575345, 22.64249478639132, 11.61739235263653],
-}
 
+def _numbers(texts):
+    return {part: np.array(text.split(), float) for part, text in texts.items()}
+
+
+DIGITS = _numbers(
+    {
+        "q": "15.81077119515467 -15.75637105841306 0.040822240119655 -0.5347301163420637 "
+        "0.524409965879954 0.5347301163420641 1.048080741041938",
+        "v": "1139.920302259103 -1424.379295177519 11.03291191089448 19.29337410551457 "
+        "0.5735699148437965 -19.29337410551443 0.3231791492575663",
+        "a": "-24631.76312383822 51850.31963794932 324102.600707537 566749.4220009217 "
+        "16743.63541833566 -566749.4220009217 9826.507801567597",
+        "lam": "199.1753481045239 -29.7553099750517 23.06654361161853 31.45272527575345 22.64249478639132 11.61739235263653",
+    }
+)
+PRINTED = _numbers(
+    {
+        "q": "15.81077119629904 -15.75637105984298 0.04082224013073101 -0.5347301163226948 "
+        "0.5244099658805303 0.5347301163226948 1.048080741042263",
+        "v": "1139.920302151208 -1424.379294994111 11.03291221937134 19.29337464421385 "
+        "0.5735699284790808 -19.29337464421385 0.3231791658026955",
+        "a": "-24631.76316946196 51850.37701610329 324102.5686413781 566749.3645176213 "
+        "16743.62929479361 -566749.3645176222 9826.520791458423",
+        "lam": "199.175333373191 -29.75531228015052 23.06654119098399 31.45271365475927 22.64249232082739 11.61740700019673",
+    }
+)
 KNOWN_TO = {"q": 2.6e-12, "v": 1e-9, "a": 3.1e-6, "lam": 1.7e-10}
-
-PRINTED = {
-    "q": [
-        15.81077119629904,
-        -15.75637105984298,
-        0.04082224013073101,
-        -0.5347301163226948,
-        0.5244099658805303,
-        0.5347301163226948,
-        1.048080741042263,
-    ],
-    "v": [
-        1139.920302151208,
-        -1424.379294994111,
-        11.03291221937134,
-        19.29337464421385,
-        0.5735699284790808,
-        -19.29337464421385,
-        0.3231791658026955,
-    ],
-    "a": [
-        -24631.76316946196,
-        51850.37701610329,
-        324102.5686413781,
-        566749.3645176213,
-        16743.62929479361,
-        -566749.3645176222,
-        9826.520791458423,
-    ],
-    "lam": [199.175333373191, -29.75531228015052, 23.06654119098399, 31.45271365475927, 22.64249232082739, 11.61740700019673],
-}
-
 
 BETA, THETA, GAMMA, PHI, DELTA, OMEGA, EPSILON = range(7)
 m1, m2, m3, m4, m5, m6, m7 = 0.04325, 0.00365, 0.02373, 0.00706, 0.0705, 0.00706, 0.05498
@@ -226,7 +195,91 @@ def problem():
         v0=np.zeros(7),
         t_end=0.03,
         q0=Q0.copy(),
-        reference={part: np.array(value) for part, value in DIGITS.items()},
+        reference=dict(DIGITS),
         known_to=dict(KNOWN_TO),
         **ABOUT["andrews"],
+    )
+
+
+BODIES = {  # mass, inertia, centre of mass, pins and other points, in own axes from the first of them, m; E joins K2, K3, K4 and K6
+    "K1": (m1, I1, (ra, 0.0), {"O": (0.0, 0.0), "P": (rr, 0.0)}),
+    "K2": (m2, I2, (-da, 0.0), {"P": (0.0, 0.0), "E": (-d, 0.0)}),
+    "K3": (m3, I3, (sb, -sa), {"B": (0.0, 0.0), "E": (0.0, -ss), "D": (sd, -sc)}),
+    "K4": (m4, I4, (0.0, -h), {"G": (0.0, 0.0), "E": (0.0, -e)}),
+    "K5": (m5, I5, (ta, -tb), {"A": (0.0, 0.0), "G": (zt, 0.0)}),
+    "K6": (m6, I6, (k, 0.0), {"H": (0.0, 0.0), "E": (zf, 0.0)}),
+    "K7": (m7, I7, (ub, -ua), {"A": (0.0, 0.0), "H": (0.0, -u)}),
+}
+GROUND = {"K1": "O", "K3": "B", "K5": "A", "K7": "A"}
+PINS = (("K1", "K2", "P"), ("K2", "K3", "E"), ("K2", "K4", "E"), ("K2", "K6", "E"), ("K4", "K5", "G"), ("K6", "K7", "H"))
+GYRATION = np.array([np.sqrt(inertia / mass) for mass, inertia, *_ in BODIES.values()])  # m, the unit of their turn in q
+ANGLES = TURNS @ Q0  # of the bodies at the start, rad
+
+
+def places():
+    """The pin that each body's axes begin at, at the start, complex, m."""
+    z, A = np.exp(1j * ANGLES), complex(xa, ya)
+    return {"O": 0j, "A": A, "B": complex(xb, yb), "P": rr * z[0], "G": A + zt * z[4], "H": A - 1j * u * z[6]}
+
+
+def andrews():
+    """The mechanism as a scene of rigid bodies at the published start.
+
+    Bodies K1 to K7 have pins at (0, 0), A and B on the ground; all but K1 and K3 form three loops. The axes of each body are turned by the
+    angle of its first direction in the equations: beta (K1), beta + Theta (K2), gamma (K3), Phi + delta (K4), delta (K5), Omega + epsilon
+    (K6), epsilon (K7).
+
+    Returns
+    -------
+    Scene
+        Bodies "K1" to "K7"; torque "drive" on K1; "spring" from the ground to the point D of K3.
+    """
+    scene, at, bodies = Scene(), {pin: (place.real, place.imag) for pin, place in places().items()}, {}
+    for (name, (mass, inertia, center, points)), angle in zip(BODIES.items(), ANGLES):
+        body = RigidBody(mass, inertia, points, origin=at[next(iter(points))], angle=angle, center=center, name=name)
+        bodies[name] = scene.add(body)
+    for name, pin in GROUND.items():
+        scene.add(Revolute(ground.at(at[pin]), bodies[name].at(pin), name=f"{pin} of {name}"))
+    for one, other, pin in PINS:
+        scene.add(Revolute(bodies[one].at(pin), bodies[other].at(pin), name=f"{pin} of {one} and {other}"))
+    scene.add(SpringDamper(ground.at((xc, yc)), bodies["K3"].at("D"), stiffness=c0, length=l0, name="spring"))
+    scene.add(Torque(bodies["K1"].at("O"), mom, name="drive"))
+    return scene
+
+
+def directions(q):
+    """What q (..., 28), or v, adds to the directions, of length one, of the seven bodies, complex, (..., 7)."""
+    return q.reshape(*q.shape[:-1], 7, 2, 2)[..., 1, :] @ (1, 1j) / GYRATION
+
+
+def angles(run):
+    """(beta, Theta, gamma, Phi, delta, Omega, epsilon) in every frame, (frames, 7), rad; frames must be less than half a turn apart."""
+    z = np.exp(1j * ANGLES) + directions(run.q[:])
+    return np.linalg.solve(TURNS, np.unwrap(np.angle(z), axis=0).T).T
+
+
+def rates(run):
+    """Their rates in every frame, (frames, 7), rad/s."""
+    z = np.exp(1j * ANGLES) + directions(run.q[:])
+    return np.linalg.solve(TURNS, (z.conj() * directions(run.v[:])).imag.T).T
+
+
+def at_end(run):
+    """The angles at the end of a run, whose frames may be few: whole turns are those of the reference."""
+    found, known = angles(run)[-1], DIGITS["q"]
+    return found + 2 * np.pi * np.round((known - found) / (2 * np.pi))
+
+
+def parts_problem():
+    """Andrews' mechanism made of seven rigid bodies, 0.03 s from rest."""
+    return Problem(
+        name="andrews-parts",
+        model=andrews().build(),
+        q0=None,
+        v0=None,
+        t_end=0.03,
+        reference={"angles": DIGITS["q"], "rates": DIGITS["v"]},
+        known_to={"angles": KNOWN_TO["q"], "rates": KNOWN_TO["v"]},
+        measures={"angles": at_end, "rates": lambda run: rates(run)[-1]},
+        **ABOUT["andrews-parts"],
     )

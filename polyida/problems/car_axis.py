@@ -3,8 +3,7 @@
 import numpy as np
 
 from polyida.model import Model, Needs
-from polyida.problems import Problem
-from polyida.problems.about import ABOUT
+from polyida.problems import ABOUT, Problem
 
 L, L0, RADIUS, OMEGA = 1.0, 0.5, 0.1, 10.0
 MASS = 10 * 0.01**2 / 2

@@ -17,9 +17,7 @@ from polyida.body.rigid_body import RigidBody
 from polyida.errors import InputError
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
-from polyida.problems import Problem
-from polyida.problems.about import ABOUT
-from polyida.problems.levels import measures
+from polyida.problems import ABOUT, Problem, point_measures
 from polyida.scene import Scene
 from polyida.validation import is_whole, positive
 
@@ -71,6 +69,6 @@ def problem(windows=2, t_end=0.7):
         t_end=t_end,
         reference={"point": point, "velocity": rate * np.array([-point[1], point[0]])},
         known_to={"point": 1e-12, "velocity": 1e-11},
-        measures=measures("B0"),
+        measures=point_measures("B0"),
         **ABOUT["n-four-bar"],
     )

@@ -3,8 +3,7 @@
 import numpy as np
 
 from polyida.model import Model, Needs
-from polyida.problems import Problem
-from polyida.problems.about import ABOUT
+from polyida.problems import ABOUT, Problem
 
 TABLE = (  # t, x, y
     (1.0, 0.9862917511318754, -0.165010853125541),

@@ -12,8 +12,7 @@ from polyida.body.plate import Material, Plate
 from polyida.force.loads import PointLoad
 from polyida.joint.attachment import ground
 from polyida.joint.joints import AngleMotor, Revolute
-from polyida.problems import Problem
-from polyida.problems.about import ABOUT
+from polyida.problems import ABOUT, Problem
 from polyida.scene import Scene
 
 LENGTH, EA, EI, LINE_MASS = 10.0, 2.8e7, 1.4e4, 1.2

@@ -19,7 +19,7 @@ from polyida.force.force_element import ForceElement
 from polyida.integrate.kinks import beside
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import cubic
-from polyida.io.frames import each
+from polyida.io.layout import each
 from polyida.reprs import brief
 from polyida.results.motion import Motion
 

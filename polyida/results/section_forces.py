@@ -11,7 +11,7 @@ from polyida.assembly.loads import gravity_at
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.plate import Plate
 from polyida.errors import InputError
-from polyida.io.frames import each
+from polyida.io.layout import each
 from polyida.mesh import PolygonMesh
 from polyida.reprs import brief
 from polyida.validation import complex_of_pairs, pairs_of, vector2

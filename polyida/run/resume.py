@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from polyida.environment import one_blas_thread
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, asked
-from polyida.io.frames import MEMORY_LIMIT, require_bytes
-from polyida.io.layout import FRAMES
+from polyida.io.layout import FRAMES, MEMORY_LIMIT, require_bytes
 from polyida.io.load import integrator_of, model_of, sensors_of
 from polyida.io.reader import naming, read
 from polyida.io.save import behind_blocks, commit, create, free

@@ -1,7 +1,9 @@
 """One run in progress: steps become frames, and whatever ends it, what there is comes back as a trajectory."""
 
+import signal
+import threading
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from itertools import islice
 
 import numpy as np
@@ -16,7 +18,6 @@ from polyida.io.save import behind_blocks, commit
 from polyida.io.writer import NotWritten
 from polyida.model.guarded import guard
 from polyida.progress import over_time
-from polyida.run import ctrl_c
 from polyida.run.accepted import accepted
 from polyida.run.sampling import Sampler, Until
 from polyida.sensor import Sensors
@@ -61,7 +62,7 @@ class Run:
         """
         run = None
         try:
-            with ctrl_c.noted() as presses:
+            with noted() as presses:
                 run = self._run(state, presses)
         except KeyboardInterrupt as error:
             if run is not None:
@@ -243,3 +244,51 @@ def _same(found, last, begin):
     """Whether two States are one, up to the round-off of steps that begin at another place of the grid."""
     near = abs(found.t - last.t) <= 1e-9 * (last.t - begin.t)
     return near and np.abs(found.q - last.q).max() <= 1e-6 * np.abs(last.q).max()
+
+
+_heard = [0]
+
+
+class Presses:
+    """Handler of SIGINT for one run. count: how often Ctrl-C was pressed. heeded: whether it ended the run."""
+
+    def __init__(self):
+        self.count, self.heeded = 0, False
+
+    def __call__(self, number, frame):
+        self.count += 1
+        if self.count > 1:
+            signal.default_int_handler(number, frame)
+        _heard[0] += 1
+
+    def heed(self):
+        """Raise KeyboardInterrupt if Ctrl-C was pressed."""
+        if self.count:
+            raise KeyboardInterrupt
+
+
+@contextmanager
+def noted():
+    """Context of a run in which Ctrl-C is noted; gives its Presses.
+
+    So a flush is not cut in two, and the exception is not lost in a place where Python ignores it. The context raises
+    KeyboardInterrupt at its end if Ctrl-C was pressed and did not end the run, for example after its last step. A run within a run
+    goes on after the first press, because the outer run may need its result; a second press ends both. Only in the main thread and
+    where Python's own handler is in place; elsewhere Ctrl-C does what it does.
+    """
+    before = signal.getsignal(signal.SIGINT) if threading.current_thread() is threading.main_thread() else None
+    outer, presses = isinstance(before, Presses), Presses()
+    if before is signal.default_int_handler:
+        signal.signal(signal.SIGINT, presses)
+    try:
+        yield presses
+    finally:
+        if before is signal.default_int_handler:
+            signal.signal(signal.SIGINT, before)
+        if (presses.count and not presses.heeded) or (outer and before.count > 1):
+            raise KeyboardInterrupt
+
+
+def heard():
+    """How often Ctrl-C was noted in this process: a run that it ended comes back as any other, and who goes on to the next must know."""
+    return _heard[0]

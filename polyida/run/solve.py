@@ -15,7 +15,7 @@ from polyida.environment import machine_info, one_blas_thread
 from polyida.errors import InputError, ReductionWarning
 from polyida.integrate.start import consistent_state, given, require_state, restarted
 from polyida.integrate.state import Counts, Integrator, State, asked, constant_step
-from polyida.io.frames import MEMORY_LIMIT, require_bytes
+from polyida.io.layout import MEMORY_LIMIT, require_bytes
 from polyida.io.save import create, free
 from polyida.io.store import FrameStore
 from polyida.model import Model

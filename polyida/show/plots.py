@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.results.motion import unbalanced
-from polyida.results.tables import quantity
+from polyida.results.motion import quantity, unbalanced
 from polyida.show import plates
 from polyida.show.style import (
     INK,

@@ -11,7 +11,7 @@ from polyida.errors import InputError
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.start import require_state
 from polyida.integrate.state import State
-from polyida.linear.whole import condition
+from polyida.linear.lu import condition
 from polyida.model.guarded import guard
 from polyida.progress import teller
 from polyida.show.style import on_axes, plain

@@ -14,7 +14,7 @@ from copy import deepcopy
 from typing import Any
 
 from polyida.errors import InputError
-from polyida.run.ctrl_c import heard
+from polyida.run.run import heard
 
 START = 60.0  # s that a process may take to start and import what its task needs
 GRACE = 5.0  # s beyond its limit after which a task ends itself, should nobody be left to end it

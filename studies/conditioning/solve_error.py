@@ -6,9 +6,8 @@ from conditioning.systems import alpha_blocks, alpha_factors
 from polyida.integrate.ida.forms import System
 from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.ida.whole import sizes, whole_matrix
-from polyida.linear.lu import dense
+from polyida.linear.lu import dense, scaled
 from polyida.linear.saddle import assemble
-from polyida.linear.whole import scaled
 
 REGULARISATION = 1e-8  # of the LDL^T without pivoting, on the multipliers' diagonal
 

@@ -9,9 +9,8 @@ from polyida.integrate.ida.integrator import IDA
 from polyida.integrate.iteration_matrix import condition_number
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.integrate.start import consistent_state
-from polyida.linear.lu import dense
+from polyida.linear.lu import condition, dense, scaled
 from polyida.linear.saddle import SCALINGS, assemble, scaling_size
-from polyida.linear.whole import condition, scaled
 from polyida.model import Model, Needs
 from polyida.problems import plates
 from polyida.run.solve import solve

@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 from polyida import problems, registry
 from polyida.body.plate import Plate
 from polyida.joint.attachment import Attachment
-from polyida.problems.levels import body_at
+from polyida.problems.mechanisms import body_at
 from polyida.scene import Scene
 
 FULL, RIGID = "full", "rigid"

@@ -14,7 +14,7 @@ from polyida.adjoint.tables import DenseAdjoint
 from polyida.errors import REFACTOR
 from polyida.model.differences import along
 from polyida.model.guarded import guard
-from polyida.objective.slopes import Slopes
+from polyida.objective.objective import Slopes
 from polyida.problems import andrews, car_axis, pendulum
 from polyida.system import scene as compiled_loop
 

@@ -8,7 +8,7 @@ import pytest
 
 import polyida as pi
 from polyida.io.layout import frames_at_once
-from polyida.io.table import fletcher32
+from polyida.io.writer import fletcher32
 from polyida.problems import plates
 
 FRAMES = ("t", "q", "v", "a", "lam")

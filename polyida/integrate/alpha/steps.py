@@ -9,7 +9,7 @@ from polyida.integrate.kinks import at_kink, inner_side
 from polyida.integrate.sizes import extent, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, Stretch
-from polyida.linear.lu import Kept, SingularSystem
+from polyida.linear.lu import FactorCache, SingularSystem
 from polyida.memory import room
 from polyida.system.python import table_of
 from polyida.system.table import INSTANTS
@@ -37,7 +37,7 @@ class Steps:
         self.caution = self.table.system(settings).caution
         self.system = self.spare = self.verdict = None
         self.longest = INSTANTS
-        self.kept, self.pause, self.rows, self.watch = Kept(), 0, _no_rows, None
+        self.kept, self.pause, self.rows, self.watch = FactorCache(), 0, _no_rows, None
 
     def begin(self, state, h):
         """Go on from a state that `started` has made ready for steps of h.

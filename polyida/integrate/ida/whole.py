@@ -18,8 +18,7 @@ import numpy as np
 
 from polyida.integrate.radau import matrices
 from polyida.integrate.radau.matrices import WholeModes
-from polyida.linear import whole
-from polyida.linear.lu import dense
+from polyida.linear.lu import dense, first_order_sizes, first_order_units
 from polyida.model.differences import bend, reach_along
 
 SCALINGS = ("characteristic", "none")
@@ -60,9 +59,9 @@ class FormRows:
 def sizes(scaling, form, n, m, cj, s):
     """Factors (of rows, of columns), (N,) each, of a scaling; n coordinates, m constraints, s the typical size of S."""
     if scaling == "none":
-        return whole.raw(n, m, form.stabilised)
+        return first_order_units(n, m, form.stabilised)
     kinds = (max(form.rows),) if form.combined else form.rows
-    return whole.sizes(cj, s, n, m, kinds, form.stabilised, 1 / cj if form.integrated else 1.0)
+    return first_order_sizes(cj, s, n, m, kinds, form.stabilised, 1 / cj if form.integrated else 1.0)
 
 
 def whole_matrix(system, t, y, yp, cj):

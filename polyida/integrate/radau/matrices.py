@@ -23,8 +23,7 @@ from functools import partial
 
 import numpy as np
 
-from polyida.linear import whole
-from polyida.linear.lu import LU, dense
+from polyida.linear.lu import LU, ScaledLU, dense, first_order_matrix, first_order_sizes, first_order_units
 from polyida.linear.saddle import typical
 from polyida.linear.step_matrix import Border, StepMatrix
 from polyida.model.differences import bend, reach_along
@@ -142,15 +141,15 @@ class Matrices:
 def whole_matrix(c, K, slope, rows):
     """(the matrix, typical size s of S) of K, slope = c M + C and the constraints' Rows: CSC where K is sparse, else dense."""
     mu = rows.G.T if rows.tied else None
-    return whole.joined(c, K, slope, rows.B.T, mu, rows.on_q, rows.on_v), typical(K + c * slope)
+    return first_order_matrix(c, K, slope, rows.B.T, mu, rows.on_q, rows.on_v), typical(K + c * slope)
 
 
 def sizes(scaling, c, s, n, m, tied):
     """Factors (of rows, of columns), (N,) each, of a scaling; tied: whether there is mu."""
     if scaling == "none":
-        return whole.raw(n, m, tied)
+        return first_order_units(n, m, tied)
     size = abs(c)
-    return whole.sizes(size, s if scaling == "physical" else size**2, n, m, (0, 1) if tied else (0,), tied)
+    return first_order_sizes(size, s if scaling == "physical" else size**2, n, m, (0, 1) if tied else (0,), tied)
 
 
 class WholeModes(Matrices):
@@ -181,7 +180,7 @@ class WholeModes(Matrices):
         n = self.model.n
         if self.borders[k] is None:
             matrix, s = whole_matrix(self.c[k], self.K, self.slopes[k], self.rows)
-            self.borders[k] = whole.ScaledLU(matrix, *self._sizes(self.c[k], s))
+            self.borders[k] = ScaledLU(matrix, *self._sizes(self.c[k], s))
         return self.borders[k].solve(np.concatenate([np.zeros(n), *below]))
 
     def _sizes(self, c, s):
