@@ -8,7 +8,7 @@ _PLACES = {
     "ReductionWarning": "errors",
     "Model": "model",
     "Needs": "model",
-    "compiled": "jit.compiled",
+    "compiled": "jit.user_functions",
     "check_derivatives": "model.check",
     "Material": "body.plate",
     "Plate": "body.plate",

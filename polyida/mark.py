@@ -229,7 +229,7 @@ class _MachineReader(_Reader):
             self.note(module, thing.__qualname__)
         elif isinstance(thing, tuple):
             self._all([type(thing), *thing])
-        elif isinstance(thing, BY_VALUE) or type(thing).__module__ == "polyida.jit.compiled":
+        elif isinstance(thing, BY_VALUE) or type(thing).__module__ == "polyida.jit.user_functions":
             super()._walk(thing)
         else:
             raise NoMark(type(thing).__name__)

@@ -183,7 +183,7 @@ def _values(function, t):
     """What a user's function of time gives at a time, or at an array of them: finite numbers."""
     if not np.ndim(t):
         return _checked(function, t)
-    from polyida.jit.own_functions import over
+    from polyida.jit.user_functions import over
 
     times = np.asarray(t, float)
     found = over("profile", function, times.ravel())

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from polyida import registry
-from polyida.assembly.hints import hint_of_left_out, hint_of_rigid
+from polyida.assembly.motion import hint_of_left_out, hint_of_rigid
 from polyida.errors import InputError
 from polyida.integrate.state import Counts, Restart, State, asked
 from polyida.io.layout import blocks, each

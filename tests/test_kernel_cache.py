@@ -171,6 +171,7 @@ def _used(kernel):
 
 def _file(module, name):
     """The file that `from module import name` reads."""
-    if (PACKAGE.parent / Path(*module.split("."), f"{name}.py")).exists():
+    place = PACKAGE.parent.joinpath(*module.split("."), name)
+    if place.with_suffix(".py").exists() or (place / "__init__.py").exists():
         module = f"{module}.{name}"
     return Path(importlib.import_module(module).__file__)

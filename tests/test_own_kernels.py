@@ -19,7 +19,7 @@ import polyida
 import polyida as pi
 from polyida import jit
 from polyida.jit import cache as kernel_cache
-from polyida.jit.own_functions import over
+from polyida.jit.user_functions import over
 from polyida.mark import machine_mark_of
 
 faster = pytest.mark.skipif(jit.compilers is None, reason="numba's own compilers keep code in files of their own, or do not keep it")
@@ -106,7 +106,7 @@ def test_the_mark_of_a_function_is_that_of_its_machine_code(edit, tmp_path, monk
 def test_kept_code_serves_other_processes_and_is_compiled_anew_where_it_does_not_fit(tmp_path):
     """Each process compares the forces with those in Python, and says what it compiled; polyida's own kernels are there."""
     kernels = kernel_cache.folder()
-    shutil.copytree(kernels, tmp_path / "cache" / kernels.name, ignore=shutil.ignore_patterns("own_functions.*"))
+    shutil.copytree(kernels, tmp_path / "cache" / kernels.name, ignore=shutil.ignore_patterns("user_functions.*"))
     own = {
         "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(polyida.__file__).parents[1])]),
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
@@ -126,7 +126,7 @@ def test_kept_code_serves_other_processes_and_is_compiled_anew_where_it_does_not
     assert not compiled() and not compiled(NO_CHANGES["the place in the file"])
     assert any("Own.force" in name for name in compiled(CHANGES["a constant in another file"]))
     assert not compiled(CHANGES["a constant in another file"]) and not compiled()
-    files = list((tmp_path / "cache").rglob("own_functions.*.nbc"))
+    files = list((tmp_path / "cache").rglob("user_functions.*.nbc"))
     for k, path in enumerate(files):
         path.write_bytes([b"", b"no pickle", path.read_bytes()[:200]][k % 3])
     assert files and any("Own.force" in name for name in compiled()) and not compiled()
@@ -189,7 +189,7 @@ def test_what_is_printed_is_the_same_from_kept_code(tmp_path):
     """Printing takes objects of Python, which kept code has to find again."""
     script = tmp_path / "script.py"
     script.write_text(
-        "import numpy as np, polyida as pi\nfrom polyida.jit.own_functions import over\n\n\ndef inner(x):\n    print(x)\n    return x[0]\n\n\n"
+        "import numpy as np, polyida as pi\nfrom polyida.jit.user_functions import over\n\n\ndef inner(x):\n    print(x)\n    return x[0]\n\n\n"
         "@pi.compiled\ndef outer(x):\n    return inner(x)\n\n\nover('test', outer, np.eye(2))\n"
     )
     settings = os.environ | {"PYTHONPATH": str(Path(polyida.__file__).parents[1]), "NUMBA_CACHE_DIR": str(tmp_path)}
@@ -205,16 +205,16 @@ def test_code_that_holds_an_address_is_not_kept(tmp_path, monkeypatch, recwarn):
     for size, kept in ((300_000, False), (3, True)):
         table = np.ones(size)
         assert over("test", pi.compiled(lambda x, table=table: x * table[2]), np.array([2.0]))[0, 0] == 2.0
-        assert any(tmp_path.rglob("own_functions.*")) is kept and not recwarn.list
+        assert any(tmp_path.rglob("user_functions.*")) is kept and not recwarn.list
 
 
 def test_old_files_of_users_functions_go(tmp_path, monkeypatch):
     monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
     for k in range(kernel_cache.KEPT_OWN + 2):
-        path = tmp_path / f"own_functions.{k}.nbc"
+        path = tmp_path / f"user_functions.{k}.nbc"
         path.touch()
         os.utime(path, (k, k))
     (tmp_path / "other.0.nbc").touch()
-    kernel_cache.remove_old_own.__wrapped__("own_functions")
-    assert not {"own_functions.0.nbc", "own_functions.1.nbc"} & {path.name for path in tmp_path.iterdir()}
+    kernel_cache.remove_old_own.__wrapped__("user_functions")
+    assert not {"user_functions.0.nbc", "user_functions.1.nbc"} & {path.name for path in tmp_path.iterdir()}
     assert len(list(tmp_path.iterdir())) == kernel_cache.KEPT_OWN + 1

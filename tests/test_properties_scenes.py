@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import polyida as pi
 from polyida.assembly.factors import mass_work, stiffness_work
-from polyida.assembly.loads import gravity_at
+from polyida.assembly.placement import gravity_at
 from polyida.results.motion import unbalanced
 
 PROFILE = settings(max_examples=15, phases=(Phase.generate,))

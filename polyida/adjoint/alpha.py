@@ -38,8 +38,8 @@ from polyida.integrate.state import State
 from polyida.jit import entry, fast, pack
 from polyida.jit.intrinsics import address, call
 from polyida.linear.lu import FactorCache
+from polyida.system import ADJOINT
 from polyida.system.python import small_own, small_table
-from polyida.system.table import ADJOINT
 
 # constants of compiled code
 Q, V, A, AHEAD = range(4)  # rows of Memory.bars

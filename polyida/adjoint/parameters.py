@@ -11,9 +11,9 @@ import numpy as np
 from polyida.adjoint.parameter import AdjointMultipliers, OfPart, Parameter, Shared, changed, entries_of, total, values_of, with_part
 from polyida.adjoint.profile_parameters import drive_works, element_work, in_time, of_profiles, over
 from polyida.assembly.factors import mass_work, stiffness_work
-from polyida.assembly.loads import gravity_at
 from polyida.assembly.motion import motion_of, motion_slopes, moves_at
 from polyida.assembly.own_forces import OwnForce
+from polyida.assembly.placement import gravity_at
 from polyida.body.body import Body
 from polyida.body.field_body import FieldBody
 from polyida.body.plate import Plate

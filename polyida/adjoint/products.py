@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly import compact
+from polyida.assembly import compact, joints
 from polyida.assembly.own_laws import add_own_curvature
-from polyida.assembly.rows import joints
 from polyida.element import cell_products, kernels, stabilisation
 from polyida.jit import entry, pack, part
 from polyida.linear.dense import clear

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from polyida.adjoint.parameter import AdjointMultipliers, Parameter, entries_of, holding_profile, total, with_profile
-from polyida.assembly.loads import GRAVITY
+from polyida.assembly.increments import drive_table
 from polyida.assembly.own_forces import OwnForce
-from polyida.assembly.rows.increments import drive_table
+from polyida.assembly.placement import GRAVITY
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement, profiles_of
 from polyida.force.loads import EdgeTraction, PointLoad

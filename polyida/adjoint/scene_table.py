@@ -9,18 +9,17 @@ from numba import carray, typeof
 from polyida.adjoint import products
 from polyida.adjoint.products import DZ, Scratch, arrays_of, scratch
 from polyida.adjoint.tables import AdjointTable
-from polyida.assembly import corotated
+from polyida.assembly import corotated, joints
+from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import Laws
-from polyida.assembly.rows import joints
-from polyida.assembly.rows.increments import drive_table
 from polyida.environment import threads
 from polyida.errors import DONE, REFACTOR, SINGULAR
 from polyida.integrate.alpha.step import SLOW
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear.team import Helpers
+from polyida.system import ADJOINT, ENTRIES, c_address
 from polyida.system import scene as forward
-from polyida.system.table import ADJOINT, ENTRIES, c_address
 
 # constants of compiled code
 CONTRACTION, AGE, SOLVES, LARGEST = range(4)  # of SceneAdjointWork.marks

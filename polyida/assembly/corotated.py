@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly import joints
 from polyida.assembly.border import Border, BorderRoom, body_of_points, border, border_room, look, solve_border
 from polyida.assembly.equilibrium import combined, symmetric_blocks
 from polyida.assembly.own_laws import add_own_curvature
-from polyida.assembly.rows import joints
 from polyida.jit import entry, pack, part, shared
 from polyida.linear.dissection import Symbolic, symbolic_of
 from polyida.linear.fronts import factorize, single, solve_fronts

@@ -3,7 +3,7 @@
 import numpy as np
 
 from polyida.assembly import compact
-from polyida.assembly.rows.joints import joint_forces, point_values, spread
+from polyida.assembly.joints import joint_forces, point_values, spread
 from polyida.element import kernels, stabilisation, two_states
 from polyida.jit import entry, leaf, shared
 from polyida.linear.dense import clear

@@ -11,7 +11,7 @@ import numpy as np
 from polyida.assembly.arrays import concatenated, starts
 from polyida.assembly.build import operator_arrays
 from polyida.assembly.equilibrium import cells
-from polyida.assembly.loads import dead_loads, steady
+from polyida.assembly.placement import dead_loads, steady
 from polyida.element import cell_products as kernels
 from polyida.errors import InputError
 from polyida.jit import entry

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from polyida.assembly.arrays import starts
-from polyida.assembly.rows.joints import point_values, spread
+from polyida.assembly.joints import point_values, spread
 from polyida.body.body import writes
 from polyida.errors import DONE, InputError
 from polyida.force.force_element import ForceElement, Side, profiles_of, sides_of
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.jit.own_data import OwnData
+from polyida.jit.user_functions import OwnData
 from polyida.profile import polynomial
 from polyida.validation import pairs_of
 

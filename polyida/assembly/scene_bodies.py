@@ -4,9 +4,9 @@ from functools import cached_property
 
 import numpy as np
 
+from polyida.assembly import joints as rows
 from polyida.assembly.arrays import concatenated
-from polyida.assembly.places import PlacedPlate
-from polyida.assembly.rows import joints as rows
+from polyida.assembly.placement import PlacedPlate
 from polyida.body.body import points_of
 from polyida.element import kernels
 from polyida.errors import InputError

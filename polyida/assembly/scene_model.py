@@ -12,21 +12,24 @@ from polyida.assembly.build import assemble, extent_of, few_of, of_kind, plates_
 from polyida.assembly.corotated import SceneStepMatrix
 from polyida.assembly.equilibrium import add_damping, blocks_at
 from polyida.assembly.factors import factors_of, scaled, told
-from polyida.assembly.loads import Powers, largest
+from polyida.assembly.increments import Increments
+from polyida.assembly.independence import Redundant
 from polyida.assembly.motion import velocity_at
 from polyida.assembly.own_forces import Elastic, OwnForce, OwnForces, uneven_drag, uneven_mass
 from polyida.assembly.own_laws import add_own_forces
-from polyida.assembly.rows.increments import Increments
-from polyida.assembly.rows.redundant import Redundant
-from polyida.assembly.rows.tie import MassSystem
+from polyida.assembly.placement import dead_loads, largest
+from polyida.assembly.projection import MassSystem
 from polyida.assembly.scene_bodies import SceneBodies, deepest
 from polyida.force.force_element import ForceElement
+from polyida.joint.formula import Row, rows_of
 from polyida.linear.lu import dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model import Needs
+from polyida.model.differences import along
 from polyida.profile import Profile
 from polyida.validation import pairs_of
 
+NEAR = 1e-3  # of the size of its sides' places, over which an element's energy is differentiated: contacts are that shallow
 SMALL = 100  # coordinates and multipliers up to which dense matrices are cheaper than what sparse ones cost in Python
 
 
@@ -327,3 +330,49 @@ def again(kind, parts, gravity, redundant, factors):
     """A model of a kind behind pickle."""
     model = kind(parts, gravity, redundant)
     return model.with_factors(**factors) if factors else model
+
+
+class Powers:
+    """{name: W} at an instant, of loads, of joints whose rows a profile drives, of force elements beyond their energy, of damping.
+
+    A load gives `f . v`, alike gravity that follows a profile, a joint `lam . phi_t` of its rows (the force `-phi_q^T lam` on `v`, and
+    `phi_q v = -phi_t`), an element `sum f . v + dE/dt`, a plate minus what its damping takes. dissipating: names of those that only take.
+    """
+
+    def __init__(self, model):
+        self.model = model
+        self._loads = dead_loads(model.parts, model.gravity, model.places)
+        self._driven = {name: model.rows[name] for name, part in model.joints.items() if _driven(part)}
+        self._elements = [own for own in model.own_forces.each if not own.strain]
+        self._damped = [placed for placed in (*model.bodies, *model.few) if placed.damped]
+        self.dissipating = (*(own.name for own in self._elements if own.element.dissipates), *(body.name for body in self._damped))
+
+    def __call__(self, t, q, v, lam):
+        found = {}
+        for load in self._loads:
+            found[load.name] = found.get(load.name, 0.0) + load.power(t, v)
+        if self._driven:
+            power = lam * self.model.phi_t(t, q)
+            found |= {name: float(power[rows].sum()) for name, rows in self._driven.items()}
+        found |= {own.name: _beyond_energy(own, t, own.places(q), own.velocities(v)) for own in self._elements}
+        if not self._damped:
+            return found
+        u, speeds = q.reshape(-1, 2).copy(), v.reshape(-1, 2).copy()
+        force = np.zeros_like(u)
+        add_damping(self.model.arrays, u, speeds, np.empty_like(u), force)
+        if self.model.uneven_drag is not None:
+            force += (self.model.uneven_drag @ v).reshape(force.shape)
+        return found | {body.name: -float(np.vdot(force[body.pairs], speeds[body.pairs])) for body in self._damped}
+
+
+def _driven(part):
+    """Whether a profile drives one of the rows of a joint."""
+    return any(row.driven for row in rows_of(part.rows()) if isinstance(row, Row))
+
+
+def _beyond_energy(own, t, x, v):
+    """`sum f . v + dE/dt` of a force element, W: zero where its forces are those of its energy E."""
+    power, pace = float(np.vdot(own.forces(t, x, v), v)), float(np.abs(v / own.sizes).max())
+    if not pace:
+        return 0.0
+    return power + pace * float(along(lambda s: own.energy(x + s / pace * v), NEAR))

@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly import corotated
+from polyida.assembly import corotated, joints
 from polyida.assembly.border import Border, BorderRoom, body_blocks, border, border_room, look, solve_border, solve_border_again, width
 from polyida.assembly.equilibrium import momentum
-from polyida.assembly.rows import joints
 from polyida.jit import pack, part
 from polyida.linear.dense import clear
 

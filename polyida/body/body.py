@@ -51,7 +51,7 @@ def writes(part, base, function):
 
 def compiled_functions(part, base, *names):
     """{name: function} of those that the class of a part writes, for numba; empty where they are Python, or use a function that is."""
-    from polyida.jit.own_data import OwnData
+    from polyida.jit.user_functions import OwnData
 
     found = {name: getattr(type(part), name) for name in names if writes(part, base, name)}
     return found if part.by_numba and not OwnData(part, found.values()).python else {}

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.jit.compiled import compiled
+from polyida.jit.user_functions import compiled
 from polyida.joint.attachment import require_places, require_sides
 from polyida.validation import named_keywords, number, positive, settle
 

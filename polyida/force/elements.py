@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
-from polyida.jit.compiled import compiled, is_compiled
+from polyida.jit.user_functions import compiled, is_compiled
 from polyida.joint.attachment import Attachment, Ground, ground, require_attachment, require_directions, require_places, require_sides
 from polyida.profile import Profile, as_profile
 from polyida.validation import is_flag, named_keywords, number, reals, settle

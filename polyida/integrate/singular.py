@@ -4,10 +4,10 @@ Where phi_q loses rank a mechanism can branch: what comes behind follows from ro
 length one, a state is singular where their smallest singular value s is zero. Between two states it was zero where
 s_0 + s_1 is not more than the way that the rows went (no singular value changes by more than the matrix) and their space
 came back reversed: then `det(B_0 B_1^T) < 0`, which no smooth step does. Of a scene compiled code proves for nearly every state
-that it is neither (assembly/rows/unit_rows.py), and only the others are looked at here.
+that it is neither (assembly/independence.py), and only the others are looked at here.
 """
 
-from polyida.assembly.rows.unit_rows import UnitRows
+from polyida.assembly.independence import UnitRows
 from polyida.errors import StepFailure
 from polyida.linear.saddle import between, coordinate_sizes, cosine, involved, least, rows_of, way
 from polyida.model.guarded import Compiled, unguarded

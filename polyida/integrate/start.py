@@ -5,7 +5,7 @@ from functools import singledispatch
 import numpy as np
 from numpy.typing import ArrayLike
 
-from polyida.assembly.rows.unit_rows import UnitRows
+from polyida.assembly.independence import UnitRows
 from polyida.errors import InputError
 from polyida.integrate.sizes import ROUND_OFF, extent
 from polyida.integrate.state import State

@@ -73,7 +73,7 @@ class Model:
     looks_apart = 1  # states from one look at the independence of phi_q's rows to the next
     dissipating = ()  # names in `powers` of what only takes
     treats_redundant = "refuse"  # what a scene was told to do with redundant constraints
-    redundant: Any = None  # rows of phi that it leaves out, as assembly/rows/redundant.py has them
+    redundant: Any = None  # rows of phi that it leaves out, as assembly/independence.py has them
     not_finite = ""  # which of its functions last gave numbers that are not finite, in words
 
     def __repr__(self):

@@ -11,8 +11,7 @@ from traceback import extract_tb
 import numpy as np
 
 from polyida.errors import DONE, REASONS, InputError, StepFailure
-from polyida.jit.own_data import OwnData
-from polyida.jit.own_functions import CALLBACK
+from polyida.jit.user_functions import CALLBACK, OwnData
 from polyida.model import Model, Needs, require_model
 from polyida.model.differences import FIRST_ORDER_STEP
 from polyida.validation import floats, is_number, is_whole, read_only

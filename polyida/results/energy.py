@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from polyida.assembly.loads import dead_loads
+from polyida.assembly.placement import dead_loads
 from polyida.body.body import writes
 from polyida.force.force_element import ForceElement
 from polyida.integrate.kinks import beside

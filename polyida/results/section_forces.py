@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from polyida.assembly.loads import gravity_at
+from polyida.assembly.placement import gravity_at
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.plate import Plate
 from polyida.errors import InputError

@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.errors import InputError
 from polyida.integrate.state import Stretch, between
-from polyida.jit.own_functions import over
+from polyida.jit.user_functions import over
 from polyida.sensor import Sensor
 from polyida.validation import is_number, read_only, reals
 

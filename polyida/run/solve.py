@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from polyida.assembly.hints import hint_of_left_out
+from polyida.assembly.motion import hint_of_left_out
 from polyida.environment import machine_info, one_blas_thread
 from polyida.errors import InputError, ReductionWarning
 from polyida.integrate.start import consistent_state, given, require_state, restarted

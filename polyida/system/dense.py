@@ -14,7 +14,7 @@ from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call, pointer
 from polyida.linear import dense
 from polyida.model.differences import FIRST_ORDER_STEP
-from polyida.system.table import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, c_address
+from polyida.system import ACCEPT, CLOSE, FACTOR, HOLD, PROJECT, RATE, RESIDUAL, SOLVE, c_address
 
 # constants of compiled code
 MASS, FORCE, PHI, PHI_Q, PHI_T, WHOLE, ACCEPTED, TANGENT, FORCE_Q, FORCE_V, MASS_A_Q, REACTION_Q, PHI_BIAS, POTENTIAL = range(14)

@@ -8,12 +8,12 @@ from functools import partial
 import numpy as np
 
 from polyida.errors import DONE, NOT_FINITE, RAISED, REASONS, SINGULAR, StepFailure
-from polyida.jit.own_functions import CALLBACK
+from polyida.jit.user_functions import CALLBACK
 from polyida.linear.lu import SingularSystem, dense
 from polyida.linear.step_matrix import StepMatrix
 from polyida.model.guarded import MOST, OF_STEPS, Compiled, unguarded, writes
+from polyida.system import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 from polyida.system import dense as small
-from polyida.system.table import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE
 
 SHORT, LONG = 5e-3, 20e-3  # s
 VIEWS = 4096  # arrays at addresses that are kept

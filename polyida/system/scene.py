@@ -7,23 +7,22 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
-from polyida.assembly import corotated
+from polyida.assembly import corotated, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.compact import Compact
 from polyida.assembly.equilibrium import add_damping
+from polyida.assembly.increments import drive_table, gain_table
 from polyida.assembly.own_laws import Laws, add_own_forces
-from polyida.assembly.rows import joints
-from polyida.assembly.rows.increments import drive_table, gain_table
-from polyida.assembly.rows.tie import Tie, velocity_rate
-from polyida.assembly.rows.tie import project as project_rows
-from polyida.assembly.rows.tie import tie as tie_of
+from polyida.assembly.projection import Tie, velocity_rate
+from polyida.assembly.projection import project as project_rows
+from polyida.assembly.projection import tie as tie_of
 from polyida.environment import threads
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import clear
 from polyida.linear.team import Helpers
-from polyida.system.table import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address
+from polyida.system import ACCEPT, CLOSE, ENTRIES, HOLD, INSTANTS, PROJECT, RATE, RESIDUAL, SOLVE, c_address
 
 SHARED = 20_000  # coordinates from which on the threads that are asked for share the solves
 # constants of compiled code

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from polyida.assembly import equilibrium
-from polyida.assembly.rows import joints as joint_rows
+from polyida.assembly import joints as joint_rows
 from polyida.assembly.scene_model import SceneModel
 from polyida.body.rigid_body import PointMass
 from polyida.integrate.alpha.generalized_alpha import GeneralizedAlpha

@@ -18,7 +18,7 @@ from polyida.problems import plates
 from polyida.run.resume import resume
 from polyida.run.solve import solve
 from polyida.study.harness import Study, results
-from polyida.system.table import INSTANTS
+from polyida.system import INSTANTS
 from stress.outcome import Check, integrator
 
 FLUSH = 50  # steps between flushes

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.hints import deformation
+from polyida.assembly.motion import deformation
 from polyida.body.plate import Material
 from polyida.problems import plates
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.rows.unit_rows import LEAST, UnitRows
+from polyida.assembly.independence import LEAST, UnitRows
 from polyida.integrate.state import State
 from polyida.linear.saddle import coordinate_sizes, least, rows_of
 

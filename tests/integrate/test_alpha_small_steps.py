@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.assembly.rows import increments, joints
+from polyida.assembly import increments, joints
 from polyida.integrate.start import consistent_acceleration
 from polyida.integrate.state import State
 from polyida.problems import plates

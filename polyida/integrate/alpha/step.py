@@ -1,4 +1,4 @@
-"""The compiled steps of generalized-alpha on flat arrays, of any model through its table (system/table.py): predict, correct, judge, finish.
+"""The compiled steps of generalized-alpha on flat arrays, of any model through its table (polyida.system): predict, correct, judge, finish.
 
 The stabilised form has positions on phi = 0 and velocities on `phi_q v + phi_t = 0` at once:
 `q_1 = q_0 + h v_0 + h^2 ((1/2 - beta) a_0 + beta a_1) - M^-1 phi_q^T eta`. eta takes up the local error of q along the constraints, so that v,
@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida import system as table
 from polyida.errors import DONE, NOT_FINITE, REFACTOR, TOO_FAR, TOO_NEAR
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.system import table
 
 EPS = 2.0**-52
 SLOW = 0.3  # contraction above which the matrix is made anew

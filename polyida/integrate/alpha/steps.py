@@ -11,8 +11,8 @@ from polyida.integrate.start import start_values
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import FactorCache, SingularSystem
 from polyida.memory import room
+from polyida.system import INSTANTS
 from polyida.system.python import table_of
-from polyida.system.table import INSTANTS
 
 ADAPTIVE = 128  # steps of a stretch whose step may change any time
 

@@ -19,6 +19,7 @@ from polyida.errors import DONE, NOT_FINITE
 from polyida.jit import entry, part
 from polyida.model.differences import FIRST_ORDER_STEP, along
 from polyida.model.guarded import OF_STEPS, unguarded
+from polyida.system import ACCELERATION, INSTANTS, KINETIC, MIDDLE, c_address
 from polyida.system.dense import (
     END,
     ENDED,
@@ -36,7 +37,6 @@ from polyida.system.dense import (
     vector,
 )  # fmt: skip
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
-from polyida.system.table import ACCELERATION, INSTANTS, KINETIC, MIDDLE, c_address
 
 SPAN = 0.125 / FIRST_ORDER_STEP  # V' from values at +-1/8 and +-1/4 of dq: the nearer, the more round-off
 STEP = FIRST_ORDER_STEP * SPAN  # of dq: V' from values at one and two of them to each side

@@ -1,4 +1,4 @@
-"""The compiled loop of the energy-momentum method: stretches of steps of any model, through its table (system/table.py).
+"""The compiled loop of the energy-momentum method: stretches of steps of any model, through its table (polyida.system).
 
 Newton on dq of the end. The derivative of the residual is `S/2`, `S = (4/h^2) M + (2/h) C + K` at the middle, which is a step matrix, but for
 what is not symmetric and for the Jacobian of phi at the end in place of that at the middle. Both are near enough for Newton to contract, and
@@ -10,10 +10,10 @@ It ends after one correction if the contraction that was measured in earlier ste
 
 import numpy as np
 
+from polyida import system as table
 from polyida.errors import DONE, NOT_FINITE, REFACTOR
 from polyida.jit import entry, part
 from polyida.jit.intrinsics import address, call
-from polyida.system import table
 
 # constants of compiled code: rows of `now` (NOW, n), the first five as MIDDLE takes them, and of `rows` (ROWS, m)
 Q0, Q1, QM, VM, AM, V0, V1, R, DQ, A = range(10)  # from A on: backward differences of the accelerations of the last steps

@@ -3,12 +3,11 @@
 import numpy as np
 from numba import carray
 
-from polyida.assembly import compact
+from polyida.assembly import compact, joints
 from polyida.assembly import equilibrium as kernels
+from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import take_midpoint_forces
-from polyida.assembly.rows import joints
-from polyida.assembly.rows.increments import drive_table
-from polyida.assembly.rows.tie import constrain
+from polyida.assembly.projection import constrain
 from polyida.element import kernels as elements
 from polyida.element import stabilisation, two_states
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
@@ -16,6 +15,7 @@ from polyida.integrate.energy.dense import ENDS, OfMiddles, missing
 from polyida.jit import entry, part
 from polyida.jit.intrinsics import pointer
 from polyida.linear.dense import clear
+from polyida.system import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE
 from polyida.system.python import PythonTable
 from polyida.system.scene import (
     COSINE,
@@ -33,7 +33,6 @@ from polyida.system.scene import (
     pairs,
     rows,
 )  # fmt: skip
-from polyida.system.table import ACCELERATION, ACCEPT, INSTANTS, KINETIC, MIDDLE, PROJECT, RATE, SOLVE
 
 
 @entry

@@ -19,7 +19,7 @@ from polyida.integrate.sizes import chosen, relative_tolerance, sizes_of_run, ty
 from polyida.integrate.start import far_side
 from polyida.integrate.state import Counts, State, States
 from polyida.model import Model
-from polyida.system.table import INSTANTS
+from polyida.system import INSTANTS
 from polyida.validation import floats, is_flag, is_number, is_one_of, is_whole, named_keywords
 
 LINEAR = ("auto", "kkt", "whole")

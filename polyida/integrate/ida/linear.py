@@ -21,7 +21,7 @@ from polyida.integrate.state import Counts
 from polyida.jit import typed
 from polyida.linear.lu import SingularSystem
 from polyida.model.guarded import unguarded, writes
-from polyida.system.table import MATRICES, RESIDUAL
+from polyida.system import MATRICES, RESIDUAL
 
 MOST = 5  # order of a backward differentiation formula, at most
 LEADS = np.cumsum(1 / np.arange(1, MOST + 1)).tolist()  # cj h of the orders, whatever the steps before

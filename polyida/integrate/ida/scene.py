@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from polyida.assembly.rows import joints
+from polyida import system as of
+from polyida.assembly import joints
 from polyida.assembly.stabilised_border import massive, stabilised_room
 from polyida.errors import DONE
 from polyida.integrate.ida.step import INSTANT
 from polyida.integrate.radau.tables import scene as stages
 from polyida.integrate.radau.tables.scene import SceneStages, Solver, rows
 from polyida.jit import entry
-from polyida.system import table as of
 
 
 @entry

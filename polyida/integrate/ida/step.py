@@ -13,7 +13,7 @@ The first row gives dv; what remains is
     |  P + cj Q      Q B^T | |dlam| = |rc + Q r1|
                              |dmu |
 
-the system of a real mode of Radau IIA with c = cj and unit weights of mu (system/table.py), and so the same entries of the tables.
+the system of a real mode of Radau IIA with c = cj and unit weights of mu (polyida.system), and so the same entries of the tables.
 """
 
 from typing import NamedTuple
@@ -23,8 +23,8 @@ import numpy as np
 from polyida.errors import DONE, NOT_FINITE
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
+from polyida.system import BIAS, CLOSE, MATRICES, OFF, RATE, REACTION, REAL, RESIDUAL, ROWS, SELECT
 from polyida.system.dense import finite
-from polyida.system.table import BIAS, CLOSE, MATRICES, OFF, RATE, REACTION, REAL, RESIDUAL, ROWS, SELECT
 
 # constants of compiled code
 INTEGRATED, BENDS = range(2)  # of Iterate.flags; BENDS: phi is a row and not linear

@@ -13,8 +13,8 @@ from polyida.integrate.radau.matrices import Matrices
 from polyida.integrate.radau.tableau import Mode, Tableau
 from polyida.integrate.radau.tables.python import PythonStages, dense_table
 from polyida.linear.step_matrix import MANY
+from polyida.system import BIAS
 from polyida.system.python import small_own
-from polyida.system.table import BIAS
 
 HEAVY = 1e4  # mass at a point over a plate's, above which a scene takes the general callbacks in double precision
 ONE = np.ones(1)

@@ -26,7 +26,7 @@ from polyida.integrate.radau.step import stages as solved
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
 from polyida.linear.lu import KEPT as SLOTS
-from polyida.system.table import MATRICES, PREPARE, SELECT
+from polyida.system import MATRICES, PREPARE, SELECT
 
 NEVER = 1e9  # iterations, the least a step of factors that solved none: files take finite numbers only
 FAILURES = 20.0  # in a row

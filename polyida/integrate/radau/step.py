@@ -1,4 +1,4 @@
-"""A step of Radau IIA in compiled code, of any model through its table (system/table.py).
+"""A step of Radau IIA in compiled code, of any model through its table (polyida.system).
 
 With `q_i = q_0 + c_i h v_0 + e_i` the unknowns of the stages are e, lam and mu; v and v' follow from them,
 
@@ -24,7 +24,7 @@ from polyida.errors import DONE, NOT_FINITE, REFACTOR, SINGULAR
 from polyida.integrate.sizes import ROUND_OFF
 from polyida.jit import fast, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.system.table import ACCELERATION, ACCEPT, CLOSE, HOLD, OFF, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
+from polyida.system import ACCELERATION, ACCEPT, CLOSE, HOLD, OFF, PAIR, PROJECT, RATE, REACTION, REAL, RESIDUAL, ROWS, TURN
 
 SLOW = 0.9  # contraction beyond which a correction of ROUND of the size is round-off: one that still shrinks is none
 ROUND = 1e-11

@@ -58,7 +58,7 @@ from polyida.integrate.sizes import ROUND_OFF, weights
 from polyida.integrate.start import start_values
 from polyida.integrate.state import State, Stretch
 from polyida.linear.lu import SingularSystem
-from polyida.system.table import ACCELERATION, STEPS
+from polyida.system import ACCELERATION, STEPS
 
 WORK = "residuals", "newton_iterations", "solves", "rejected", "tangents", "factorizations"
 CHUNK = 4_000_000  # bytes that the steps of a stretch leave

@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
+from polyida import system as of
 from polyida.errors import DONE, NO_MATRIX, SINGULAR
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, complex_pointer
 from polyida.linear import dense as lu
 from polyida.linear.lu import KEPT as SLOTS
 from polyida.model.differences import NEAR
-from polyida.system import dense
-from polyida.system import table as of
+from polyida.system import c_address, dense
 from polyida.system.dense import (
     BENT,
     END,
@@ -36,7 +36,6 @@ from polyida.system.dense import (
     take_rows,
     vector,
 )
-from polyida.system.table import c_address
 
 CHOSEN, MADE, TIED = range(
     3

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from polyida import system as of
 from polyida.errors import DONE, REASONS, SINGULAR, InputError
 from polyida.integrate.kinks import inner_side
 from polyida.integrate.radau.matrices import Rows
@@ -9,7 +10,6 @@ from polyida.integrate.radau.tables import dense as small
 from polyida.integrate.start import consistent_acceleration
 from polyida.linear.lu import SingularSystem, dense
 from polyida.model.guarded import unguarded
-from polyida.system import table as of
 from polyida.system.python import CompiledTable, DenseTable, PythonTable, small_own
 
 
@@ -224,5 +224,5 @@ def table_of(model, linear, tableau, tied, kind):
 
 
 def dense_table(model, tableau, levels):
-    """The table of a small model; levels: of system/table.py's workspace (radau/tables/dense.py)."""
+    """The table of a small model; levels: of polyida.system's workspace (radau/tables/dense.py)."""
     return (CompiledStages if unguarded(model).by_numba else DenseStages)(model, tableau, levels)

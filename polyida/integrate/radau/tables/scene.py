@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import carray, typeof
 
-from polyida.assembly import corotated
+from polyida import system as of
+from polyida.assembly import corotated, joints
 from polyida.assembly import equilibrium as kernels
 from polyida.assembly.equilibrium import symmetric_parts
+from polyida.assembly.increments import Moves, moves, stage_tables, take_step
 from polyida.assembly.own_laws import Laws
-from polyida.assembly.rows import joints
-from polyida.assembly.rows.increments import Moves, moves, stage_tables, take_step
-from polyida.assembly.rows.tie import Tie, constrain, tie
-from polyida.assembly.rows.tie import project as project_rows
+from polyida.assembly.projection import Tie, constrain, tie
+from polyida.assembly.projection import project as project_rows
 from polyida.assembly.stabilised_border import StabilisedRoom, massive, stabilised_border, stabilised_room
 from polyida.errors import DONE, HALF_TURN, INVERTED, NOT_FINITE, RAISED, REASONS, SINGULAR
 from polyida.integrate.kinks import inner_side
@@ -26,11 +26,10 @@ from polyida.integrate.radau.loop import STEP, TIME
 from polyida.integrate.radau.step import Q, V
 from polyida.jit import entry, fast, pack, part
 from polyida.jit.intrinsics import complex_pointer, pointer
-from polyida.jit.own_functions import CALLBACK
+from polyida.jit.user_functions import CALLBACK
 from polyida.linear.dense import clear
-from polyida.system import table as of
+from polyida.system import c_address
 from polyida.system.scene import add_forces
-from polyida.system.table import c_address
 
 START, VX, DX, DV = range(4)  # rows of SceneStages.points: displacements and velocities where a step begins, and what it adds
 PAIR = 20.0  # iterations that cost as much as new factors of both modes, of large scenes

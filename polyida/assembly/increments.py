@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from polyida.assembly.rows import joints
+from polyida.assembly import joints
 from polyida.jit import entry, pack, part
 from polyida.profile import SHAPES
 

@@ -1,26 +1,119 @@
-"""The rows of phi_q made of length one, along a run: a compiled proof, state by state, that they stay independent of each other.
-
-B are the unit rows of phi_q, its columns in the sizes of the coordinates, G = B B^T and s the least singular value of B, so that
-`s >= tr(G^-1)^(-1/2)`. No singular value changes by more than B in the Frobenius norm. From a state that is referred to, with the bound s_0, all is well
-as long as B is nearer than s_0 / 2 to B_0. Beyond that the state becomes the one that is referred to, if s_0 + s_1 is more than the way or
-`det(B_0 B_1^T)` says that the space of the rows has not come back reversed. With rows in an order of small bandwidth k (Cuthill, McKee 1969)
-factors cost O(m k^2), and so does the trace, from the entries of G^-1 within the band (Takahashi 1973).
-"""
+"""Independence of the constraints: redundant rows of phi at the start, and a compiled proof along a run that the rows of phi_q stay independent."""
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import qr
 
-from polyida.assembly.rows import joints
-from polyida.errors import DONE
+from polyida.assembly import joints
+from polyida.errors import DONE, InputError
 from polyida.jit import entry, pack, part
 from polyida.jit.intrinsics import address, call
-from polyida.linear.saddle import coordinate_sizes
+from polyida.joint.joint import Joint
+from polyida.linear.saddle import DEPENDENT, coordinate_sizes
 
+AWAY = 1e-3  # of the scene's size: how far from the start it is looked at whether rows still follow from others
+FIRST = 1e3  # so much longer are rows that keep a body in shape when it is chosen which to leave out
+SAME = 1e-9  # of the scene's size: what is left of a row there that does
+UNIQUE = 1e-8  # shares in a dependence that are none
+ROUNDS = 20  # of Newton, back onto the rows that are kept
+NAMED = 6  # rows that a message names
 CLOSE = 1e-5  # a bound of the least singular value that proves enough
 SHARE = 0.5  # of that bound: how far rows may go before they are looked at more closely
 REVERSED = 0.5  # cosine of the turn of the rows' space that proves enough
 LEAST, VOLUME = range(2)  # of Scratch.marks: the bound at the state that is referred to, and half of log det G
+
+
+class Redundant:
+    """The redundant rows of a model of all rows, `whole`: `left_out` and `kept` are their numbers, `labels` what those left out are called.
+
+    Rows are compared at t = 0, q = 0 in the units of `coordinate_sizes`, by a rank-revealing QR of phi_q^T.
+    Raises InputError where rows depend on others in this position alone, or contradict them nearby.
+    """
+
+    def __init__(self, whole):
+        self.whole, self.rows = whole, whole.rows
+        self._sizes = coordinate_sizes(whole, np.zeros(whole.n))
+        self._of_joints = np.zeros(whole.m, bool)
+        for name, joint in whole.joints.items():
+            self._of_joints[whole.rows[name]] = isinstance(joint, Joint)
+        B = self._slopes(0.0, np.zeros(whole.n))
+        lengths = np.linalg.norm(B, axis=1)
+        first = np.where(self._of_joints, 1.0, FIRST)
+        R, order = qr((B * (first / np.where(lengths > 0, lengths, 1.0))[:, None]).T, mode="r", pivoting=True)
+        self.left_out = np.sort(order[np.count_nonzero(np.abs(np.diag(R)) > DEPENDENT) :])
+        self.kept = np.setdiff1d(np.arange(whole.m), self.left_out)
+        self.labels = tuple(whole.constraint_name(int(row)) for row in self.left_out)
+        places = (np.zeros(whole.n), self._nearby()) if len(self.left_out) else ()
+        shares = [np.abs(self._free(0.0, q)).max(axis=1) for q in places]
+        self._unique = np.max(shares, axis=0, initial=0.0) < UNIQUE if shares else np.ones(whole.m, bool)
+
+    def phi(self, t, q):
+        """phi of the rows that are left out."""
+        return self.whole.phi(t, q)[self.left_out]
+
+    def multipliers(self, t, q, lam):
+        """Those of all rows, of least norm, (frames, rows), from those that are kept over frames t, q, lam."""
+        found = np.zeros((len(lam), self.whole.m))
+        found[:, self.kept] = lam
+        needs, N = self.whole.needs, None
+        for row, *at in zip(found, t, q):
+            if N is None or needs.driven or needs.phi_q_varies:
+                N = self._free(*at)
+            row -= N @ np.linalg.lstsq(N[self._of_joints], row[self._of_joints], rcond=None)[0]
+        return found
+
+    def unique(self, name):
+        """Whether the multipliers of a part's rows are the only ones."""
+        return bool(self._unique[self.rows[name]].all())
+
+    def remark(self):
+        """What a summary says of it."""
+        loose = [repr(name) for name, joint in self.whole.joints.items() if isinstance(joint, Joint) and not self.unique(name)]
+        return f"redundant rows left out: {_some(self.labels)}; reactions not unique: {_some(loose)}" if self.labels else ""
+
+    def _slopes(self, t, q):
+        """phi_q in the sizes of the coordinates, (rows, columns that are not zero), dense."""
+        from scipy.sparse import diags_array
+
+        B = (self.whole.phi_q(t, q) @ diags_array(self._sizes)).tocsc()
+        return B[:, np.flatnonzero(np.diff(B.indptr))].toarray()
+
+    def _free(self, t, q):
+        """N, (rows, left out)."""
+        B, N = self._slopes(t, q), np.zeros((self.whole.m, len(self.left_out)))
+        N[self.kept] = -np.linalg.lstsq(B[self.kept].T, B[self.left_out].T, rcond=None)[0]
+        N[self.left_out] = np.eye(len(self.left_out))
+        return N
+
+    def _nearby(self):
+        """A state some way from the start on the rows that are kept. Raises InputError unless the others hold there too."""
+        whole, n = self.whole, self.whole.n
+        way = self._sizes * np.random.default_rng(0).standard_normal(n)
+        q = way - self._back(np.zeros(n), (whole.phi_q(0.0, np.zeros(n)) @ way)[self.kept])
+        q *= AWAY * whole.extent / max(np.abs(q).max(), AWAY * np.abs(way).max())
+        for _ in range(ROUNDS):
+            q = q - self._back(q, whole.phi(0.0, q)[self.kept])
+        left = np.abs(self.phi(0.0, q))
+        if not left.max() <= SAME * whole.extent:
+            raise InputError(
+                f"Scene.build: {self.labels[int(np.argmax(left))]} follows from the other constraints in this position alone, or contradicts "
+                f"them: nearby it is open by {left.max():.3g}; remove it, or start where it is independent"
+            )
+        return q
+
+    def _back(self, q, phi):
+        """The least move, in the sizes of the coordinates, by which the rows that are kept change by phi at q."""
+        from scipy.sparse import csr_array, diags_array
+
+        B = csr_array(self.whole.phi_q(0.0, q))[self.kept] @ diags_array(self._sizes)
+        gram = (B @ B.T).toarray()
+        return self._sizes * (B.T @ np.linalg.solve(gram, phi))
+
+
+def _some(names):
+    """The first of some names, and how many more there are."""
+    return ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
 
 
 @pack

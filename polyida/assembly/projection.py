@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from polyida.assembly import joints
 from polyida.assembly.border import Border, BorderRoom, body_blocks, body_of_points, border, border_room, solve_border
-from polyida.assembly.rows import joints
 from polyida.jit import entry, pack, part
 
 

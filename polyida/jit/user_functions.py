@@ -1,0 +1,344 @@
+"""Functions of users as machine code: the decorator `polyida.compiled`, and C functions that compiled code calls by address.
+
+Each C function has the signature `int64 f(int64 data, int64 instant, int64 x 6)` of a model's table (polyida.system). `data` is the address
+of the values that the function reads from `self`: numbers and arrays as words of one block, profiles as their values at the time of the call.
+The last argument is the address of the result.
+"""
+
+import ctypes
+import hashlib
+import math
+from collections import namedtuple
+from functools import cache, update_wrapper
+from inspect import signature
+from types import CellType, CodeType, FunctionType
+from typing import Any
+
+import numba
+import numpy as np
+from numba import NumbaError, TypingError, carray, types
+from numba.extending import intrinsic, lower_builtin, models, overload_method, register_model
+
+from polyida.errors import DONE, RAISED, WRONG_SHAPE, InputError
+from polyida.jit import cache as kernel_cache
+from polyida.jit import own_address, own_part
+from polyida.jit.intrinsics import integers, pointer, real
+from polyida.mark import is_dispatcher, machine_mark_of, of_polyida
+from polyida.profile import Profile
+from polyida.validation import named_keywords
+
+ARGUMENTS = 8
+CALLBACK = ctypes.CFUNCTYPE(*[ctypes.c_int64] * (ARGUMENTS + 1))
+SIGNATURE = types.int64(*[types.int64] * ARGUMENTS)
+DTYPES = {
+    "b": np.bool_,
+    "i": np.int64,
+    "u": np.int64,
+    "f": np.float64,
+    "c": np.complex128,
+}  # how values of self are stored, by numpy's kind
+_converted: dict = {}  # {(function, its mark): the function that numba compiles}
+
+
+@named_keywords
+def compiled(given: Any) -> Any:
+    """Decorator: numba compiles the functions of a Model, ForceElement or Body, or one function, and steps call no Python of them.
+
+    Parameters
+    ----------
+    given : type or callable
+        A subclass of Model, ForceElement or Body, or a function.
+
+    Returns
+    -------
+    type or callable
+        The class itself, or an object that is called like the function.
+
+    Raises
+    ------
+    InputError
+        If `given` is anything else. Also when a run begins or a scene is built, if numba cannot compile a function, or if its result is
+        no real array of the right dimension; the message names the function.
+
+    Notes
+    -----
+    The functions are plain numpy code, as far as numba compiles it. They read numbers, arrays, profiles (`self.profile(t)`) and compiled
+    functions from `self`, with the values at the start of a run. They may call functions of their module, but not each other through
+    `self`. Missing derivatives are differences, formed in compiled code; derivatives that a ForceElement or a Body writes serve Python only.
+    If a function raises, or returns an array of another shape, the run ends at that time. Profiles, `until`, sensors and functions of state
+    take a compiled function in place of a plain one. The machine code is kept on disk; it is compiled again if the functions change, or a
+    value or function that they name. With scenes, and with models of up to 50 coordinates and constraints, GeneralizedAlpha, RadauIIA and
+    EnergyMomentum call no Python in a step. With larger models only the functions are compiled. IDA calls Python once an iteration.
+    """
+    if isinstance(given, type) and hasattr(given, "by_numba"):
+        given.by_numba = True
+        return given
+    if isinstance(given, FunctionType):
+        return CompiledFunction(given)
+    raise InputError(f"compiled: {given!r:.100} must be a function, or a subclass of polyida.Model, ForceElement or Body")
+
+
+class CompiledFunction:
+    """A function that Python calls unchanged; compiled code gets its machine code from `for_numba`."""
+
+    def __init__(self, function):
+        update_wrapper(self, function)
+        self.function = function
+
+    def __call__(self, *arguments):
+        return self.function(*arguments)
+
+    def __reduce__(self):
+        return self.__qualname__
+
+
+def is_compiled(function):
+    """True if a function is compiled by `compiled` or numba.njit."""
+    return isinstance(function, CompiledFunction) or is_dispatcher(function)
+
+
+def for_numba(given):
+    """A function in the form that numba compiles; the functions that it names are converted too. An index out of bounds raises.
+
+    The values that the function names are read anew for each mark, even if numba has compiled the function before.
+    """
+    if is_dispatcher(given) and not _is_function(given):
+        return given
+    key = given, machine_mark_of(given)
+    if key not in _converted:
+        function = given.function if isinstance(given, CompiledFunction) else getattr(given, "py_func", given)
+        names, cells = dict(function.__globals__), [CellType(cell.cell_contents) for cell in function.__closure__ or ()]
+        names["__name__"] = __name__  # cached code imports its module: the module of the function may be missing in another process
+        copy = FunctionType(function.__code__, names, function.__name__, function.__defaults__, tuple(cells))
+        copy.__kwdefaults__ = function.__kwdefaults__
+        _converted[key] = numba.jit(**given.targetoptions)(copy) if is_dispatcher(given) else own_part(copy, not of_polyida(function))
+        for name in names_of(function.__code__):
+            if _is_function(value := names.get(name)):
+                names[name] = for_numba(value)
+        for cell in cells:
+            if _is_function(cell.cell_contents):
+                cell.cell_contents = for_numba(cell.cell_contents)
+    return _converted[key]
+
+
+def _is_function(value):
+    return isinstance(value, FunctionType | CompiledFunction) or is_dispatcher(value) and not of_polyida(value) and value._can_compile
+
+
+def names_of(code):
+    """Names in the code of a function and of the functions defined inside it."""
+    inner = (name for inner in code.co_consts if isinstance(inner, CodeType) for name in names_of(inner))
+    return dict.fromkeys([*code.co_names, *inner])
+
+
+def c_function_of(label, inner, mark, source, names, dimensions, of_complex=False):
+    """Compile the C function `called` of a source that calls `inner`; return its address. Raises InputError.
+
+    mark: identifies all that the machine code depends on besides the source, for the cache on disk; None if this is unknown.
+    dimensions: of the array that `inner` must return; 0 for a number.
+    """
+    kinds, wrong = (types.Float, types.Integer, types.Complex)[: 3 if of_complex else 2], []
+
+    @intrinsic
+    def require_result(typing, result):
+        number = result.dtype if isinstance(result, types.Array) and result.ndim == dimensions > 0 else result
+        if not isinstance(number, kinds) or (number is result) == (dimensions > 0):
+            wrong.append(result)
+            raise TypingError("a wrong result")
+        return types.none(result), lambda context, builder, sig, args: context.get_dummy_value()
+
+    names |= {"__name__": __name__, "np": np, "carray": carray, "pointer": pointer, "integers": integers, "real": real, "frozen": frozen}
+    exec(source, names | {"inner": inner, "require_result": require_result}, names)
+    called, digest = names["called"], hashlib.sha256(f"{mark} {dimensions} {of_complex} {source}".encode()).hexdigest()[:32]
+    called.__code__ = called.__code__.replace(co_filename=__file__)  # numba compares the time of this file, not of the user's
+    called.__qualname__ = digest
+    kernel_cache.remove_old_own(__name__.rpartition(".")[2])
+    try:
+        return own_address(called, SIGNATURE, mark is not None)
+    except NumbaError as error:
+        if wrong:
+            number = "complex" if of_complex else "real"
+            array = f"an array of {dimensions} dimension{'s' * (dimensions > 1)} of {number} numbers" if dimensions else "a number"
+            raise InputError(f"{label} must return {array}, not {wrong[0]}") from None
+        text = " ".join(str(error).replace("Failed in nopython mode pipeline (step: nopython frontend)", "").split())
+        advice = "leave out @polyida.compiled, or rewrite the function so that numba compiles it"
+        raise InputError(f"{label} cannot be compiled by numba: {text:.600}; {advice}") from None
+
+
+def argument_of(at, shape=(), of_complex=False):
+    """Source text for the array, or the number, at an address."""
+    if not shape:
+        return f"real({at})"
+    view = f"carray(pointer({at}), ({2 * shape[0]},)).view(np.complex128)" if of_complex else f"carray(pointer({at}), {shape})"
+    return f"frozen({view})"
+
+
+@cache
+def _row_function(label, function, dimensions, shape):
+    """A C function that evaluates a compiled function on each row of arrays of these dimensions."""
+    rows = [f"frozen(carray(pointer(given[{2 * k + 1}]), (count{f', given[{2 * k}]' if d > 1 else ''})))" for k, d in enumerate(dimensions)]
+    check = f"if found.shape != {shape}:\n                return {WRONG_SHAPE}" if shape else ""
+    source = f"""def called(at, count, a, b, c, d, e, out):
+    given = carray(integers(at), ({2 * len(dimensions)},))
+    rows, filled = ({", ".join(rows)},), carray(pointer(out), (count, {math.prod(shape)}))
+    try:
+        for k in range(count):
+            found = inner({", ".join(f"rows[{k}][k]" for k in range(len(dimensions)))})
+            require_result(found)
+            {check}
+            filled[k] = {"found.ravel()" if shape else "found"}
+    except Exception:
+        return {RAISED}
+    return {DONE}
+"""
+    mark, name = machine_mark_of(function), f"{label} {function.__name__}"
+    return CALLBACK(c_function_of(name, for_numba(function), mark, source, {}, len(shape)))
+
+
+def over(label, function, *arrays, shape=()):
+    """Values, of a shape, of a compiled function at each row of arrays: (rows, numbers). None if it is not compiled, or raises.
+
+    Raises InputError if numba does not compile it.
+    """
+    if not is_compiled(function):
+        return None
+    arrays, values = [np.ascontiguousarray(x) for x in arrays], np.empty((len(arrays[0]), math.prod(shape)))
+    fill = _row_function(label, function, tuple(x.ndim for x in arrays), shape)
+    at = np.array([number for x in arrays for number in (x.size // max(1, len(x)), x.ctypes.data)], np.int64)
+    return values if fill(at.ctypes.data, len(values), 0, 0, 0, 0, 0, values.ctypes.data) == DONE else None
+
+
+@intrinsic
+def frozen(typing, array):
+    """The array as a read-only one."""
+    return array.copy(readonly=True)(array), lambda context, builder, sig, args: args[0]
+
+
+def _names_read(function, seen):
+    """Names in a function and in the functions of its module that it calls."""
+    seen.add(function)
+    for name in names_of(function.__code__):
+        yield name
+        called = function.__globals__.get(name)
+        if isinstance(called, FunctionType) and called not in seen:
+            yield from _names_read(called, seen)
+
+
+class OwnData:
+    """The values that functions read from an object as `self`.
+
+    words: the values as float64 words. profiles: [(index of the word of its value, Profile)]. python: True if a field is a Python function.
+    """
+
+    def __init__(self, owner, functions):
+        self.python, self.fields, self.functions, self.profiles, self._words = False, {}, [], [], []
+        for name in dict.fromkeys(name for function in functions for name in _names_read(function, set())):
+            value = getattr(owner, name, None)
+            if name in getattr(owner, "__dict__", ()) or not callable(value):
+                if (field := self._field(value)) is not None:
+                    self.fields[name] = field
+                elif callable(value):
+                    self.python = True
+        self.words = np.frombuffer(b"".join(self._words) or bytes(8)).copy()
+
+    def _field(self, value):
+        """Source text of a field of self; None if machine code cannot hold it."""
+        if is_compiled(value):
+            self.functions.append(value)
+            return f"function{len(self.functions) - 1}"
+        if isinstance(value, Profile):
+            self.profiles.append((len(self._words), value))
+            return f"profile(({self._view(np.zeros(()))}, real(t)))"
+        if isinstance(value, tuple | list) and any(isinstance(one, Profile) for one in value):
+            fields = [self._field(one) for one in value]
+            return None if None in fields else f"({', '.join(fields)},)"
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            return None
+        return self._view(array.astype(DTYPES[array.dtype.kind])) if array.dtype.kind in DTYPES else None
+
+    def _view(self, array):
+        """Append the words of an array; source text of the array, or of the number."""
+        at, content = f"data + {8 * len(self._words)}", array.tobytes()
+        content += bytes(-len(content) % 8)
+        self._words += [content[k : k + 8] for k in range(0, len(content), 8)]
+        if array.dtype == float:
+            return argument_of(at, array.shape)
+        words = f"carray(pointer({at}), ({max(1, len(content) // 8)},)).view(np.{array.dtype})"
+        return f"frozen({words}[:{array.size}].reshape({array.shape}))" if array.ndim else f"{words}[0]"
+
+    def c_function(self, function, arguments, shape, result="found", of_complex=False):
+        """The address of the C function of `function(self, ...)`. Raises InputError.
+
+        arguments: {argument: (its name in `data, instant, t, b, c, d, e, out`, its shape, True if it is complex)}. shape: of the result,
+        () of a number.
+        """
+        used = list(signature(function).parameters)[1:]
+        if wrong := [name for name in used if name not in arguments]:
+            raise InputError(f"{function.__qualname__}: its arguments must be (self, {', '.join(arguments)}), not {wrong[0]!r}")
+        listed = "".join(f"{argument_of(*arguments[name])}, " for name in used)
+        out = argument_of("out", shape or (1,), of_complex).removeprefix("frozen")
+        check = f"if found.shape != {shape}:\n        return {WRONG_SHAPE}\n    " if shape else ""
+        source = f"""def called(data, instant, t, b, c, d, e, out):
+    try:
+        found = inner(Own({", ".join(self.fields.values()) or "0.0"}), {listed})
+    except Exception:
+        return {RAISED}
+    require_result(found)
+    {check}{out}[...] = {result}
+    return {DONE}
+"""
+        mark = machine_mark_of(function, *self.functions)
+        return _c_function(function, mark, source, tuple(self.fields), tuple(self.functions), len(shape), of_complex)
+
+
+@cache
+def _c_function(function, mark, source, fields, functions, dimensions, of_complex):
+    """The address of the C function, compiled once for data of one form."""
+    Own = namedtuple("self", [f"f{k}" for k in range(len(fields) or 1)])
+    Own._fields = fields or Own._fields  # namedtuple itself refuses names that begin with an underscore
+    names = {f"function{k}": for_numba(one) for k, one in enumerate(functions)} | {"Own": Own, "profile": as_profile}
+    return c_function_of(function.__qualname__, for_numba(function), (mark, fields), source, names, dimensions, of_complex)
+
+
+class ProfileType(types.Type):
+    """A profile in compiled code: its value at one time, and that time."""
+
+    def __init__(self):
+        super().__init__("Profile")
+
+
+PROFILE, PAIR = ProfileType(), types.UniTuple(types.float64, 2)
+
+
+@register_model(ProfileType)
+class _ProfileModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, manager.lookup(PAIR).get_value_type())
+
+
+@intrinsic
+def as_profile(typing, pair):
+    """(value, time) as a profile."""
+    return PROFILE(PAIR), lambda context, builder, sig, args: args[0]
+
+
+@intrinsic
+def as_pair(typing, profile):
+    """A profile as (value, time)."""
+    return PAIR(PROFILE), lambda context, builder, sig, args: args[0]
+
+
+def _value_at(profile, t):
+    value, time = as_pair(profile)
+    if t != time:
+        raise ValueError("a compiled function may call a profile at its own time t only")
+    return value
+
+
+overload_method(ProfileType, "value")(lambda profile, t: _value_at)
+overload_method(ProfileType, "__call__")(lambda profile, t: _value_at)
+lower_builtin(PROFILE, ProfileType, types.Float)(
+    lambda context, builder, sig, args: context.compile_internal(builder, _value_at, sig, args)
+)
