@@ -74,3 +74,12 @@ def test_an_example_begins_with_what_it_is(name):
 def test_the_readme_shows_a_small_picture():
     picture = ROOT / re.search(r"!\[.+\]\((.+)\)", TEXTS["README"])[1]
     assert picture.stat().st_size < 150_000
+
+
+def test_files_of_the_map_exist():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = {name for name in re.findall(r"`([\w./]+)`", text) if "/" in name or name.endswith(".py")}
+    missing = [
+        name for name in named if not any((folder / name).exists() for folder in (ROOT, ROOT / "polyida", ROOT / "polyida" / "system"))
+    ]
+    assert len(named) > 20 and not missing

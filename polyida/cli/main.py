@@ -223,6 +223,19 @@ def export(
     lines(f"Written: {write(loaded, vtu, overwrite=overwrite, frames=frames)}")
 
 
+@_command(STUDY, {"polyida info > bug.txt": "what a bug report needs"})
+def info(json: options.Json = False):
+    """Print versions, processor, threads and the state of the compiler: what a bug report needs."""
+    from polyida import jit
+    from polyida.environment import machine_info
+
+    with document(json) as answer:
+        found = machine_info() | {"compilers": "faster" if jit.compilers else "numba's own"}
+        answer(found)
+        if not json:
+            lines(*(f"{name}: {value}" for name, value in found.items()))
+
+
 @_command(
     STUDY,
     {

@@ -154,3 +154,9 @@ def test_the_shell_is_told_names_without_a_heavy_import():
     shell = {"_POLYIDA_COMPLETE": "complete_bash", "COMP_WORDS": "polyida compare double", "COMP_CWORD": "2"}
     ended = subprocess.run([sys.executable, "-c", said], env=os.environ | shell, capture_output=True, text=True, check=True)
     assert ended.stdout.split("\n")[:3] == ["double-plate", "double-plate-motors", "[]"]
+
+
+def test_info_prints_what_a_bug_report_needs(capsys):
+    assert main(["info", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {"python", "polyida", "numba", "processor", "cores", "compilers"} <= found.keys()
