@@ -140,7 +140,7 @@ def test_old_folders_go_but_not_those_just_used(tmp_path):
         os.utime(tmp_path / f"kernels-{k}", (now - age, now - age))
     kernel_cache._remove_old(tmp_path, "kernels-0")
     kept = sorted(path.name for path in tmp_path.iterdir())
-    assert kept == [f"kernels-{k}" for k in range(kernel_cache.KEPT + 1)]
+    assert kept == [f"kernels-{k}" for k in range(kernel_cache.OLD_FOLDERS + 1)]
 
 
 def test_every_file_that_kernels_are_made_of_is_in_the_hash():

@@ -210,11 +210,11 @@ def test_code_that_holds_an_address_is_not_kept(tmp_path, monkeypatch, recwarn):
 
 def test_old_files_of_users_functions_go(tmp_path, monkeypatch):
     monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
-    for k in range(kernel_cache.KEPT_OWN + 2):
+    for k in range(kernel_cache.USER_FILES + 2):
         path = tmp_path / f"user_functions.{k}.nbc"
         path.touch()
         os.utime(path, (k, k))
     (tmp_path / "other.0.nbc").touch()
     kernel_cache.remove_old_own.__wrapped__("user_functions")
     assert not {"user_functions.0.nbc", "user_functions.1.nbc"} & {path.name for path in tmp_path.iterdir()}
-    assert len(list(tmp_path.iterdir())) == kernel_cache.KEPT_OWN + 1
+    assert len(list(tmp_path.iterdir())) == kernel_cache.USER_FILES + 1

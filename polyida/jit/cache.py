@@ -1,8 +1,7 @@
-"""Where compiled kernels are kept: a folder named after all that they were made from.
+"""The folder of compiled kernels, whose name is a hash of all sources of compiled code.
 
-numba looks for changes in the file of an entry alone; what the entry calls in other files it takes as it was. So the
-folder's name carries a hash of every file that makes compiled code, and of numba's version: a change anywhere begins
-an empty folder.
+numba detects changes in the file of an entry only, not in the files of the functions that it calls. Therefore the name of the folder contains a
+hash of each file that makes compiled code, and of numba's version: after any change a new, empty folder is used.
 """
 
 import hashlib
@@ -23,36 +22,36 @@ import numba
 import numpy as np
 
 PREFIX = "kernels-"
-KEPT_OWN = 1000  # files of users' functions that stay
-KEPT = 4  # folders of other sources that stay: going back and forth between versions compiles nothing
-UNUSED = 3600.0  # s: a younger folder may be that of a process that is just starting
+USER_FILES = 1000  # files of users' functions that are not removed
+OLD_FOLDERS = 4  # folders of other versions that are not removed: switching between versions compiles nothing
+UNUSED = 3600.0  # s: a younger folder may belong to a process that is just starting
 
-# a file that compiles, or whose formulas are traced into compiled code, or whose tuples compiled code takes apart by place, or that
-# says that compiled code has constants from it
+# a file that compiles, or whose formulas are traced into compiled code, or whose tuples compiled code reads by position, or that
+# declares constants of compiled code
 _MAKES_KERNELS = re.compile(
     rb"^(?:from|import) (?:numba|polyida import jit|polyida\.jit)\b|^class \w+\(NamedTuple\)|^# constants of compiled code", re.MULTILINE
 )
-PLAIN = os.environ.get("POLYIDA_PLAIN_NUMBA", "0") not in ("", "0")  # whether the faster compilers are not wanted
+PLAIN = os.environ.get("POLYIDA_PLAIN_NUMBA", "0") not in ("", "0")  # True switches the faster compilers off
 _lock = threading.RLock()
 
 
 def sources(folder):
-    """(path, content) of every file below the folder that makes compiled code, sorted."""
-    for place in sorted(os.scandir(folder), key=lambda place: place.name):
-        if place.is_dir() and place.name != "__pycache__":
-            yield from sources(place.path)
-        elif place.name.endswith(".py"):
-            with open(place.path, "rb") as file:
+    """(path, content) of each file below the folder that makes compiled code, sorted."""
+    for item in sorted(os.scandir(folder), key=lambda item: item.name):
+        if item.is_dir() and item.name != "__pycache__":
+            yield from sources(item.path)
+        elif item.name.endswith(".py"):
+            with open(item.path, "rb") as file:
                 content = file.read()
             if _MAKES_KERNELS.search(content):
-                yield place.path, content
+                yield item.path, content
 
 
 @cache
 def folder():
-    """The folder of this version's kernels, made where it is missing; None where there is none that can be written.
+    """The folder of this version's kernels, created if it is missing; None if none can be written.
 
-    It lies in the first of NUMBA_CACHE_DIR, the package's own `__pycache__` and the user's cache that takes files.
+    It lies in the first writable one of NUMBA_CACHE_DIR, the package's `__pycache__` and the user's cache.
     """
     package = Path(__file__).parents[1]
     try:
@@ -60,16 +59,16 @@ def folder():
     except OSError:
         return None
     user = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or os.path.expanduser("~/.cache")
-    given = numba.config.CACHE_DIR
-    for parent in [*([Path(given)] if given else []), package / "__pycache__", Path(user) / "polyida"]:
-        if _taken(parent / name):
+    chosen = numba.config.CACHE_DIR
+    for parent in [*([Path(chosen)] if chosen else []), package / "__pycache__", Path(user) / "polyida"]:
+        if _writable(parent / name):
             _remove_old(parent, name)
             return parent / name
     return None
 
 
 def _digest(package):
-    """Hash of the kernels' sources, of the versions of what compiles them and of which compilers are at work."""
+    """Hash of the kernels' sources, of the versions of the compilers and of the settings."""
     versions = numba.__version__, version("llvmlite"), np.__version__, sys.version
     digest = hashlib.sha256(f"{versions} {PLAIN} {numba.config.OPT} {numba.config.BOUNDSCHECK}".encode())
     for path, content in sources(package):
@@ -77,8 +76,8 @@ def _digest(package):
     return digest.hexdigest()[:16]
 
 
-def _taken(folder):
-    """Whether the folder is there and can be written; its time is that of its last use."""
+def _writable(folder):
+    """True if the folder exists, or can be created, and can be written. Its time becomes that of its last use."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
@@ -89,7 +88,7 @@ def _taken(folder):
 
 
 def _remove_old(parent, name):
-    """Of the other folders the KEPT last used stay, and those that were used within UNUSED seconds."""
+    """Remove other folders except the OLD_FOLDERS last used ones and those used within UNUSED seconds."""
     used = []
     for other in parent.glob(PREFIX + "*"):
         try:
@@ -97,47 +96,46 @@ def _remove_old(parent, name):
         except OSError:
             continue  # another process removed it
     others = sorted((item for item in used if item[1].name != name), reverse=True)
-    for last, other in others[KEPT:]:
+    for last, other in others[OLD_FOLDERS:]:
         if time.time() - last > UNUSED:
             shutil.rmtree(other, ignore_errors=True)
 
 
 @cache
 def remove_old_own(module):
-    """Of the files of users' functions, which a module compiles, the KEPT_OWN last written stay; looked at once in a process."""
+    """Remove files of users' functions, which a module compiles, except the USER_FILES last written; once in a process."""
     files = []
     for path in (folder() or Path(os.devnull)).rglob(f"{module}.*"):
         with suppress(OSError):  # another process removed it
             files.append((path.stat().st_mtime, path))
-    for _, path in sorted(files, reverse=True)[KEPT_OWN:]:
+    for _, path in sorted(files, reverse=True)[USER_FILES:]:
         path.unlink(missing_ok=True)
 
 
 @contextmanager
-def kept():
-    """Within this, numba keeps what is decorated in `folder()`; yields whether there is one."""
+def cache_folder():
+    """Within this context numba caches decorated functions in `folder()`; yields True if there is one."""
     with _lock:
         before = numba.config.CACHE_DIR
-        place = folder()
-        numba.config.CACHE_DIR = str(place or "")
+        numba.config.CACHE_DIR = str(folder() or "")
         try:
-            yield place is not None
+            yield folder() is not None
         finally:
             numba.config.CACHE_DIR = before
 
 
 class Files:
-    """The files of an entry's kernels, one for each signature and named after it.
+    """The files of an entry's kernels: one for each signature, named after it.
 
-    numba numbers its files and keeps the numbers in an index. Two processes that compile at once take the same number, and the code of
-    one signature is then loaded for another.
+    numba numbers its files and stores the numbers in an index. Two processes that compile at the same time use the same number; then the code
+    of one signature is loaded for another.
     """
 
     def __init__(self, folder, name):
         self.folder, self.name = folder, name
 
     def save(self, key, data):
-        """Write the code of a signature; where that fails it is compiled again next time."""
+        """Write the code of a signature. If this fails, the next process compiles again."""
         path = self._path(key)
         with suppress(OSError):
             descriptor, temporary = tempfile.mkstemp(dir=self.folder, prefix=self.name, suffix=".tmp")
@@ -150,13 +148,13 @@ class Files:
                 raise
 
     def load(self, key):
-        """The code of a signature, None where there is none."""
+        """The code of a signature; None if there is none."""
         try:
             with open(self._path(key), "rb") as file:
-                kept, data = pickle.load(file)
+                stored, data = pickle.load(file)
         except Exception:  # noqa: BLE001 a damaged file raises anything
             return None
-        return data if kept == key else None
+        return data if stored == key else None
 
     def _path(self, key):
         return os.path.join(self.folder, f"{self.name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc")

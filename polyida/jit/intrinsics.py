@@ -1,12 +1,9 @@
-"""Instructions that compiled code has beside those of numba: short vectors, addresses, calls by address, numbers shared by threads.
+"""Instructions for compiled code that numba does not have: short vectors, addresses, calls by address, numbers shared by threads.
 
-The kernels of elements treat LANES cells of equal vertex count side by side. An explicit vector type makes the machine code
-independent of what an auto-vectoriser guesses and stays portable: LLVM splits a vector to fit the machine. Arithmetic
-goes through `traced`: a plain Python function of straight-line formulas is run once on stand-ins that emit the
-instructions. That costs numba no type inference, so kernels compile fast, and the same function works on numpy
-arrays. Accesses are not checked for bounds.
-
-All of it is numba.extending and llvmlite.ir, which are public.
+The kernels of elements process LANES cells with the same number of vertices side by side. With an explicit vector type the machine code does
+not depend on an auto-vectoriser, and stays portable: LLVM splits vectors to fit the machine. Formulas of vectors are plain Python functions
+decorated by `traced`: they run once, on stand-ins that emit the instructions. numba infers no types in them, so kernels compile fast, and the
+same functions work on numpy arrays. Accesses are not checked for bounds. Only the public numba.extending and llvmlite.ir are used.
 """
 
 from inspect import signature
@@ -30,7 +27,7 @@ class Vector(types.Type):
 
 @register_model(Vector)
 class VectorModel(models.PrimitiveModel):
-    """An LLVM vector stands for a Vector."""
+    """A Vector is an LLVM vector."""
 
     def __init__(self, dmm, fe_type):
         super().__init__(dmm, fe_type, fe_type.element)
@@ -40,19 +37,17 @@ lanes, pair = Vector(LANES), Vector(2)
 
 
 class Traced:
-    """Stand-in for a vector or a number: arithmetic on it emits instructions."""
+    """Stand-in for a vector or a number; its arithmetic emits instructions."""
 
     def __init__(self, builder, value):
         self.builder, self.value = builder, value
 
     def _both(self, other):
-        """The two values, a single number spread over the lanes of its partner."""
-        a = self.value
-        b = other.value if isinstance(other, Traced) else ir.Constant(ir.DoubleType(), float(other))
-        if isinstance(a.type, ir.VectorType) or isinstance(b.type, ir.VectorType):
-            vector = a.type if isinstance(a.type, ir.VectorType) else b.type
-            return _spread(self.builder, a, vector), _spread(self.builder, b, vector)
-        return a, b
+        """The two values; a number beside a vector is spread over its lanes."""
+        values = [self.value, other.value if isinstance(other, Traced) else ir.Constant(ir.DoubleType(), float(other))]
+        for vector in (value.type for value in values if isinstance(value.type, ir.VectorType)):
+            return [_spread(self.builder, value, vector) for value in values]
+        return values
 
     def _emit(self, instruction, operands):
         return Traced(self.builder, getattr(self.builder, instruction)(*operands, flags=("contract",)))
@@ -75,13 +70,13 @@ class Traced:
     __radd__, __rmul__ = __add__, __mul__
 
     def least(self, other):
-        """Lane by lane the smaller of the two; self where the comparison is undecided."""
+        """The smaller of the two in each lane; self if one is NaN."""
         less = self.builder.fcmp_ordered("<", other.value, self.value)
         return Traced(self.builder, self.builder.select(less, other.value, self.value))
 
 
 def traced(outputs, vector=lanes):
-    """Let kernels call a function of vectors, tuples of them and floats; it returns `outputs` vectors, tuple if > 1."""
+    """Decorator: compiled code can call a function of vectors, tuples of vectors and floats. It returns `outputs` vectors, a tuple if > 1."""
     result = vector if outputs == 1 else types.UniTuple(vector, outputs)
 
     def decorate(function):
@@ -94,7 +89,15 @@ def traced(outputs, vector=lanes):
             return typer
 
         def lower(context, builder, sig, args):
-            values = function(*(_stand_in(builder, *item) for item in zip(sig.args, args)))
+            pairs = zip(sig.args, args)
+            values = function(
+                *(
+                    tuple(Traced(builder, builder.extract_value(value, k)) for k in range(len(kind)))
+                    if isinstance(kind, types.BaseTuple)
+                    else Traced(builder, value)
+                    for kind, value in pairs
+                )
+            )
             return values.value if outputs == 1 else context.make_tuple(builder, result, [v.value for v in values])
 
         lower_builtin(function, types.VarArg(types.Any))(lower)
@@ -103,15 +106,8 @@ def traced(outputs, vector=lanes):
     return decorate
 
 
-def _stand_in(builder, kind, value):
-    """Traced argument, or a tuple of them."""
-    if isinstance(kind, types.BaseTuple):
-        return tuple(Traced(builder, builder.extract_value(value, k)) for k in range(len(kind)))
-    return Traced(builder, value)
-
-
 def _spread(builder, value, vector):
-    """A number in every lane of a vector type; a vector as it is."""
+    """A number in each lane of a vector type; a vector unchanged."""
     if value.type == vector:
         return value
     single = builder.insert_element(ir.Constant(vector, ir.Undefined), value, INT32(0))
@@ -123,7 +119,7 @@ def _shuffle(builder, a, b, pattern):
 
 
 def _joined(builder, parts):
-    """The parts (a power of two of them) one after the other in one vector."""
+    """The parts, 2^k of them, joined to one vector."""
     while len(parts) > 1:
         span = list(range(2 * parts[0].type.count))
         parts = [_shuffle(builder, a, b, span) for a, b in zip(parts[::2], parts[1::2])]
@@ -131,13 +127,8 @@ def _joined(builder, parts):
 
 
 def _address(context, builder, array_type, array, index, element):
-    """Pointer to item `index` of the array's flat data, seen as `element`."""
-    return builder.bitcast(builder.gep(_data(context, builder, array_type, array), [index]), element.as_pointer())
-
-
-def _data(context, builder, array_type, array):
-    """Pointer to the first item of the array."""
-    return context.make_array(array_type)(context, builder, array).data
+    """Pointer of type `element` to item `index` of the array's flat data."""
+    return builder.bitcast(builder.gep(context.make_array(array_type)(context, builder, array).data, [index]), element.as_pointer())
 
 
 def _read(builder, pointer, element):
@@ -149,15 +140,8 @@ def _loader(result, element, count, doc):
 
     def load(typing_context, array, start):
         def generate(context, builder, sig, args):
-            size = getattr(element, "count", 1)
-            values = [
-                _read(
-                    builder,
-                    _address(context, builder, sig.args[0], args[0], builder.add(args[1], args[1].type(k * size)), element),
-                    element,
-                )
-                for k in range(count)
-            ]
+            places = [builder.add(args[1], args[1].type(k * getattr(element, "count", 1))) for k in range(count)]
+            values = [_read(builder, _address(context, builder, sig.args[0], args[0], place, element), element) for place in places]
             if element == INT32:
                 return builder.sext(values[0], args[1].type)
             return values[0] if count == 1 else context.make_tuple(builder, sig.return_type, values)
@@ -201,13 +185,13 @@ def zero_pair(typing_context):
 
 @intrinsic
 def spread(typing_context, value):
-    """A float in every lane."""
+    """A float in each lane."""
     return lanes(types.float64), lambda context, builder, sig, args: _spread(builder, args[0], lanes.element)
 
 
 @intrinsic
 def store(typing_context, array, start, values):
-    """Write a tuple of vectors one after the other into the flat array."""
+    """Write a tuple of vectors to consecutive places of the flat array."""
 
     def generate(context, builder, sig, args):
         for k in range(len(values)):
@@ -226,7 +210,7 @@ def lane(typing_context, value, index):
 
 
 def _rows(context, builder, array_type, array, places, width):
-    """Pointers to rows of `width` doubles; places = (type of int32 array, the array, start, offset to its numbers)."""
+    """Pointers to rows of `width` doubles; places = (type of an int32 array of row numbers, the array, start, offset added to the numbers)."""
     place_type, place_array, start, offset = places
     integers = ir.VectorType(INT32, LANES)
     numbers = _read(builder, _address(context, builder, place_type, place_array, start, integers), integers)
@@ -252,7 +236,7 @@ def gather(typing_context, array, places, start, offset):
 
 @intrinsic
 def scatter_add(typing_context, array, places, start, offset, values):
-    """array[k] += values lane after lane, for k = places[start : start + LANES] + offset.
+    """array[k] += values, one lane after the other, for k = places[start : start + LANES] + offset.
 
     array (N, 2) takes two vectors; array (N, 2, 2) takes four, [[v0, v1], [v2, v3]].
     """
@@ -283,7 +267,7 @@ def add_pair(typing_context, array, start, value):
 
 @intrinsic
 def call(typing_context, function, model, instant, a, b, c, d, e, f):
-    """What the C function at address `function`, of nine int64, returns."""
+    """Call the C function at address `function` with eight int64; return its int64."""
 
     def generate(context, builder, sig, args):
         kind = ir.FunctionType(INT64, [INT64] * (len(args) - 1))
@@ -294,8 +278,10 @@ def call(typing_context, function, model, instant, a, b, c, d, e, f):
 
 @intrinsic
 def address(typing_context, array):
-    """Of the first entry of an array."""
-    return types.int64(array), lambda context, builder, sig, args: builder.ptrtoint(_data(context, builder, sig.args[0], args[0]), INT64)
+    """Address of the first entry of an array."""
+    return types.int64(array), lambda context, builder, sig, args: builder.ptrtoint(
+        context.make_array(sig.args[0])(context, builder, args[0]).data, INT64
+    )
 
 
 @intrinsic
@@ -307,7 +293,7 @@ def real(typing_context, number):
 
 
 def pointer_to(item):
-    """A function of compiled code: an address as a pointer to items of a numba type."""
+    """Intrinsic (address) -> pointer to items of a numba type."""
     kind = types.CPointer(item)
 
     @intrinsic
@@ -319,7 +305,7 @@ def pointer_to(item):
 
 @intrinsic
 def seen(typing_context, numbers, at):
-    """numbers[at], int64, as it is now, with all that a thread wrote before it left that number there."""
+    """Atomic load of numbers[at], int64, with all that another thread wrote before its `leave` of that number."""
 
     def generate(context, builder, sig, args):
         return builder.load_atomic(_address(context, builder, sig.args[0], args[0], args[1], INT64), "acquire", 8)
@@ -329,7 +315,7 @@ def seen(typing_context, numbers, at):
 
 @intrinsic
 def leave(typing_context, numbers, at, number):
-    """numbers[at] = number, int64, for other threads to see."""
+    """Atomic store numbers[at] = number, int64, visible to other threads."""
 
     def generate(context, builder, sig, args):
         builder.store_atomic(args[2], _address(context, builder, sig.args[0], args[0], args[1], INT64), "release", 8)
