@@ -24,11 +24,11 @@ parts: dict[str, Any] = {
     "Distance": "polyida.joint.joints:Distance",
     "Weld": "polyida.joint.joints:Weld",
     "PrescribedPosition": "polyida.joint.joints:PrescribedPosition",
-    "SpringDamper": "polyida.force.elements:SpringDamper",
-    "TorsionSpring": "polyida.force.elements:TorsionSpring",
-    "Torque": "polyida.force.elements:Torque",
-    "Force": "polyida.force.elements:Force",
-    "Contact": "polyida.force.contact:Contact",
+    "SpringDamper": "polyida.force.springs:SpringDamper",
+    "TorsionSpring": "polyida.force.springs:TorsionSpring",
+    "Torque": "polyida.force.loads:Torque",
+    "Force": "polyida.force.loads:Force",
+    "Contact": "polyida.force.springs:Contact",
 }
 integrators: dict[str, Any] = {
     "GeneralizedAlpha": "polyida.integrate.alpha.generalized_alpha:GeneralizedAlpha",

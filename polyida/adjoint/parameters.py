@@ -15,9 +15,8 @@ from polyida.assembly.motion import motion_of, motion_slopes, moves_at
 from polyida.assembly.own_forces import OwnForce
 from polyida.assembly.placement import gravity_at
 from polyida.body.body import Body
-from polyida.body.field_body import FieldBody
 from polyida.body.plate import Plate
-from polyida.body.rigid_body import PointMass
+from polyida.body.rigid_body import FieldBody, PointMass
 from polyida.errors import InputError
 from polyida.force.force_element import ForceElement
 from polyida.force.loads import EdgeTraction, PointLoad
@@ -249,10 +248,10 @@ class OfField(OfPart):
         """
         part: Any = self.model.parts[self.part]
         placed = next((placed for placed in self.model.few if placed.user is part), None)
-        made = part.made_fields(placed.body) if placed else {}
+        made = part.fields_to_store(placed.body) if placed else {}
         if made and self.path[-1] == SHAPES:
             anew = with_part(self.model, self.part, changed(replace(part, **dict.fromkeys(made)), self.path, value))
-            made = part.made_fields(next(other for other in anew.few if other.name == placed.name).body, placed.body)
+            made = part.fields_to_store(next(other for other in anew.few if other.name == placed.name).body, placed.body)
         return changed(replace(part, **made), self.path, value)
 
     def replaced(self, value):

@@ -6,7 +6,7 @@ import numpy as np
 
 from polyida.assembly import compact, joints
 from polyida.assembly.own_laws import add_own_curvature
-from polyida.element import cell_products, kernels, stabilisation
+from polyida.element import cell_products, kernels
 from polyida.jit import entry, pack, part
 from polyida.linear.dense import clear
 
@@ -126,7 +126,7 @@ def plate_products(s, viscosity, u, v, w, rotation, x):
                 kernels.mass_product(indptr, indices, mass, s.body_drag[b] * s.body_density[b], n0, w, x.slowing)
         kernels.mass_product(indptr, indices, mass, s.body_density[b], n0, w, x.heavy)
         if s.body_stabilisation[b] != 0.0:
-            stabilisation.force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, w, x.stiff)
+            kernels.stabilisation_force(indptr, indices, s.stabilisation[p[6] : e[6]], s.body_stabilisation[b], n0, w, x.stiff)
 
 
 @part

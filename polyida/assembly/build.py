@@ -12,7 +12,7 @@ from polyida.assembly.placement import PlacedBody, PlacedPlate, dead_loads, stea
 from polyida.body.body import Body, points_of
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
-from polyida.element.choose import operator_of, stabilisation_factor
+from polyida.element.elements import operator_of, stabilisation_factor
 from polyida.errors import InputError, LockingWarning
 from polyida.force.force_element import ForceElement, sides_of
 from polyida.joint.attachment import Attachment, Ground

@@ -4,7 +4,7 @@ import numpy as np
 
 from polyida.assembly import compact
 from polyida.assembly.joints import joint_forces, point_values, spread
-from polyida.element import kernels, stabilisation, two_states
+from polyida.element import kernels, two_field
 from polyida.jit import entry, leaf, shared
 from polyida.linear.dense import clear
 
@@ -42,7 +42,7 @@ def equilibrium(scene, drives, u, a, lam, r, phi, rotation, dz, forces):
         least = compact.lesser(least, det)
         kernels.mass_product(*on_pattern(s, o, s.mass), s.body_density[b], n0, a, r)
         if s.body_stabilisation[b] != 0.0:
-            stabilisation.force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, u, r)
+            kernels.stabilisation_force(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, u, r)
     least = compact.lesser(least, compact.forces(scene.compact, u, a, r, rotation))
     for k in range(s.load_drive.shape[0]):
         factor = drives[s.load_drive[k], 0]
@@ -72,7 +72,7 @@ def tangent_blocks(scene, u, v, c_m, c_v, c_q, blocks):
         p, e = s.at[o], s.at[o + 1]
         place = s.pairs[p[4] : e[4]], s.body_node[b], first, s.body_c1[b], s.body_nu[b]
         if v is not None:
-            two_states.tangent_viscous(*cells(s, o), *place, s.body_viscosity[b], u, v, c_q, c_v, blocks)
+            two_field.tangent_viscous(*cells(s, o), *place, s.body_viscosity[b], u, v, c_q, c_v, blocks)
         elif c_q != 0.0:
             kernels.tangent(*cells(s, o), *place, u, c_q, blocks)
         mass, stiffness = (c_m + c_v * s.body_drag[b]) * s.body_density[b], c_q * s.body_stabilisation[b]
@@ -92,7 +92,7 @@ def strain_energy(scene, u):
         o = s.body_operator[b]
         total += kernels.strain_energy(*cells(s, o), s.body_node[b], s.body_c1[b], s.body_nu[b], u)
         if s.body_stabilisation[b] != 0.0:
-            total += stabilisation.energy(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], s.body_node[b], u)
+            total += kernels.stabilisation_energy(*on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], s.body_node[b], u)
     return total
 
 
@@ -161,4 +161,4 @@ def add_damping(scene, u, v, elastic, r):
         for i in range(n0, s.body_node[b + 1]):
             r[i, 0] -= elastic[i, 0]
             r[i, 1] -= elastic[i, 1]
-        two_states.internal_force_viscous(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], s.body_viscosity[b], u, v, r, none)
+        two_field.internal_force_viscous(*cells(s, o), n0, s.body_c1[b], s.body_nu[b], s.body_viscosity[b], u, v, r, none)

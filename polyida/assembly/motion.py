@@ -190,7 +190,7 @@ def left_out(model, t, frames, accelerations):
     The residual `r = M x'' + f(x) - M g` of the full plate at the recovered motion, in the plate's frame, would move it by d, `K d + C^T l = -r`
     with what holds it kept, `C d = 0`: energy `-d^T r / 2`, of which no force of a joint is a part.
     """
-    reduced = [(number, placed) for number, placed in enumerate(model.few) if placed.body.left_out is not None]
+    reduced = [(number, placed) for number, placed in enumerate(model.few) if placed.body.truncation_error is not None]
     if not (reduced and len(frames)):
         return {}
     chosen, found = np.unique(np.linspace(0, len(frames) - 1, COMPARED).astype(int)), {}
@@ -203,7 +203,7 @@ def left_out(model, t, frames, accelerations):
         if whole > 0:
             a = np.asarray(accelerations[k], float).reshape(-1, 2)
             moved, pulled = (complex_of_pairs(x[placed.pairs]) for x in (pairs[worst], a))
-            energy, far = placed.body.left_out(moved, pulled, complex(*gravity_at(model.gravity, t[k])))
+            energy, far = placed.body.truncation_error(moved, pulled, complex(*gravity_at(model.gravity, t[k])))
             found[placed.name] = energy / whole, far, far / float(np.linalg.norm(np.ptp(placed.body.points, axis=0)))
     return found
 

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from polyida.body.body import Body, form_of, mass_of, rest_of, translation_of, writes
+from polyida.body.body import Body, coordinates_of, form_of, mass_of, translation_of, writes
 from polyida.body.plate import Plate
 from polyida.body.rigid_body import PointMass
 from polyida.element.operator import ReferenceOperator
@@ -89,8 +89,8 @@ class PlacedBody:
     """
 
     def __init__(self, name, user, first, held):
-        self.name, self.user, self.body = name, user, user.settled(held)
-        self.rest = rest_of(self.body)
+        self.name, self.user, self.body = name, user, user.prepared(held)
+        self.rest = coordinates_of(self.body)
         self.pairs = slice(first, first + len(self.rest))
         self.mass, self.uneven = mass_of(self.body)
         self.translation, self.form = translation_of(self.body), form_of(self.body)
@@ -161,7 +161,7 @@ class PlacedBody:
 
     def loaded(self, side, forces):
         """(pairs of q, forces (., 2) on them) of forces on an attachment's nodes."""
-        shares = self.body.shares_of(side, complex_of_pairs(forces))
+        shares = self.body.pair_forces(side, complex_of_pairs(forces))
         return np.arange(self.pairs.start, self.pairs.stop, dtype=np.int32), pairs_of(shares)
 
 

@@ -1,17 +1,20 @@
-"""A plate reduced to few modes that may turn and move by any amount, and fields of a run to reduce it with."""
+"""A plate reduced to few modes for large rotations, its exact elastic energy, and modes of a run (POD)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from polyida.body.body import Body
-from polyida.body.field_body import FieldBody
+from polyida.body.body import Body, BodyPoint
 from polyida.body.plate import Plate
-from polyida.body.reduction import PlateMatrices, basis_of, form_of_fields
+from polyida.body.rigid_body import FieldBody
+from polyida.element import kernels
+from polyida.element.elements import operator_of, stabilisation_factor
 from polyida.errors import InputError
+from polyida.jit.intrinsics import LANES
 from polyida.joint.attachment import Attachment
+from polyida.linear.saddle import KKT
 from polyida.validation import complex_of_pairs, is_one_of, is_whole, named_keywords, pairs_of, reals, settle
 
 if TYPE_CHECKING:
@@ -19,148 +22,192 @@ if TYPE_CHECKING:
 
 MOST = 40  # modes: the form has (modes + 1)^4 numbers
 RIGID = 2  # fields of a rigid plate
+INDEPENDENT = 1e-6  # a field or row counts as zero if a smaller part of it is independent of the others
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Reduced(FieldBody):
-    """A plate in `x = c + z (X - X_S) / s + sum zeta_k f_k`, s its radius of gyration, few complex coordinates (n = 4 + 2 modes a body),
-    whatever the number of its cells.
+    """A plate with few coordinates: `x = c + z (X - X_S) / s + sum zeta_k f_k`, all complex (n = 4 + 2 modes), s its radius of gyration.
 
-    modes: how many, static modes of the sections, rims and nodes that the scene's parts hold on to (mean x, y and rotation) and
-    normal modes of the plate with these held together, by their frequencies; all, where its mesh has no more. fields: of one's own beside
-    them, displacements of the nodes in the plate's axes as it is placed, (count, N, 2), m; `pi.pod_modes(run, name, count)` takes them
-    from a run. made: all of its fields as they were in the run of a file, (count, N, 2), m, in place of those that would be made anew:
-    loading gives it.
+    The complex span of the fields f_k contains every rotated copy of each, so rigid rotations are exact. The elastic energy is that of the
+    plate's elements and St. Venant-Kirchhoff law, exact in that span; M is constant; there is no co-rotated frame. Stress, pictures and
+    files are those of the plate. Modes of small vibrations do not describe large bending (tip rotation of 0.5 rad: error of 1 % of the
+    length with any number of modes): use `pod_modes` of a run of the full plate; a run's summary warns.
 
-    The complex span of the fields holds every turned copy of each, so rigid turns cost nothing and are exact; the elastic energy is that
-    of the plate's own elements and St. Venant-Kirchhoff law, exactly, in that span: no co-rotated frame, no geometric stiffness to add, M
-    constant. Stress, pictures and files are those of the plate. What it cannot do: modes of small vibrations do not bend far (a plate
-    whose tip turns by half a radian is off by a hundredth of its length with any number of them); take fields of a run of the full plate
-    then. A run's summary warns.
+    Parameters
+    ----------
+    plate : Plate
+    modes : int, 0 to 40
+        Number of modes, by frequency: static modes of the sections, rims and nodes that the scene's parts use (mean x, y and rotation), and
+        normal modes with these held. Fewer if the mesh has no more.
+    fields : (count, N, 2) float, m, optional
+        Additional fields: displacements of the nodes in the axes of the placed plate, e.g. from `pi.pod_modes`.
+    stored_fields : (count, N, 2) float, m, optional
+        All fields of an earlier run, instead of modes and fields; `pi.load` passes them.
+    name : str, optional
+        Default: the plate's name.
 
-    Generalised component mode synthesis (Gerstmayr and Ambrosio 2008; Pechstein, Reischl and Gerstmayr 2013). Raises InputError for what is
-    no plate, a wrong number of modes (0 to 40, one field at least) and fields of another shape.
+    Raises
+    ------
+    InputError
+        If `plate` is no Plate, for a wrong number of modes (at least one field is needed), or fields of a wrong shape.
+
+    Notes
+    -----
+    Generalised component mode synthesis (Gerstmayr and Ambrosio 2008; Pechstein, Reischl and Gerstmayr 2013).
     """
 
     plate: Plate
     modes: int = 5
     fields: Any = None
-    made: Any = None
+    stored_fields: Any = None
     name: str | None = None
 
     def __post_init__(self):
-        self.require_plate()
+        super().__post_init__()
+        label, nodes = self.label, self.plate.mesh.n_nodes
         if not is_whole(self.modes, 0, MOST):
-            raise InputError(f"{self.label}: modes = {self.modes!r} must be a whole number from 0 to {MOST}")
-        for key in ("fields", "made"):
-            if getattr(self, key) is not None:
-                settle(self, **{key: self._checked(getattr(self, key))})
+            raise InputError(f"{label}: modes = {self.modes!r} must be a whole number from 0 to {MOST}")
+        for key in ("fields", "stored_fields"):
+            if (value := getattr(self, key)) is None:
+                continue
+            array = reals(value)
+            if array is None or array.ndim != 3 or array.shape[1:] != (nodes, 2) or not len(array) or not np.isfinite(array).all():
+                shape = type(value).__name__ if array is None else array.shape
+                raise InputError(f"{label}: fields of shape {shape} must be finite displacements of its nodes, (count, {nodes}, 2)")
+            settle(self, **{key: array})
         if not self.modes and self.fields is None:
-            raise InputError(f"{self.label}: modes = 0 leaves no field; give modes, fields, or take Rigid(plate)")
+            raise InputError(f"{label}: modes = 0 leaves no field; give modes, fields, or take Rigid(plate)")
 
-    def _checked(self, given):
-        """The fields as (count, N, 2)."""
-        array, nodes = reals(given), self.plate.mesh.n_nodes
-        if array is None or array.ndim != 3 or array.shape[1:] != (nodes, 2) or not len(array) or not np.isfinite(array).all():
-            shape = type(given).__name__ if array is None else array.shape
-            raise InputError(f"{self.label}: fields of shape {shape} must be finite displacements of its nodes, (count, {nodes}, 2)")
-        return array
+    def prepared(self, attachments: list[Attachment]) -> FieldBody:
+        """Return the plate with its modes for these attachments."""
+        own, stored = (None if given is None else complex_of_pairs(given).T for given in (self.fields, self.stored_fields))
+        return _InModes(self, attachments, own, stored)
 
-    def settled(self, held: list[Attachment]) -> FieldBody:
-        """The plate with its modes, told what holds it."""
-        matrices = PlateMatrices.of(self.plate)
-        basis = basis_of(
-            matrices, held, self.modes, *(None if given is None else complex_of_pairs(given).T for given in (self.fields, self.made))
-        )
-        if basis.shapes.shape[1] == RIGID:
-            raise InputError(f"{self.label}: its fields only move it as rigid; give fields that deform it, modes, or take Rigid(plate)")
-        return _InModes(self.plate, self.name, matrices, basis)
+    def fields_to_store(self, prepared: Body, like: Body | None = None) -> dict[str, np.ndarray]:
+        """Return all fields: another computer computes eigenvectors with other signs, or rotated if frequencies coincide.
 
-    def made_fields(self, settled: Body, like: Body | None = None) -> dict[str, NDArray]:
-        """All fields of its modes: eigenvectors are the same elsewhere but for a sign, or a turn where frequencies meet.
-
-        like: a reduced plate of the same mass matrix in a scene; the fields are turned within their span to be the nearest to its fields.
+        like: a prepared reduced plate with the same mass matrix; the fields are rotated within their span to be nearest to its fields.
         """
-        fields = settled.shapes()[:, RIGID:]  # type: ignore[attr-defined]
+        fields = prepared.shapes()[:, RIGID:]  # type: ignore[attr-defined]
         if like is not None:
             others = like.shapes()[:, RIGID:]  # type: ignore[attr-defined]
             if others.shape != fields.shape:
                 raise InputError(
                     f"{self.label}: it has {fields.shape[1]} modes in place of {others.shape[1]} where a number of it changes a little"
                 )
-            left, _, right = np.linalg.svd(fields.conj().T @ (settled.matrices.mass @ others))  # type: ignore[attr-defined]
+            left, _, right = np.linalg.svd(fields.conj().T @ (prepared.matrices.mass @ others))  # type: ignore[attr-defined]
             fields = fields @ (left @ right)
-        return {"made": pairs_of(fields.T)}
+        return {"stored_fields": pairs_of(fields.T)}
 
 
 class _InModes(FieldBody, part=False):
-    """The same in a scene."""
+    """A reduced plate in a scene: its fields `f_i^H M f_k = mass delta_ik` with the attachments that its parts use."""
 
-    def __init__(self, plate, name, matrices, basis):
-        self.plate, self.name, self.matrices, self.basis = plate, name, matrices, basis
-        self.operator = matrices.operator
+    def __init__(self, reduced, attachments, own, stored):
+        """own: additional fields (N, k), complex, or None. stored: all fields but the rigid ones, or None."""
+        self.plate, self.name, self.matrices = reduced.plate, reduced.name, PlateMatrices(reduced.plate)
+        self.operator = self.matrices.operator
+        M, K, places = self.matrices.mass, self.matrices.stiffness, self.plate.placed.points
+        ones = np.ones(len(places))
+        self.mass = float(ones @ (M @ ones))
+        middle = (ones @ (M @ places)) / self.mass
+        arms = complex_of_pairs(places - middle)
+        self.centre = complex(*(middle + self.plate.origin))
+        self._gyration = float(np.sqrt(np.vdot(arms, M @ arms).real / self.mass))
+        # static and normal modes: the attachments' mean x, y and rotation are held, completed by rigid motion if the plate is still free
+        nodal = [side for side in attachments if not isinstance(side, BodyPoint)]
+        rows, self._stretches = rows_of(len(places), nodal)
+        C = _independent(_completed(rows, M, arms, len(nodal) < len(attachments)))
+        self._kkt, self._held, self._compliance = KKT(K, C), len(C), None
+        if stored is None:
+            fields = [np.zeros((len(arms), 0)), *(() if own is None else (own,))]
+            if reduced.modes:
+                modes = _modes(K, M, self._kkt, C, arms, reduced.modes)
+                fields.insert(0, complex_of_pairs(modes.reshape(-1, 2, modes.shape[1]).transpose(2, 0, 1)).T)
+            stored = np.sqrt(self.mass) * _orthogonal(M, [ones.astype(complex), arms], np.concatenate(fields, axis=1))
+        self._shapes = np.concatenate([np.stack([ones, arms / self._gyration], axis=1), stored], axis=1)
+        if self._shapes.shape[1] == RIGID:
+            raise InputError(f"{reduced.label}: its fields only move it as rigid; give fields that deform it, modes, or take Rigid(plate)")
 
-    def shapes(self) -> NDArray:
+    def shapes(self) -> np.ndarray:
         """1, (X - X_S) / s and the modes at the nodes, (N, pairs), complex."""
-        return self.basis.shapes
+        return self._shapes
 
-    def coordinates(self) -> NDArray:
+    def coordinates(self) -> np.ndarray:
         """(X_S, s, 0, 0 ...), m."""
-        rest = np.zeros(self.shapes().shape[1], complex)
-        rest[:2] = self.basis.centre, self.basis.gyration
+        rest = np.zeros(self._shapes.shape[1], complex)
+        rest[:2] = self.centre, self._gyration
         return rest
 
-    def mass_matrix(self) -> NDArray:
+    def mass_matrix(self) -> np.ndarray:
         """The plate's mass times the identity: all fields have it."""
-        return self.basis.mass * np.eye(self.shapes().shape[1])
+        return self.mass * np.eye(self._shapes.shape[1])
 
     @property
     def gyration(self) -> float:
-        """The radius of gyration s, m, of the plate's M."""
-        return self.basis.gyration
+        """Radius of gyration s, m, of the plate's M."""
+        return self._gyration
 
-    def form(self) -> tuple[NDArray, NDArray]:
+    def form(self) -> tuple[np.ndarray, np.ndarray]:
         """The exact energy of the span."""
-        return form_of_fields(self.matrices, self.shapes()[:, 1:])
-
-    def left_out(self, moved: NDArray, pulled: NDArray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
-        """(strain energy, J, displacement, m) that the modes leave out where its pairs have moved by `moved` and are accelerated by
-        `pulled`, complex: `-d^T r / 2` and the largest of d, by which the residual r of the full plate would move it with what holds it
-        kept.
-        """
-        turn = self._turn(moved)
-        pull = (self.shapes() @ pulled - gravity) * turn.conjugate()
-        r = self.matrices.force(self._deformed(moved)) + self.matrices.mass @ pairs_of(pull)
-        d = self.basis.hold.still(r.ravel())
-        return float(-0.5 * d @ r.ravel()), float(np.abs(d).max())
-
-    def _turn(self, moved):
-        z = self.gyration + moved[1]
-        return z / abs(z)
-
-    def _deformed(self, moved):
-        """Displacements (N, 2) of the nodes in the plate's frame."""
-        z, turn, shapes = self.coordinates() + moved, self._turn(moved), self.shapes()
-        return pairs_of((shapes[:, 1:] @ z[1:]) * turn.conjugate() - self.gyration * shapes[:, 1])
+        return form_of_fields(self.matrices, self._shapes[:, 1:])
 
     def damping(self) -> tuple[float, float]:
         """The material's."""
         return self.plate.material.mass_damping, self.plate.material.viscosity
 
+    def truncation_error(self, moved: np.ndarray, accelerations: np.ndarray, gravity: complex) -> tuple[float, float]:  # type: ignore[override]
+        """Return (strain energy, J; displacement, m) that the modes cannot represent: `-d^T r / 2` and the largest |d_i|.
 
-FRAMES = 400  # of a run that are looked at, evenly spread
-NOTHING = 1e-12  # of the largest singular value: a field of as little is round-off
+        r is the residual of the full plate for these displacements and accelerations of the pairs, complex; d is its linear response with
+        the attachments held.
+        """
+        z, shapes = self.coordinates() + moved, self._shapes
+        turn = z[1] / abs(z[1])
+        deformed = pairs_of((shapes[:, 1:] @ z[1:]) * turn.conjugate() - self._gyration * shapes[:, 1])
+        r = self.matrices.force(deformed) + self.matrices.mass @ pairs_of((shapes @ accelerations - gravity) * turn.conjugate())
+        r, none = r.ravel(), np.zeros(self._held)
+        d = self._kkt.solve(r, none)[0]
+        if len(self._stretches):  # hold the length of the attachments' directions too
+            if self._compliance is None:
+                self._compliance = np.stack([self._kkt.solve(-row, none)[0] for row in self._stretches], axis=1)
+            d = d - self._compliance @ np.linalg.solve(self._stretches @ self._compliance, self._stretches @ d)
+        return float(-0.5 * d @ r), float(np.abs(d).max())
+
+
+FRAMES = 400  # of a run that POD uses, evenly spaced
+NOTHING = 1e-12  # of the largest displacement: smaller singular values are round-off
 
 
 @named_keywords
-def pod_modes(run: "Trajectory", name: str, count: int = 5) -> NDArray:
-    """The `count` fields (count, N, 2), m, that hold most of a plate's deformation in a run, for `pi.Reduced(plate, fields=...)`.
+def pod_modes(run: "Trajectory", name: str, count: int = 5) -> np.ndarray:
+    """Return the fields that contain most of a plate's deformation in a run, for `pi.Reduced(plate, fields=...)`.
 
-    Of each frame x, complex, the rigid motion nearest in M is taken off, `w = exp(-i theta) (x - x_S) - (X - X_S)`; the fields are the left
-    singular vectors of the frames w, of length one in M, most important first. 400 frames are looked at, evenly spread. Source: proper
-    orthogonal decomposition by the method of snapshots (Sirovich 1987). Raises InputError where the run has no plate of that name, its
-    model is not known, count is no whole number, or the motion has fewer fields.
+    The rigid motion nearest in M is subtracted from each frame x, complex: `w = exp(-i theta) (x - x_S) - (X - X_S)`. The fields are the left
+    singular vectors of the frames w, orthonormal in M, by decreasing singular value; 400 evenly spaced frames are used.
+
+    Parameters
+    ----------
+    run : Trajectory
+    name : str
+        The plate's name.
+    count : int, >= 1
+
+    Returns
+    -------
+    (count, N, 2) float, m
+        Displacements of the nodes.
+
+    Raises
+    ------
+    InputError
+        If the run has no such plate or no model, or if its motion has fewer than `count` independent fields.
+
+    Notes
+    -----
+    Proper orthogonal decomposition by the method of snapshots (Sirovich 1987).
     """
     if hasattr(run, "known_model"):
         run.known_model("pod_modes")
@@ -179,8 +226,188 @@ def pod_modes(run: "Trajectory", name: str, count: int = 5) -> NDArray:
         x = x - weights @ x
         turn = np.vdot(x, weights * rest)
         moved.append(x * turn / abs(turn) - rest)
-    shares = np.sqrt(weights)
-    fields, sizes, _ = np.linalg.svd(shares[:, None] * np.array(moved).T, full_matrices=False)
-    if (found := int((sizes > NOTHING * np.abs(rest).max()).sum())) < count:
-        raise InputError(f"pod_modes: {name!r} has {found} fields in this run, not {count}; keep more frames, or take fewer")
-    return pairs_of((fields[:, :count] / shares[:, None]).T)
+    roots = np.sqrt(weights)
+    fields, sizes, _ = np.linalg.svd(roots[:, None] * np.array(moved).T, full_matrices=False)
+    if (independent := int((sizes > NOTHING * np.abs(rest).max()).sum())) < count:
+        raise InputError(f"pod_modes: {name!r} has {independent} fields in this run, not {count}; keep more frames, or take fewer")
+    return pairs_of((fields[:, :count] / roots[:, None]).T)
+
+
+class PlateMatrices:
+    """Matrices of a plate at rest: M (N, N) of one direction, kg, and K (2N, 2N), N/m, on (x, y) node by node."""
+
+    def __init__(self, plate):
+        self.plate, self.operator = plate, operator_of(plate)
+        modulus, nu = plate.material.in_plane
+        self.c1 = plate.thickness * modulus / (1 - nu**2), nu  # N/m, and the ratio
+
+    @cached_property
+    def mass(self):
+        """M, sparse."""
+        return self._on_nodes(self.operator.mass * (self.plate.material.rho * self.plate.thickness))
+
+    @cached_property
+    def stabilisation(self):
+        """The stabilisation of one direction, (N, N) sparse, N/m, or None."""
+        factor = stabilisation_factor(self.plate, self.operator)
+        return self._on_nodes(self.operator.stabilisation * factor) if factor else None
+
+    def _on_nodes(self, values):
+        from scipy.sparse import csr_array
+
+        return csr_array((values, self.operator.indices, self.operator.indptr), shape=(self.operator.n_nodes,) * 2)
+
+    @cached_property
+    def stiffness(self):
+        """K at rest, sparse."""
+        from scipy.sparse import bsr_array, eye_array, kron
+
+        o = self.operator
+        blocks = np.zeros((len(o.indices), 2, 2))
+        kernels.tangent(o.layout, o.corners, o.gradients, o.weights, o.pairs, 0, 0, *self.c1, np.zeros((o.n_nodes, 2)), 1.0, blocks)
+        K = bsr_array((blocks, o.indices, o.indptr), shape=(2 * o.n_nodes,) * 2).tocsc()
+        return K if self.stabilisation is None else (K + kron(self.stabilisation, eye_array(2))).tocsc()
+
+    def force(self, moved):
+        """Internal force (N, 2), N, at displacements (N, 2), m."""
+        o, f, moved = self.operator, np.zeros_like(moved), np.ascontiguousarray(moved)
+        kernels.internal_force(*o.force_arrays, 0, *self.c1, moved, f, np.empty((0, 2)))
+        if self.stabilisation is not None:
+            kernels.stabilisation_force(o.indptr, o.indices, o.stabilisation, stabilisation_factor(self.plate, o), 0, moved, f)
+        return f
+
+
+def rows_of(n, sides):
+    """Return rows (k, 2n) for what attachments hold at rest (mean x, mean y, rotation), and rows for the stretch of their directions."""
+
+    def row(side, weights, x, y):
+        array = np.zeros((1, n, 2))
+        array[0, side.nodes, 0], array[0, side.nodes, 1] = x * weights, y * weights
+        return array.reshape(1, -1)
+
+    held, stretches = [np.zeros((0, 2 * n))], [np.zeros((0, 2 * n))]
+    for side in {(side.nodes.tobytes(), side.weights.tobytes()): side for side in sides}.values():
+        held += [row(side, side.weights, 1.0, 0.0), row(side, side.weights, 0.0, 1.0)]
+        if side.turn_weights is not None:
+            x, y = side.direction
+            held.append(row(side, side.turn_weights, -y, x))
+            stretches.append(row(side, side.turn_weights, x, y))
+    return np.concatenate(held), np.concatenate(stretches)
+
+
+def _completed(rows, M, arms, whole):
+    """The rows, plus the plate's mean rigid motion if they leave a rigid motion free, or if the centre of mass is used (`whole`)."""
+    rigid = _rigid(arms)
+    sizes = np.linalg.norm(rigid, axis=0)
+    rank = np.linalg.matrix_rank(rows @ (rigid / sizes), tol=INDEPENDENT * np.abs(rows).max(initial=0.0)) if len(rows) else 0
+    if rank == 3 and not whole:
+        return rows
+    weighted = np.repeat(M @ np.ones(len(arms)), 2)[:, None] * rigid
+    return np.concatenate([rows, (weighted / np.linalg.norm(weighted, axis=0)).T])
+
+
+def _rigid(arms):
+    """Infinitesimal rigid motions, (2N, 3)."""
+    motions = np.zeros((len(arms), 2, 3))
+    motions[:, 0, 0] = motions[:, 1, 1] = 1.0
+    motions[:, 0, 2], motions[:, 1, 2] = -arms.imag, arms.real
+    return motions.reshape(-1, 3)
+
+
+def _independent(rows):
+    """A maximal set of linearly independent rows, in their order."""
+    from scipy.linalg import qr
+
+    unit = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    _, R, order = qr(unit.T, mode="economic", pivoting=True)
+    rank = int((np.abs(np.diag(R)) > INDEPENDENT).sum())
+    return rows[np.sort(order[:rank])]
+
+
+def _modes(K, M, kkt, C, arms, count):
+    """The lowest `count` modes, (2N, count), of the span of static and normal modes, without rigid motion."""
+    from scipy.linalg import eigh, null_space
+    from scipy.sparse import eye_array, kron
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    n, M2, none = K.shape[0], kron(M, eye_array(2)).tocsr(), np.zeros(len(C))
+    span = [np.stack([kkt.solve(np.zeros(n), -unit)[0] for unit in np.eye(len(C))], axis=1)]
+    normal = min(max(0, count - len(C) + 3), n - len(C))
+    if 2 * normal >= n:  # most of the spectrum: dense
+        free = null_space(C)
+        span.append(free @ eigh(free.T @ (K @ free), free.T @ (M2 @ free))[1][:, :normal])
+    elif normal:
+        inverse = LinearOperator((n, n), matvec=lambda r: kkt.solve(-r, none)[0], dtype=float)
+        start = inverse @ (M2 @ np.random.default_rng(0).standard_normal(n))
+        span.append(eigsh(K, k=normal, M=M2, sigma=0.0, OPinv=inverse, v0=start)[1])
+    span = np.concatenate(span, axis=1)
+    rigid = _rigid(arms)
+    rigid /= np.sqrt(np.einsum("ij,ij->j", rigid, M2 @ rigid))
+    span -= rigid @ (rigid.T @ (M2 @ span))
+    values, vectors = np.linalg.eigh(span.T @ (M2 @ span))
+    good = values > INDEPENDENT**2 * values[-1]
+    span = span @ (vectors[:, good] / np.sqrt(values[good]))
+    _, turned = np.linalg.eigh(span.T @ (K @ span))
+    return span @ turned[:, :count]
+
+
+def _orthogonal(M, rigid, fields):
+    """The fields made orthonormal in M, complex, to the rigid ones and each other; dependent ones are dropped."""
+    basis = [field / np.sqrt(np.vdot(field, M @ field).real) for field in rigid]
+    for field in fields.T:
+        size = np.sqrt(np.vdot(field, M @ field).real)
+        for _ in range(2):
+            for other in basis:
+                field = field - np.vdot(other, M @ field) * other
+        rest = np.sqrt(np.vdot(field, M @ field).real)
+        if rest > INDEPENDENT * size:
+            basis.append(field / rest)
+    return np.array(basis[len(rigid) :]).reshape(-1, len(fields)).T
+
+
+CHUNK = 512  # blocks of cells whose strains are in memory at once
+
+
+def form_of_fields(matrices, fields):
+    """Return (form, shift) as of `Body.form` for `x = sum z_k f_k`, fields (N, K): `form = sum weight t Q^T C Q` over the points.
+
+    With a_k, b_k the x and y derivatives of f_k, Q maps y to (Exx, Eyy, 2 Exy): conj(z_i) z_j has the factors conj(a_i) a_j / 2,
+    conj(b_i) b_j / 2 and (conj(a_i) b_j + conj(b_i) a_j) / 2. shift: of the stabilisation, which is quadratic in z.
+    """
+    c1, nu = matrices.c1
+    C = c1 * np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, (1.0 - nu) / 2.0]])
+    i, j = np.triu_indices(fields.shape[1])
+    p, q = np.triu_indices(fields.shape[1], 1)
+    half = np.where(i == j, 0.5, 1.0)
+    size = fields.shape[1] ** 2
+    form = np.zeros((size, size))
+    for weights, slopes in _points(matrices.operator, fields):
+        a, b = slopes[:, 0], slopes[:, 1]
+        Q = [np.concatenate([half * (s[:, i].conj() * s[:, j]).real, -(s[:, p].conj() * s[:, q]).imag], axis=1) for s in (a, b)]
+        mixed = a[:, i].conj() * b[:, j] + b[:, i].conj() * a[:, j]
+        across = a[:, p].conj() * b[:, q] + b[:, p].conj() * a[:, q]
+        Q = np.stack([*Q, np.concatenate([half * mixed.real, -across.imag], axis=1)])
+        weighted = np.einsum("ab,bpy->apy", C, Q) * weights[:, None]
+        form += Q.reshape(-1, size).T @ weighted.reshape(-1, size)
+    if matrices.stabilisation is None:
+        return (form + form.T) / 2, np.zeros(size)
+    H = fields.conj().T @ (matrices.stabilisation @ fields)
+    return (form + form.T) / 2, np.concatenate([half * H[i, j].real, -H[p, q].imag])
+
+
+def _points(operator, fields):
+    """Yield the areas (points,) of integration points and the derivatives of the fields there, (points, 2, K)."""
+
+    def rows(array, starts, shape):
+        return array[starts[:, None] + np.arange(np.prod(shape))].reshape(len(starts), *shape)
+
+    layout = operator.layout
+    for n, points in np.unique(layout[:, :2], axis=0):
+        blocks = layout[(layout[:, 0] == n) & (layout[:, 1] == points)]
+        for k in range(0, len(blocks), CHUNK):
+            _, _, corner, gradient, weight = blocks[k : k + CHUNK].T[:5]
+            values = fields[rows(operator.corners, corner, (n, LANES))]
+            values = values[:, :-1] - values[:, -1:]
+            gradients = rows(operator.gradients, gradient, (points, n - 1, 2, LANES))
+            slopes = np.einsum("bpcdl,bclk->bpldk", gradients, values, optimize=True)
+            yield rows(operator.weights, weight, (points, LANES)).ravel(), slopes.reshape(-1, 2, fields.shape[1])

@@ -1,28 +1,41 @@
-"""Point masses, and rigid bodies in two complex coordinates: by mass and inertia, or plates taken as rigid."""
+"""Point masses, rigid bodies, and the base class of bodies whose few coordinates move all nodes of a plate."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from polyida.body.body import Body
-from polyida.body.field_body import FieldBody, moments_of, rigid_fields
+from polyida.body.body import Body, BodyPoint
 from polyida.body.plate import Material, Plate
+from polyida.element.elements import operator_of
+from polyida.element.operator import ReferenceOperator
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, labelled, require_attachment
 from polyida.joint.formula import Row, Vector, dot
 from polyida.mesh import PolygonMesh
 from polyida.mesh.topology import area_moments
-from polyida.validation import named_keywords, number, positive, settle, vector2
+from polyida.validation import complex_of_pairs, named_keywords, number, pairs_of, positive, settle, vector2
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class PointMass:
-    """A mass (kg, > 0) at the mean point x of an attachment: kinetic energy `m |x'|^2 / 2`, weight `m g`."""
+    """A mass at the mean point x of an attachment: kinetic energy `m |x'|^2 / 2`, weight `m g`.
+
+    Parameters
+    ----------
+    at : Attachment
+    mass : float, kg, > 0
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For an `at` that is no attachment of a body, or a mass that is not positive.
+    """
 
     at: Attachment
     mass: float
@@ -37,16 +50,35 @@ class PointMass:
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class RigidBody(Body):
-    """A rigid body: `x = c + z (X - X_S) / s` for each of its points X, c the place of its centre of mass X_S, z / s its direction, s the
-    radius of gyration `sqrt(inertia / mass)`, m, in which z is measured, so that all coordinates are alike.
+    """A rigid body: each point X moves as `x = c + z (X - X_S) / s`, c the centre of mass, z / s the direction of the body.
 
-    mass: kg. inertia: about the centre of mass, kg m2. points: {name: (x, y)}, m, in the body's own axes. origin: where the own (0, 0)
-    lies, m. angle: turn of its axes about it, rad. center: the centre of mass in its own axes, m. velocity of the centre of mass, m/s, and
-    spin, rad/s: at the start.
+    s is the radius of gyration `sqrt(inertia / mass)`, m, so that c and z have the same unit and the same mass. q holds the displacements
+    of c and z, m; M = mass times the identity is constant, and `phi = (|z|^2 - s^2) / (2 s)` (1 row, m) keeps |z| = s: there are no
+    gyroscopic terms. `body.at(name)` is a point, by default with the body's x axis as its direction.
 
-    q holds the displacements of c and z from rest, m; M = mass times the identity is constant, and `phi = (|z|^2 - s^2) / (2 s)` (1 row, m)
-    keeps z of its length, so that there are no gyroscopic terms. `body.at(name)` is a point, with the body's x axis as its direction or the
-    one that is given. Raises InputError for a mass or inertia that is not positive, and for what is no point.
+    Parameters
+    ----------
+    mass : float, kg, > 0
+    inertia : float, kg m2, > 0
+        About the centre of mass.
+    points : dict of name to (x, y), m
+        In the body's own axes; at least one.
+    origin : (2,) float, m
+        Position of the body's own (0, 0).
+    angle : float, rad
+        Rotation of the body's axes about the origin.
+    center : (2,) float, m
+        Centre of mass in the body's own axes.
+    velocity : (2,) float, m/s
+        Of the centre of mass at the start.
+    spin : float, rad/s
+        At the start.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For a mass or inertia that is not positive, wrong points or other wrong values.
     """
 
     mass: float
@@ -60,33 +92,33 @@ class RigidBody(Body):
     name: str | None = None
 
     def __post_init__(self):
+        label = self.label
         settle(
-            self, mass=positive(self.label, "mass", self.mass, "kilograms"), inertia=positive(self.label, "inertia", self.inertia, "kg m2")
+            self,
+            mass=positive(label, "mass", self.mass, "kilograms"),
+            inertia=positive(label, "inertia", self.inertia, "kg m2"),
+            angle=number(label, "angle", self.angle, "rad"),
+            spin=number(label, "spin", self.spin, "rad/s"),
+            **{key: tuple(vector2(label, key, getattr(self, key)).tolist()) for key in ("origin", "center", "velocity")},
         )
-        for key in ("origin", "center", "velocity"):
-            settle(self, **{key: tuple(vector2(self.label, key, getattr(self, key)).tolist())})
-        for key, unit in (("angle", "rad"), ("spin", "rad/s")):
-            settle(self, **{key: number(self.label, key, getattr(self, key), unit)})
         if not isinstance(self.points, Mapping) or not self.points or not all(isinstance(name, str) and name for name in self.points):
-            raise InputError(
-                f"{self.label}: points = {str(self.points)[:80]} must be a dictionary {{name: (x, y)}}, with one point at least"
-            )
-        settle(self, points={name: tuple(vector2(self.label, f"point {name!r}", at).tolist()) for name, at in self.points.items()})
+            raise InputError(f"{label}: points = {str(self.points)[:80]} must be a dictionary {{name: (x, y)}}, with one point at least")
+        settle(self, points={name: tuple(vector2(label, f"point {name!r}", at).tolist()) for name, at in self.points.items()})
 
     @classmethod
     def bar(
         cls,
         length: float,
         mass: float,
-        origin: ArrayLike = (0.0, 0.0),
+        origin: "ArrayLike" = (0.0, 0.0),
         angle: float = 0.0,
-        velocity: ArrayLike = (0.0, 0.0),
+        velocity: "ArrayLike" = (0.0, 0.0),
         spin: float = 0.0,
         name: str | None = None,
     ) -> "RigidBody":
-        """A slender bar along its x axis from its origin: points "left", "center", "right", inertia m l^2 / 12."""
-        given = labelled(cls.__name__, name)
-        length, mass = positive(given, "length", length, "metres"), positive(given, "mass", mass, "kilograms")
+        """Return a slender bar (length, m; mass, kg) along its x axis, with the points "left" (its origin), "center" and "right"."""
+        label = labelled(cls.__name__, name)
+        length, mass = positive(label, "length", length, "metres"), positive(label, "mass", mass, "kilograms")
         points = {"left": (0.0, 0.0), "center": (length / 2, 0.0), "right": (length, 0.0)}
         pose: dict[str, Any] = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
         return cls(mass, mass * length**2 / 12, points, center=points["center"], **pose)
@@ -98,29 +130,32 @@ class RigidBody(Body):
         material: Material,
         thickness: float,
         points: Mapping | None = None,
-        origin: ArrayLike = (0.0, 0.0),
+        origin: "ArrayLike" = (0.0, 0.0),
         angle: float = 0.0,
-        velocity: ArrayLike = (0.0, 0.0),
+        velocity: "ArrayLike" = (0.0, 0.0),
         spin: float = 0.0,
         name: str | None = None,
     ) -> "RigidBody":
-        """A body of a mesh's shape: mass, centre and inertia by exact integrals over its polygons; points: further ones beside "center"
-        and the mean point of each section of the mesh.
+        """Return a body of a mesh's shape: mass, centre and inertia by exact integrals over its polygons.
+
+        points: in addition to "center" and the mean point of each section of the mesh.
         """
-        given = labelled(cls.__name__, name)
+        label = labelled(cls.__name__, name)
         if not isinstance(mesh, PolygonMesh) or not isinstance(material, Material):
-            raise InputError(f"{given}: from_mesh takes a polyida mesh and a polyida.Material, not {mesh!r:.60} and {material!r:.60}")
+            raise InputError(f"{label}: from_mesh takes a polyida mesh and a polyida.Material, not {mesh!r:.60} and {material!r:.60}")
         if not (points is None or isinstance(points, Mapping)):
-            raise InputError(f"{given}: points = {str(points)[:80]} must be a dictionary {{name: (x, y)}}")
+            raise InputError(f"{label}: points = {str(points)[:80]} must be a dictionary {{name: (x, y)}}")
         area, centre, second = area_moments(mesh)
-        density = material.rho * positive(given, "thickness", thickness, "metres")
-        known = {section: _mean(mesh, section) for section in mesh.sections} | {"center": tuple(centre.tolist())}
+        density = material.rho * positive(label, "thickness", thickness, "metres")
+        sections = {name: mesh.section(name) for name in mesh.sections}
+        known = {name: tuple((s.weights @ mesh.points[s.nodes]).tolist()) for name, s in sections.items()}
+        known["center"] = tuple(centre.tolist())
         pose: dict[str, Any] = {"origin": origin, "angle": angle, "velocity": velocity, "spin": spin, "name": name}
         return cls(density * area, density * second, {**known, **(points or {})}, center=known["center"], **pose)
 
     @property
     def gyration(self) -> float:
-        """The radius of gyration s, m."""
+        """Radius of gyration s, m."""
         return float(np.sqrt(self.inertia / self.mass))
 
     def coordinates(self) -> list[complex]:
@@ -128,11 +163,11 @@ class RigidBody(Body):
         turn = np.exp(1j * self.angle)
         return [complex(*self.origin) + turn * complex(*self.center), self.gyration * turn]
 
-    def mass_matrix(self) -> NDArray:
-        """diag(mass, mass), the second for the turn."""
+    def mass_matrix(self) -> np.ndarray:
+        """diag(mass, mass)."""
         return np.diag([self.mass, self.mass])
 
-    def attachments(self) -> dict[str, ArrayLike]:
+    def attachments(self) -> "dict[str, ArrayLike]":
         """{name: (1, (X - X_S) / s)}."""
         return {name: [1.0, (complex(*at) - complex(*self.center)) / self.gyration] for name, at in self.points.items()}
 
@@ -142,53 +177,149 @@ class RigidBody(Body):
 
     def rows(self) -> list[Row | Vector]:
         """`(|z|^2 - s^2) / (2 s)`."""
-        return [stays_rigid(self, self.gyration)]
+        return [constant_length(self)]
 
 
-def stays_rigid(body, gyration):
-    """`(|z|^2 - s^2) / (2 s)`, a Row, of the vector z = s d that turns with a body."""
+def constant_length(body):
+    """The row `(|z|^2 - s^2) / (2 s)` of a body with the x axis z / s."""
     d = body.point_of("z", np.stack([np.zeros(2), body.x_axis()])).d
-    return ((dot(d, d) - 1.0) * (0.5 * gyration)).named("length", "N")
+    return ((dot(d, d) - 1.0) * (0.5 * body.gyration)).named("length", "N")
 
 
-def _mean(mesh, section):
-    """The mean point of a section of a mesh, the centre of a hole."""
-    found = mesh.section(section)
-    return tuple((found.weights @ mesh.points[found.nodes]).tolist())
+class FieldBody(Body, part=False):
+    """A plate that moves as `x = sum z_k f_k` with few complex fields f_k over its nodes: 1, (X - X_S) / s, and those of a subclass.
+
+    s is the radius of gyration, so that all z_k are lengths, m. Sections, rims and nodes are those of the plate.
+    """
+
+    plate: Plate
+
+    def __post_init__(self):
+        if not isinstance(self.plate, Plate):
+            raise InputError(f"{self.label}: {str(self.plate)[:80]} is no plate; give a polyida.Plate")
+        if self.name is None:
+            settle(self, name=self.plate.name)
+
+    @property
+    def mesh(self) -> PolygonMesh:
+        """The plate's mesh."""
+        return self.plate.mesh
+
+    @property
+    def placed(self) -> PolygonMesh:
+        """The plate's mesh rotated by its angle."""
+        return self.plate.placed
+
+    @property
+    def points(self) -> np.ndarray:
+        """Reference positions of the plate's nodes, (N, 2), m."""
+        return self.plate.points
+
+    @property
+    def thickness(self) -> float:
+        """Thickness of the plate, m."""
+        return self.plate.thickness
+
+    @cached_property
+    def operator(self) -> ReferenceOperator:
+        """Reference operator of the plate's element on its mesh."""
+        return operator_of(self.plate)
+
+    @cached_property
+    def _moments(self):
+        """(mass, kg; centre of mass in the scene, (2,), m; radius of gyration, m) of the plate, by exact area integrals."""
+        area, centre, second = area_moments(self.plate.placed)
+        return area * self.plate.material.rho * self.plate.thickness, centre + self.plate.origin, float(np.sqrt(second / area))
+
+    def require(self) -> None:
+        """Do nothing: the constructor has checked the values."""
+
+    def section(self, selector: "str | Callable[[np.ndarray], np.ndarray] | ArrayLike") -> Attachment:
+        """Return the mean of a section of the boundary, as `Plate.section` does."""
+        return replace(self.plate.section(selector), body=self)
+
+    def rim(self, hole: int | str = 0) -> Attachment:
+        """Return the mean of the rim of a hole, as `Plate.rim` does."""
+        return replace(self.plate.rim(hole), body=self)
+
+    def node(self, where: "int | ArrayLike") -> Attachment:
+        """Return one node, as `Plate.node` does."""
+        return replace(self.plate.node(where), body=self)
+
+    @cached_property
+    def _rigid_shapes(self):
+        _, centre, gyration = self._moments
+        arms = complex_of_pairs(self.plate.points - centre)
+        return np.stack([np.ones(len(arms)), arms / gyration], axis=1)
+
+    def shapes(self) -> np.ndarray:
+        """Return f_k at the nodes, (N, pairs), complex."""
+        return self._rigid_shapes
+
+    def nodal(self, moved: np.ndarray) -> np.ndarray:
+        """Return the displacements (N, 2), m, of the nodes for displacements of the pairs, complex; velocities for velocities."""
+        return pairs_of(self.shapes() @ moved)
+
+    def weights_of(self, side: Attachment, part: str) -> np.ndarray:
+        """Return the weights (pairs,), complex, of an attachment's "point" or "direction"."""
+        weights = super().weights_of(side, part)
+        return weights if isinstance(side, BodyPoint) else weights @ self.shapes()[side.nodes]
+
+    def pair_forces(self, side: Attachment, forces: np.ndarray) -> np.ndarray:
+        """Return `f_k^H forces`, (pairs,), for complex forces on the nodes of an attachment."""
+        return self.shapes()[side.nodes].conj().T @ forces
+
+    @property
+    def gyration(self) -> float:
+        """Radius of gyration s, m."""
+        return self._moments[2]
+
+    def coordinates(self) -> np.ndarray:
+        """(X_S, s, 0, 0 ...), m."""
+        rest = np.zeros(self.shapes().shape[1], complex)
+        rest[:2] = complex(*self._moments[1]), self.gyration
+        return rest
+
+    def attachments(self) -> "dict[str, ArrayLike]":
+        """The centre of mass alone; parts use sections, rims and nodes."""
+        return {"center": np.eye(self.shapes().shape[1])[0]}
+
+    def x_axis(self) -> np.ndarray:
+        """z / s."""
+        return np.eye(self.shapes().shape[1])[1] / self.gyration
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Rigid(FieldBody):
-    """A plate that does not deform: `x = c + z (X - X_S) / s`, |z| = s, as a RigidBody of its exact mass and radius of gyration s (n = 4).
+    """A plate that does not deform: a rigid body of its exact mass and radius of gyration s, `x = c + z (X - X_S) / s`, |z| = s (n = 4).
 
-    It is held, loaded and drawn as the plate; its stress is zero. Of a damped material it takes mass_damping. Raises InputError for what
-    is no plate.
+    Attachments, loads and pictures are those of the plate; its stress is zero. Of the material's damping only mass_damping acts.
+
+    Parameters
+    ----------
+    plate : Plate
+    name : str, optional
+        Default: the plate's name.
+
+    Raises
+    ------
+    InputError
+        If `plate` is no Plate.
     """
 
     plate: Plate
     name: str | None = None
     turns_only = True
 
-    def __post_init__(self):
-        self.require_plate()
-
-    @cached_property
-    def _shapes(self):
-        return rigid_fields(self.plate)
-
-    def shapes(self) -> NDArray:
-        """1 and (X - X_S) / s at the nodes, (N, 2), complex."""
-        return self._shapes
-
-    def mass_matrix(self) -> NDArray:
-        """diag(mass, mass), by exact area integrals, the second for the turn."""
-        return moments_of(self.plate)[0] * np.eye(2)
+    def mass_matrix(self) -> np.ndarray:
+        """diag(mass, mass), by exact area integrals."""
+        return self._moments[0] * np.eye(2)
 
     def damping(self) -> tuple[float, float]:
-        """The material's drag."""
+        """Rayleigh mass coefficient of the material, 1/s, and 0."""
         return self.plate.material.mass_damping, 0.0
 
     def rows(self) -> list[Row | Vector]:
         """`(|z|^2 - s^2) / (2 s)`."""
-        return [stays_rigid(self, self.gyration)]
+        return [constant_length(self)]

@@ -1,4 +1,4 @@
-"""The product of one body's tangent with a field, from the points of its cells: no matrix is made.
+"""Matrix-free products of one body's tangent with a field, and work of its forces.
 
     (K w)_i = int t dP G_i,  dP = D S + F dS,  D = sum_i w_i (x) G_i,  dS = C : sym(F^T D)
 
@@ -6,17 +6,26 @@ With Kelvin-Voigt viscosity, `P = F S`, `S = C : (E + tau sym(F^T V))`, the tran
 
     K^T w: W S + (F + tau V) T,   C^T w: tau F T,   T = C : sym(F^T W)
 
-Other kernels keep the cells of a body apart: the work of each cell's forces along a second field w,
+Other kernels give values for each cell: the work of its forces along a second field w,
 
     w . f = sum over the cell's points of weight P(F) : grad w      P = F S, S = D : (E + tau_v Edot)
 
-and products of fields on the node pattern, from which the work of what is constant in a cell, mass and stabilisation, follows for any
-number of frames at once. Arguments as in kernels.py; results are added to the arrays given.
+and products of fields on the node pattern, for the work of the constant matrices (mass and stabilisation) in any number of frames at once.
+Arguments as in kernels.py; results are added to the output arrays.
 """
 
-from polyida.element.kernels import _differences, _gradient, _room, _scatter_balanced, _scatter_turn
-from polyida.element.material import add_outer, add_rotation, add_times, carried, first_piola, second_piola, strain
-from polyida.element.two_state_material import two_state_piola, two_state_strain
+from polyida.element.kernels import _differences, _gradient, _scatter_balanced, _scatter_turn, _workspace
+from polyida.element.material import (
+    add_outer,
+    add_rotation,
+    add_times,
+    carried,
+    first_piola,
+    second_piola,
+    strain,
+    two_state_piola,
+    two_state_strain,
+)
 from polyida.jit import entry, part
 from polyida.jit.intrinsics import LANES, load, load2, load_integer, store, traced, zeros2, zeros4
 
@@ -67,7 +76,7 @@ def second_half(change):
 
 @part
 def _two_gradients(gradients, start, differences, m):
-    """H at one point of two fields, one behind the other in differences."""
+    """H at one point of two fields, stored in succession in differences."""
     h, d, size = zeros4(), zeros4(), 2 * m * LANES
     for k in range(0, size, 2 * LANES):
         g = load2(gradients, start + k)
@@ -79,19 +88,19 @@ def _two_gradients(gradients, start, differences, m):
 @entry
 def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, u, w, f, rotation):
     """Add K(u) w to f (N, 2); to rotation (N, 2) what kernels.internal_force adds, unless it is (0, 2)."""
-    room = _room(layout, 6, 0)
+    work = _workspace(layout, 6, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         size = 2 * m * LANES
-        force = room[2 * size :]
-        _differences(u, corners, first, node_offset, m, room)
-        _differences(w, corners, first, node_offset, m, room[size:])
+        force = work[2 * size :]
+        _differences(u, corners, first, node_offset, m, work)
+        _differences(w, corners, first, node_offset, m, work[size:])
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         turn = zeros2()
         for p in range(layout[b, 1]):
             g, share = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h, d = _two_gradients(gradients, g, room, m)
+            h, d = _two_gradients(gradients, g, work, m)
             turn = add_rotation(turn, share, h)
             change = piola_change(h, d, share, c1 * nu, c1 * (1.0 - nu))
             for k in range(0, size, 2 * LANES):
@@ -103,20 +112,20 @@ def stiffness_product(layout, corners, gradients, weights, node_offset, c1, nu, 
 @entry
 def viscous_products(layout, corners, gradients, weights, node_offset, c1, nu, tau, u, v, w, f, slow, rotation):
     """Add K(u, v)^T w to f and C(u)^T w to slow, (N, 2), of a viscous body; rotation as above."""
-    room = _room(layout, 10, 0)
+    work = _workspace(layout, 10, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         size = 2 * m * LANES
-        rates, force, drag = room[2 * size :], room[3 * size :], room[4 * size :]
-        _differences(u, corners, first, node_offset, m, room)
-        _differences(w, corners, first, node_offset, m, room[size:])
+        rates, force, drag = work[2 * size :], work[3 * size :], work[4 * size :]
+        _differences(u, corners, first, node_offset, m, work)
+        _differences(w, corners, first, node_offset, m, work[size:])
         _differences(v, corners, first, node_offset, m, rates)
         for k in range(0, 2 * size, 2 * LANES):
             store(force, k, zeros2())
         turn = zeros2()
         for p in range(layout[b, 1]):
             g, share = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h, d = _two_gradients(gradients, g, room, m)
+            h, d = _two_gradients(gradients, g, work, m)
             turn = add_rotation(turn, share, h)
             change = viscous_change(h, _gradient(gradients, g, rates, m), d, share, c1 * nu, c1 * (1.0 - nu), tau)
             for k in range(0, size, 2 * LANES):
@@ -136,21 +145,19 @@ def add_work(total, p, g):
 
 @entry
 def force_work(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, w, out):
-    """Add to out (blocks * LANES,), in the order of the lanes, `w . f` of each cell at displacements u, velocities v, without the
-    stabilisation; v is not read where tau_v is zero.
-    """
-    room = _room(layout, 6, 0)
+    """Add `w . f` of each cell, without stabilisation, to out (blocks * LANES,) in the order of the lanes; v is not used if tau_v = 0."""
+    work = _workspace(layout, 6, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         size, total = 2 * m * LANES, load(out, b * LANES)
-        along, rate = room[size:], room[2 * size :]
-        _differences(u, corners, first, node_offset, m, room)
+        along, rate = work[size:], work[2 * size :]
+        _differences(u, corners, first, node_offset, m, work)
         _differences(w, corners, first, node_offset, m, along)
         if tau_v != 0.0:
             _differences(v, corners, first, node_offset, m, rate)
         for p in range(layout[b, 1]):
             g, weight = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h, slope = _gradient(gradients, g, room, m), _gradient(gradients, g, along, m)
+            h, slope = _gradient(gradients, g, work, m), _gradient(gradients, g, along, m)
             if tau_v != 0.0:
                 d = _gradient(gradients, g, rate, m)
                 total = add_work(total, two_state_piola(h, d, weight, c1 * nu, c1 * (1.0 - nu), tau_v, 0.0), slope)
@@ -171,7 +178,7 @@ def products(indptr, indices, node_offset, b, w, out):
 
 @entry
 def difference_products(indptr, indices, node_offset, u, w, out):
-    """out (nnz,) += w_i . (u_j - u_i) for every pair: for matrices whose rows sum to zero, without the digits of large translations."""
+    """out (nnz,) += w_i . (u_j - u_i) for every pair: for matrices whose rows sum to zero; large translations cost no digits."""
     for row in range(indptr.shape[0] - 1):
         i = row + node_offset
         x, y, ux, uy = w[i, 0], w[i, 1], u[i, 0], u[i, 1]

@@ -1,11 +1,14 @@
-"""Numba kernels of one body: internal force, tangent, strain energy, stress and the product with the mass.
+"""Numba kernels of one body: internal force, tangent, strain energy, stress, and products with mass and stabilisation.
 
     f_i = int t F S G_i,  K_ij = int t [(G_i . S G_j) I + B_i^T D B_j] = int t G_i A G_j,  W = int t S : E / 2
 
-Arguments: the packed arrays of a ReferenceOperator; `node_offset`, where the body's nodes begin in u; c1 = t E_mod /
-(1 - nu^2) in N/m; u (N, 2) displacements in m of all bodies. Arrays are contiguous, writeable float64. Results are
-added to the arrays given. Differences to the last corner replace displacements, so that the forces of a cell sum to
-zero and large translations cost no digits.
+Arguments: the packed arrays of a ReferenceOperator; node_offset: the body's first node in u; c1 = t E_mod / (1 - nu^2), N/m; u (N, 2):
+displacements of all bodies, m. Arrays are contiguous, writeable float64. Results are added to the output arrays. Differences to the last
+corner replace displacements: the forces of a cell then sum to zero, and large translations cost no digits.
+
+The stabilisation of virtual elements is a constant scalar matrix S on the node pattern whose rows sum to 0: f = factor (S (x) I) u,
+W = factor u . (S (x) I) u / 2, tangent factor S on the diagonal of each 2 x 2 block. It has no viscosity: S v is not zero in the rigid
+rotation of a warped cell and would brake it.
 """
 
 import numpy as np
@@ -43,9 +46,11 @@ from polyida.jit.intrinsics import (
     load_float,
     load_integer,
     load_pair,
+    pair,
     scatter_add,
     spread,
     store,
+    traced,
     zero_pair,
     zeros2,
     zeros3,
@@ -54,8 +59,8 @@ from polyida.jit.intrinsics import (
 
 
 @part
-def _room(layout, per_corner, per_corner_point):
-    """Scratch for the largest block, in vectors per corner and per corner and point."""
+def _workspace(layout, per_corner, per_corner_point):
+    """Workspace for the largest block, by the number of vectors for each corner, and for each corner and point."""
     vectors = 1
     for b in range(layout.shape[0]):
         vectors = max(vectors, layout[b, 0] * (per_corner + layout[b, 1] * per_corner_point))
@@ -64,7 +69,7 @@ def _room(layout, per_corner, per_corner_point):
 
 @part
 def _differences(u, corners, start, node_offset, m, out):
-    """Displacements of the corners against the last one, m, into out."""
+    """Store the displacements of the corners relative to the last one, m, in out."""
     last = gather(u, corners, start + m * LANES, node_offset)
     for i in range(m):
         store(out, 2 * i * LANES, difference(gather(u, corners, start + i * LANES, node_offset), last))
@@ -100,7 +105,7 @@ def _scatter_turn(turn, corners, first, node_offset, m, rotation):
 
 @part
 def _least(seen):
-    """The least det F of what `watch` has seen, nan where one is not finite."""
+    """The least det F in the state of `watch`; NaN if a det F is not finite."""
     low, total = np.inf, 0.0
     for k in range(LANES):
         low, total = min(low, lane(seen[0], k)), total + lane(seen[1], k)
@@ -119,28 +124,28 @@ def _add_means(state, lane_cells, first, areas, out):
 
 @entry
 def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, f, rotation):
-    """Add the internal force to f (N, 2); return the least det F, nan where a displacement is not finite.
+    """Add the internal force to f (N, 2); return the least det F, NaN if a displacement is not finite.
 
-    Adds to rotation (N, 2), at every node, the sum over its cells of area (F11 + F22, F21 - F12) of the cell's mean F:
-    their angle is the node's rotation. With rotation of shape (0, 2) this is left out.
+    Add to rotation (N, 2), unless it is (0, 2), at every node the sum over its cells of area (F11 + F22, F21 - F12) of the cell's mean F: the
+    angle of this vector is the node's rotation.
     """
-    room = _room(layout, 4, 0)
+    work = _workspace(layout, 4, 0)
     seen = spread(np.inf), spread(0.0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
-        force, size = room[2 * m * LANES :], 2 * m * LANES
-        _differences(u, corners, first, node_offset, m, room)
+        force, size = work[2 * m * LANES :], 2 * m * LANES
+        _differences(u, corners, first, node_offset, m, work)
         for k in range(0, size, 2 * LANES):
             store(force, k, zeros2())
         turn = zeros2()
         for p in range(layout[b, 1]):
             g, w = layout[b, 3] + p * size, load(weights, layout[b, 4] + p * LANES)
-            h = _gradient(gradients, g, room, m)
+            h = _gradient(gradients, g, work, m)
             seen, turn = watch(seen, h), add_rotation(turn, w, h)
             stress = first_piola(h, w, c1 * nu, c1 * (1.0 - nu))
             for k in range(0, size, 2 * LANES):
                 store(force, k, add_times(load2(force, k), stress, load2(gradients, g + k)))
-        balance = zeros2()  # written out: with calls of the parts above this most frequent kernel is slower
+        balance = zeros2()  # inlined: calls of the functions above make this most frequent kernel slower
         for i in range(m):
             own = load2(force, 2 * i * LANES)
             scatter_add(f, corners, first + i * LANES, node_offset, own)
@@ -154,16 +159,16 @@ def internal_force(layout, corners, gradients, weights, node_offset, c1, nu, u, 
 
 @entry
 def tangent(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, u, scale, blocks):
-    """Add scale * K to blocks (M, 2, 2), the node pattern's 2 x 2 blocks, the body's own beginning at pair_offset."""
-    room = _room(layout, 6, 8)
+    """Add scale * K to blocks (M, 2, 2) of the node pattern; the body's blocks start at pair_offset."""
+    work = _workspace(layout, 6, 8)
     for b in range(layout.shape[0]):
         m, points, g = layout[b, 0] - 1, layout[b, 1], layout[b, 3]
-        sums, products = room[2 * m * LANES :], room[6 * m * LANES :]
-        _differences(u, corners, layout[b, 2], node_offset, m, room)
+        sums, products = work[2 * m * LANES :], work[6 * m * LANES :]
+        _differences(u, corners, layout[b, 2], node_offset, m, work)
         for p in range(points):
             start = g + 2 * p * m * LANES
             a = moduli(
-                _gradient(gradients, start, room, m), load(weights, layout[b, 4] + p * LANES), scale * c1 * nu, scale * c1 * (1.0 - nu)
+                _gradient(gradients, start, work, m), load(weights, layout[b, 4] + p * LANES), scale * c1 * nu, scale * c1 * (1.0 - nu)
             )
             for j in range(m):
                 store(products, 8 * (j * points + p) * LANES, moduli_times(a, load2(gradients, start + 2 * j * LANES)))
@@ -208,13 +213,13 @@ def _add_last(m, pairs, start, pair_offset, blocks, sums):
 @entry
 def strain_energy(layout, corners, gradients, weights, node_offset, c1, nu, u):
     """Strain energy in J, summed with compensation."""
-    room = _room(layout, 2, 0)
+    work = _workspace(layout, 2, 0)
     state = zeros2()
     for b in range(layout.shape[0]):
         m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], node_offset, m, room)
+        _differences(u, corners, layout[b, 2], node_offset, m, work)
         for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
+            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
             state = add_energy(state, h, load(weights, layout[b, 4] + p * LANES), c1 * nu, c1 * (1.0 - nu))
     energy = 0.0
     for k in range(LANES):
@@ -224,34 +229,34 @@ def strain_energy(layout, corners, gradients, weights, node_offset, c1, nu, u):
 
 @entry
 def stress(layout, corners, gradients, weights, lane_cells, areas, node_offset, c, nu, u, out):
-    """Cauchy stress (sxx, syy, sxy) in Pa, mean over the reference area of each cell, into out (cells, 3).
+    """Store the Cauchy stress (sxx, syy, sxy), Pa, mean over the reference area of each cell, in out (cells, 3).
 
-    sigma = F S F^T / det F with F in the plane; c = E_mod / (1 - nu^2) in Pa. In plane stress the thinning of the plate
-    is left out (it would scale sigma by 1 / F33, about 1 + nu tr(E) / (1 - nu)); in plane strain the formula is exact.
+    sigma = F S F^T / det F with F in the plane; c = E_mod / (1 - nu^2), Pa. Exact in plane strain; in plane stress the change of thickness is
+    neglected (it would scale sigma by 1 / F33, about 1 + nu tr(E) / (1 - nu)).
     """
     out[:] = 0.0
-    room = _room(layout, 2, 0)
+    work = _workspace(layout, 2, 0)
     for b in range(layout.shape[0]):
         m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], node_offset, m, room)
+        _differences(u, corners, layout[b, 2], node_offset, m, work)
         state = zeros3()
         for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
+            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
             state = add_cauchy(state, h, load(weights, layout[b, 4] + p * LANES), c * nu, c * (1.0 - nu))
         _add_means(state, lane_cells, b * LANES, areas, out)
 
 
 @entry
 def green_strain(layout, corners, gradients, weights, lane_cells, areas, node_offset, u, out):
-    """Green's strain (Exx, Eyy, 2 Exy), mean over the reference area of each cell, into out (cells, 3)."""
+    """Store the Green-Lagrange strain (Exx, Eyy, 2 Exy), mean over the reference area of each cell, in out (cells, 3)."""
     out[:] = 0.0
-    room = _room(layout, 2, 0)
+    work = _workspace(layout, 2, 0)
     for b in range(layout.shape[0]):
         m = layout[b, 0] - 1
-        _differences(u, corners, layout[b, 2], node_offset, m, room)
+        _differences(u, corners, layout[b, 2], node_offset, m, work)
         state = zeros3()
         for p in range(layout[b, 1]):
-            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, room, m)
+            h = _gradient(gradients, layout[b, 3] + 2 * p * m * LANES, work, m)
             state = add_strain(state, h, load(weights, layout[b, 4] + p * LANES))
         _add_means(state, lane_cells, b * LANES, areas, out)
 
@@ -264,3 +269,36 @@ def mass_product(indptr, indices, mass, scale, node_offset, a, r):
         for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
             total = add_product(total, load_float(mass, k), load_pair(a, 2 * (load_integer(indices, k) + node_offset)))
         add_pair(r, 2 * (row + node_offset), scaled(scale, total))
+
+
+@traced(1, pair)
+def _add_pull(total, weight, other, own):
+    """total + weight (other - own)."""
+    return total + weight * (other - own)
+
+
+@entry
+def stabilisation_force(indptr, indices, stabilisation, factor, node_offset, u, f):
+    """f (N, 2) += factor (stabilisation (x) I2) u of a body's nodes."""
+    for row in range(indptr.shape[0] - 1):
+        total, own = zero_pair(), load_pair(u, 2 * (row + node_offset))
+        for k in range(load_integer(indptr, row), load_integer(indptr, row + 1)):
+            other = load_pair(u, 2 * (load_integer(indices, k) + node_offset))
+            total = _add_pull(total, load_float(stabilisation, k), other, own)
+        add_pair(f, 2 * (row + node_offset), scaled(factor, total))
+
+
+@entry
+def stabilisation_energy(indptr, indices, stabilisation, factor, node_offset, u):
+    """factor u . (stabilisation (x) I2) u / 2 in J: compensated sum of -factor S_ij |u_i - u_j|^2 / 2, i < j."""
+    total, lost = 0.0, 0.0
+    for row in range(indptr.shape[0] - 1):
+        i = row + node_offset
+        for k in range(indptr[row], indptr[row + 1]):
+            j = indices[k] + node_offset
+            if j > i:
+                x, y = u[j, 0] - u[i, 0], u[j, 1] - u[i, 1]
+                term = -0.5 * factor * stabilisation[k] * (x * x + y * y) - lost
+                bigger = total + term
+                lost, total = (bigger - total) - term, bigger
+    return total

@@ -1,4 +1,4 @@
-"""Everything about a mesh's elements that does not change in time, packed for the kernels, and measures of polygons side by side.
+"""The reference operator: constant data of a mesh's elements, packed for the kernels. Measures of polygons of equal vertex count.
 
 Polygons: corners (n, 2, c), counter-clockwise, c cells on the last axis.
 """
@@ -43,32 +43,27 @@ def second_moments(corners):
     return sum(np.einsum("nc,ndc,nec->dec", double, x, x) for x in (corners, follower, corners + follower)) / 24
 
 
-CHUNK = 256
-"""Cells treated at once: the work arrays then stay in the cache."""
-
-LISTED = ("corners", "gradients", "weights", "pairs")
-"""What a row of the layout holds the starts of."""
+CHUNK = 256  # cells treated at once: the work arrays then fit into the cache
+LISTED = ("corners", "gradients", "weights", "pairs")  # arrays whose block starts a row of the layout holds
 
 
 @dataclass(frozen=True, eq=False)
 class ReferenceOperator:
-    """Gradients, weights and mass of a mesh's elements: free of thickness and material, shared by identical bodies.
+    """Gradients, weights and mass of a mesh's elements, independent of thickness and material, shared by identical bodies.
 
-    Cells of n corners and p points lie LANES at a time in blocks; a block that is not full repeats its last cell with
-    weight 0. Gradients of a cell sum to zero, so the last corner's are not stored. A row of `layout` holds n, p and the
-    starts of the block in `corners`, `gradients`, `weights` and `pairs`, whose blocks are
+    A block holds LANES cells of n corners and p points; an incomplete block repeats its last cell with weight 0. The gradients of a cell sum
+    to zero, so those of the last corner are not stored. A row of `layout` holds n, p and the starts of the block in `corners`, `gradients`,
+    `weights` and `pairs`, whose blocks are
 
         corners    [corner][lane]                      node
         gradients  [point][corner < n - 1][x, y][lane]  1/m
         weights    [point][lane]                       reference area of the point, m^2
-        pairs      [corner i][corner j][lane]          place of (node i, node j) in the node pattern
+        pairs      [corner i][corner j][lane]          position of (node i, node j) in the node pattern
 
-    The node pattern (indptr, indices) is the adjacency of nodes through cells in rows: sorted, symmetric, with the
-    diagonal. On it live `mass`, the integral of N_i N_j (m^2), and `stabilisation`, a constant scalar matrix or None:
-    sums of `cell_mass` and `cell_stabilisation`, what each cell adds, which lie as `pairs` do, 0 in repeated cells.
-
-    offsets (cells + 1), nodes: the mesh's cells; areas (cells,) m^2; mean_gradients (len(nodes), 2) 1/m: exact means
-    over each cell; lane_cells int32, the cells in the order of the lanes.
+    The node pattern (indptr, indices) is the CSR pattern of nodes with a common cell: sorted, symmetric, with the diagonal. `mass`, the
+    integral of N_i N_j (m^2), and `stabilisation`, a constant scalar matrix or None, have this pattern; they are sums of `cell_mass` and
+    `cell_stabilisation`, stored as `pairs`, 0 in repeated cells. offsets (cells + 1), nodes: the mesh's cells; areas (cells,), m^2;
+    mean_gradients (len(nodes), 2), 1/m: exact means over each cell; lane_cells, int32: the cells in the order of the lanes.
     """
 
     offsets: np.ndarray
@@ -116,12 +111,11 @@ class CellGroup:
 
 
 def build(mesh, element):
-    """ReferenceOperator of a mesh from what `element` makes of cells of equal vertex count.
+    """Return the ReferenceOperator of a mesh; `element` computes the data of cells of equal vertex count.
 
-    mesh: anything with points (N, 2) in m, nodes and offsets (corners of cell i are nodes[offsets[i]:offsets[i + 1]]).
-    element(corners (n, 2, c), cells (c,), nodes (n, c)) returns areas (c,), mean gradients (n, 2, c) and, as in a
-    CellGroup, gradients, weights, mass and where there is one the stabilisation; it raises InputError for a cell that
-    it cannot treat. Raises InputError for a node that belongs to no cell.
+    mesh: any object with points (N, 2) in m, nodes and offsets (the corners of cell i are nodes[offsets[i]:offsets[i + 1]]).
+    element(corners (n, 2, c), cells (c,), nodes (n, c)) returns areas (c,), mean gradients (n, 2, c) and, as in a CellGroup, gradients,
+    weights, mass and optionally stabilisation. Raise InputError for a node without a cell, since it would have no mass.
     """
     points = np.asarray(mesh.points, dtype=float)
     offsets, nodes = np.asarray(mesh.offsets, dtype=np.int64), np.asarray(mesh.nodes, dtype=np.int64)
@@ -137,34 +131,25 @@ def build(mesh, element):
         area, mean, *rest = (np.concatenate(part, axis=-1) for part in zip(*parts))
         areas[cells], means[slots] = area, mean.transpose(0, 2, 1)
         groups.append(CellGroup(cells, nodes[slots], *rest))
-    return pack(mesh, areas, means, groups)
-
-
-def pack(mesh, areas, mean_gradients, groups):
-    """ReferenceOperator of a mesh from its groups of cells.
-
-    Raises InputError if a node belongs to no cell, since it would have no mass.
-    """
-    n_nodes = len(mesh.points)
-    indptr, indices, places = _pattern(n_nodes, groups)
+    indptr, indices, places = _pattern(len(points), groups)
     blocks = [_blocks(group, place) for group, place in zip(groups, places)]
     flat = {name: np.concatenate([block[name].ravel() for block in blocks]) for name in blocks[0]}
     tables, starts = [], np.zeros(4, dtype=np.int64)
     for group, block in zip(groups, blocks):
-        known = [block[name] for name in LISTED]
-        count = len(known[0])
+        listed = [block[name] for name in LISTED]
+        count = len(listed[0])
         shape = np.full((count, 2), (len(group.nodes), len(group.weights)))
-        sizes = np.array([array[0].size for array in known])
+        sizes = np.array([array[0].size for array in listed])
         tables.append(np.hstack([shape, starts + np.arange(count)[:, None] * sizes]).astype(np.int64))
-        starts = starts + [array.size for array in known]
+        starts = starts + [array.size for array in listed]
     along = np.argsort(flat["lane_cells"][::LANES], kind="stable")
     matrices = {name: flat[name] for name in ("cell_mass", "cell_stabilisation") if name in flat}
     return ReferenceOperator(
         offsets=_integers(mesh.offsets),
         nodes=_integers(mesh.nodes),
-        n_nodes=n_nodes,
+        n_nodes=len(points),
         areas=areas,
-        mean_gradients=mean_gradients,
+        mean_gradients=means,
         layout=np.concatenate(tables)[along],
         lane_cells=_integers(flat["lane_cells"].reshape(-1, LANES)[along].ravel()),
         corners=_integers(flat["corners"]),
@@ -179,7 +164,7 @@ def pack(mesh, areas, mean_gradients, groups):
 
 
 def _pattern(n_nodes, groups):
-    """Node pattern, and for each group the places (n, n, c) of its corner pairs."""
+    """Node pattern, and for each group the positions (n, n, c) of its corner pairs in it."""
     keys = [(group.nodes[:, None] * np.int64(n_nodes) + group.nodes[None]) for group in groups]
     flat = np.concatenate([key.ravel() for key in keys])
     ordered = np.sort(flat)
@@ -195,8 +180,9 @@ def _pattern(n_nodes, groups):
 
 
 def _blocks(group, place):
-    """{name: (blocks, ..., LANES)} of the numbers of a group; what is summed up is zero in repeated cells."""
-    order, count = _lane_order(len(group.cells)), len(group.cells)
+    """{name: (blocks, ..., LANES)} of the arrays of a group; values that kernels sum are zero in repeated cells."""
+    count = len(group.cells)
+    order = np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)  # the last cell repeated until LANES divides the length
     given = {"lane_cells": group.cells, "corners": group.nodes, "gradients": group.gradients[:, :-1], "pairs": place}
     summed = {"weights": group.weights, "cell_mass": group.mass, "cell_stabilisation": group.stabilisation}
     lanes = {name: array[..., order] for name, array in (given | summed).items() if array is not None}
@@ -205,18 +191,13 @@ def _blocks(group, place):
     return {name: np.moveaxis(array.reshape(*array.shape[:-1], -1, LANES), -2, 0) for name, array in lanes.items()}
 
 
-def _lane_order(count):
-    """Positions 0 .. count - 1, the last repeated until LANES divides the length."""
-    return np.minimum(np.arange(-(-count // LANES) * LANES), count - 1)
-
-
 def _integers(array):
     return np.array(array, dtype=np.int32)
 
 
 def _aligned(numbers):
-    """The numbers, starting on a 64-byte boundary: one block load then touches one cache line."""
-    room = np.empty(numbers.size + 8)
-    start = -room.ctypes.data % 64 // 8
-    room[start : start + numbers.size] = numbers
-    return room[start : start + numbers.size]
+    """The numbers, aligned to 64 bytes: loading a block then reads one cache line."""
+    padded = np.empty(numbers.size + 8)
+    start = -padded.ctypes.data % 64 // 8
+    padded[start : start + numbers.size] = numbers
+    return padded[start : start + numbers.size]

@@ -13,7 +13,7 @@ import numpy as np
 
 from polyida import profile, registry
 from polyida.assembly.factors import WHAT, told
-from polyida.body.body import BodyPoint, rest_of
+from polyida.body.body import BodyPoint, coordinates_of
 from polyida.body.plate import Material, Plate
 from polyida.errors import InputError
 from polyida.joint.attachment import Attachment, Ground
@@ -30,7 +30,7 @@ def to_data(model):
     (part, profile)} of the profiles that have no formula.
     """
     parts = model.parts
-    book = _Book(parts, {placed.name: placed.user.made_fields(placed.body) for placed in model.few})
+    book = _Book(parts, {placed.name: placed.user.fields_to_store(placed.body) for placed in model.few})
     entries = [
         {"kind": registry.name_of(type(part)), "name": name, "fields": book.fields(name, f"part {number}", part)}
         for number, (name, part) in enumerate(parts.items())
@@ -196,7 +196,7 @@ class _Reader:
         key, arrays = side["key"], self.arrays
         nodes, body = arrays[f"{key}/nodes"], self.parts[side["body"]]
         real = arrays[f"{key}/weights"].ndim == 1
-        kind, count = (Attachment, body.mesh.n_nodes) if real else (BodyPoint, len(rest_of(body)))
+        kind, count = (Attachment, body.mesh.n_nodes) if real else (BodyPoint, len(coordinates_of(body)))
         weights, turn = (
             None if found is None else _weights(found, kind) for found in (arrays[f"{key}/weights"], arrays.get(f"{key}/turn_weights"))
         )

@@ -1,24 +1,26 @@
-"""Attachments: weighted sets of nodes at which joints, masses and loads take hold of a body."""
+"""Attachments: weighted sets of nodes that joints, masses and loads act on, and the ground."""
 
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from polyida.errors import InputError
-from polyida.joint.formula import Piece, Vector
+from polyida.joint.formula import Summand, Vector
 from polyida.validation import vector2
 
-ROUND = 1e-6  # second moments that differ by less are equal: which is the larger would be up to round-off
+ROUND = 1e-6  # second moments count as equal if their relative difference is less: otherwise round-off would choose the larger one
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The fixed frame. A joint to `ground` itself holds the other side where it is in the reference configuration;
-    `ground.at(point)` is a place of its own.
+    """The fixed frame. `ground` alone stands for the place of the joint's other side at rest; `ground.at(point)` is a fixed place.
 
-    point: (2,), m, direction: (2,), of length one; None of `ground` itself.
+    Attributes
+    ----------
+    point : (2,) float, m, or None for `ground` itself
+    direction : (2,) float, unit vector, or None for `ground` itself
     """
 
     point: Any = None
@@ -27,29 +29,29 @@ class Ground:
     turns_only = False
     body = None
 
-    def at(self, point: ArrayLike, direction: ArrayLike = (1.0, 0.0)) -> "Ground":
-        """A place of the ground, m, with a direction, of any length (the x axis where none is given). Raises InputError."""
+    def at(self, point: "ArrayLike", direction: "ArrayLike" = (1.0, 0.0)) -> "Ground":
+        """Return a place of the ground (m) with a direction of any length. Raise InputError for a zero direction."""
         place, way = vector2("ground.at", "point", point), vector2("ground.at", "direction", direction)
         if not np.hypot(*way) > 0:
             raise InputError(f"ground.at: direction = {direction!r} must not be zero")
         return Ground(place, way / np.hypot(*way))
 
     def facing(self, other):
-        """The place where `other` is in the reference configuration, unless it has one."""
+        """Return this place, or the reference place of `other` if this is `ground` itself."""
         return self if self.point is not None else Ground(other.point, other.direction)
 
     @property
     def x(self) -> Vector:
-        """Its place, a Vector of a joint's formula."""
+        """Its place as a Vector of a joint's formula."""
         return self._vector("point", self.point)
 
     @property
     def d(self) -> Vector:
-        """Its direction, a Vector of a joint's formula."""
+        """Its direction as a Vector of a joint's formula."""
         return self._vector("direction", self.direction)
 
     def _vector(self, part, value):
-        return Vector((Piece(constant=complex(*value), of_ground=((self, part, 1 + 0j),)),))
+        return Vector((Summand(constant=complex(*value), of_ground=((self, part, 1 + 0j),)),))
 
     def __repr__(self):
         return "ground" if self.point is None else f"ground at ({self.point[0]:.6g}, {self.point[1]:.6g})"
@@ -60,10 +62,15 @@ ground = Ground()
 
 @dataclass(frozen=True, eq=False)
 class Attachment:
-    """A weighted set of nodes of a body.
+    """A weighted set of nodes of a body: its point is `x = sum w_i x_i`, its direction `d = sum w'_i x_i`, |d| = 1 at rest.
 
-    Its point is `x = sum w_i x_i` (weights (k,), sum 1); its direction `d = sum w'_i x_i` (turn_weights (k,), sum 0, |d| = 1 in the
-    reference configuration), None where the set has no extent. length: of the section in m, 0 for a node.
+    Attributes
+    ----------
+    body : body that the nodes belong to
+    nodes : (k,) int
+    weights : (k,) float, sum 1
+    turn_weights : (k,) float, sum 0, 1/m, or None if the set has no extent
+    length : float, m, of the section; 0 for a node
     """
 
     body: Any
@@ -72,50 +79,49 @@ class Attachment:
     turn_weights: np.ndarray | None
     length: float
     name: str
-    advice = "use a section of two nodes or more"  # where it has no direction
+    advice = "use a section of two nodes or more"  # for the message that it has no direction
 
     @property
-    def point(self) -> NDArray:
-        """Reference position of the point, (2,), m: to the round-off of one place."""
-        return self.body.points[self.nodes[0]] + self.weights @ _arms(self.body, self.nodes)
+    def point(self) -> np.ndarray:
+        """Reference position of the point, (2,), m."""
+        return self.body.points[self.nodes[0]] + self.weights @ _from_first(self.body, self.nodes)
 
     @property
-    def direction(self) -> NDArray | None:
-        """Reference direction, (2,), of length one, or None: the same wherever the body lies."""
-        return None if self.turn_weights is None else self.turn_weights @ _arms(self.body, self.nodes)
+    def direction(self) -> np.ndarray | None:
+        """Reference direction, (2,), unit vector, or None."""
+        return None if self.turn_weights is None else self.turn_weights @ _from_first(self.body, self.nodes)
 
     def on(self, body: Any) -> "Attachment":
-        """The same attachment of another body like its own."""
+        """Return the same attachment of a similar body."""
         return replace(self, body=body)
 
     @property
     def turns_only(self) -> bool:
-        """Whether its body may hold the length of its direction."""
+        """True if the body keeps |d| constant."""
         return self.body.turns_only
 
     @property
     def has_direction(self) -> bool:
-        """Whether there is a direction."""
+        """True if there is a direction."""
         return self.turn_weights is not None
 
     @property
     def x(self) -> Vector:
-        """Its point, a Vector of a joint's formula."""
-        return Vector((Piece(((self, "point", 1 + 0j),)),))
+        """Its point as a Vector of a joint's formula."""
+        return Vector((Summand(((self, "point", 1 + 0j),)),))
 
     @property
     def d(self) -> Vector:
-        """Its direction, a Vector of a joint's formula. Raises InputError where it has none."""
-        if not self.has_direction:
-            raise InputError(f"{self!r} has no direction; {self.advice}")
-        return Vector((Piece(((self, "direction", 1 + 0j),)),))
+        """Its direction as a Vector of a joint's formula. Raises InputError if there is none."""
+        require_directions("", self)
+        return Vector((Summand(((self, "direction", 1 + 0j),)),))
 
-    def share(self, force: ArrayLike) -> NDArray:
-        """What of a force (2,) at the point acts on each node, (k, 2)."""
+    def share(self, force: "ArrayLike") -> np.ndarray:
+        """Return the forces on the nodes, (k, 2), that a force (2,) at the point is equivalent to."""
         return np.outer(self.weights, np.asarray(force, float))
 
     def each(self) -> list["Attachment"]:
-        """Its nodes, each an attachment of its own."""
+        """Return one attachment for each node."""
         return [of_node(self.body, int(node)) for node in self.nodes]
 
     def __repr__(self):
@@ -123,56 +129,47 @@ class Attachment:
 
 
 def of_node(body, node):
-    """One node: it has a point and no direction."""
+    """Return the attachment of one node: it has a point and no direction."""
     return Attachment(body, np.array([node], np.int32), np.ones(1), None, 0.0, f"node {node}")
 
 
-def _arms(body, nodes):
-    """Reference positions of the nodes against the first of them, (k, 2), m: free of where the body lies."""
+def _from_first(body, nodes):
+    """Reference positions relative to the first node, (k, 2), m: no digits are lost if the body lies far from the origin."""
     places = body.placed.points[nodes]
     return places - places[0]
 
 
 def of_section(body, section, name):
-    """Mean of a section by its weights w; `w'_i = w_i (eta_i - mean) / sum w (eta - mean)^2`, eta along its main axis.
+    """Return the mean of a section by its weights w, with `w'_i = w_i (eta_i - mean) / sum w (eta - mean)^2`, eta along its main axis.
 
-    They are tributary lengths, of the rim of a hole such that the mean is the hole's centre.
-    The main axis is that of the largest second moment, x where the two are one but for round-off, so that the direction has length
-    one on straight and round sections alike.
+    The main axis is that of the largest second moment, towards growing x or y; the x axis if both moments are equal up to round-off.
     """
     nodes, weights = np.asarray(section.nodes, np.int32), np.asarray(section.weights, float)
     if len(nodes) == 1:
         return of_node(body, int(nodes[0]))
-    offset = _arms(body, nodes)
+    offset = _from_first(body, nodes)
     offset = offset - weights @ offset
-    axis = _main_axis((weights[:, None] * offset).T @ offset)
-    eta = offset @ axis
+    sizes, axes = np.linalg.eigh((weights[:, None] * offset).T @ offset)
+    axis = axes[:, 1] * (1.0 if axes[np.argmax(np.abs(axes[:, 1])), 1] > 0 else -1.0)
+    eta = offset @ (np.array([1.0, 0.0]) if sizes[0] > (1.0 - ROUND) * sizes[1] else axis)
     eta = eta - weights @ eta
     moment = weights @ eta**2
     turn = weights * eta / moment if moment > 0 else None
     return Attachment(body, nodes, weights, None if turn is None else turn - turn.mean(), section.length, name)
 
 
-def _main_axis(moments):
-    """Axis of the larger second moment, towards growing x or y."""
-    sizes, axes = np.linalg.eigh(moments)
-    if sizes[0] > (1.0 - ROUND) * sizes[1]:
-        return np.array([1.0, 0.0])
-    return axes[:, 1] * (1.0 if axes[np.argmax(np.abs(axes[:, 1])), 1] > 0 else -1.0)
-
-
 def labelled(kind, name):
-    """What a part is called in a message; raises InputError for a name that is no text."""
+    """Return how messages name a part. Raise InputError if the name is not a text."""
     if name is not None and not (isinstance(name, str) and name):
         raise InputError(f"{kind}: name = {name!r} must be a text")
     return kind if name is None else f"{kind} {name!r}"
 
 
-def require_attachment(part, given):
-    """Raise InputError naming the part unless `given` is an attachment of a body."""
-    if not isinstance(given, Attachment):
-        given = getattr(given, "label", None) or repr(given)
-        raise InputError(f"{part}: {given[:80]} is no attachment; use plate.section(...), plate.rim(...), plate.node(...) or body.at(...)")
+def require_attachment(part, value):
+    """Raise InputError naming the part unless the value is an attachment of a body."""
+    if not isinstance(value, Attachment):
+        value = getattr(value, "label", None) or repr(value)
+        raise InputError(f"{part}: {value[:80]} is no attachment; use plate.section(...), plate.rim(...), plate.node(...) or body.at(...)")
 
 
 def require_places(part, *sides):
@@ -182,14 +179,14 @@ def require_places(part, *sides):
 
 
 def require_directions(part, *sides):
-    """Raise InputError for a side that has no direction."""
+    """Raise InputError for a side without a direction."""
     for side in sides:
         if not side.has_direction:
-            raise InputError(f"{part}: {side!r} has no direction; {side.advice}")
+            raise InputError(f"{part}{': ' * bool(part)}{side!r} has no direction; {side.advice}")
 
 
 def require_sides(part, a, b):
-    """Raise InputError unless both sides are attachments or ground, not both ground, not one body twice."""
+    """Raise InputError unless a and b are attachments of two bodies, or one of them is ground."""
     grounds = [isinstance(side, Ground) for side in (a, b)]
     for side, fixed in zip((a, b), grounds):
         if not fixed:
@@ -197,4 +194,4 @@ def require_sides(part, a, b):
     if all(grounds):
         raise InputError(f"{part}: both sides are ground; one must be an attachment of a body")
     if not any(grounds) and a.body is b.body:
-        raise InputError(f"{part}: both sides belong to {a.body.label}; they must be of two bodies, or one of them ground")
+        raise InputError(f"{part}: both sides belong to {a.body.label}; they must belong to two bodies, or one of them must be ground")

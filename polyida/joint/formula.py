@@ -1,7 +1,7 @@
 """The formula language of joints: vectors of points and directions, and rows of phi made of their products.
 
-A `Vector` is linear in the coordinates, parts of it turned in time; `cross`, `dot`, sums, numbers and profiles make `Row`s of vectors.
-Everything here is data: the assembly compiles it, and one set of kernels evaluates it.
+A `Vector` is linear in the coordinates; parts of it may be turned by a profile of time. `cross`, `dot`, sums, numbers and profiles make
+`Row`s of vectors. Vectors and rows are data: the assembly translates them into tables for compiled kernels.
 """
 
 from dataclasses import dataclass, replace
@@ -14,11 +14,11 @@ from polyida.validation import is_number, named_keywords
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """`R(theta(t)) (constant + sum_j w_j z_j)`, complex numbers for the plane: z_j the "point" or "direction" of an attachment.
+class Summand:
+    """`R(theta(t)) (constant + sum_j w_j z_j)` in complex numbers, z_j the "point" or "direction" of an attachment.
 
-    terms: (attachment, "point" or "direction", w). profile: theta, rad, or None where nothing turns. of_ground: what of the constant places
-    of the ground give, as terms.
+    terms: (attachment, "point" or "direction", w) each. profile: theta, rad, or None without rotation. of_ground: the places of the ground
+    that the constant contains, in the form of terms.
     """
 
     terms: tuple = ()
@@ -27,41 +27,41 @@ class Piece:
     of_ground: tuple = ()
 
     def times(self, w):
-        """The piece turned and stretched by the complex number w."""
-        terms, of_ground = (tuple((side, part, w * u) for side, part, u in given) for given in (self.terms, self.of_ground))
+        """Return the product with the complex number w."""
+        terms, of_ground = (tuple((side, part, w * u) for side, part, u in group) for group in (self.terms, self.of_ground))
         return replace(self, terms=terms, constant=w * self.constant, of_ground=of_ground)
 
     def plus(self, other):
-        """The sum with a piece that the same profile turns."""
+        """Return the sum with a summand of the same profile."""
         terms, of_ground = self.terms + other.terms, self.of_ground + other.of_ground
         return replace(self, terms=terms, constant=self.constant + other.constant, of_ground=of_ground)
 
     def at(self, place):
-        """Its value before it is turned, `place(attachment, "point" or "direction")` giving the z_j."""
+        """Return the value without the rotation theta; `place(attachment, "point" or "direction")` returns z_j."""
         return self.constant + sum(w * place(side, part) for side, part, w in self.terms)
 
     @property
     def rest(self):
-        """Its value in the reference configuration, before it is turned."""
+        """The value in the reference configuration without the rotation theta."""
         return self.at(rest_of)
 
 
 @dataclass(frozen=True, eq=False)
 class Vector:
-    """A vector of the plane, m: a sum of pieces, linear in the coordinates. As a row of a joint it stands for its two components."""
+    """A vector of the plane, m, linear in the coordinates. In the list of `rows()` of a joint it stands for its two components."""
 
-    pieces: tuple
-    __array_ufunc__ = None  # numpy leaves its operators to those below
+    summands: tuple
+    __array_ufunc__ = None  # numpy leaves the operators to this class
 
     def __repr__(self):
-        return f"<vector of {_sides_of(self.pieces)}>"
+        return f"<vector of {_sides_of(self.summands)}>"
 
     def __add__(self, other: "Vector") -> "Vector":
-        pieces = {id(piece.profile): piece for piece in self.pieces}
-        for piece in _vector(other).pieces:
-            known = pieces.get(id(piece.profile))
-            pieces[id(piece.profile)] = piece if known is None else known.plus(piece)
-        return Vector(tuple(pieces.values()))
+        summands = {id(s.profile): s for s in self.summands}
+        for s in _vector(other).summands:
+            known = summands.get(id(s.profile))
+            summands[id(s.profile)] = s if known is None else known.plus(s)
+        return Vector(tuple(summands.values()))
 
     def __radd__(self, other: object) -> "Vector":
         return self + _vector(other)
@@ -87,49 +87,49 @@ class Vector:
         return self * _inverse("a vector", number)
 
     def turned(self, angle: float | Profile) -> "Vector":
-        """The vector turned by an angle in rad: a number, or a profile of time."""
+        """Return the vector turned by an angle, rad: a number or a profile of time."""
         if isinstance(angle, Profile):
-            if any(piece.profile is not None for piece in self.pieces):
+            if any(s.profile is not None for s in self.summands):
                 raise InputError("turned: a part of the vector is turned by a profile already; use the profile of the whole angle")
-            return Vector(tuple(replace(piece, profile=angle) for piece in self.pieces))
+            return Vector(tuple(replace(s, profile=angle) for s in self.summands))
         if not is_number(angle):
             raise InputError(f"turned: {angle!r} is neither a number in rad nor a profile")
         return self._times(np.exp(1j * angle))
 
     def onto(self, other: "Vector") -> "Vector":
-        """The vector turned by the constant angle that lays it along `other` in the reference configuration."""
-        here, there = self.rest, _vector(other).rest
-        if not (abs(here) > 0 and abs(there) > 0):
-            raise InputError("onto: one of the two vectors is zero at rest, which has no direction")
-        turn = there * here.conjugate()
+        """Return the vector turned by the constant angle that makes it parallel to `other` in the reference configuration."""
+        own, target = self.rest, _vector(other).rest
+        if not (abs(own) > 0 and abs(target) > 0):
+            raise InputError("onto: one of the two vectors is zero at rest and has no direction")
+        turn = target * own.conjugate()
         return self._times(turn / abs(turn))
 
     def _times(self, w):
-        return Vector(tuple(piece.times(w) for piece in self.pieces))
+        return Vector(tuple(s.times(w) for s in self.summands))
 
     @property
     def rest(self) -> complex:
-        """Its value in the reference configuration, profiles at zero, as a complex number."""
-        return sum((piece.rest for piece in self.pieces), 0j)
+        """Value in the reference configuration with all profiles zero, as a complex number."""
+        return sum((s.rest for s in self.summands), 0j)
 
 
 @dataclass(frozen=True)
 class Product:
-    """`E . F`: E a piece that a profile may turn, F one that none does. one_way: see `Row.one_way`."""
+    """`E . F` of two summands; only E may have a profile. one_way: see `Row.one_way`."""
 
-    turning: Piece
-    still: Piece
+    turning: Summand
+    still: Summand
     one_way: bool = False
 
     @property
     def linear(self):
-        """Whether it is linear in the coordinates, and the same at all times."""
+        """True if it is linear in the coordinates and does not depend on time."""
         return self.turning.profile is None and not (self.turning.terms and self.still.terms)
 
 
 @dataclass(frozen=True)
 class Row:
-    """One row of phi: a constant, a sum of products, and profiles of time, (factor, profile) each, in `drives`.
+    """One row of phi: a constant, a sum of products, and in `drives` (factor, profile of time) pairs.
 
     label, unit: of its multiplier, as in "angle", "N m".
     """
@@ -139,10 +139,10 @@ class Row:
     drives: tuple = ()
     label: str = ""
     unit: str = ""
-    __array_ufunc__ = None  # numpy leaves its operators to those below
+    __array_ufunc__ = None  # numpy leaves the operators to this class
 
     def __repr__(self):
-        return f"<row of {_sides_of(piece for product in self.products for piece in (product.turning, product.still))}>"
+        return f"<row of {_sides_of(s for product in self.products for s in (product.turning, product.still))}>"
 
     def __add__(self, other: "Row | Profile | float") -> "Row":
         row = _row(other)
@@ -174,34 +174,72 @@ class Row:
 
     @property
     def driven(self):
-        """Whether a profile turns a vector in it, or is a part of it."""
+        """True if the row depends on a profile of time."""
         return bool(self.drives) or any(product.turning.profile is not None for product in self.products)
 
     def named(self, label: str, unit: str = "") -> "Row":
-        """The row with the name and unit of its multiplier."""
+        """Return the row with a name and unit for its multiplier."""
         if not (isinstance(label, str) and isinstance(unit, str)):
             raise InputError(f"named: label {label!r:.40} and unit {unit!r:.40} of a row must be texts")
         return replace(self, label=label, unit=unit)
 
     def one_way(self) -> "Row":
-        """The row of a `cross` that vanishes also with a vector turned by half a turn: states with that are not accepted."""
+        """Return a `cross` row that excludes its second solution: a state with one vector turned by half a turn is rejected."""
         return replace(self, products=tuple(replace(p, one_way=True) for p in self.products))
 
 
 @named_keywords
 def cross(a: Vector, b: Vector) -> Row:
-    """`a_x b_y - a_y b_x` of two vectors, a Row."""
+    """Return the row `a_x b_y - a_y b_x` of a joint's formula.
+
+    Parameters
+    ----------
+    a, b : Vector
+
+    Returns
+    -------
+    Row
+        Bilinear in a and b, of the product of their units.
+
+    Raises
+    ------
+    InputError
+        If a or b is not a vector.
+    """
     return dot(_vector(a)._times(1j), b)
 
 
 @named_keywords
 def dot(a: Vector, b: Vector) -> Row:
-    """`a . b` of two vectors, a Row."""
-    return Row(tuple(_product(e, f) for e in _vector(a).pieces for f in _vector(b).pieces))
+    """Return the row `a . b` of a joint's formula.
+
+    Parameters
+    ----------
+    a, b : Vector
+
+    Returns
+    -------
+    Row
+        Bilinear in a and b, of the product of their units.
+
+    Raises
+    ------
+    InputError
+        If a or b is not a vector.
+    """
+    products = []
+    for e in _vector(a).summands:
+        for f in _vector(b).summands:
+            turning, still = (f, e) if e.profile is None and f.profile is not None else (e, f)
+            if still.profile is not None:  # R(alpha) E . R(beta) F = R(alpha - beta) E . F
+                angle = None if turning.profile is still.profile else difference(turning.profile, still.profile)
+                turning = replace(turning, profile=angle)
+            products.append(Product(turning, replace(still, profile=None)))
+    return Row(tuple(products))
 
 
 def rows_of(formula):
-    """The Rows of what a joint's `rows()` gives: Rows as they are, vectors as two. Raises InputError, naming the entry, for anything else."""
+    """Yield the Rows in the list that a joint's `rows()` returns, two for each vector. Raise InputError for any other entry."""
     for number, vector in enumerate(formula, 1):
         if isinstance(vector, Row):
             yield vector
@@ -209,62 +247,52 @@ def rows_of(formula):
             wanted = "the list needs a vector there, which stands for two rows, or a row made by pi.dot or pi.cross"
             raise InputError(f"entry {number} of {len(formula)} is {in_words(vector)}; {wanted}")
         else:
-            places = any(part == "point" for piece in vector.pieces for _, part, _ in piece.terms)
+            of_points = any(part == "point" for s in vector.summands for _, part, _ in s.terms)
             for label, axis in (("x", 1 + 0j), ("y", 1j)):
-                yield dot(along(axis), vector).named(label, "N" if places else "N m")
+                yield dot(along(axis), vector).named(label, "N" if of_points else "N m")
 
 
 def along(direction):
-    """A constant vector, from a complex number."""
-    return Vector((Piece(constant=complex(direction)),))
-
-
-def _product(e, f):
-    if e.profile is f.profile:
-        return Product(replace(e, profile=None), replace(f, profile=None))
-    if e.profile is None:
-        return Product(f, e)
-    if f.profile is None:
-        return Product(e, f)
-    return Product(replace(e, profile=difference(e.profile, f.profile)), replace(f, profile=None))
+    """Return a constant vector."""
+    return Vector((Summand(constant=complex(direction)),))
 
 
 def rest_of(side, part):
-    """The "point" or "direction" of an attachment or of a place of the ground, in the reference configuration."""
+    """Return the "point" or "direction" of a side in the reference configuration as a complex number."""
     x, y = side.point if part == "point" else side.direction
     return complex(x, y)
 
 
-def _vector(given):
-    if isinstance(given, Vector):
-        return given
+def _vector(value):
+    if isinstance(value, Vector):
+        return value
     wanted = "a joint's formula needs a vector here, the .x or .d of an attachment or a sum of them"
-    raise InputError(f"{wanted}, not {in_words(given)}{_most(given)}")
+    raise InputError(f"{wanted}, not {in_words(value)}{_most(value)}")
 
 
-def _row(given):
-    if isinstance(given, Row):
-        return given
-    if isinstance(given, Profile):
-        return Row((), drives=((1.0, given),))
-    if is_number(given):
-        return Row((), constant=float(given))
-    raise InputError(f"a row of a joint is added to {in_words(given)}; use pi.cross, pi.dot, finite numbers and profiles")
+def _row(value):
+    if isinstance(value, Row):
+        return value
+    if isinstance(value, Profile):
+        return Row((), drives=((1.0, value),))
+    if is_number(value):
+        return Row((), constant=float(value))
+    raise InputError(f"a row of a joint is added to {in_words(value)}; use pi.cross, pi.dot, finite numbers and profiles")
 
 
-def in_words(given):
-    """What stands in a formula, for messages."""
-    if isinstance(given, (Row, Vector)):
-        return f"a {repr(given)[1:-1]}"
-    if isinstance(given, np.ndarray):
-        return f"an array of shape {given.shape}"
-    if isinstance(given, (list, tuple, dict)):
-        return f"a {type(given).__name__} of {len(given)}"
-    return "a profile of time" if isinstance(given, Profile) else f"{'the text ' * isinstance(given, str)}{given!r:.60}"
+def in_words(value):
+    """Return a description of an entry of a formula for messages."""
+    if isinstance(value, (Row, Vector)):
+        return f"a {repr(value)[1:-1]}"
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    if isinstance(value, (list, tuple, dict)):
+        return f"a {type(value).__name__} of {len(value)}"
+    return "a profile of time" if isinstance(value, Profile) else f"{'the text ' * isinstance(value, str)}{value!r:.60}"
 
 
-def _most(given):
-    return "; a row is a sum of products of at most two factors" if isinstance(given, (Row, Vector)) else ""
+def _most(value):
+    return "; a row is a sum of products of at most two factors" if isinstance(value, (Row, Vector)) else ""
 
 
 def _inverse(what, number):
@@ -273,6 +301,5 @@ def _inverse(what, number):
     return 1.0 / number
 
 
-def _sides_of(pieces):
-    """The sides that pieces are made of, in words."""
-    return ", ".join(dict.fromkeys(repr(side) for piece in pieces for side, _, _ in piece.terms)) or "the ground alone"
+def _sides_of(summands):
+    return ", ".join(dict.fromkeys(repr(side) for s in summands for side, _, _ in s.terms)) or "the ground alone"

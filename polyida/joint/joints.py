@@ -1,4 +1,4 @@
-"""The joints that come with polyida, each by its rows."""
+"""The joints of polyida, each defined by its rows."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,23 +15,38 @@ from polyida.validation import is_number, named_keywords, positive, settle
 
 
 def across(a, b):
-    """`d_A x (x_B - x_A)`: b stays on the line through a along its direction."""
+    """`d_A x (x_B - x_A)`: the point of b stays on the line through a along its direction."""
     return cross(a.d, b.x - a.x).named("across", "N")
 
 
-def held(a, b, angle=0.0, offset=None):
-    """`R(angle + offset) d_A x d_B`: b stands at an angle against a, a number or a profile, beyond offset, rad; None: that at rest."""
-    ahead = a.d.onto(b.d) if offset is None else a.d.turned(offset)
-    return cross(ahead.turned(angle), b.d).one_way().named("angle", "N m")
+def fixed_angle(a, b, angle=0.0, offset=None):
+    """`R(angle + offset) d_A x d_B`: the angle from a to b is angle + offset, rad; offset None: the angle at rest."""
+    reference = a.d.onto(b.d) if offset is None else a.d.turned(offset)
+    return cross(reference.turned(angle), b.d).one_way().named("angle", "N m")
+
+
+def welded(a, b):
+    """Rows that make point and direction of b equal to those of a."""
+    return [a.x - b.x, fixed_angle(a, b) if a.turns_only or b.turns_only else a.d - b.d.onto(a.d)]
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Revolute(Joint):
-    """Two points stay together: `phi = x_A - x_B` (2 rows, m). phi_q is constant.
+    """Keep two points together: `phi = x_A - x_B` (2 rows, m), phi_q constant.
 
-    a, b: attachments or ground; ground stands for the place of the other side in the reference configuration.
-    The multiplier is the force on b in N, (2,).
+    Reaction on b, (2,): force, N.
+
+    Parameters
+    ----------
+    a, b : Attachment or Ground
+        `ground` alone stands for the reference place of the other side.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        As for Joint.
     """
 
     kind = "revolute"
@@ -44,10 +59,22 @@ class Revolute(Joint):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Slot(Joint):
-    """b moves along the line through a in its direction e = d_A, and turns as it likes: `phi = e x (x_B - x_A)` (1 row, m).
+    """Keep the point of b on the line through a in its direction: `phi = d_A x (x_B - x_A)` (1 row, m). b may turn.
 
-    a: a side with a direction, `ground.at(point, direction)` for a slot in the ground; b needs none, and is anywhere on the line at rest.
     Reaction on b, (2,): force, N, across the line.
+
+    Parameters
+    ----------
+    a : Attachment or Ground
+        With a direction; `ground.at(point, direction)` for a slot in the ground.
+    b : Attachment or Ground
+        Anywhere on the line at rest.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        If a has no direction, and as for Joint.
     """
 
     components = FORCE
@@ -55,37 +82,57 @@ class Slot(Joint):
     directed = ("a",)
 
     def rows(self) -> list[Row | Vector]:
-        """`e x (x_B - x_A)`."""
+        """`d_A x (x_B - x_A)`."""
         return [across(self.a, self.b)]
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Prismatic(Joint):
-    """b slides along the line through a in its direction e = d_A, and does not turn against a.
+    """Let b slide along the line through a in its direction, without relative rotation.
 
-    `phi = (e x (x_B - x_A), R1 e x d_B)` (2 rows, m and without unit), R1 the constant rotation by which the second vanishes at rest. That
-    vanishes half a turn away as well: a step that lands there is rejected. a, b: sides with a direction, one of them perhaps ground;
-    `ground.at(point, direction)` is a guide. b is anywhere on the line at rest.
-    Reaction on b, (3,): force, N, across the line, and moment about its point, N m, counter-clockwise.
+    `phi = (d_A x (x_B - x_A), Q d_A x d_B)` (2 rows, m and no unit) with the constant rotation Q that makes the second row vanish at rest.
+    The second row also vanishes after half a turn: a step that ends there is rejected.
+    Reaction on b, (3,): force, N, across the line, and moment about the point of b, N m, counter-clockwise.
+
+    Parameters
+    ----------
+    a, b : Attachment or Ground
+        With directions; `ground.at(point, direction)` is a guide. b is anywhere on the line at rest.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        If a side has no direction, and as for Joint.
     """
 
     placing = "place the bodies so that b is on the line through a along its direction"
     directed = ("a", "b")
 
     def rows(self) -> list[Row | Vector]:
-        """`e x (x_B - x_A)` and `R1 e x d_B`."""
-        return [across(self.a, self.b), held(self.a, self.b)]
+        """`d_A x (x_B - x_A)` and `Q d_A x d_B`."""
+        return [across(self.a, self.b), fixed_angle(self.a, self.b)]
 
 
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Weld(Joint):
-    """Point and direction of two attachments, or of one and the ground, move as one; what else is of a section stays free.
+    """Move point and direction of two sides together; all other deformation of the sections stays free.
 
-    `phi = (x_A - x_B, d_A - Q d_B)` (4 rows, m and without unit), Q the rotation between the directions at rest; where one side is of a
-    body that keeps the length of its directions by itself, as rigid ones do, `phi = (x_A - x_B, Q d_A x d_B)` (3 rows). Reaction on b,
-    (3,): force, N, and moment about its point, N m, counter-clockwise. Raises InputError for a side without a direction.
+    `phi = (x_A - x_B, d_A - Q d_B)` (4 rows, m and no unit), Q the rotation between the directions at rest. If a side belongs to a body
+    that keeps its directions of constant length, such as a rigid body, `phi = (x_A - x_B, Q d_A x d_B)` (3 rows).
+    Reaction on b, (3,): force, N, and moment about the point of b, N m, counter-clockwise.
+
+    Parameters
+    ----------
+    a, b : Attachment or Ground
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        If a side has no direction, and as for Joint.
     """
 
     directed = ("a", "b")
@@ -95,21 +142,24 @@ class Weld(Joint):
         return welded(self.a, self.b)
 
 
-def welded(a, b):
-    """Rows by which point and direction of b are those of a."""
-    alike = held(a, b) if a.turns_only or b.turns_only else a.d - b.d.onto(a.d)
-    return [a.x - b.x, alike]
-
-
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Clamp(Joint):
-    """A section held fast.
+    """Fix a section.
 
-    A plate's, to ground: every node of the section keeps its place, `phi = x_i - X_i` (2 rows a node, m). Between bodies, and of bodies of
-    few coordinates, whose nodes do not move one by one: point and direction of both sides move as one, the rows of a Weld. Reaction on b:
-    of a plate held to ground the force on each node, (2 nodes,), N, else force, N, and moment about the point of b, N m, (3,), as of a
-    Weld. Raises InputError where a side of these has no direction, and for a place of the ground other than where the section is.
+    A full plate's section to ground: every node keeps its position, `phi = x_i - X_i` (2 rows for each node, m); reaction on b, (2 nodes,):
+    force on each node, N. All other pairs of sides: as a Weld, reaction (3,).
+
+    Parameters
+    ----------
+    a, b : Attachment or Ground
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        If a side has no direction (except a plate's section to ground), for a place of the ground that differs from the section's, and as
+        for Joint.
     """
 
     b: Any = ground
@@ -117,26 +167,23 @@ class Clamp(Joint):
 
     def __post_init__(self):
         super().__post_init__()
-        grounds = [isinstance(side, Ground) for side in (self.a, self.b)]
         if not self.by_points:
             self.require_directions()
-        if not any(grounds):
-            return
-        place, held = (self.a, self.b) if grounds[0] else (self.b, self.a)
-        if place.point is not None and not np.array_equal(place.point, held.point):
-            label = labelled("Clamp", self.name)
+        place, side = (self.a, self.b) if isinstance(self.a, Ground) else (self.b, self.a)
+        if isinstance(place, Ground) and place.point is not None and not np.array_equal(place.point, side.point):
             raise InputError(
-                f"{label}: it holds {held!r} where that is at rest, not at {place!r}; give ground itself, and place the body there"
+                f"{labelled('Clamp', self.name)}: it holds {side!r} where that is at rest, not at {place!r}; give ground itself, and place "
+                "the body there"
             )
 
     @property
     def by_points(self) -> bool:
-        """Whether a full plate is held to the ground: its reaction is the force on each node."""
+        """True if it fixes a full plate to the ground: the reaction is then the force on each node."""
         sides = [side for side in (self.a, self.b) if not isinstance(side, Ground)]
         return len(sides) == 1 and not sides[0].body.few
 
     def rows(self) -> list[Row | Vector]:
-        """`x_i - X_i` of every node, or those of a Weld."""
+        """`x_i - X_i` of every node, or the rows of a Weld."""
         if not self.by_points:
             return welded(self.a, self.b)
         if isinstance(self.b, Ground):
@@ -147,11 +194,22 @@ class Clamp(Joint):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class Distance(Joint):
-    """Two points stay a length l apart, as by a massless rod: `phi = (w . w - l^2) / (2 l)`, w = x_B - x_A (1 row, m).
+    """Keep two points a distance l apart, like a massless rod: `phi = (w . w - l^2) / (2 l)`, w = x_B - x_A (1 row, m).
 
-    a, b: attachments, one of them perhaps a place of the ground, `ground.at(point)`. length: l, m; that of the drawing where it is None.
     Reaction on b, (2,): force, N, along the line; the tension of the rod is minus the multiplier.
-    Raises InputError for a length that is not positive.
+
+    Parameters
+    ----------
+    a, b : Attachment or Ground
+        One of them may be a place of the ground, `ground.at(point)`.
+    length : float, m, optional
+        l > 0. Default: the distance in the drawing.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For a length that is not positive, and as for Joint.
     """
 
     length: float | None = None
@@ -175,12 +233,25 @@ class Distance(Joint):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class AngleMotor(Joint):
-    """The angle from section a to section b, beyond theta0, follows a profile theta(t) in rad.
+    """Prescribe the angle from section a to section b as theta0 + theta(t).
 
-    `phi = R(theta + theta0) d_A x d_B = |d_A| |d_B| sin(angle error)` (1 row): bilinear in q, so it turns any number of times.
-    It vanishes half a turn away as well: a step that lands there is rejected.
-    a, b: sections, or one of them ground. offset: theta0, rad; None: that of the reference configuration, or of the drawing where
-    `scene.assemble()` moves the bodies from there to theta(0). The torque on b is `-lam |d_A| |d_B|`, N m.
+    `phi = R(theta + theta0) d_A x d_B = |d_A| |d_B| sin(angle error)` (1 row): bilinear in q, so any number of turns is possible. The row
+    also vanishes after half a turn: a step that ends there is rejected. The torque on b is `-lam |d_A| |d_B|`, N m.
+
+    Parameters
+    ----------
+    a, b : Attachment or Ground
+        With directions.
+    angle : Profile, function of time or float, rad
+        theta(t).
+    offset : float, rad, optional
+        theta0. Default: the angle of the reference configuration, or of the drawing if `Scene.assemble` moves the bodies to theta(0).
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        For an angle that is no profile, an offset that is no number, a side without a direction, and as for Joint.
     """
 
     angle: Profile | Callable[[float], float] | float
@@ -190,16 +261,17 @@ class AngleMotor(Joint):
 
     def __post_init__(self):
         super().__post_init__()
-        object.__setattr__(self, "angle", as_profile(self.angle, labelled("AngleMotor", self.name)))
+        label = labelled("AngleMotor", self.name)
+        settle(self, angle=as_profile(self.angle, label))
         if not (self.offset is None or is_number(self.offset)):
-            raise InputError(f"{labelled('AngleMotor', self.name)}: offset = {self.offset!r} must be a finite number of rad, or None")
+            raise InputError(f"{label}: offset = {self.offset!r} must be a finite number of rad, or None")
 
     def rows(self) -> list[Row | Vector]:
         """`R(theta + theta0) d_A x d_B`."""
-        return [held(self.a, self.b, self.angle, self.offset)]
+        return [fixed_angle(self.a, self.b, self.angle, self.offset)]
 
     def keep_drawing(self) -> None:
-        """Where theta(0) is not zero, keep the angle of the drawing as theta0."""
+        """Store the angle of the drawing as theta0 if theta(0) is not zero."""
         if self.offset is None and as_profile(self.angle, "AngleMotor")(0.0):
             drawn = self.facing()
             settle(self, a=drawn.a, b=drawn.b, offset=float(np.angle(drawn.b.d.rest / drawn.a.d.rest)))
@@ -208,12 +280,21 @@ class AngleMotor(Joint):
 @named_keywords
 @dataclass(frozen=True, eq=False)
 class PrescribedPosition(Joint):
-    """The point of an attachment is where profiles of time say, in both directions or in one: `phi = (x - X(t), y - Y(t))`, m.
+    """Prescribe the position of a point by profiles of time, in both directions or in one: `phi = (x - X(t), y - Y(t))`, m.
 
-    x, y: coordinates of the point, m, not its displacements: a profile, a function of time or a number each, or None where the
-    point is free in that direction. At the start of a run it is there.
     Reaction, (rows,): force on the attachment in these directions, N.
-    Raises InputError where both are None.
+
+    Parameters
+    ----------
+    at : Attachment
+    x, y : Profile, function of time or float, m, or None
+        Coordinates of the point, not its displacements; None: free in that direction. At the start of a run the point must be there.
+    name : str, optional
+
+    Raises
+    ------
+    InputError
+        If x and y are both None, or not profiles, or if `at` is not an attachment of a body.
     """
 
     a: Any = field(default=ground, init=False)
@@ -227,21 +308,20 @@ class PrescribedPosition(Joint):
         require_attachment(label, self.at)
         if self.x is None and self.y is None:
             raise InputError(f"{label}: x and y are both None; give a profile of one at least")
-        given = {axis: None if value is None else as_profile(value, label) for axis, value in (("x", self.x), ("y", self.y))}
-        settle(self, a=ground.at(self.at.point), b=self.at, **given)
+        profiles = {axis: None if value is None else as_profile(value, label) for axis, value in (("x", self.x), ("y", self.y))}
+        settle(self, a=ground.at(self.at.point), b=self.at, **profiles)
 
     def rows(self) -> list[Row | Vector]:
         """`x - X(t)` and `y - Y(t)`, or one of them."""
         axes = ("x", 1.0, self.x), ("y", 1j, self.y)
-        return [
-            (dot(along(e), self.at.x) - as_profile(way, "PrescribedPosition")).named(axis, "N") for axis, e, way in axes if way is not None
-        ]
+        label = "PrescribedPosition"
+        return [(dot(along(e), self.at.x) - as_profile(given, label)).named(axis, "N") for axis, e, given in axes if given is not None]
 
     @property
     def components(self) -> tuple[tuple[str, str], ...]:
-        """Forces in the directions in which it leads."""
-        return tuple((axis, "N") for axis, way in (("x", self.x), ("y", self.y)) if way is not None)
+        """Forces in the prescribed directions."""
+        return tuple((axis, "N") for axis, given in (("x", self.x), ("y", self.y)) if given is not None)
 
     def facing(self) -> Self:
-        """Itself: it says where it is."""
+        """Return itself: a is already a place of the ground."""
         return self

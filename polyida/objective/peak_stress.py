@@ -10,7 +10,7 @@ from polyida.assembly import equilibrium
 from polyida.assembly.build import compact_of
 from polyida.assembly.factors import Shares
 from polyida.element import kernels as element
-from polyida.element.kernels import _differences, _gradient, _room
+from polyida.element.kernels import _differences, _gradient, _workspace
 from polyida.element.material import add_energy, add_times, carried, determinant, difference, second_piola, strain
 from polyida.jit import entry
 from polyida.jit.intrinsics import LANES, lane, load, load2, scatter_add, store, traced, zeros2
@@ -245,7 +245,7 @@ def fill_forces(scene, drives, q, still, lam, factor, phi, points, out):
 @entry
 def add_cell_energies(layout, corners, gradients, weights, lane_cells, c1, nu, u, factor, out):
     """out (cells,) += factor times the strain energy of every cell, J."""
-    room = _room(layout, 2, 0)
+    room = _workspace(layout, 2, 0)
     for b in range(layout.shape[0]):
         m = layout[b, 0] - 1
         _differences(u, corners, layout[b, 2], 0, m, room)
@@ -281,7 +281,7 @@ def add_stress_forces(layout, corners, gradients, weights, toward, c, nu, u, f):
 
     toward (blocks, 3, LANES): numbers of each cell, 1/m^2 times what the sum is in.
     """
-    room = _room(layout, 4, 0)
+    room = _workspace(layout, 4, 0)
     for b in range(layout.shape[0]):
         m, first = layout[b, 0] - 1, layout[b, 2]
         force, size = room[2 * m * LANES :], 2 * m * LANES

@@ -12,7 +12,8 @@ set.
 import numpy as np
 
 from polyida.body.rigid_body import RigidBody
-from polyida.force.elements import SpringDamper, Torque
+from polyida.force.loads import Torque
+from polyida.force.springs import SpringDamper
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
 from polyida.model import Model, Needs

@@ -14,7 +14,7 @@ from polyida.body.plate import Material, Plate
 from polyida.body.reduced import Reduced
 from polyida.body.rigid_body import PointMass, Rigid
 from polyida.errors import InputError
-from polyida.force.elements import Torque
+from polyida.force.loads import Torque
 from polyida.joint.attachment import ground
 from polyida.joint.joints import AngleMotor, Revolute, Slot
 from polyida.problems import ABOUT, Problem, point_measures

@@ -5,7 +5,7 @@ import numpy as np
 from polyida import mesh
 from polyida.body.plate import Material, Plate
 from polyida.body.rigid_body import RigidBody
-from polyida.force.contact import Contact
+from polyida.force.springs import Contact
 from polyida.joint.attachment import ground
 from polyida.joint.joints import Revolute
 from polyida.run.solve import solve

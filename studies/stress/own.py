@@ -9,8 +9,9 @@ import numpy as np
 from polyida.body.body import Body
 from polyida.body.rigid_body import RigidBody
 from polyida.errors import InputError
-from polyida.force.elements import SpringDamper, Torque
 from polyida.force.force_element import ForceElement
+from polyida.force.loads import Torque
+from polyida.force.springs import SpringDamper
 from polyida.integrate.radau.radau_iia import RadauIIA
 from polyida.joint.attachment import ground
 from polyida.joint.formula import cross

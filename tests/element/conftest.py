@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from polyida.element import kernels, stabilisation, virtual
-from polyida.element.wachspress import reference_operator
+from polyida.element import elements, kernels
 
 
 def mesh(points, cells):
@@ -81,7 +80,7 @@ class Body:
     E, NU, THICKNESS = 2.0e5, 0.3, 0.02
     RIGID, ZERO, LEAST = 1e-24, 1e-12, 1e-6  # energy of a rigid motion over E t; zero and other eigenvalues at rest over the largest
 
-    def __init__(self, mesh, padding=0, operator=reference_operator):
+    def __init__(self, mesh, padding=0, operator=elements.wachspress):
         self.points, self.op, self.first = np.asarray(mesh.points), operator(mesh), padding
         self.c1 = self.THICKNESS * self.E / (1 - self.NU**2)
 
@@ -135,18 +134,18 @@ class Virtual(Body):
     RIGID, ZERO, LEAST = 1e-13, 1e-13, 1e-3
 
     def __init__(self, mesh, padding=0, tau=0.1):
-        super().__init__(mesh, padding, partial(virtual.reference_operator, tau=tau))
-        self.factor = stabilisation.factor(self.c1, self.NU)
+        super().__init__(mesh, padding, partial(elements.virtual, tau=tau))
+        self.factor = elements.plane_trace(self.c1, self.NU)
         self.on_pattern = self.op.indptr, self.op.indices, self.op.stabilisation, self.factor, padding
 
     def force(self, u):
         f, (constant, rotation, status) = np.zeros_like(u), super().force(u)
-        stabilisation.force(*self.on_pattern, u, f)
+        kernels.stabilisation_force(*self.on_pattern, u, f)
         assert not f[: self.first].any()
         return constant + f[self.first :], rotation, status
 
     def energy(self, u):
-        return super().energy(u) + stabilisation.energy(*self.on_pattern, u)
+        return super().energy(u) + kernels.stabilisation_energy(*self.on_pattern, u)
 
     def tangent(self, u, scale=1.0):
         return super().tangent(u, scale) + scale * self.factor * np.kron(self.dense(self.op.stabilisation), np.eye(2))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import polyida as pi
-from polyida.element import virtual
-from polyida.element.wachspress import reference_operator as wachspress
+from polyida.element.elements import virtual, wachspress
 from polyida.errors import InputError
 
 SHIFT = np.array([[0.03, 0.05], [-0.02, 0.04]])
@@ -34,11 +33,11 @@ def test_linear_fields_on_cells_that_are_not_convex(meshes, flexible):
 
 def test_stabilisation_is_symmetric_scales_with_tau_and_spares_triangles(meshes, body):
     shape = meshes.mixed()
-    soft, stiff = (body(shape, operator=partial(virtual.reference_operator, tau=tau)) for tau in (0.1, 0.5))
+    soft, stiff = (body(shape, operator=partial(virtual, tau=tau)) for tau in (0.1, 0.5))
     matrix = soft.dense(soft.op.stabilisation)
     assert (matrix == matrix.T).all()
     assert abs(soft.dense(stiff.op.stabilisation) - 5 * matrix).max() < 1e-15
-    triangle, usual = virtual.reference_operator(meshes.polygon(3)), wachspress(meshes.polygon(3))
+    triangle, usual = virtual(meshes.polygon(3)), wachspress(meshes.polygon(3))
     assert not triangle.stabilisation.any()
     assert usual.stabilisation is None
     assert (triangle.gradients == usual.gradients).all() and (triangle.weights == usual.weights).all()
@@ -48,7 +47,7 @@ def test_stabilisation_is_symmetric_scales_with_tau_and_spares_triangles(meshes,
 def test_mass_is_exact_for_rigid_bodies_and_positive(meshes, body):
     convex = meshes.mixed(1.0, 0.7, seed=9)
     for shape, area, polar in ((convex, 0.7, 0.7 * (1 + 0.49) / 12), (meshes.hanging(), 6.0, 6 * 13 / 12)):
-        plate = body(shape, operator=virtual.reference_operator)
+        plate = body(shape, operator=virtual)
         mass = plate.dense(plate.op.mass)
         x, y = (shape.points - (shape.points.max(axis=0) + shape.points.min(axis=0)) / 2).T
         assert mass.sum() == pytest.approx(area, rel=1e-13)
@@ -57,12 +56,12 @@ def test_mass_is_exact_for_rigid_bodies_and_positive(meshes, body):
         assert (mass == mass.T).all()
         assert np.linalg.eigvalsh(mass)[0] > 1e-3 * area / len(x)
         assert mass.sum(axis=0).min() > 0
-    many = body(meshes.polygon(30), operator=virtual.reference_operator)
+    many = body(meshes.polygon(30), operator=virtual)
     assert np.linalg.eigvalsh(many.dense(many.op.mass))[0] > 1e-4 * many.op.areas[0]
 
 
 def test_mass_of_a_square_is_the_bilinear_one(meshes, body):
-    square = body(meshes.mesh([[0, 0], [2, 0], [2, 2], [0, 2]], [[0, 1, 2, 3]]), operator=virtual.reference_operator)
+    square = body(meshes.mesh([[0, 0], [2, 0], [2, 2], [0, 2]], [[0, 1, 2, 3]]), operator=virtual)
     bilinear = np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 9
     assert abs(square.dense(square.op.mass) - bilinear).max() < 1e-15
 
@@ -99,10 +98,10 @@ def test_bad_input_is_named(meshes):
     square = meshes.quads(1, 1)
     for tau in (0.0, -0.1, np.nan, np.inf):
         with pytest.raises(InputError, match="tau"):
-            virtual.reference_operator(square, tau)
+            virtual(square, tau)
     with pytest.raises(InputError, match="cell 1: .*counter-clockwise"):
-        virtual.reference_operator(meshes.mesh([[0, 0], [1, 0], [0, 1], [1, 1]], [[0, 1, 2], [1, 2, 3]]))
+        virtual(meshes.mesh([[0, 0], [1, 0], [0, 1], [1, 1]], [[0, 1, 2], [1, 2, 3]]))
     with pytest.raises(InputError, match="cell 0: the side after node 1 has no length"):
-        virtual.reference_operator(meshes.mesh([[0, 0], [1, 0], [1, 0], [0, 1]], [[0, 1, 2, 3]]))
+        virtual(meshes.mesh([[0, 0], [1, 0], [1, 0], [0, 1]], [[0, 1, 2, 3]]))
     with pytest.raises(InputError, match="node 3 belongs to no cell"):
-        virtual.reference_operator(meshes.mesh([[0, 0], [1, 0], [0, 1], [5, 5]], [[0, 1, 2]]))
+        virtual(meshes.mesh([[0, 0], [1, 0], [0, 1], [5, 5]], [[0, 1, 2]]))

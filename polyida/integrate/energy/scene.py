@@ -9,7 +9,7 @@ from polyida.assembly.increments import drive_table
 from polyida.assembly.own_laws import take_midpoint_forces
 from polyida.assembly.projection import constrain
 from polyida.element import kernels as elements
-from polyida.element import stabilisation, two_states
+from polyida.element import two_field
 from polyida.errors import DONE, INVERTED, NOT_FINITE, SINGULAR
 from polyida.integrate.energy.dense import ENDS, OfMiddles, missing
 from polyida.jit import entry, part
@@ -95,12 +95,12 @@ def plates_middle(s, h, u0, u1, um, vm, a, r, rotation):
     for b in range(s.body_operator.shape[0]):
         o, n0, density = s.body_operator[b], s.body_node[b], s.body_density[b]
         given = s.body_c1[b], s.body_nu[b], s.body_viscosity[b] / h, u0, u1, r, rotation
-        least = compact.lesser(least, two_states.internal_force_midpoint(*kernels.cells(s, o), n0, *given))
+        least = compact.lesser(least, two_field.internal_force_midpoint(*kernels.cells(s, o), n0, *given))
         elements.mass_product(*kernels.on_pattern(s, o, s.mass), density, n0, a, r)
         if s.body_drag[b] != 0.0:
             elements.mass_product(*kernels.on_pattern(s, o, s.mass), s.body_drag[b] * density, n0, vm, r)
         if s.body_stabilisation[b] != 0.0:
-            stabilisation.force(*kernels.on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, um, r)
+            elements.stabilisation_force(*kernels.on_pattern(s, o, s.stabilisation), s.body_stabilisation[b], n0, um, r)
     return least
 
 

@@ -1,0 +1,131 @@
+"""Numba kernels of one body with a second field: velocities (Kelvin-Voigt viscosity), or the end of a step (energy-momentum).
+
+    viscous   S = D : (E + tau_v Edot), Edot = sym(F^T Fdot): no stress, no damping in any rigid motion
+    midpoint  f_i = int t F_m S_m G_i, F_m = (F_0 + F_1) / 2, S_m = D : (E_0 + E_1) / 2 (Simo, Tarnow 1992), so that
+              f . (u_1 - u_0) = W_1 - W_0; with viscosity, plus tau_v / h int t (E_1 - E_0) : D : (E_1 - E_0)
+
+Arguments as in kernels.py.
+"""
+
+import numpy as np
+
+from polyida.element.kernels import _differences, _gradient, _least, _scatter_balanced, _scatter_turn, _workspace
+from polyida.element.material import (
+    add,
+    add_rotation,
+    add_stiffness,
+    add_times,
+    advanced,
+    all_moduli_times,
+    combination,
+    difference,
+    negative,
+    two_state_moduli,
+    two_state_piola,
+    watch,
+)
+from polyida.jit import entry, part
+from polyida.jit.intrinsics import LANES, gather, load, load2, load4, load8, scatter_add, spread, store, zeros2, zeros4
+
+SECOND_ALONE = (1.0, 0.0, 0.0, 1.0)  # state = first field, direction = second
+MEAN_AND_HALF = (0.5, 0.5, -0.5, 0.5)  # state = mean of the fields, direction = half their difference
+
+
+@entry
+def internal_force_viscous(layout, corners, gradients, weights, node_offset, c1, nu, tau_v, u, v, f, rotation):
+    """Add elastic and viscous force at displacements u and velocities v to f; return the least det F, NaN if undefined.
+
+    tau_v: Kelvin-Voigt relaxation time, s. rotation as in kernels.internal_force. The dissipated power is
+    v . (f - f(tau_v = 0)) = tau_v int t Edot : D : Edot >= 0, W.
+    """
+    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (tau_v, 0.0, 0.0), SECOND_ALONE, u, v, f, rotation)
+
+
+@entry
+def tangent_viscous(layout, corners, gradients, weights, pairs, node_offset, pair_offset, c1, nu, tau_v, u, v, c_q, c_v, blocks):
+    """Add c_q dg/dq + c_v dg/dv of internal_force_viscous to blocks (M, 2, 2) in one pass.
+
+    dg/dv = tau_v int t B^T D B is symmetric to round-off and positive semidefinite; dg/dq is unsymmetric unless v is a rigid motion.
+    """
+    work = _workspace(layout, 12, 8)
+    for k in range(layout.shape[0]):
+        m, points, g = layout[k, 0] - 1, layout[k, 1], layout[k, 3]
+        size = 2 * m * LANES
+        rates, sums, products = work[size:], work[2 * size :], work[6 * size :]
+        _differences(u, corners, layout[k, 2], node_offset, m, work)
+        _differences(v, corners, layout[k, 2], node_offset, m, rates)
+        for p in range(points):
+            start, weight = g + p * size, load(weights, layout[k, 4] + p * LANES)
+            h, d = _gradient(gradients, start, work, m), _gradient(gradients, start, rates, m)
+            moduli = two_state_moduli(h, d, weight, c1 * nu, c1 * (1.0 - nu), tau_v, (c_q, c_q + c_v * tau_v, c_q * tau_v))
+            for j in range(m):
+                product = all_moduli_times(moduli, load2(gradients, start + 2 * j * LANES))
+                store(products, 8 * (j * points + p) * LANES, product)
+        for i in range(0, 4 * size, 4 * LANES):
+            store(sums, i, zeros4())
+        for j in range(m):
+            for i in range(m):
+                block = zeros4()
+                for p in range(points):
+                    here = load2(gradients, g + p * size + 2 * i * LANES)
+                    block = add_stiffness(block, here, load8(products, 8 * (j * points + p) * LANES))
+                scatter_add(blocks, pairs, layout[k, 5] + (i * (m + 1) + j) * LANES, pair_offset, block)
+                store(sums, 4 * i * LANES, add(load4(sums, 4 * i * LANES), block))
+                store(sums, 4 * (m + j) * LANES, add(load4(sums, 4 * (m + j) * LANES), block))
+        # the last corner's column and row: rows and columns of the tangent sum to zero
+        total, start = zeros4(), layout[k, 5]
+        for i in range(m):
+            row, column = load4(sums, 4 * i * LANES), load4(sums, 4 * (m + i) * LANES)
+            scatter_add(blocks, pairs, start + (i * (m + 1) + m) * LANES, pair_offset, negative(row))
+            scatter_add(blocks, pairs, start + (m * (m + 1) + i) * LANES, pair_offset, negative(column))
+            total = add(total, row)
+        scatter_add(blocks, pairs, start + (m * (m + 1) + m) * LANES, pair_offset, total)
+
+
+@entry
+def internal_force_midpoint(layout, corners, gradients, weights, node_offset, c1, nu, viscosity, u0, u1, f, rotation):
+    """Add the energy-momentum force of the step from u0 to u1 to f; return the least det F(u1), NaN if undefined.
+
+    viscosity = tau_v / h, no unit, 0 for an elastic body. The force has no resultant, and no moment at the mean positions. rotation as in
+    kernels.internal_force, of F_m.
+    """
+    return _force(layout, corners, gradients, weights, node_offset, c1, nu, (2.0 * viscosity, 1.0, 1.0), MEAN_AND_HALF, u0, u1, f, rotation)
+
+
+@part
+def _fields(a, b, corners, start, node_offset, m, mix, out):
+    """Store state and direction of the corners relative to the last one in out: m pairs each."""
+    state, direction, size = mix[:2], mix[2:], 2 * m * LANES
+    last_a = gather(a, corners, start + m * LANES, node_offset)
+    last_b = gather(b, corners, start + m * LANES, node_offset)
+    for i in range(m):
+        own_a = difference(gather(a, corners, start + i * LANES, node_offset), last_a)
+        own_b = difference(gather(b, corners, start + i * LANES, node_offset), last_b)
+        store(out, 2 * i * LANES, combination(own_a, own_b, state[0], state[1]))
+        store(out, size + 2 * i * LANES, combination(own_a, own_b, direction[0], direction[1]))
+
+
+@part
+def _force(layout, corners, gradients, weights, node_offset, c1, nu, response, mix, a, b, f, rotation):
+    """Add the force of the two fields `mix` of a and b; response = (rate, square, factor of d in the F whose det F is returned)."""
+    work = _workspace(layout, 6, 0)
+    seen = spread(np.inf), spread(0.0)
+    rate, square, ahead = response
+    for k in range(layout.shape[0]):
+        m, first = layout[k, 0] - 1, layout[k, 2]
+        size = 2 * m * LANES
+        direction, force = work[size:], work[2 * size :]
+        _fields(a, b, corners, first, node_offset, m, mix, work)
+        for i in range(0, size, 2 * LANES):
+            store(force, i, zeros2())
+        turn = zeros2()
+        for p in range(layout[k, 1]):
+            g, w = layout[k, 3] + p * size, load(weights, layout[k, 4] + p * LANES)
+            h, d = _gradient(gradients, g, work, m), _gradient(gradients, g, direction, m)
+            seen, turn = watch(seen, advanced(h, d, ahead)), add_rotation(turn, w, h)
+            stress = two_state_piola(h, d, w, c1 * nu, c1 * (1.0 - nu), rate, square)
+            for i in range(0, size, 2 * LANES):
+                store(force, i, add_times(load2(force, i), stress, load2(gradients, g + i)))
+        _scatter_balanced(force, corners, first, node_offset, m, f)
+        _scatter_turn(turn, corners, first, node_offset, m, rotation)
+    return _least(seen)
